@@ -1,0 +1,32 @@
+# `make demo` runs the main job, `make test` every check; both set up .venv first if need be.
+PYTHON ?= python3
+BIN := .venv/bin
+# The public records, where a copy lies beside the checkout; without one they are downloaded.
+ifneq ($(wildcard ../shared/data),)
+export SPLITBAND_DATA_DIR ?= $(abspath ../shared/data)
+endif
+
+.PHONY: demo test check format bench clean
+
+demo: .venv/.ready
+	$(BIN)/splitband demo --out demo
+
+test: check
+	$(BIN)/pytest
+
+check: .venv/.ready
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: .venv/.ready
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+.venv/.ready: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@
+
+clean:
+	rm -rf .venv demo out .mypy_cache .ruff_cache .pytest_cache

@@ -1,0 +1,26 @@
+"""Learn dynamics models from measured records: slow and fast parts, complementary filters between."""
+
+from splitband.cells import GRU, Cell, EulerMLP
+from splitband.data import Trajectory, read
+from splitband.filters import ComplementaryPair
+from splitband.models import Model, Recurrent, Split
+from splitband.rollout import rollout
+from splitband.training import History, Progress, Settings, fit
+
+__version__ = "0.1.0"
+__all__ = [
+    "GRU",
+    "Cell",
+    "ComplementaryPair",
+    "EulerMLP",
+    "History",
+    "Model",
+    "Progress",
+    "Recurrent",
+    "Settings",
+    "Split",
+    "Trajectory",
+    "fit",
+    "read",
+    "rollout",
+]

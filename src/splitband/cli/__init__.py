@@ -1,0 +1,58 @@
+"""The command line; the only part of the package that prints."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import typer
+from rich.console import Console
+from typer.exceptions import TyperException
+
+from splitband.cli import comparing, inspecting, modelling
+
+app = typer.Typer(
+    name="splitband",
+    help="Learn a dynamics model from a measured record whose free-running predictions stay "
+    "accurate, in the short term and in the long.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+)
+app.command()(comparing.demo)
+app.command()(comparing.compare)
+app.command()(modelling.fit)
+app.command()(modelling.simulate)
+app.command()(inspecting.spectrum)
+app.add_typer(inspecting.data, name="data")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; bad input is one line on the error stream and exit status 2."""
+    try:
+        status = typer.main.get_command(app).main(
+            None if arguments is None else list(arguments),
+            prog_name="splitband",
+            standalone_mode=False,
+        )
+    except TyperException as error:
+        return _complain(error.format_message())
+    except (ValueError, OSError, FloatingPointError) as error:
+        return _complain(_in_one_line(error))
+    return status if isinstance(status, int) else 0
+
+
+def _complain(message: str) -> int:
+    Console(stderr=True, soft_wrap=True).print(f"error: {message}", markup=False, highlight=False)
+    return 2
+
+
+def _in_one_line(error: Exception) -> str:
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.strerror}: {error.filename}"
+    return " ".join(str(error).split())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,143 @@
+"""`splitband compare` and `splitband demo`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from splitband import plots, reporting
+from splitband.cli import options, showing
+from splitband.comparison import METHODS, MODELS, Setup, check
+from splitband.comparison import compare as run_comparison
+from splitband.data import Trajectory
+from splitband.files import output_folder, write_json
+from splitband.spectrum import periodogram
+from splitband.threads import available_cores
+
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        help="Trainings at once, each a process on one core; the numbers do not depend on it.  ",
+        show_default="one a core",
+    ),
+]
+
+
+def compare(
+    record: options.Record,
+    train: options.Train = None,
+    horizon: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Samples to predict beyond the training part.",
+            show_default="all",
+        ),
+    ] = None,
+    methods: Annotated[str, typer.Option(help="What to compare, separated by commas.")] = ",".join(
+        METHODS
+    ),
+    seeds: Annotated[int, typer.Option(min=1, help="Trainings of each network.")] = 1,
+    jobs: Jobs = None,
+    out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = Path("out"),
+    columns: options.Columns = None,
+    inputs: options.Inputs = None,
+    time_column: options.TimeColumn = None,
+    sampling_time: options.SamplingTime = None,
+    cutoff: options.Cutoff = None,
+    order: options.Order = None,
+    downsampling: options.Downsampling = None,
+    warmup: options.Warmup = None,
+    window: options.Window = None,
+    epochs: options.Epochs = None,
+    learning_rate: options.LearningRate = 1e-3,
+    lr_milestones: options.Milestones = None,
+    hidden: options.Hidden = None,
+) -> None:
+    """Compare models of a record with each other and with naive baselines.
+
+    Every method is fitted on the first --train samples only and predicts under two protocols:
+    "from the start" warms up on the first samples and simulates to the end of the record;
+    "forecast" warms up on the last training samples and simulates beyond them. The table shows the
+    RMSE of the free run over everything after the warm-up, in the record's unit.
+    """
+    trajectory = options.load_record(record, columns, inputs, time_column, sampling_time)
+    setup = options.setup(
+        trajectory,
+        train,
+        cutoff=cutoff,
+        order=order,
+        downsampling=downsampling,
+        warmup=warmup,
+        window=window,
+        epochs=epochs,
+        learning_rate=learning_rate,
+        milestones=lr_milestones,
+        hidden=hidden,
+    )
+    if horizon is not None:
+        if setup.train + horizon > len(trajectory):
+            raise ValueError(
+                f"--horizon must end within the record: at most {len(trajectory) - setup.train} "
+                f"samples after the {setup.train} of --train, got {horizon}"
+            )
+        trajectory = trajectory[: setup.train + horizon]
+    _compare(trajectory, options.names(methods), setup, seeds, jobs, out)
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = Path("demo"),
+    jobs: Jobs = None,
+) -> None:
+    """Show what the package does, in under a minute: the paper's system (i).
+
+    Two superposed oscillations under noise; 250 samples to learn from, 750 to predict. A split
+    GRU against a single GRU of the same size and against naive baselines.
+    """
+    record = options.load_record("double-mass-spring")
+    methods = ["gru", "split-gru", "persistence", "seasonal-naive", "harmonic"]
+    _compare(record, methods, options.setup(record, None), 1, jobs, out)
+
+
+def _compare(
+    record: Trajectory,
+    methods: list[str],
+    setup: Setup,
+    seeds: int,
+    jobs: int | None,
+    out: Path,
+) -> None:
+    check(record, methods, setup)
+    output_folder(out)
+    trainings = seeds * len(set(methods) & set(MODELS))
+    jobs = min(jobs or available_cores(), max(trainings, 1))
+    with showing.progress(trainings, "training") as progress:
+        runs = run_comparison(record, methods, setup, range(seeds), jobs, progress)
+    found = periodogram(record.y[: setup.train], record.sampling_rate)
+    write_json(out / "results.json", reporting.results(record, setup, runs))
+    plots.save(plots.rollouts(record, setup, runs), out / "rollouts.png")
+    plots.save(plots.errors(record, setup, runs), out / "error.png")
+    plots.save(plots.spectrum(record, found, setup.cutoff), out / "spectrum.png")
+    showing.console.print(showing.comparison(_title(record, setup), runs))
+    showing.console.print(
+        f"cut-off {setup.cutoff:g} Hz, order {setup.order}: "
+        f"{found.share_below(setup.cutoff):.1%} of the training part's power in the low band, "
+        f"kept at every {_ordinal(setup.downsampling)} sample"
+    )
+    showing.console.print(f"results and pictures: {out}/", highlight=False)
+
+
+def _title(record: Trajectory, setup: Setup) -> str:
+    truth = "the noise-free signal" if record.y_true is not None else "the measurement"
+    return (
+        f"{record.name}: free-run RMSE against {truth}, {setup.train} samples to train on, "
+        f"{len(record) - setup.train} beyond"
+    )
+
+
+def _ordinal(k: int) -> str:
+    suffix = {1: "st", 2: "nd", 3: "rd"}.get(k % 10 if k % 100 not in (11, 12, 13) else 0, "th")
+    return f"{k}{suffix}"

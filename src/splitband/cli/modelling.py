@@ -1,0 +1,200 @@
+"""`splitband fit` and `splitband simulate`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import typer
+
+from splitband import reporting, saving
+from splitband.cli import options, showing
+from splitband.comparison import MODELS, RunProgress, build
+from splitband.data import Trajectory, read
+from splitband.files import output_folder, replacing, write_json
+from splitband.metrics import rmse
+from splitband.models import Model
+from splitband.training import Progress
+from splitband.training import fit as train_model
+
+
+def fit(
+    record: options.Record,
+    out: Annotated[
+        Path, typer.Option(metavar="MODEL_DIR", help="Folder for the model.", show_default=False)
+    ],
+    method: Annotated[str, typer.Option(help=f"What to train: {', '.join(MODELS)}.")] = "split-gru",
+    train: Annotated[
+        int | None,
+        typer.Option(help="Samples at the beginning to train on.", show_default="all"),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of initial weights and order of windows.")] = 0,
+    columns: options.Columns = None,
+    inputs: options.Inputs = None,
+    time_column: options.TimeColumn = None,
+    sampling_time: options.SamplingTime = None,
+    cutoff: options.Cutoff = None,
+    order: options.Order = None,
+    downsampling: options.Downsampling = None,
+    warmup: options.Warmup = None,
+    window: options.Window = None,
+    epochs: options.Epochs = None,
+    learning_rate: options.LearningRate = 1e-3,
+    lr_milestones: options.Milestones = None,
+    hidden: options.Hidden = None,
+) -> None:
+    """Train one model on a record and save it.
+
+    MODEL_DIR gets the weights (safetensors), everything else (JSON) and results.json.
+    """
+    if method not in MODELS:
+        raise ValueError(f"--method must be one of {', '.join(MODELS)}, got {method}")
+    trajectory = options.load_record(record, columns, inputs, time_column, sampling_time)
+    setup = options.setup(
+        trajectory,
+        len(trajectory) if train is None else train,
+        ahead=0,
+        cutoff=cutoff,
+        order=order,
+        downsampling=downsampling,
+        warmup=warmup,
+        window=window,
+        epochs=epochs,
+        learning_rate=learning_rate,
+        milestones=lr_milestones,
+        hidden=hidden,
+    )
+    training = trajectory[: setup.train]
+    model = build(method, training, setup, seed)
+    output_folder(out)
+    networks = len([*model.children()])
+    with showing.progress(networks, f"training {method}") as bar:
+
+        def update(at: Progress) -> None:
+            bar(RunProgress(at.task, seed, at.epoch / at.epochs, at.loss))
+
+        history = train_model(model, training, setup.settings, seed, update)
+    within = _training_error(model, training, setup.settings.warmup)
+    facts = {
+        "method": method,
+        "seed": seed,
+        "record": training.name,
+        "sampling_time": training.sampling_time,
+        "columns": list(training.columns),
+        "inputs": options.names(inputs or ""),
+        "setup": asdict(setup),
+    }
+    saving.save(model, out, facts)
+    outcome = {
+        "final_loss": {name: losses[-1] for name, losses in history.losses.items()},
+        "seconds": history.seconds,
+        "training_rmse": within,
+    }
+    write_json(out / "results.json", facts | outcome | {"environment": reporting.environment()})
+    showing.console.print(
+        f"{method} trained on {len(training)} samples in {history.seconds:.1f} s; free run over "
+        f"them from the first {setup.settings.warmup}: RMSE {within:.4g}\nmodel: {out}/",
+        highlight=False,
+    )
+
+
+def _training_error(model: Model, training: Trajectory, warmup: int) -> float:
+    """RMSE of a free run over the training record from its first samples."""
+    steps = len(training) - warmup
+    return rmse(training.y[warmup:], model.simulate(training.y[:warmup], steps, training.u))
+
+
+def simulate(
+    model_dir: Annotated[
+        Path, typer.Argument(metavar="MODEL_DIR", help="What `fit` wrote.", show_default=False)
+    ],
+    history: Annotated[
+        Path,
+        typer.Option(
+            metavar="FILE",
+            help="Measured samples up to now, with the columns of the training record; the last "
+            "ones warm the model up.",
+            show_default=False,
+        ),
+    ],
+    steps: Annotated[
+        int, typer.Option(min=1, help="Samples to simulate after them.", show_default=False)
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(metavar="FILE.csv", help="Where to write the samples.", show_default=False),
+    ],
+    future_inputs: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Known inputs of the samples to come, for a model that has inputs.",
+            show_default=False,
+        ),
+    ] = None,
+    time_column: options.TimeColumn = None,
+) -> None:
+    """Simulate a saved model beyond a measured history.
+
+    The CSV has a column `time`, in seconds after the last sample of the history, and one column
+    for each measured channel.
+    """
+    model, facts = saving.load(model_dir)
+    known = _Facts(facts)
+    past = read(
+        history,
+        columns=known.columns,
+        inputs=known.inputs,
+        time_column=time_column,
+        sampling_time=known.sampling_time,
+    )
+    if len(past) < known.warmup:
+        raise ValueError(
+            f"--history must have at least the {known.warmup} samples of the model's warm-up, "
+            f"got {len(past)}"
+        )
+    past = past[len(past) - known.warmup :]
+    u = _all_inputs(past, future_inputs, steps, known)
+    y = model.simulate(past.y, steps, u)
+    table = pd.DataFrame(y, columns=known.columns)
+    table.insert(0, "time", known.sampling_time * np.arange(1, steps + 1))
+    output_folder(out.parent)
+    with replacing(out) as temporary:
+        table.to_csv(temporary, index=False)
+    showing.console.print(f"{steps} samples after {history}: {out}", highlight=False)
+
+
+class _Facts:
+    """What `fit` saved with the model and `simulate` needs."""
+
+    def __init__(self, facts: dict[str, Any]) -> None:
+        try:
+            self.columns = [str(name) for name in facts["columns"]]
+            self.inputs = [str(name) for name in facts["inputs"]]
+            self.sampling_time = float(facts["sampling_time"])
+            self.warmup = int(facts["setup"]["settings"]["warmup"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"the model was not written by `splitband fit`: {error!r}") from None
+
+
+def _all_inputs(
+    past: Trajectory, future: Path | None, steps: int, known: _Facts
+) -> npt.NDArray[np.float64] | None:
+    """Known inputs over warm-up and simulation, where the model has any."""
+    if (future is not None) != bool(known.inputs):
+        names = ", ".join(known.inputs) or "none"
+        raise ValueError(
+            f"--future-inputs must be given exactly for a model with inputs; it has {names}"
+        )
+    if future is None or past.u is None:
+        return None
+    ahead = read(future, columns=known.inputs, sampling_time=known.sampling_time).y
+    if len(ahead) < steps:
+        raise ValueError(
+            f"--future-inputs must cover the {steps} samples of --steps, got {len(ahead)}"
+        )
+    return np.concatenate([past.u, ahead[:steps]])

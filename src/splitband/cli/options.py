@@ -1,0 +1,217 @@
+"""Options that several commands share, and what they default to."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from splitband.comparison import Setup, check_train, default_setup, default_warmup
+from splitband.data import Trajectory, read
+from splitband.paper.settings import LEARNING_BASED, RECORD_SETTINGS
+from splitband.systems import RECORDS
+from splitband.training import Settings
+
+_RECORD, _FILTER, _TRAINING = "Record", "Filter", "Training"
+
+
+def names(text: str) -> list[str]:
+    """The parts of a comma-separated option."""
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def _milestones(text: str) -> tuple[tuple[int, float], ...]:
+    try:
+        pairs = [part.split(":") for part in names(text)]
+        return tuple((int(epoch), float(rate)) for epoch, rate in pairs)
+    except ValueError:
+        raise ValueError(f"--lr-milestones must be EPOCH:RATE,EPOCH:RATE,..., got {text}") from None
+
+
+def _sizes(text: str) -> tuple[int, int]:
+    try:
+        high, low = (int(part) for part in names(text))
+    except ValueError:
+        raise ValueError(f"--hidden must be HIGH,LOW, two whole numbers, got {text}") from None
+    return high, low
+
+
+Record = Annotated[
+    str,
+    typer.Argument(
+        metavar="RECORD",
+        help="A file (CSV, TSV, Parquet, NPZ, NPY, MAT or plain text) or a named record: "
+        f"{', '.join(RECORDS)}.",
+        show_default=False,
+    ),
+]
+Train = Annotated[
+    int | None,
+    typer.Option(
+        "--train",
+        help="Samples at the beginning to train on.",
+        rich_help_panel=_RECORD,
+        show_default="three quarters of a file, the paper's number for a named record",
+    ),
+]
+Columns = Annotated[
+    str | None,
+    typer.Option(
+        help="Measured columns, by name or position, separated by commas.",
+        rich_help_panel=_RECORD,
+        show_default="all numeric",
+    ),
+]
+Inputs = Annotated[
+    str | None,
+    typer.Option(
+        help="Columns of known inputs (forces, set-points), separated by commas.",
+        rich_help_panel=_RECORD,
+        show_default=False,
+    ),
+]
+TimeColumn = Annotated[
+    str | None,
+    typer.Option(
+        help="Column of time stamps, in seconds or as dates.",
+        rich_help_panel=_RECORD,
+        show_default="one called time or t",
+    ),
+]
+SamplingTime = Annotated[
+    float | None,
+    typer.Option(
+        help="Seconds between samples, where the file has no time column.",
+        rich_help_panel=_RECORD,
+        show_default=False,
+    ),
+]
+Cutoff = Annotated[
+    float | None,
+    typer.Option(
+        help="Frequency that parts the two bands, in Hz.",
+        rich_help_panel=_FILTER,
+        show_default="90 % of the power below",
+    ),
+]
+Order = Annotated[
+    int | None,
+    typer.Option(
+        help="Order of each Butterworth filter.",
+        rich_help_panel=_FILTER,
+        show_default="1",
+    ),
+]
+Downsampling = Annotated[
+    int | None,
+    typer.Option(
+        help="The low band keeps every K-th sample.",
+        metavar="K",
+        rich_help_panel=_FILTER,
+        show_default="2",
+    ),
+]
+Warmup = Annotated[
+    int | None,
+    typer.Option(
+        help="Measured samples before a simulation.",
+        metavar="R",
+        rich_help_panel=_TRAINING,
+        show_default="up to 50",
+    ),
+]
+Window = Annotated[
+    int | None,
+    typer.Option(
+        help="Samples of a training window, warm-up included.",
+        rich_help_panel=_TRAINING,
+        show_default="up to 250",
+    ),
+]
+Epochs = Annotated[
+    int | None,
+    typer.Option(
+        help="Passes over all windows.",
+        rich_help_panel=_TRAINING,
+        show_default="300, the paper's for a named record",
+    ),
+]
+LearningRate = Annotated[
+    float, typer.Option(help="Of Adam, at the beginning.", rich_help_panel=_TRAINING)
+]
+Milestones = Annotated[
+    str | None,
+    typer.Option(
+        "--lr-milestones",
+        help="Later learning rates as EPOCH:RATE,...: 20:1e-4,500:1e-5",
+        rich_help_panel=_TRAINING,
+        show_default=False,
+    ),
+]
+Hidden = Annotated[
+    str | None,
+    typer.Option(
+        help="Hidden units of the high- and the low-band network.",
+        metavar="HIGH,LOW",
+        rich_help_panel=_TRAINING,
+        show_default="64,32; a single network has their sum",
+    ),
+]
+
+
+def load_record(
+    record: str,
+    columns: str | None = None,
+    inputs: str | None = None,
+    time_column: str | None = None,
+    sampling_time: float | None = None,
+) -> Trajectory:
+    """A named record, or a file."""
+    if record not in RECORDS:
+        if not Path(record).exists():
+            raise FileNotFoundError(
+                f"RECORD must be a file or one of {', '.join(RECORDS)}, got {record}"
+            )
+        return read(
+            record,
+            columns=names(columns) if columns else None,
+            inputs=names(inputs or ""),
+            time_column=time_column,
+            sampling_time=sampling_time,
+        )
+    for option, value in (
+        ("--columns", columns),
+        ("--inputs", inputs),
+        ("--time-column", time_column),
+        ("--sampling-time", sampling_time),
+    ):
+        if value is not None:
+            raise ValueError(f"{option} is for files; {record} is a named record, got {value}")
+    return RECORDS[record]()
+
+
+def setup(record: Trajectory, train: int | None, ahead: int = 1, **options: Any) -> Setup:
+    """What the options say (`None`: nothing), the rest by default: the paper's for its records.
+
+    `ahead` samples at least must be left to predict.
+    """
+    column = LEARNING_BASED.get(RECORD_SETTINGS.get(record.name, ""))
+    if train is None:
+        train = column.train if column else int(0.75 * len(record))
+    check_train(record, train, ahead)
+    given = {name: value for name, value in options.items() if value is not None}
+    if column:
+        defaults = column.setup(record.sampling_rate)
+    else:
+        defaults = default_setup(record, train, given.get("downsampling", 2), given.get("cutoff"))
+    if "hidden" in given:
+        given["hidden_high"], given["hidden_low"] = _sizes(given.pop("hidden"))
+    if "milestones" in given:
+        given["milestones"] = _milestones(given["milestones"])
+    training = {f.name: given.pop(f.name) for f in fields(Settings) if f.name in given}
+    if "window" in training:
+        training.setdefault("warmup", default_warmup(training["window"], defaults.settings.warmup))
+    settings = replace(defaults.settings, **training)
+    return replace(defaults, train=train, settings=settings, **given)

@@ -1,0 +1,83 @@
+"""Tables and progress bars for people."""
+
+from __future__ import annotations
+
+import statistics
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from splitband.comparison import Run, RunProgress
+
+console = Console(soft_wrap=not sys.stdout.isatty(), width=None if sys.stdout.isatty() else 120)
+
+
+def comparison(title: str, runs: Mapping[str, Sequence[Run]], unit: str = "") -> Table:
+    """Both protocols by method, mean and standard deviation over seeds, best first marked."""
+    table = Table(title=title, title_justify="left", title_style="bold")
+    table.add_column("method")
+    table.add_column("from the start", justify="right")
+    table.add_column("forecast", justify="right")
+    table.add_column("fit (s)", justify="right")
+    table.add_column("", style="dim")
+    best = [
+        min(statistics.mean(values(r)) for r in runs.values()) for values in (_total, _forecast)
+    ]
+    for name, of_method in runs.items():
+        cells = [
+            _spread(values(of_method), lowest)
+            for values, lowest in zip((_total, _forecast), best, strict=True)
+        ]
+        seconds = statistics.mean(r.seconds for r in of_method)
+        table.add_row(name, *cells, f"{seconds:.1f}", of_method[0].description)
+    return table
+
+
+@contextmanager
+def progress(total: int, label: str) -> Iterator[Callable[[RunProgress], None]]:
+    """A bar over all trainings, and one for each that runs; silent where nobody watches."""
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[loss]}"),
+        console=Console(stderr=True),
+        transient=True,
+        disable=not sys.stderr.isatty(),
+    )
+    with bar:
+        overall = bar.add_task(label, total=max(total, 1), loss="")
+        rows: dict[tuple[str, int], TaskID] = {}
+        shares: dict[tuple[str, int], float] = {}
+
+        def update(at: RunProgress) -> None:
+            key = at.method, at.seed
+            if key not in rows:
+                rows[key] = bar.add_task(f"  {at.method}, seed {at.seed}", total=1.0, loss="")
+            shares[key] = at.share
+            bar.update(rows[key], completed=at.share, loss=f"loss {at.loss:.4g}")
+            bar.update(rows[key], visible=at.share < 1)
+            bar.update(overall, completed=sum(shares.values()))
+
+        yield update
+
+
+def _total(runs: Sequence[Run]) -> list[float]:
+    return [r.total_rmse for r in runs]
+
+
+def _forecast(runs: Sequence[Run]) -> list[float]:
+    return [r.forecast_rmse for r in runs]
+
+
+def _spread(values: Sequence[float], lowest: float) -> str:
+    mean = statistics.mean(values)
+    text = f"{mean:.3g}" if mean >= 1e3 else f"{mean:.3f}" if mean >= 0.01 else f"{mean:.2e}"
+    if len(set(values)) > 1:
+        text += f" ± {statistics.stdev(values):.2g}"
+    return f"[bold]{text}[/bold]" if mean == lowest else text

@@ -1,0 +1,1 @@
+"""The paper's systems, settings and published values, each number once."""

@@ -1,0 +1,133 @@
+"""Pictures of comparisons and spectra; the only importer of matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from splitband.comparison import Run, Setup
+from splitband.data import Trajectory
+from splitband.files import replacing
+from splitband.metrics import cumulative_rmse
+from splitband.spectrum import Spectrum
+
+Array = npt.NDArray[np.float64]
+Runs = Mapping[str, Sequence[Run]]
+
+_MEASURED, _TRUTH = "0.72", "0.25"
+_PALETTE = (
+    "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00",
+    "#56B4E9", "#8C564B", "#6A3D9A", "#7F7F00", "#1B7837",
+)  # fmt: skip
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG, whole or not at all."""
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110)
+
+
+def rollouts(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
+    """Every method's prediction over the record, one row each; a column for each protocol."""
+    rows = [(name, channel) for name in runs for channel in range(record.ny)]
+    figure = Figure(figsize=(13, 1.1 + 1.25 * len(rows)), layout="constrained")
+    grid = figure.subplots(len(rows), 2, sharex="col", sharey=True, squeeze=False)
+    warmup, end = setup.settings.warmup, setup.train
+    for axes, (name, channel) in zip(grid, rows, strict=True):
+        first = runs[name][0]
+        sides = (
+            (axes[0], 0, warmup, first.from_start, [r.total_rmse for r in runs[name]]),
+            (axes[1], end - warmup, end, first.forecast, [r.forecast_rmse for r in runs[name]]),
+        )
+        for ax, begin, start, prediction, errors in sides:
+            _draw_record(ax, record, channel, begin)
+            ax.plot(record.time[start:], prediction[:, channel], color=_color(runs, name), lw=1.1)
+            ax.axvspan(record.time[begin], record.time[start - 1], color="0.93", zorder=0)
+            ax.axvline(record.time[end], color="0.4", ls=":", lw=1)
+            ax.set_title(f"{name}   RMSE {_spread(errors)}", fontsize=9, loc="left", pad=3)
+            ax.margins(x=0.01)
+        axes[0].set_ylabel(record.columns[channel])
+    limits = _limits(record.y)
+    grid[0, 0].set_ylim(*limits)
+    for ax in grid[-1]:
+        ax.set_xlabel("time (s)")
+    figure.suptitle(
+        f"{record.name}: free runs (colour, seed {next(iter(runs.values()))[0].seed}) over the "
+        "record (grey)\nleft: from the start; right: forecast from the end of the training part "
+        "(dotted line); shaded: warm-up",
+        fontsize=10,
+    )
+    return figure
+
+
+def errors(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
+    """The cumulative RMSE e_n over time under both protocols, mean and range over seeds."""
+    figure = Figure(figsize=(13, 4.6), layout="constrained")
+    truth = record.y if record.y_true is None else record.y_true
+    protocols = (
+        ("from the start", setup.settings.warmup, lambda r: r.from_start),
+        ("forecast", setup.train, lambda r: r.forecast),
+    )
+    for ax, (title, start, prediction) in zip(figure.subplots(1, 2), protocols, strict=True):
+        for name, of_method in runs.items():
+            curves = np.stack([cumulative_rmse(truth[start:], prediction(r)) for r in of_method])
+            time, color = record.time[start:], _color(runs, name)
+            ax.plot(time, curves.mean(axis=0), color=color, lw=1.4, label=name)
+            if len(curves) > 1:
+                ax.fill_between(time, curves.min(0), curves.max(0), color=color, alpha=0.15, lw=0)
+        ax.axvline(record.time[setup.train], color="0.4", ls=":", lw=1)
+        ax.set_yscale("log")
+        ax.set_title(f"{record.name}, {title}", fontsize=10)
+        ax.set_xlabel("time (s)")
+        ax.set_ylabel("RMSE since the warm-up, $e_n$")
+        ax.grid(True, which="both", color="0.93", lw=0.6)
+    ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1))
+    return figure
+
+
+def spectrum(record: Trajectory, found: Spectrum, cutoff: float | None) -> Figure:
+    """The power spectral density of every channel with the cut-off marked."""
+    figure = Figure(figsize=(8, 4.2), layout="constrained")
+    ax = figure.subplots()
+    for name, density in zip(record.columns, found.density.T, strict=True):
+        ax.loglog(found.frequencies[1:], np.maximum(density[1:], 1e-300), lw=1, label=name)
+    top = found.density[1:].max()
+    ax.set_ylim(max(found.density[1:].min(), top * 1e-9), top * 3)
+    ax.set_xlabel("frequency (Hz)")
+    ax.set_ylabel("power spectral density (squared units per Hz)")
+    ax.set_title(f"{record.name}: spectrum", fontsize=10)
+    ax.grid(True, which="both", color="0.93", lw=0.6)
+    if cutoff is not None:
+        share = found.share_below(cutoff)
+        label = f"cut-off {cutoff:g} Hz: {share:.1%} of the power below"
+        ax.axvline(cutoff, color="#D55E00", ls="--", lw=1.2, label=label)
+    ax.legend(fontsize=8, loc="lower left")
+    return figure
+
+
+def _draw_record(ax: Axes, record: Trajectory, channel: int, begin: int) -> None:
+    time = record.time[begin:]
+    ax.plot(time, record.y[begin:, channel], color=_MEASURED, lw=0.9)
+    if record.y_true is not None:
+        ax.plot(time, record.y_true[begin:, channel], color=_TRUTH, lw=0.7)
+
+
+def _color(runs: Runs, name: str) -> str:
+    return _PALETTE[list(runs).index(name) % len(_PALETTE)]
+
+
+def _spread(values: Sequence[float]) -> str:
+    if len(set(values)) == 1:
+        return f"{values[0]:.3g}"
+    return f"{np.mean(values):.3g} ± {np.std(values, ddof=1):.2g} ({len(values)} seeds)"
+
+
+def _limits(y: Array) -> tuple[float, float]:
+    low, high = float(y.min()), float(y.max())
+    margin = 0.25 * (high - low or 1.0)
+    return low - margin, high + margin

@@ -1,0 +1,75 @@
+"""Results as JSON: every number with what is needed to make it again."""
+
+from __future__ import annotations
+
+import platform
+import statistics
+import subprocess
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from splitband.comparison import Run, Setup
+from splitband.data import Trajectory
+
+
+def results(record: Trajectory, setup: Setup, runs: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
+    """What `compare` writes to results.json."""
+    return {
+        "record": {
+            "name": record.name,
+            "samples": len(record),
+            "sampling_time": record.sampling_time,
+            "columns": list(record.columns),
+            "inputs": record.nu,
+            "truth": "measured" if record.y_true is None else "noise-free",
+        },
+        "settings": asdict(setup),
+        "methods": {name: _method(of_method) for name, of_method in runs.items()},
+        "environment": environment(),
+    }
+
+
+def environment() -> dict[str, Any]:
+    """Versions, machine and, in a checkout, the commit."""
+    packages = ("splitband", "torch", "numpy", "scipy", "numba")
+    return {
+        "versions": {"python": platform.python_version()} | {p: version(p) for p in packages},
+        "machine": f"{platform.system()} {platform.machine()}",
+        "commit": _commit(),
+    }
+
+
+def _method(runs: Sequence[Run]) -> dict[str, Any]:
+    facts: dict[str, Any] = {
+        "seeds": [r.seed for r in runs],
+        "total_rmse": [r.total_rmse for r in runs],
+        "forecast_rmse": [r.forecast_rmse for r in runs],
+        "seconds": [r.seconds for r in runs],
+    }
+    for name in ("total_rmse", "forecast_rmse"):
+        values = facts[name]
+        spread = statistics.stdev(values) if len(values) > 1 else None
+        facts[f"{name}_mean"], facts[f"{name}_std"] = statistics.mean(values), spread
+    if runs[0].description:
+        facts["description"] = runs[0].description
+    if runs[0].losses:
+        facts["final_loss"] = [{k: v[-1] for k, v in r.losses.items()} for r in runs]
+    return facts
+
+
+def _commit() -> str | None:
+    """The commit of the checkout that the package runs from, if it runs from one."""
+    folder = Path(__file__).resolve().parent
+    if not (folder.parents[1] / ".git").exists():
+        return None
+    try:
+        found = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=12"],
+            cwd=folder, capture_output=True, text=True, timeout=10, check=True,
+        )  # fmt: skip
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return found.stdout.strip()

@@ -1,0 +1,76 @@
+"""Down-sampling d_k and up-sampling u_k (paper, Sec. 4.2).
+
+Signals are `(time,)`, `(time, ny)` or `(batch, time, ny)`. NumPy in, NumPy out; torch in, torch out.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+Signal = TypeVar("Signal", npt.NDArray[Any], Tensor)
+Alignment = Literal["time", "paper"]
+
+
+def check_downsampling(downsampling: int, cutoff: float, sampling_rate: float) -> None:
+    """Check that a signal of band limit `cutoff` survives: 2 cutoff < sampling_rate / k.
+
+    Raises
+    ------
+    ValueError
+        For k < 1, and for a cut-off at or above the Nyquist frequency after down-sampling (Hz).
+    """
+    if downsampling < 1:
+        raise ValueError(f"downsampling must be at least 1, got {downsampling}")
+    nyquist = sampling_rate / downsampling / 2
+    if cutoff >= nyquist:
+        raise ValueError(
+            f"downsampling by {downsampling} leaves a Nyquist frequency of {nyquist:g} Hz, which "
+            f"must exceed the cut-off of {cutoff:g} Hz; at most "
+            f"{max(1, int(np.ceil(sampling_rate / cutoff / 2)) - 1)} will do"
+        )
+
+
+def downsample(y: Signal, k: int, offset: int = 0) -> Signal:
+    """Every k-th sample from `offset` on (paper, Eq. 11)."""
+    if k < 1:
+        raise ValueError(f"k must be at least 1, got {k}")
+    return y[offset::k] if y.ndim == 1 else y[..., offset::k, :]
+
+
+def upsample(y: Signal, k: int, length: int | None = None, align: Alignment = "time") -> Signal:
+    """Fill in k - 1 samples after each by linear interpolation (paper, Sec. 4.2).
+
+    Parameters
+    ----------
+    y : The slow signal of n samples.
+    k : The factor.
+    length : How many samples to return, at most k n; all by default.
+    align : `"time"` keeps sample j of `y` at index j k, and holds the last one for k - 1 samples;
+        `"paper"` is torch's `align_corners=False`, which shifts time by (k - 1) / 2 samples.
+    """
+    if k < 1:
+        raise ValueError(f"k must be at least 1, got {k}")
+    slow = y if isinstance(y, Tensor) else torch.from_numpy(np.array(y, dtype=np.float64))
+    if slow.ndim == 1:
+        fast = upsample(slow[:, None], k, length, align)[:, 0]
+        return fast if isinstance(y, Tensor) else fast.numpy()  # type: ignore[return-value]
+    n = slow.shape[-2]
+    length = k * n if length is None else length
+    if not 0 <= length <= k * n:
+        raise ValueError(f"length must be at most k n = {k * n}, got {length}")
+    if align == "paper":
+        batch = slow.reshape(-1, n, slow.shape[-1]).transpose(1, 2)
+        fast = torch.nn.functional.interpolate(batch, scale_factor=float(k), mode="linear")
+        fast = fast.transpose(1, 2).reshape(*slow.shape[:-2], k * n, slow.shape[-1])
+    else:
+        following = torch.cat([slow[..., 1:, :], slow[..., -1:, :]], dim=-2)
+        fraction = torch.arange(k, dtype=slow.dtype, device=slow.device)[:, None] / k
+        between = torch.lerp(slow[..., :, None, :], following[..., :, None, :], fraction)
+        fast = between.flatten(-3, -2)
+    fast = fast[..., :length, :]
+    return fast if isinstance(y, Tensor) else fast.numpy()  # type: ignore[return-value]
