@@ -1,4 +1,4 @@
-"""Learn dynamics models from measured records: slow and fast parts, complementary filters between."""
+"""Learn dynamics models from measured records, their slow and fast parts by different means."""
 
 from splitband.cells import GRU, Cell, EulerMLP
 from splitband.data import Trajectory, read

@@ -62,13 +62,11 @@ class GRU(nn.Module):
 
     def step(self, h: Tensor, y: Tensor, u: Tensor | None = None) -> Tensor:
         """One gated update of h, shape `(batch, hidden_size)`."""
-        h = self.transition(y if u is None else torch.cat([y, u], dim=-1), h)
-        return h
+        return self.transition(y if u is None else torch.cat([y, u], dim=-1), h)
 
     def observe(self, h: Tensor) -> Tensor:
         """C h + c."""
-        y: Tensor = self.observation(h)
-        return y
+        return self.observation(h)
 
 
 class EulerMLP(nn.Module):
@@ -129,13 +127,11 @@ class EulerMLP(nn.Module):
                 f"the warm-up must have at least {self.warmup} samples, got {y_warmup.shape[1]}"
             )
         seen = y_warmup if u is None else torch.cat([y_warmup, u], dim=-1)
-        h: Tensor = self.recognition(seen[:, -self.warmup :].flatten(1))
-        return h
+        return self.recognition(seen[:, -self.warmup :].flatten(1))
 
     def step(self, h: Tensor, y: Tensor, u: Tensor | None = None) -> Tensor:
         """One Euler step of h, shape `(batch, state_size)`; `y` is not used."""
-        change: Tensor = self.dynamics(h if u is None else torch.cat([h, u], dim=-1))
-        return h + self.step_size * change
+        return h + self.step_size * self.dynamics(h if u is None else torch.cat([h, u], dim=-1))
 
     def observe(self, h: Tensor) -> Tensor:
         """The first `ny` entries of h."""

@@ -253,7 +253,8 @@ class ComplementaryPair:
         low = self.lowpass(low, dim)
         if first is None:
             return low + self.highpass(high, dim)
-        return low + self.highpass_from(high, first - self._head(low, dim), dim)
+        rest = first - self._head(low, dim)
+        return low + self.highpass_from(high, rest, dim)
 
     def highpass_from(self, y: Signal, first: Signal, dim: int | None = None) -> Signal:
         """H(y) one way, with its first P outputs given."""
@@ -288,7 +289,7 @@ class _LFilter(torch.autograd.Function):
     """SciPy's `lfilter` on `(..., time)` from the state `zi` `(..., P)`."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, zi: Tensor, b: Array, a: Array) -> Tensor:  # type: ignore[override]
+    def forward(ctx: Any, x: Tensor, zi: Tensor, b: Array, a: Array) -> Tensor:
         ctx.coefficients = b, a
         # `lfilter` handles `time = 0` badly, and float32 loses what a high order needs.
         signal, state = (t.detach().to("cpu", torch.float64).numpy() for t in (x, zi))
@@ -296,19 +297,23 @@ class _LFilter(torch.autograd.Function):
         return torch.from_numpy(np.ascontiguousarray(y)).to(x)
 
     @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:  # type: ignore[override]
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
         b, a = ctx.coefficients
         need_x, need_zi, *_ = ctx.needs_input_grad
         backwards = grad.flip(-1)
         rest = grad.new_zeros(*grad.shape[:-1], len(a) - 1)
         grad_x = grad_zi = None
         if need_x:
-            grad_x = _LFilter.apply(backwards, rest, b, a).flip(-1)
+            grad_x = _recurrence(b, a, backwards, rest).flip(-1)
         if need_zi:  # the state enters as P extra inputs behind the numerator
             impulse = np.eye(1, len(a))[0]
-            seen = _LFilter.apply(backwards, rest, impulse, a).flip(-1)[..., : len(a) - 1]
+            seen = _recurrence(impulse, a, backwards, rest).flip(-1)[..., : len(a) - 1]
             grad_zi = torch.nn.functional.pad(seen, (0, len(a) - 1 - seen.shape[-1]))
         return grad_x, grad_zi, None, None
+
+
+def _recurrence(b: Array, a: Array, x: Tensor, zi: Tensor) -> Tensor:
+    return _LFilter.apply(x, zi, b, a)  # type: ignore[no-untyped-call]
 
 
 def _run(b: Array, a: Array, x: Tensor, start: Start) -> Tensor:
@@ -317,8 +322,7 @@ def _run(b: Array, a: Array, x: Tensor, start: Start) -> Tensor:
         zi = x[..., :1] * torch.from_numpy(scipy.signal.lfilter_zi(b, a)).to(x)
     else:
         zi = x.new_zeros(*x.shape[:-1], len(a) - 1)
-    y: Tensor = _LFilter.apply(x, zi, b, a)
-    return y
+    return _recurrence(b, a, x, zi)
 
 
 def _run_on(b: Array, a: Array, x: Tensor, first: Tensor) -> Tensor:
@@ -334,7 +338,7 @@ def _run_on(b: Array, a: Array, x: Tensor, first: Tensor) -> Tensor:
         for m in range(order)
     ]
     zi = torch.stack([s for s in state if isinstance(s, Tensor)], dim=-1)
-    return torch.cat([first, _LFilter.apply(x[..., order:], zi, b, a)], dim=-1)
+    return torch.cat([first, _recurrence(b, a, x[..., order:], zi)], dim=-1)
 
 
 def _extend_odd(x: Tensor, pad: int) -> Tensor:
@@ -356,7 +360,7 @@ def _along_time(
     signal = tensors[0]
     assert signal is not None
     y = run(signal, tensors[1]).movedim(-1, axis)
-    return y if isinstance(x, Tensor) else y.numpy()  # type: ignore[return-value]
+    return y if isinstance(x, Tensor) else y.numpy()
 
 
 def _tensor(x: npt.NDArray[Any] | Tensor) -> Tensor:
@@ -379,7 +383,7 @@ def _normalised(b: npt.ArrayLike, a: npt.ArrayLike) -> tuple[Array, Array]:
     if not a[0]:
         raise ValueError(f"a[0] must not be zero, got {a[0]:g}")
     width = max(len(a), len(b), 2)
-    return tuple(np.pad(c, (0, width - len(c))) / a[0] for c in (b, a))  # type: ignore[return-value]
+    return tuple(np.pad(c, (0, width - len(c))) / a[0] for c in (b, a))
 
 
 def _check_stable(a: Array) -> None:

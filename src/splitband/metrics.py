@@ -18,7 +18,7 @@ def rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
 
 
 def cumulative_rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
-    """e_n = sqrt(sum_{k<=n} ||y_k - prediction_k||^2 / (n + 1)), shape `(time,)` (paper, Sec. 5)."""
+    """e_n = sqrt(sum_{k<=n} ||y_k - prediction_k||^2 / (n + 1)), `(time,)` (paper, Sec. 5)."""
     squared = _squared_errors(y, prediction)
     return np.sqrt(np.cumsum(squared) / np.arange(1, len(squared) + 1))
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -22,6 +22,7 @@ from splitband.data import Trajectory
 from splitband.filters import ComplementaryPair
 from splitband.resampling import check_downsampling, downsample, upsample
 from splitband.rollout import rollout
+from splitband.simulators import affine_fit
 
 Signal = TypeVar("Signal", npt.NDArray[Any], Tensor)
 
@@ -43,6 +44,7 @@ class Task:
     ----------
     name : For messages and loss curves.
     network : Whose parameters are trained.
+    known : What windows are cut from, aligned with the record.
     target : What the output is compared with, `(time, ny)`, aligned with the record.
     simulate : Maps what is known of a batch of windows, `y` over the warm-up only, and a number
         of samples to the network's share of them, `(batch, samples, ny)`.
@@ -51,6 +53,7 @@ class Task:
 
     name: str
     network: nn.Module
+    known: Signals
     target: Tensor
     simulate: Callable[[Signals, int], Tensor]
     stride: int = 1
@@ -133,8 +136,13 @@ class Model(nn.Module, ABC):
             units[name] = value.to(y_warmup) if isinstance(y_warmup, Tensor) else value.numpy()
         return units
 
-    def normalise_to(self, trajectory: Trajectory) -> None:
-        """Take mean and standard deviation of each channel from a training record."""
+    def adapt_to(self, trajectory: Trajectory, normalize: bool = True) -> None:
+        """Take from a training record what is not learned by gradient: here, the units.
+
+        With `normalize`, that is the mean and the standard deviation of each channel.
+        """
+        if not normalize:
+            return
         for name, values in (("y", trajectory.y), ("u", trajectory.u)):
             if values is not None:
                 std = values.std(axis=0)
@@ -194,18 +202,14 @@ class Recurrent(Model):
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """The network's free run."""
-        return {"network": rollout(self.cell, known.y, steps, known.u)}
+        return {"network": self._simulate(known, steps)}
 
     def tasks(self, record: Signals) -> list[Task]:
         """Reproduce the record."""
-        return [
-            Task(
-                "network",
-                _module(self.cell),
-                record.y,
-                lambda k, n: self.components(k, n)["network"],
-            )
-        ]
+        return [Task("network", _module(self.cell), record, record.y, self._simulate)]
+
+    def _simulate(self, known: Signals, steps: int) -> Tensor:
+        return rollout(self.cell, known.y, steps, known.u)
 
 
 class Split(Model):
@@ -267,8 +271,8 @@ class Split(Model):
         """
         low = self.pair.lowpass(record.y)
         return [
-            Task("low band", _module(self.low), low, self._simulate_low, self.downsampling),
-            Task("high band", _module(self.high), record.y - low, self._simulate_high),
+            Task("low band", _module(self.low), record, low, self._simulate_low, self.downsampling),
+            Task("high band", _module(self.high), record, record.y - low, self._simulate_high),
         ]
 
     def _simulate_low(self, known: Signals, steps: int) -> Tensor:
@@ -289,6 +293,122 @@ class Split(Model):
             return y
         # With its own history in front the filter has settled before the first prediction.
         return self.pair.highpass(torch.cat([history, y], dim=1))[:, history.shape[1] :]
+
+
+class Hybrid(Model):
+    """A network and a simulator; the simulator may be calibrated first.
+
+    Parameters
+    ----------
+    cell : The network.
+    calibrate : Fit a gain and an offset for each channel of the simulator by least squares on the
+        training record, before anything is learned. Not in the paper.
+    """
+
+    gain: Tensor
+    offset: Tensor
+
+    def __init__(self, cell: Cell, calibrate: bool = False) -> None:
+        super().__init__(cell.ny, cell.nu)
+        self.cell, self.calibrate = cell, calibrate
+        self.register_buffer("gain", torch.ones(cell.ny, dtype=torch.float64))
+        self.register_buffer("offset", torch.zeros(cell.ny, dtype=torch.float64))
+
+    def adapt_to(self, trajectory: Trajectory, normalize: bool = True) -> None:
+        """Take the units and, if asked to, the calibration from a training record."""
+        super().adapt_to(trajectory, normalize)
+        if self.calibrate:
+            known = self.normalised(trajectory)
+            y_sim = _required(known)
+            gain, offset = affine_fit(y_sim.double().cpu().numpy(), known.y.double().cpu().numpy())
+            self.gain.copy_(torch.from_numpy(gain))
+            self.offset.copy_(torch.from_numpy(offset))
+
+    def _calibrated(self, known: Signals) -> Tensor:
+        """The simulator's output, `(..., time, ny)`, in normalised units."""
+        y_sim = _required(known)
+        return y_sim * self.gain.to(y_sim) + self.offset.to(y_sim)
+
+
+class Filtered(Hybrid):
+    """The simulator in the low band, a network in the high band (paper, Sec. 4.3).
+
+    H(network) + L(simulator) through the joint recurrence, trained end to end. The paper starts
+    the filter with the first P samples of the training signal; here these are the last P of the
+    warm-up, so that a simulation needs no sample after it (docs/deviations.md).
+
+    Parameters
+    ----------
+    cell : The network; its free run is that of the whole signal, of which the high band is used.
+    pair : One-way filters, of which L + H = 1.
+    calibrate : See `Hybrid`.
+    """
+
+    def __init__(self, cell: Cell, pair: ComplementaryPair, calibrate: bool = False) -> None:
+        super().__init__(cell, calibrate)
+        if pair.zero_phase:
+            raise ValueError("the hybrid model's pair must filter one way (zero_phase=False)")
+        self.pair = pair
+
+    def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
+        """L(simulator) and H(network)."""
+        filtered = self._low_passed(known)
+        low = _required(filtered)[:, known.y.shape[1] :][:, :steps]
+        return {"simulator, low band": low, "network, high band": self._high(filtered, steps)}
+
+    def tasks(self, record: Signals) -> list[Task]:
+        """Reproduce the record (paper, Eq. 14); L(simulator) is filtered once, as a whole."""
+        known = self._low_passed(record)
+        return [Task("network", _module(self.cell), known, record.y, self._combined)]
+
+    def _low_passed(self, known: Signals) -> Signals:
+        return replace(known, y_sim=self.pair.lowpass(self._calibrated(known)))
+
+    def _combined(self, filtered: Signals, steps: int) -> Tensor:
+        warmup = filtered.y.shape[1]
+        return self._high(filtered, steps) + _required(filtered)[:, warmup : warmup + steps]
+
+    def _high(self, filtered: Signals, steps: int) -> Tensor:
+        """H(network), going on from what L(simulator) leaves of the last measured samples."""
+        order, warmup = self.pair.order, filtered.y.shape[1]
+        if warmup < order:
+            raise ValueError(f"the warm-up must have at least {order} samples, got {warmup}")
+        measured = filtered.y[:, warmup - order :]
+        first = measured - _required(filtered)[:, warmup - order : warmup]
+        network = rollout(self.cell, filtered.y, steps, filtered.u)
+        high = self.pair.highpass_from(torch.cat([measured, network], dim=1), first)
+        return high[:, order:]
+
+
+class Residual(Hybrid):
+    """A network for what the simulator leaves: y = network + simulator (paper, Sec. 5.1).
+
+    The network warms up on the residual of the measured samples. Parameters as for `Hybrid`.
+    """
+
+    def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
+        """The simulator's samples and the network's."""
+        calibrated = self._calibrated(known)
+        warmup = known.y.shape[1]
+        residual = self._simulate(replace(known, y_sim=calibrated), steps)
+        return {"simulator": calibrated[:, warmup : warmup + steps], "network": residual}
+
+    def tasks(self, record: Signals) -> list[Task]:
+        """Reproduce the simulator's residual."""
+        calibrated = self._calibrated(record)
+        known = replace(record, y_sim=calibrated)
+        target = record.y - calibrated
+        return [Task("network", _module(self.cell), known, target, self._simulate)]
+
+    def _simulate(self, known: Signals, steps: int) -> Tensor:
+        warmup = known.y.shape[1]
+        return rollout(self.cell, known.y - _required(known)[:, :warmup], steps, known.u)
+
+
+def _required(known: Signals) -> Tensor:
+    if known.y_sim is None:
+        raise ValueError("y_sim must be given: the model needs a simulator's output")
+    return known.y_sim
 
 
 def _module(cell: Cell) -> nn.Module:

@@ -141,7 +141,7 @@ def _basis(frequencies: Array, index: npt.NDArray[np.int_]) -> Array:
 
 def _solve(frequencies: Array, y: Array) -> tuple[Array, Array]:
     basis = _basis(frequencies, np.arange(len(y)))
-    coefficients = np.linalg.lstsq(basis, y, rcond=None)[0]
+    coefficients = np.linalg.lstsq(basis, y, rcond=None)[0].astype(np.float64)
     return coefficients, y - basis @ coefficients
 
 
@@ -167,8 +167,12 @@ def _refine(frequencies: Array, y: Array) -> Array:
     reach = 1 / len(y)
     low = np.clip(frequencies - reach, 1e-9, 0.5)
     high = np.clip(frequencies + reach, 2e-9, 0.5 + 1e-9)
+
+    def residual(moved: Array) -> Array:
+        return _solve(moved, y)[1]
+
     found = scipy.optimize.least_squares(
-        lambda f: _solve(f, y)[1],
+        residual,
         np.clip(frequencies, low, high),
         bounds=(low, high),
         x_scale=reach,

@@ -70,8 +70,8 @@ def errors(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
     figure = Figure(figsize=(13, 4.6), layout="constrained")
     truth = record.y if record.y_true is None else record.y_true
     protocols = (
-        ("from the start", setup.settings.warmup, lambda r: r.from_start),
-        ("forecast", setup.train, lambda r: r.forecast),
+        ("from the start", setup.settings.warmup, _from_start),
+        ("forecast", setup.train, _forecast),
     )
     for ax, (title, start, prediction) in zip(figure.subplots(1, 2), protocols, strict=True):
         for name, of_method in runs.items():
@@ -82,6 +82,10 @@ def errors(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
                 ax.fill_between(time, curves.min(0), curves.max(0), color=color, alpha=0.15, lw=0)
         ax.axvline(record.time[setup.train], color="0.4", ls=":", lw=1)
         ax.set_yscale("log")
+        # The first samples after a warm-up say little, and would set the scale.
+        settled = [line.get_ydata()[10:] for line in ax.lines if len(line.get_ydata()) > 20]
+        ax.set_ylim(bottom=0.7 * min((y.min() for y in settled), default=1e-3))
+        ax.yaxis.set_major_formatter("{x:g}")
         ax.set_title(f"{record.name}, {title}", fontsize=10)
         ax.set_xlabel("time (s)")
         ax.set_ylabel("RMSE since the warm-up, $e_n$")
@@ -108,6 +112,14 @@ def spectrum(record: Trajectory, found: Spectrum, cutoff: float | None) -> Figur
         ax.axvline(cutoff, color="#D55E00", ls="--", lw=1.2, label=label)
     ax.legend(fontsize=8, loc="lower left")
     return figure
+
+
+def _from_start(run: Run) -> Array:
+    return run.from_start
+
+
+def _forecast(run: Run) -> Array:
+    return run.forecast
 
 
 def _draw_record(ax: Axes, record: Trajectory, channel: int, begin: int) -> None:

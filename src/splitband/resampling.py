@@ -1,6 +1,7 @@
 """Down-sampling d_k and up-sampling u_k (paper, Sec. 4.2).
 
-Signals are `(time,)`, `(time, ny)` or `(batch, time, ny)`. NumPy in, NumPy out; torch in, torch out.
+Signals are `(time,)`, `(time, ny)` or `(batch, time, ny)`.
+NumPy in, NumPy out; torch in, torch out.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ def upsample(y: Signal, k: int, length: int | None = None, align: Alignment = "t
     slow = y if isinstance(y, Tensor) else torch.from_numpy(np.array(y, dtype=np.float64))
     if slow.ndim == 1:
         fast = upsample(slow[:, None], k, length, align)[:, 0]
-        return fast if isinstance(y, Tensor) else fast.numpy()  # type: ignore[return-value]
+        return fast if isinstance(y, Tensor) else fast.numpy()
     n = slow.shape[-2]
     length = k * n if length is None else length
     if not 0 <= length <= k * n:
@@ -73,4 +74,4 @@ def upsample(y: Signal, k: int, length: int | None = None, align: Alignment = "t
         between = torch.lerp(slow[..., :, None, :], following[..., :, None, :], fraction)
         fast = between.flatten(-3, -2)
     fast = fast[..., :length, :]
-    return fast if isinstance(y, Tensor) else fast.numpy()  # type: ignore[return-value]
+    return fast if isinstance(y, Tensor) else fast.numpy()

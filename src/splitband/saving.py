@@ -17,8 +17,8 @@ import safetensors.torch
 from torch import nn
 
 from splitband.cells import GRU, EulerMLP
-from splitband.filters import ComplementaryPair
 from splitband.files import replacing, write_json
+from splitband.filters import ComplementaryPair
 from splitband.models import Model, Recurrent, Split
 
 FORMAT = 1

@@ -95,15 +95,14 @@ def fit(
     """
     settings = settings or Settings()
     _check_record(model, trajectory, settings)
-    if settings.normalize:
-        model.normalise_to(trajectory)
+    model.adapt_to(trajectory, settings.normalize)
     began = time.perf_counter()
     history = History()
     record = model.normalised(trajectory)
     generator = torch.Generator().manual_seed(seed)
     for task in model.tasks(record):
         losses = history.losses.setdefault(task.name, [])
-        for loss in _train(task, record, settings, generator):
+        for loss in _train(task, settings, generator):
             losses.append(loss)
             if progress is not None:
                 progress(Progress(task.name, len(losses), settings.epochs, loss))
@@ -111,11 +110,9 @@ def fit(
     return history
 
 
-def _train(
-    task: Task, record: Signals, settings: Settings, generator: torch.Generator
-) -> Iterator[float]:
+def _train(task: Task, settings: Settings, generator: torch.Generator) -> Iterator[float]:
     """Train one network; yield the mean loss of each epoch."""
-    known, target = _windows(task, record, settings)
+    known, target = _windows(task, settings)
     steps = target.shape[1]
     optimizer = torch.optim.Adam(task.network.parameters(), lr=settings.learning_rate)
     rates = dict(settings.milestones)
@@ -138,17 +135,14 @@ def _train(
         yield mean
 
 
-def _windows(task: Task, record: Signals, settings: Settings) -> tuple[Signals, Tensor]:
+def _windows(task: Task, settings: Settings) -> tuple[Signals, Tensor]:
     """All windows of stride 1 as views: what is known of each, and what is to be reproduced."""
 
     def views(x: Tensor) -> Tensor:
         return x.unfold(0, settings.window, 1).transpose(1, 2)
 
-    known = Signals(
-        views(record.y)[:, : settings.warmup],
-        None if record.u is None else views(record.u),
-        None if record.y_sim is None else views(record.y_sim),
-    )
+    u, y_sim = (None if s is None else views(s) for s in (task.known.u, task.known.y_sim))
+    known = Signals(views(task.known.y)[:, : settings.warmup], u, y_sim)
     return known, views(task.target)[:, settings.warmup :: task.stride]
 
 
@@ -159,8 +153,7 @@ def _select(known: Signals, batch: Tensor) -> Signals:
 
 def _rmse(prediction: Tensor, target: Tensor) -> Tensor:
     # A norm, not the root of a mean: its gradient at zero error is zero, not NaN.
-    norm: Tensor = torch.linalg.vector_norm(prediction - target)
-    return norm / target.numel() ** 0.5
+    return torch.linalg.vector_norm(prediction - target) / target.numel() ** 0.5
 
 
 def _check_record(model: Model, trajectory: Trajectory, settings: Settings) -> None:

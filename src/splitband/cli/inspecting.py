@@ -11,8 +11,8 @@ from rich.table import Table
 from splitband import plots
 from splitband.cli import options, showing
 from splitband.data import PUBLIC, fetch
-from splitband.filters import ComplementaryPair
 from splitband.files import output_folder, write_json
+from splitband.filters import ComplementaryPair
 from splitband.metrics import rmse
 from splitband.spectrum import default_cutoff, periodogram
 from splitband.systems import RECORDS

@@ -1,0 +1,395 @@
+"""Reading records from the usual files; pandas and SciPy do the reading."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import re
+import warnings
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import pandas as pd
+import scipy.io
+from numpy.typing import NDArray
+from pandas.api.types import (
+    is_complex_dtype,
+    is_numeric_dtype,
+    is_object_dtype,
+    is_string_dtype,
+    is_timedelta64_dtype,
+)
+
+from splitband.data.trajectory import FloatArray, Trajectory, one_line, require_finite
+
+_AnyArray: TypeAlias = NDArray[Any]
+_Column: TypeAlias = "pd.Series[Any]"
+_Table: TypeAlias = dict[str, _Column]  # in NPZ and MAT files the columns may differ in length
+_Names: TypeAlias = str | int | Sequence[str | int]
+
+_TIME_NAMES = ("time", "t", "timestamp", "datetime", "date")
+_UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "min": 60.0, "h": 3600.0}
+_UNITS |= {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
+_UNIT = re.compile(rf"[\s_/(\[]+({'|'.join(_UNITS)})[)\]]?$")
+
+
+def read(
+    path: str | os.PathLike[str],
+    *,
+    columns: _Names | None = None,
+    inputs: _Names = (),
+    time_column: str | int | None = None,
+    sampling_time: float | None = None,
+) -> Trajectory:
+    """Read a record from CSV, TSV, Parquet, NPZ, NPY, MAT (up to v7.2) or plain text.
+
+    Columns are chosen by name, or by position from 0 where a text or NPY file names none. A
+    variable of an NPZ or MAT file is a column, and a matrix `m` is picked whole as "m" or by
+    column as "m[0]"; a file with one row of numbers is one channel over time. Text may be
+    separated by commas, semicolons (then also with decimal commas), tabs or spaces, with `#`
+    comments.
+
+    Parameters
+    ----------
+    columns : measured channels; by default every column that holds a number, has a name, and is
+        neither an input nor a time (in NPZ and MAT: among the longest variables).
+    inputs : known inputs `u`.
+    time_column : stamps in seconds, in another unit that ends the name ("t [ms]", "time_min"),
+        or dates; by default a column called time, t, timestamp, datetime or date. "" ignores it.
+        Steps may differ by 1 %, or by the rounding of the stamps: less than one unit in their
+        last printed place, both from the mean step and from the straight line through the ends,
+        as long as that unit is below a step.
+    sampling_time : seconds; by default from the stamps, else a scalar `sampling_time`, `dt` or
+        `Ts` of the file.
+
+    Raises
+    ------
+    FileNotFoundError, IsADirectoryError, PermissionError
+        If the file cannot be opened.
+    ValueError
+        If it cannot be understood: the message names the file, the column and the data row,
+        counted from 0 without the header.
+    """
+    path = Path(path)
+    try:
+        return _assemble(_load(path), columns, inputs, time_column, sampling_time, name=path.stem)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _load(path: Path) -> _Table:
+    """Read every column of a file; each failure of a reader becomes a ValueError."""
+    with path.open("rb") as file:
+        if not file.read(1):
+            raise ValueError("the file is empty")
+    kind, reader = _READERS.get(path.suffix.lower(), ("text", _read_text))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return reader(path)
+    except Exception as error:  # zip, pickle, Arrow, pandas and SciPy each raise their own
+        raise ValueError(f"cannot be read as {kind}: {one_line(error)}") from error
+
+
+def _read_text(path: Path) -> _Table:
+    """Read separated numbers, with or without a header."""
+    suffix = path.suffix.lower()
+    lines = _lines(path.read_bytes(), mark_inside=suffix not in (".csv", ".tsv"))
+    body = [line for line in lines if line]
+    if not body:
+        raise ValueError("it holds no data")
+    found = (sep for sep in (";", "\t", ",") if sep in body[min(1, len(body) - 1)])
+    sep = "\t" if suffix == ".tsv" else next(found, "," if suffix == ".csv" else " ")
+    comma = re.compile(rf"(?:^|{sep})\s*[-+]?\d*,\d+(?:e[-+]?\d+)?\s*(?:{sep}|$)", re.IGNORECASE)
+    decimal = "," if sep in ";\t" and any(map(comma.search, body)) else "."
+    fields = csv.reader(body[:1], delimiter=sep, skipinitialspace=True)
+    cells = body[0].split() if sep == " " else next(fields)
+    header = _is_header([cell.strip().replace(decimal, ".") for cell in cells])
+    if len(body) == 1 and not header:  # one row of numbers is a signal over time
+        lines = [cell.strip() or "nan" for cell in cells[: None if cells[-1].strip() else -1]]
+    warnings.simplefilter("error", pd.errors.ParserWarning)  # rows longer than the header
+    frame = pd.read_csv(
+        io.StringIO("\n".join(lines)),
+        sep=r"\s+" if sep == " " else sep,
+        header=0 if header else None,
+        decimal=decimal,
+        index_col=False,
+        skipinitialspace=True,
+    )
+    return _columns(frame)
+
+
+def _lines(raw: bytes, mark_inside: bool) -> list[str]:
+    """Decode, and empty the comments; `mark_inside`: a "#" within a line starts one, too.
+
+    Blank lines stay, so that the line numbers in pandas' messages are those of the file.
+    """
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        text = raw.decode("utf-16")
+    elif b"\0" in raw:
+        raise ValueError("it is a binary file")
+    else:
+        try:
+            text = raw.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = raw.decode("latin-1")
+    comment = re.compile("#.*" if mark_inside else r"^\s*#.*")
+    lines = (comment.sub("", line) if "#" in line else line for line in re.split("\r\n?|\n", text))
+    return [line if line.strip(" ") else "" for line in lines]
+
+
+def _is_header(cells: Sequence[str]) -> bool:
+    """Tell whether some cell is a word, while none is a number other than a bare 0, 1, 2..."""
+    words = False
+    for cell in cells:
+        try:
+            float(cell)
+        except ValueError:
+            is_date = re.match(r"\d+[-/.:]\d", cell)
+            words = words or not (is_date or cell == "")
+        else:
+            if not cell.isdigit():
+                return False
+    return words
+
+
+def _read_parquet(path: Path) -> _Table:
+    frame = pd.read_parquet(path)
+    times = isinstance(frame.index, pd.DatetimeIndex | pd.TimedeltaIndex)
+    if times or (frame.index.name is not None and not isinstance(frame.index, pd.RangeIndex)):
+        frame = frame.reset_index(names=str(frame.index.name or "time"))
+    return _columns(frame)
+
+
+def _read_numpy(path: Path) -> _Table:
+    with path.open("rb") as file:  # np.load leaves a damaged file open that it opened itself
+        zipped = zipfile.is_zipfile(file)
+        file.seek(0)
+        if zipped:
+            with np.load(file, allow_pickle=False) as archive:
+                return _variables(dict(archive))
+        array = np.lib.format.read_array(file, allow_pickle=False)
+    return _columns(pd.DataFrame(_native(array)))
+
+
+def _read_mat(path: Path) -> _Table:
+    try:
+        return _variables(scipy.io.loadmat(path))
+    except NotImplementedError:
+        raise ValueError("it is a v7.3 (HDF5) file; save it with the option -v7") from None
+
+
+def _columns(frame: pd.DataFrame) -> _Table:
+    return {str(name).strip(): column for name, column in frame.items()}
+
+
+def _native(array: _AnyArray) -> _AnyArray:
+    """Drop axes of length 1, keeping one, and foreign byte orders, which pandas rejects."""
+    return np.atleast_1d(array.astype(array.dtype.newbyteorder("="), copy=False).squeeze())
+
+
+def _variables(variables: Mapping[str, object]) -> _Table:
+    """Turn named arrays into columns: a matrix `m` becomes `m[0]`, `m[1]`, ..."""
+    table: _Table = {}
+    for name, variable in variables.items():
+        if isinstance(variable, np.ndarray) and variable.dtype.names is None:
+            array = _native(variable)
+            if array.ndim == 1:
+                table[name] = pd.Series(array)
+            elif array.ndim == 2:
+                table |= {f"{name}[{i}]": pd.Series(array[:, i]) for i in range(array.shape[1])}
+    return table
+
+
+_READERS: dict[str, tuple[str, Callable[[Path], _Table]]] = {
+    ".parquet": ("Parquet", _read_parquet),
+    ".pq": ("Parquet", _read_parquet),
+    ".npz": ("NPZ", _read_numpy),
+    ".npy": ("NPY", _read_numpy),
+    ".mat": ("MAT", _read_mat),
+}
+
+
+def _assemble(
+    table: _Table,
+    columns: _Names | None,
+    inputs: _Names,
+    time_column: str | int | None,
+    sampling_time: float | None,
+    *,
+    name: str,
+) -> Trajectory:
+    """Pick the columns, check every cell of them, and find the sampling time."""
+    known = _find(table, inputs)
+    stamps = [] if time_column is None or time_column == "" else _find(table, time_column)
+    picked = stamps + known + ([] if columns is None else _find(table, columns))
+    rows = _common_length(table, picked)
+    rest = [c for c in table if c not in picked and len(table[c]) == rows]
+    times = [c for c in rest if _time_name(c)[0] in _TIME_NAMES]
+    if time_column is None:
+        stamps = sorted(times, key=lambda c: _TIME_NAMES.index(_time_name(c)[0]))[:1]
+    if columns is None:  # without the unnamed: a pandas index, or what a trailing comma leaves
+        named = [c for c in rest if c not in times and not c.startswith("Unnamed: ")]
+        measured = [c for c in named if _has_number(table[c])]
+    else:
+        measured = _find(table, columns)
+    if not measured:
+        raise ValueError(f"there is no numeric column to model: {_available(table)}")
+    step = _sampling_time(table, stamps, sampling_time)
+    y = _matrix(table, measured)
+    u = _matrix(table, known) if known else None
+    labels = () if list(table) == ["0"] else tuple(measured)
+    return Trajectory(y, step, u=u, name=name, columns=labels)
+
+
+def _matrix(table: _Table, names: Sequence[str]) -> FloatArray:
+    return np.column_stack([_numbers(f"column {name!r}", table[name]) for name in names])
+
+
+def _common_length(table: _Table, picked: Sequence[str]) -> int:
+    """Return the rows of the picked columns, by default of the longest column."""
+    if twice := [column for column in picked if picked.count(column) > 1]:
+        raise ValueError(f"column {twice[0]!r} is asked for twice, in columns, inputs or time")
+    lengths = {column: len(table[column]) for column in picked or table}
+    rows = lengths[picked[0]] if picked else max(lengths.values(), default=0)
+    if other := [column for column in picked if lengths[column] != rows]:
+        raise ValueError(
+            f"columns must have the same length: {picked[0]!r} has {rows} rows, "
+            f"{other[0]!r} has {lengths[other[0]]}"
+        )
+    if rows < 2:
+        raise ValueError(f"a record must have at least 2 rows: it has {rows}")
+    return rows
+
+
+def _find(table: _Table, wanted: _Names) -> list[str]:
+    """Return the keys of the wanted columns, a matrix being all of its columns."""
+    found = []
+    for column in [wanted] if isinstance(wanted, str | int) else wanted:
+        name = str(column)
+        keys = [name] if name in table else []
+        while name not in table and (key := f"{name}[{len(keys)}]") in table:
+            keys.append(key)
+        if not keys:
+            raise ValueError(f"column {name!r} is unknown: {_available(table)}")
+        found += keys
+    return found
+
+
+def _available(table: _Table) -> str:
+    names = ", ".join(map(repr, list(table)[:10])) or "none"
+    return f"the columns are {names}{', ...' if len(table) > 10 else ''}"
+
+
+def _has_number(column: _Column) -> bool:
+    if is_object_dtype(column) or is_string_dtype(column):
+        column = pd.to_numeric(column, errors="coerce")
+    return is_numeric_dtype(column) and bool(column.notna().any())
+
+
+def _numbers(what: str, column: _Column) -> FloatArray:
+    """Return a column as finite float64 numbers, (time,)."""
+    if not is_numeric_dtype(column):
+        cells = column.astype(object)
+        column = pd.to_numeric(cells, errors="coerce")
+        if (bad := np.flatnonzero(column.isna() & cells.notna())).size:
+            cell = str(cells.iloc[bad[0]])[:40]
+            raise ValueError(f"{what} must be numeric: row {bad[0]} holds {cell!r}")
+    if is_complex_dtype(column):
+        raise ValueError(f"{what} must be real: it holds complex values")
+    values = column.to_numpy(dtype=np.float64, na_value=np.nan)
+    require_finite(what, values[:, None])
+    return values
+
+
+def _time_name(column: str) -> tuple[str, float]:
+    """Split a name such as "Time [ms]" into what it names and the seconds in its unit."""
+    name = column.strip().lower()
+    unit = _UNIT.search(name)
+    return (name[: unit.start()], _UNITS[unit[1]]) if unit else (name, 1.0)
+
+
+def _sampling_time(table: _Table, stamps: Sequence[str], given: float | None) -> float:
+    """Return the seconds between two rows: as given, by the stamps, or by a scalar of the file."""
+    if stamps:
+        what = f"time column {stamps[0]!r}"
+        seconds, grain = _seconds(what, stamps[0], table[stamps[0]])
+        step = _even_step(what, seconds, grain)
+        if given is not None and not abs(given - step) <= 0.01 * step:
+            raise ValueError(
+                f"sampling_time (--sampling-time) is {given} s, but {what} steps by {step} s; "
+                "time_column='' (--time-column '') ignores the stamps"
+            )
+        return step if given is None else given
+    for name in ("sampling_time", "dt", "Ts"):
+        if given is None and len(table.get(name, ())) == 1:
+            given = float(_numbers(f"variable {name!r}", table[name])[0])
+    if given is None:
+        raise ValueError(
+            "there is no time column: pass sampling_time (--sampling-time) in seconds, "
+            f"or time_column (--time-column); {_available(table)}"
+        )
+    return given
+
+
+def _seconds(what: str, name: str, column: _Column) -> tuple[FloatArray, float]:
+    """Return stamps in seconds, (time,), and the resolution of their number type."""
+    if is_timedelta64_dtype(column):
+        column = column.dt.total_seconds()
+    if _has_number(column):
+        values, unit = _numbers(what, column), _time_name(name)[1]
+        if abs(values[0]) * unit > 1e11:
+            raise ValueError(f"{what} must be in seconds, or name its unit as in 't [ms]'")
+        kind = np.float32 if column.dtype == np.float32 else np.float64
+        grain = 2 * float(np.spacing(kind(np.abs(values).max())))
+        return values * unit, grain * unit
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        formats = ("ISO8601", None)  # None: as in the first row
+        tries = [pd.to_datetime(column, format=f, utc=True, errors="coerce") for f in formats]
+    dates = min(tries, key=lambda parsed: int(parsed.isna().sum()))
+    if (bad := np.flatnonzero(dates.isna())).size:
+        cell = str(column.iloc[bad[0]])[:40]
+        raise ValueError(f"{what} must hold numbers or dates: row {bad[0]} holds {cell!r}")
+    return np.asarray((dates - dates.iloc[0]).dt.total_seconds(), dtype=np.float64), 0.0
+
+
+def _even_step(what: str, stamps: FloatArray, grain: float) -> float:
+    """Return the step of evenly rising stamps, in seconds; `read` states the tolerance."""
+    steps = np.diff(stamps)
+    if (back := np.flatnonzero(steps <= 0)).size:
+        before, after = stamps[back[0] : back[0] + 2]
+        raise ValueError(
+            f"{what} must increase: row {back[0] + 1} ({after:.10g} s) follows {before:.10g} s"
+        )
+    median, mean = float(np.median(steps)), float(steps.mean())
+    unit = max(_last_place(stamps), grain)
+    if unit > 0.99 * median:  # stamps so coarse would hide a missing row
+        unit = 0.0
+    line = np.abs(stamps - stamps[0] - mean * np.arange(len(stamps)))[1:]
+    rounded = np.maximum(np.abs(steps - mean), line) < 0.999 * unit
+    off = np.abs(steps - median)
+    if (bad := np.flatnonzero((off > 0.01 * median) & ~rounded)).size:
+        gaps = bad[off[bad] > 1.001 * unit]  # named first: rounded steps only drift with them
+        row = int((gaps if gaps.size else bad)[0]) + 1
+        raise ValueError(
+            f"{what} must be even: expected a step of {median:.6g} s at row {row}, found "
+            f"{steps[row - 1]:.6g} s; time_column='' (--time-column '') ignores the stamps"
+        )
+    centred = np.arange(len(stamps)) - 0.5 * len(steps)
+    slope = centred @ (stamps - stamps[0]) / (centred @ centred)  # averages the rounding out
+    return float(f"{slope:.12g}")
+
+
+def _last_place(stamps: FloatArray) -> float:
+    """Return the unit of the last printed decimal place; 0 if it is beyond 1e-9."""
+    for places in range(10):
+        scaled = stamps * 10.0**places
+        tolerance = max(1e-6, 2 * np.spacing(np.abs(scaled).max()))
+        if np.abs(scaled - np.rint(scaled)).max() < tolerance:
+            return 10.0**-places
+    return 0.0

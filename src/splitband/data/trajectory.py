@@ -1,0 +1,154 @@
+"""The one data container: an evenly sampled record and what is known beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One evenly sampled record.
+
+    Every signal is array-like of shape (time,) or (time, channels); it is copied, and kept as a
+    read-only, C-contiguous float64 array of shape (time, channels).
+
+    Parameters
+    ----------
+    y : the measured signal, (time, ny), at least two samples.
+    sampling_time : seconds between two samples.
+    u : known inputs, (time, nu): forces, set-points, or another model's prediction.
+    y_true : the noise-free signal where it is known, (time, ny).
+    y_sim : a simulator's trajectory, (time, ny).
+    name : what plots and tables call the record.
+    columns : names of the channels of y; without them "y", or "y0", "y1", ...
+
+    Raises
+    ------
+    ValueError
+        If a signal is not real and finite, lengths or channels differ, there are fewer than two
+        samples, or the sampling time is not positive. Rows are counted from 0.
+    """
+
+    y: FloatArray
+    sampling_time: float
+    u: FloatArray | None = None
+    y_true: FloatArray | None = None
+    y_sim: FloatArray | None = None
+    name: str = ""
+    columns: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        y = _signal("y", self.y)
+        length, ny = y.shape
+        if length < 2:
+            raise ValueError(f"y must have at least 2 samples: it has {length}")
+        columns = tuple(self.columns) or _numbered("y", ny)
+        if len(columns) != ny:
+            raise ValueError(f"columns must name each of the {ny} channels of y: got {columns}")
+        require_finite("y", y, columns)
+        object.__setattr__(self, "y", y)
+        object.__setattr__(self, "columns", columns)
+        for field, rule in _OTHER_SIGNALS.items():
+            if (value := getattr(self, field)) is None:
+                continue
+            signal = _signal(field, value)
+            if len(signal) != length or (field != "u" and signal.shape[1] != ny):
+                raise ValueError(f"{field} must {rule}, {y.shape}: its shape is {signal.shape}")
+            names = _numbered("u", signal.shape[1]) if field == "u" else columns
+            require_finite(field, signal, names)
+            object.__setattr__(self, field, signal)
+        object.__setattr__(self, "sampling_time", _positive_seconds(self.sampling_time))
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+    def __getitem__(self, key: slice) -> Trajectory:
+        """Return the samples `key`, of every signal; its `time` starts at 0 again."""
+        if not isinstance(key, slice):
+            raise TypeError(f"a Trajectory takes slices only, as in traj[a:b]: got {key!r}")
+        if key.step not in (None, 1):
+            raise ValueError(f"a Trajectory takes slices of step 1 only: got step {key.step}")
+        u, y_true, y_sim = (
+            None if s is None else s[key] for s in (self.u, self.y_true, self.y_sim)
+        )
+        return replace(self, y=self.y[key], u=u, y_true=y_true, y_sim=y_sim)
+
+    @property
+    def ny(self) -> int:
+        """Number of measured channels."""
+        return int(self.y.shape[1])
+
+    @property
+    def nu(self) -> int:
+        """Number of known inputs; 0 without any."""
+        return 0 if self.u is None else int(self.u.shape[1])
+
+    @property
+    def sampling_rate(self) -> float:
+        """Samples per second, in Hz."""
+        return 1.0 / self.sampling_time
+
+    @property
+    def time(self) -> FloatArray:
+        """Seconds since the first sample, (time,)."""
+        return np.arange(len(self), dtype=np.float64) * self.sampling_time
+
+
+_OTHER_SIGNALS = {
+    "u": "have as many samples as y",
+    "y_true": "have the shape of y",
+    "y_sim": "have the shape of y",
+}
+
+
+def _numbered(letter: str, count: int) -> tuple[str, ...]:
+    return (letter,) if count == 1 else tuple(f"{letter}{i}" for i in range(count))
+
+
+def _positive_seconds(value: Any) -> float:
+    try:
+        seconds = float(value)
+    except (TypeError, ValueError):
+        seconds = np.nan
+    if not (np.isfinite(seconds) and seconds > 0):
+        raise ValueError(f"sampling_time must be a positive number of seconds: got {value!r}")
+    return seconds
+
+
+def _signal(what: str, value: Any) -> FloatArray:
+    """Copy `value` into a read-only float64 array (time, channels)."""
+    try:
+        is_complex = np.iscomplexobj(value)
+        array = np.array(value if not is_complex else [], dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{what} must be an array of numbers: {one_line(error)}") from error
+    if is_complex:
+        raise ValueError(f"{what} must be real: it holds complex values")
+    array = array[:, None] if array.ndim == 1 else array
+    if array.ndim != 2 or array.shape[1] == 0:
+        raise ValueError(f"{what} must be (time,) or (time, channels): its shape is {array.shape}")
+    array.setflags(write=False)
+    return array
+
+
+def require_finite(what: str, values: FloatArray, columns: Sequence[str] = ()) -> None:
+    """Raise a ValueError that counts the bad values and places the first one."""
+    bad = np.argwhere(~np.isfinite(values))
+    if len(bad):
+        column = f", column {columns[bad[0, 1]]!r}" if columns else ""
+        raise ValueError(
+            f"{what} must be finite: {len(bad)} bad value{'s' if len(bad) > 1 else ''}, "
+            f"the first ({values[tuple(bad[0])]}) at row {bad[0, 0]}{column}"
+        )
+
+
+def one_line(error: BaseException) -> str:
+    """The message of another library's error, on one line."""
+    return " ".join(str(error).split())[:300] or type(error).__name__

@@ -1,0 +1,311 @@
+"""Black-box simulators: whatever turns a time grid into a trajectory.
+
+Nothing about gradients or an inner state is asked of a simulator (paper, Sec. 4.3). `run` calls
+one and checks what comes back.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import scipy.integrate
+
+from splitband.data import Trajectory
+from splitband.files import replacing
+
+Array = npt.NDArray[np.float64]
+
+
+class Simulator(Protocol):
+    """What `run` asks of a simulator."""
+
+    def simulate(self, time: Array) -> npt.ArrayLike:
+        """The measured channels at the evenly spaced `time` in s: `(time,)` or `(time, ny)`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """An exported trajectory: a simulation made elsewhere, sampled like the record.
+
+    Attributes
+    ----------
+    y : `(time,)` or `(time, ny)`, aligned with the record's first sample.
+    sampling_time : In s.
+    """
+
+    y: npt.ArrayLike
+    sampling_time: float
+
+    @classmethod
+    def of(cls, trajectory: Trajectory) -> Recorded:
+        """The trajectory of a file that `read` has read."""
+        return cls(trajectory.y, trajectory.sampling_time)
+
+    def simulate(self, time: Array) -> npt.ArrayLike:
+        """See `Simulator`; raises ValueError for another rate or a record longer than this one."""
+        y = np.asarray(self.y, float)
+        step = float(time[1] - time[0]) if len(time) > 1 else self.sampling_time
+        if abs(step - self.sampling_time) > 0.01 * step:
+            raise ValueError(
+                f"the exported trajectory must be sampled like the record, every {step:g} s, "
+                f"got every {self.sampling_time:g} s"
+            )
+        if len(y) < len(time):
+            raise ValueError(
+                f"the exported trajectory must cover the record's {len(time)} samples, got {len(y)}"
+            )
+        return y[: len(time)]
+
+
+@dataclass(frozen=True)
+class Function:
+    """A Python callable, `function(time) -> (time,) or (time, ny)`."""
+
+    function: Callable[[Array], npt.ArrayLike]
+
+    def simulate(self, time: Array) -> npt.ArrayLike:
+        """See `Simulator`."""
+        return self.function(time)
+
+
+@dataclass(frozen=True, eq=False)
+class Ode:
+    """An ordinary differential equation, solved by `scipy.integrate.solve_ivp`.
+
+    Attributes
+    ----------
+    derivative : `f(t, x) -> dx/dt`.
+    initial_state : x at the record's first sample.
+    observe : Maps the states `(time, nx)` to the measured channels; the first state by default.
+    rtol, atol : Tolerances of the solver.
+    method : Its name for SciPy.
+    """
+
+    derivative: Callable[[float, Array], npt.ArrayLike]
+    initial_state: npt.ArrayLike
+    observe: Callable[[Array], npt.ArrayLike] = lambda x: x[:, 0]
+    rtol: float = 1e-8
+    atol: float = 1e-10
+    method: str = "RK45"
+
+    def simulate(self, time: Array) -> npt.ArrayLike:
+        """See `Simulator`; raises RuntimeError where the solver gives up."""
+        solution = scipy.integrate.solve_ivp(
+            self.derivative,
+            (time[0], time[-1]),
+            np.asarray(self.initial_state, float),
+            method=self.method,
+            t_eval=time,
+            rtol=self.rtol,
+            atol=self.atol,
+        )
+        if not solution.success:
+            raise RuntimeError(f"the solver stopped at t = {solution.t[-1:]} s: {solution.message}")
+        return self.observe(solution.y.T)
+
+
+class Fmu:
+    """A functional mock-up unit, run by FMPy (the extra `splitband[fmu]`).
+
+    The archive is unpacked once; its instance is reset, not loaded again, between runs. Use it as
+    a context manager, or `close` it, to remove the unpacked files.
+
+    Parameters
+    ----------
+    path : Of the .fmu file.
+    outputs : Variables that correspond to the record's channels; by default the FMU's outputs.
+    start_values : Parameters and initial values by name.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        outputs: Sequence[str] | None = None,
+        start_values: Mapping[str, float] | None = None,
+    ) -> None:
+        try:
+            import fmpy  # noqa: PLC0415  the optional extra
+            from fmpy.simulation import instantiate_fmu  # noqa: PLC0415
+        except ImportError:
+            raise ValueError("an FMU needs FMPy: pip install 'splitband[fmu]'") from None
+        self.path, self.start_values = Path(path), dict(start_values or {})
+        if not self.path.is_file():
+            raise FileNotFoundError(f"no such FMU: {self.path}")
+        self._simulate_fmu = fmpy.simulate_fmu
+        self._folder: str | None = None
+        self._instance: Any = None
+        try:
+            self._folder = fmpy.extract(str(self.path))
+            self._description = fmpy.read_model_description(self._folder)
+            self._instance = instantiate_fmu(self._folder, self._description)
+        except Exception as error:
+            self.close()
+            raise ValueError(f"{self.path} is not an FMU that can be run here: {error}") from error
+        variables = {v.name: v for v in self._description.modelVariables}
+        given = outputs or [v.name for v in variables.values() if v.causality == "output"]
+        for name in (*given, *self.start_values):
+            if name not in variables:
+                self.close()
+                raise ValueError(f"{self.path} has no variable {name}; it has {_some(variables)}")
+        self.outputs = list(given)
+
+    def simulate(self, time: Array) -> npt.ArrayLike:
+        """See `Simulator`."""
+        if self._instance is None:
+            raise ValueError(f"the FMU {self.path} has been closed")
+        step = float(time[1] - time[0])
+        result = self._simulate_fmu(
+            self._folder,
+            model_description=self._description,
+            fmu_instance=self._instance,
+            start_time=float(time[0]),
+            stop_time=float(time[-1]),
+            output_interval=step,
+            start_values=self.start_values,
+            output=self.outputs,
+        )
+        self._instance.reset()
+        found = np.column_stack([result[name] for name in self.outputs])
+        # FMPy stores an event's sample beside that of the grid.
+        at = np.searchsorted(result["time"], time - step / 4)
+        return found[np.minimum(at, len(found) - 1)]
+
+    def fingerprint(self) -> str:
+        """What the trajectory depends on besides the time grid; the key of the cache."""
+        content = hashlib.sha256(self.path.read_bytes()).hexdigest()
+        return f"{content} {self.outputs} {sorted(self.start_values.items())}"
+
+    def close(self) -> None:
+        """Free the instance and remove the unpacked files."""
+        import shutil  # noqa: PLC0415
+
+        if self._instance is not None:
+            self._instance.freeInstance()
+            self._instance = None
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder = None
+
+    def __enter__(self) -> Fmu:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def run(
+    simulator: Simulator,
+    samples: int,
+    sampling_time: float,
+    ny: int = 1,
+    timeout: float | None = None,
+    cache: str | Path | None = None,
+) -> Array:
+    """Call a simulator and check what it returns.
+
+    Parameters
+    ----------
+    simulator : Anything with a `simulate(time)`.
+    samples, sampling_time : The time grid: 0, dt, 2 dt, ... in s.
+    ny : Channels of the record.
+    timeout : Seconds to wait; what runs on then is left behind in a thread.
+    cache : Folder to keep trajectories in, for a simulator that has a `fingerprint()`: a string
+        that changes with whatever its trajectory depends on.
+
+    Returns
+    -------
+    Array
+        `(samples, ny)`, finite.
+
+    Raises
+    ------
+    ValueError
+        When the simulator raises, takes too long, or returns another shape or NaN. The message
+        names the simulator.
+    """
+    name = type(simulator).__name__
+    stored = _cache_file(simulator, (samples, sampling_time, ny), cache)
+    if stored is not None and stored.is_file():
+        return np.asarray(np.load(stored, allow_pickle=False))
+    time = sampling_time * np.arange(samples)
+    try:
+        found = _within(timeout, lambda: simulator.simulate(time))
+        y = np.asarray(found, float)
+    except TimeoutError:
+        raise ValueError(f"simulator {name} has not returned within {timeout:g} s") from None
+    except Exception as error:
+        raise ValueError(
+            f"simulator {name} failed on {samples} samples every {sampling_time:g} s: "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    y = y[:, None] if y.ndim == 1 else y
+    if y.shape != (samples, ny):
+        raise ValueError(f"simulator {name} must return {(samples, ny)} values, got {y.shape}")
+    bad = ~np.isfinite(y).all(axis=1)
+    if bad.any():
+        raise ValueError(
+            f"simulator {name} must return finite values: {bad.sum()} samples are not, "
+            f"the first at {time[bad][0]:g} s"
+        )
+    if stored is not None:
+        stored.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(stored) as temporary:
+            np.save(temporary, y)
+    return y
+
+
+def affine_fit(y_sim: Array, y: Array) -> tuple[Array, Array]:
+    """Gain and offset of each channel, `(ny,)` each, that bring `y_sim` closest to `y`.
+
+    By least squares on `(time, ny)`; a constant channel of the simulator gets gain 0.
+    """
+    mean_sim, mean = y_sim.mean(axis=0), y.mean(axis=0)
+    centred = y_sim - mean_sim
+    power = (centred**2).sum(axis=0)
+    gain = (centred * (y - mean)).sum(axis=0) / np.where(power > 0, power, 1.0)
+    return gain, mean - gain * mean_sim
+
+
+def _within(timeout: float | None, call: Callable[[], Any]) -> Any:
+    """Call in a thread of its own that can be given up on."""
+    if timeout is None:
+        return call()
+    outcome: list[Any] = []
+
+    def work() -> None:
+        try:
+            outcome.extend((True, call()))
+        except Exception as error:
+            outcome.extend((False, error))
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    thread.join(timeout)
+    if not outcome:
+        raise TimeoutError
+    returned, value = outcome
+    if not returned:
+        raise value
+    return value
+
+
+def _cache_file(
+    simulator: Simulator, grid: tuple[Any, ...], cache: str | Path | None
+) -> Path | None:
+    fingerprint = getattr(simulator, "fingerprint", None)
+    if cache is None or fingerprint is None:
+        return None
+    key = hashlib.sha256(f"{fingerprint()} {grid}".encode()).hexdigest()
+    return Path(cache) / f"{key[:32]}.npy"
+
+
+def _some(names: Mapping[str, Any]) -> str:
+    shown = list(names)[:10]
+    return ", ".join(shown) + (", ..." if len(names) > 10 else "")
