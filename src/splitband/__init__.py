@@ -3,7 +3,7 @@
 from splitband.cells import GRU, Cell, EulerMLP
 from splitband.data import Trajectory, read
 from splitband.filters import ComplementaryPair
-from splitband.models import Model, Recurrent, Split
+from splitband.models import Filtered, Model, Recurrent, Residual, Split
 from splitband.rollout import rollout
 from splitband.training import History, Progress, Settings, fit
 
@@ -13,10 +13,12 @@ __all__ = [
     "Cell",
     "ComplementaryPair",
     "EulerMLP",
+    "Filtered",
     "History",
     "Model",
     "Progress",
     "Recurrent",
+    "Residual",
     "Settings",
     "Split",
     "Trajectory",

@@ -1,4 +1,4 @@
-"""Methods by name, run on a record over seeds, under both protocols.
+"""Running methods on a record over seeds, under both protocols.
 
 *From the start*: warm up on the first R samples, simulate to the end; the error counts everything
 after the warm-up. *Forecast*: warm up on the last R training samples, simulate beyond them.
@@ -19,42 +19,14 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from splitband.cells import GRU
 from splitband.data import Trajectory
-from splitband.filters import ComplementaryPair
+from splitband.methods import FIXED, Setup, build, check
 from splitband.metrics import rmse
-from splitband.models import Model, Recurrent, Split
-from splitband.naive import HarmonicRegression, Naive, Persistence, SeasonalNaive
-from splitband.spectrum import default_cutoff
+from splitband.models import Model
 from splitband.threads import use_threads
-from splitband.training import Progress, Settings, fit
+from splitband.training import Progress, fit
 
 Array = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Setup:
-    """What a comparison is made under.
-
-    Attributes
-    ----------
-    train : Samples at the beginning of the record that are trained on.
-    settings : How the networks are trained.
-    cutoff : Of the filter pair, in Hz.
-    order : Of each Butterworth filter.
-    downsampling : k of the low band.
-    hidden_high, hidden_low : Sizes of the two networks; a single network has their sum.
-    zero_phase : Filter in both directions.
-    """
-
-    train: int
-    settings: Settings
-    cutoff: float
-    order: int = 1
-    downsampling: int = 2
-    hidden_high: int = 64
-    hidden_low: int = 32
-    zero_phase: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,57 +65,6 @@ class RunProgress:
     loss: float
 
 
-def _recurrent(record: Trajectory, setup: Setup) -> Model:
-    return Recurrent(GRU(record.ny, setup.hidden_high + setup.hidden_low, record.nu))
-
-
-def _split(record: Trajectory, setup: Setup, filter_output: bool = False) -> Model:
-    pair = ComplementaryPair.butterworth(
-        setup.cutoff, record.sampling_rate, setup.order, setup.zero_phase
-    )
-    low, high = (GRU(record.ny, n, record.nu) for n in (setup.hidden_low, setup.hidden_high))
-    return Split(low, high, pair, setup.downsampling, filter_output)
-
-
-MODELS: dict[str, Callable[[Trajectory, Setup], Model]] = {
-    "gru": _recurrent,
-    "split-gru": _split,
-    "split-gru-hp": lambda record, setup: _split(record, setup, filter_output=True),
-}
-NAIVE: dict[str, Callable[[Array], Naive]] = {
-    "persistence": lambda y: Persistence(),
-    "seasonal-naive": SeasonalNaive.fit,
-    "harmonic": HarmonicRegression.fit,
-}
-METHODS = (*MODELS, *NAIVE)
-
-
-def default_setup(
-    record: Trajectory, train: int, downsampling: int = 2, cutoff: float | None = None
-) -> Setup:
-    """A setup for a record of which nothing is known but its first `train` samples.
-
-    Windows of up to 250 samples with up to 50 for the warm-up, and a cut-off with nine tenths of
-    the power below.
-    """
-    y, rate = record.y[:train], record.sampling_rate
-    window = min(250, max(2, train // 2))
-    cutoff = default_cutoff(y, rate, downsampling) if cutoff is None else cutoff
-    return Setup(train, Settings(window, default_warmup(window)), cutoff, downsampling=downsampling)
-
-
-def default_warmup(window: int, most: int = 50) -> int:
-    """At most a third of the window, and no more than `most`."""
-    return min(most, max(1, window // 3))
-
-
-def build(method: str, record: Trajectory, setup: Setup, seed: int) -> Model:
-    """The untrained model of a method, its parameters drawn from `seed`."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        return MODELS[method](record, setup)
-
-
 def run(
     method: str,
     record: Trajectory,
@@ -156,8 +77,8 @@ def run(
     train, warmup = record[: setup.train], setup.settings.warmup
     losses: dict[str, list[float]] = {}
     components: dict[str, Array] = {}
-    if method in NAIVE:
-        naive = NAIVE[method](train.y)
+    if method in FIXED:
+        naive = FIXED[method](record, setup.train)
         seconds, description = time.perf_counter() - began, str(naive)
         from_start, forecast = (
             naive.predict(start, len(record) - start, record.y[start - 1])
@@ -165,7 +86,8 @@ def run(
         )
     else:
         model = build(method, record, setup, seed)
-        history = fit(model, train, setup.settings, seed, _reporter(method, seed, model, progress))
+        reporter = _reporter(method, seed, model, progress)
+        history = fit(model, train, setup.settings_of(method), seed, reporter)
         seconds, losses, description = history.seconds, history.losses, ""
         components = _simulate(model, record, 0, warmup)
         from_start = sum(components.values(), np.zeros(record.ny))
@@ -212,7 +134,7 @@ def compare(
     """
     check(record, methods, setup)
     # The longest first, so that no process is left with one of them at the end.
-    todo = sorted(((m, s) for m in methods for s in seeds), key=lambda job: job[0] in NAIVE)
+    todo = sorted(((m, s) for m in methods for s in seeds), key=lambda job: job[0] in FIXED)
     if jobs == 1:
         threads = torch.get_num_threads()
         use_threads(1)
@@ -224,29 +146,6 @@ def compare(
         done = _run_in_processes(record, todo, setup, jobs, progress)
     found = {(r.method, r.seed): r for r in done}
     return {m: [found[m, s] for s in seeds] for m in methods}
-
-
-def check(record: Trajectory, methods: Sequence[str], setup: Setup) -> None:
-    """Find what is wrong with a comparison before anything is computed."""
-    unknown = [m for m in methods if m not in METHODS]
-    if unknown or not methods:
-        raise ValueError(f"methods must be out of {', '.join(METHODS)}, got {', '.join(unknown)}")
-    check_train(record, setup.train)
-    if setup.settings.window > setup.train:
-        raise ValueError(
-            f"window must fit into the {setup.train} training samples, got {setup.settings.window}"
-        )
-    for method in set(methods) & set(MODELS):
-        build(method, record, setup, seed=0)
-
-
-def check_train(record: Trajectory, train: int, ahead: int = 1) -> None:
-    """Check that there is something to train on and `ahead` samples to predict."""
-    if not 2 <= train <= len(record) - ahead:
-        raise ValueError(
-            f"train must be between 2 and {len(record) - ahead} for a record of {len(record)} "
-            f"samples, got {train}"
-        )
 
 
 def _simulate(model: Model, record: Trajectory, begin: int, start: int) -> dict[str, Array]:

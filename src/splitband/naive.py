@@ -38,6 +38,27 @@ class Persistence:
 
 
 @dataclass(frozen=True, eq=False)
+class Given:
+    """A trajectory that somebody else predicted: a simulator, taken as it is.
+
+    Attributes
+    ----------
+    y : From index 0 on, `(time, ny)`.
+    description : What it is.
+    """
+
+    y: Array
+    description: str
+
+    def predict(self, start: int, steps: int, last: Array) -> Array:
+        """See `Naive`."""
+        return self.y[start : start + steps]
+
+    def __str__(self) -> str:
+        return self.description
+
+
+@dataclass(frozen=True, eq=False)
 class SeasonalNaive:
     """The last period of the training samples, repeated; use `SeasonalNaive.fit`.
 

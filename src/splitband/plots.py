@@ -10,11 +10,12 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from splitband.comparison import Run, Setup
+from splitband.comparison import Run
 from splitband.data import Trajectory
 from splitband.files import replacing
+from splitband.methods import Setup
 from splitband.metrics import cumulative_rmse
-from splitband.spectrum import Spectrum
+from splitband.spectrum import Spectrum, coherence, periodogram
 
 Array = npt.NDArray[np.float64]
 Runs = Mapping[str, Sequence[Run]]
@@ -65,6 +66,28 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
     return figure
 
 
+def components(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
+    """What each prediction from the start is the sum of, a row for each method of several parts."""
+    rows = [
+        (name, channel) for name in runs if runs[name][0].components for channel in range(record.ny)
+    ]
+    figure = Figure(figsize=(13, 0.9 + 1.7 * len(rows)), layout="constrained")
+    grid = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+    start = setup.settings.warmup
+    for ax, (name, channel) in zip(grid, rows, strict=True):
+        _draw_record(ax, record, channel, 0)
+        for color, (part, values) in zip(_PALETTE, runs[name][0].components.items(), strict=False):
+            ax.plot(record.time[start:], values[:, channel], color=color, lw=1, label=part)
+        ax.axvspan(record.time[0], record.time[start - 1], color="0.93", zorder=0)
+        ax.axvline(record.time[setup.train], color="0.4", ls=":", lw=1)
+        ax.set_title(f"{name}: components before they are added", fontsize=9, loc="left", pad=3)
+        ax.set_ylabel(record.columns[channel])
+        ax.margins(x=0.01)
+        ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    grid[-1].set_xlabel("time (s)")
+    return figure
+
+
 def errors(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
     """The cumulative RMSE e_n over time under both protocols, mean and range over seeds."""
     figure = Figure(figsize=(13, 4.6), layout="constrained")
@@ -95,23 +118,47 @@ def errors(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
 
 
 def spectrum(record: Trajectory, found: Spectrum, cutoff: float | None) -> Figure:
-    """The power spectral density of every channel with the cut-off marked."""
-    figure = Figure(figsize=(8, 4.2), layout="constrained")
-    ax = figure.subplots()
+    """The power spectral density of every channel with the cut-off marked.
+
+    With a simulator, its spectrum beside them and the coherence of both below.
+    """
+    with_simulator = record.y_sim is not None
+    figure = Figure(figsize=(8, 6.2 if with_simulator else 4.2), layout="constrained")
+    ratios = [2.2, 1] if with_simulator else [1]
+    axes = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
+    _draw_spectrum(axes[0], record, found)
+    if record.y_sim is not None:
+        simulated = periodogram(record.y_sim, record.sampling_rate)
+        frequencies, agreement = coherence(record.y, record.y_sim, record.sampling_rate)
+        for i, name in enumerate(record.columns):
+            label = f"simulator's {name}"
+            style = {"color": _PALETTE[-1 - i % len(_PALETTE)], "lw": 1.0}
+            axes[0].loglog(
+                simulated.frequencies[1:], simulated.density[1:, i], label=label, **style
+            )
+            axes[1].semilogx(frequencies[1:], agreement[1:, i], **style)
+        axes[1].set_ylim(0, 1.02)
+        axes[1].set_ylabel("coherence")
+        axes[1].grid(True, which="both", color="0.93", lw=0.6)
+    if cutoff is not None:
+        share = found.share_below(cutoff)
+        label = f"cut-off {cutoff:.4g} Hz: {share:.1%} of the power below"
+        for ax in axes:
+            ax.axvline(cutoff, color="#D55E00", ls="--", lw=1.2, label=label)
+    axes[0].set_title(f"{record.name}: spectrum", fontsize=10)
+    axes[0].legend(fontsize=8, loc="lower left")
+    axes[-1].set_xlabel("frequency (Hz)")
+    axes[-1].xaxis.set_major_formatter("{x:g}")
+    return figure
+
+
+def _draw_spectrum(ax: Axes, record: Trajectory, found: Spectrum) -> None:
     for name, density in zip(record.columns, found.density.T, strict=True):
         ax.loglog(found.frequencies[1:], np.maximum(density[1:], 1e-300), lw=1, label=name)
     top = found.density[1:].max()
     ax.set_ylim(max(found.density[1:].min(), top * 1e-9), top * 3)
-    ax.set_xlabel("frequency (Hz)")
     ax.set_ylabel("power spectral density (squared units per Hz)")
-    ax.set_title(f"{record.name}: spectrum", fontsize=10)
     ax.grid(True, which="both", color="0.93", lw=0.6)
-    if cutoff is not None:
-        share = found.share_below(cutoff)
-        label = f"cut-off {cutoff:g} Hz: {share:.1%} of the power below"
-        ax.axvline(cutoff, color="#D55E00", ls="--", lw=1.2, label=label)
-    ax.legend(fontsize=8, loc="lower left")
-    return figure
 
 
 def _from_start(run: Run) -> Array:

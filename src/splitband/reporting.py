@@ -11,8 +11,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from splitband.comparison import Run, Setup
+from splitband.comparison import Run
 from splitband.data import Trajectory
+from splitband.methods import Setup
 
 
 def results(record: Trajectory, setup: Setup, runs: Mapping[str, Sequence[Run]]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from torch import nn
 from splitband.cells import GRU, EulerMLP
 from splitband.files import replacing, write_json
 from splitband.filters import ComplementaryPair
-from splitband.models import Model, Recurrent, Split
+from splitband.models import Filtered, Model, Recurrent, Residual, Split
 
 FORMAT = 1
 _DESCRIPTION, _WEIGHTS = "model.json", "weights.safetensors"
@@ -35,6 +35,8 @@ _ARGUMENTS: dict[type, tuple[str, ...]] = {
     ),
     Recurrent: ("cell",),
     Split: ("low", "high", "pair", "downsampling", "filter_output"),
+    Filtered: ("cell", "pair", "calibrate"),
+    Residual: ("cell", "calibrate"),
 }  # fmt: skip
 
 

@@ -8,6 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy.signal
 
+from splitband.filters import ComplementaryPair, butterworth
+from splitband.metrics import rmse
+
 Array = npt.NDArray[np.float64]
 
 
@@ -31,13 +34,17 @@ class Spectrum:
             return 1.0
         return float(self._power()[self.frequencies <= cutoff].sum() / total)
 
-    def peaks(self, count: int = 5) -> list[tuple[float, float]]:
-        """The strongest local maxima: `(frequency in Hz, share of the power in its bin)`."""
+    def peaks(self, count: int = 5, least: float = 0.005) -> list[tuple[float, float]]:
+        """The strongest local maxima: `(frequency in Hz, share of the power in its bin)`.
+
+        At most `count`, each with a share of at least `least`.
+        """
         power = self._power()
         found = scipy.signal.find_peaks(np.concatenate([[0.0], power, [0.0]]))[0] - 1
         strongest = found[np.argsort(-power[found], kind="stable")][:count]
         total = power.sum()
-        return [(float(self.frequencies[i]), float(power[i] / total)) for i in strongest]
+        found_peaks = [(float(self.frequencies[i]), float(power[i] / total)) for i in strongest]
+        return [(frequency, share) for frequency, share in found_peaks if share >= least]
 
     def _power(self) -> Array:
         """Power by bin, each channel weighing the same."""
@@ -53,6 +60,46 @@ def periodogram(y: Array, sampling_rate: float) -> Spectrum:
         y, sampling_rate, window="hann", detrend="constant", axis=0
     )
     return Spectrum(frequencies, density)
+
+
+def coherence(y: Array, y_sim: Array, sampling_rate: float) -> tuple[Array, Array]:
+    """Where a simulator and the record agree: `(frequencies in Hz, coherence (bins, ny) in 0..1)`.
+
+    Welch's estimate over eighths of the record, half overlapping.
+    """
+    segment = max(8, len(y) // 8)
+    frequencies, found = scipy.signal.coherence(y, y_sim, sampling_rate, nperseg=segment, axis=0)
+    return frequencies, found
+
+
+@dataclass(frozen=True)
+class Oracle:
+    """What a hybrid model could reach at a cut-off (paper, Sec. 4.4), as RMSE over the record.
+
+    Attributes
+    ----------
+    cutoff : In Hz.
+    perfect_network : Of H(y) + L(y_sim): a network that knows the record.
+    no_network : Of L(y_sim) alone: nothing learned.
+    """
+
+    cutoff: float
+    perfect_network: float
+    no_network: float
+
+
+def oracle(y: Array, y_sim: Array, sampling_rate: float, cutoff: float, order: int = 1) -> Oracle:
+    """The oracle check of the paper's filter design, with the hybrid model's one-way pair."""
+    b, a = butterworth(cutoff, sampling_rate, order)
+    pair = ComplementaryPair.perfect(b, a, sampling_rate)
+    best = rmse(y, pair.combine(low=y_sim, high=y))
+    return Oracle(cutoff, best, rmse(y, pair.lowpass(y_sim)))
+
+
+def oracle_cutoffs(samples: int, sampling_rate: float, count: int = 12) -> list[float]:
+    """Cut-offs worth an oracle check, in Hz: from two cycles of the record to Nyquist / 2."""
+    lowest, highest = 2 * sampling_rate / samples, sampling_rate / 4
+    return [float(f"{f:.2g}") for f in np.geomspace(min(lowest, highest / 2), highest, count)]
 
 
 def default_cutoff(y: Array, sampling_rate: float, downsampling: int, share: float = 0.9) -> float:

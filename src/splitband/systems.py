@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Trajectory, double_torsion, drill_string
-from splitband.simulators import Ode, Simulator, run
+from splitband.simulators import Ode, Recorded, Simulator, run
 
 Array = npt.NDArray[np.float64]
 
@@ -68,6 +70,13 @@ def van_der_pol_simulator(rtol: float = 1e-10) -> Simulator:
     return Ode(unforced, [-2.0, 1.0], rtol=rtol, atol=1e-3 * rtol)
 
 
+def drill_string_simulator() -> Simulator:
+    """The simulator of system (vi): an exported trajectory, normalised like the record."""
+    record = drill_string()
+    assert record.y_sim is not None
+    return Recorded(record.y_sim, record.sampling_time)
+
+
 RECORDS = {
     "double-mass-spring": double_mass_spring,
     "double-torsion": double_torsion,
@@ -75,3 +84,9 @@ RECORDS = {
     "drill-string": drill_string,
 }
 """Named records; those of the hybrid systems bring their simulator's output as `y_sim`."""
+
+SIMULATORS: dict[str, Callable[[], Simulator]] = {
+    "van-der-pol": van_der_pol_simulator,
+    "drill-string": drill_string_simulator,
+}
+"""Named simulators, on the time grid of their record."""

@@ -9,10 +9,11 @@ import typer
 
 from splitband import plots, reporting
 from splitband.cli import options, showing
-from splitband.comparison import METHODS, MODELS, Setup, check
+from splitband.cli.simulating import with_simulator
 from splitband.comparison import compare as run_comparison
 from splitband.data import Trajectory
 from splitband.files import output_folder, write_json
+from splitband.methods import CALIBRATED, HYBRID, METHODS, TRAINED, Setup, check, default_methods
 from splitband.spectrum import periodogram
 from splitband.threads import available_cores
 
@@ -37,9 +38,14 @@ def compare(
             show_default="all",
         ),
     ] = None,
-    methods: Annotated[str, typer.Option(help="What to compare, separated by commas.")] = ",".join(
-        METHODS
-    ),
+    methods: Annotated[
+        str | None,
+        typer.Option(
+            help=f"What to compare, separated by commas, out of {', '.join(METHODS)}.",
+            show_default=f"{','.join(default_methods(False))}; with a simulator "
+            f"{','.join(default_methods(True))}",
+        ),
+    ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Trainings of each network.")] = 1,
     jobs: Jobs = None,
     out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = Path("out"),
@@ -47,6 +53,18 @@ def compare(
     inputs: options.Inputs = None,
     time_column: options.TimeColumn = None,
     sampling_time: options.SamplingTime = None,
+    simulator: options.SimulatorOption = None,
+    simulator_columns: options.SimulatorColumns = None,
+    simulator_timeout: options.SimulatorTimeout = None,
+    calibrate: Annotated[
+        bool,
+        typer.Option(
+            "--calibrate",
+            help="Beside each hybrid method, also run it with the simulator calibrated: a gain and "
+            "an offset fitted on the training samples.",
+            rich_help_panel="Simulator",
+        ),
+    ] = False,
     cutoff: options.Cutoff = None,
     order: options.Order = None,
     downsampling: options.Downsampling = None,
@@ -65,7 +83,9 @@ def compare(
     RMSE of the free run over everything after the warm-up, in the record's unit.
     """
     trajectory = options.load_record(record, columns, inputs, time_column, sampling_time)
+    trajectory = with_simulator(trajectory, simulator, simulator_columns, simulator_timeout)
     setup = options.setup(
+        record,
         trajectory,
         train,
         cutoff=cutoff,
@@ -85,7 +105,10 @@ def compare(
                 f"samples after the {setup.train} of --train, got {horizon}"
             )
         trajectory = trajectory[: setup.train + horizon]
-    _compare(trajectory, options.names(methods), setup, seeds, jobs, out)
+    chosen = options.names(methods or "") or default_methods(trajectory.y_sim is not None)
+    if calibrate:
+        chosen = [n for m in chosen for n in ((m, m + CALIBRATED) if m in HYBRID else (m,))]
+    _compare(trajectory, chosen, setup, seeds, jobs, out)
 
 
 def demo(
@@ -97,9 +120,10 @@ def demo(
     Two superposed oscillations under noise; 250 samples to learn from, 750 to predict. A split
     GRU against a single GRU of the same size and against naive baselines.
     """
-    record = options.load_record("double-mass-spring")
+    name = "double-mass-spring"
+    record = options.load_record(name)
     methods = ["gru", "split-gru", "persistence", "seasonal-naive", "harmonic"]
-    _compare(record, methods, options.setup(record, None), 1, jobs, out)
+    _compare(record, methods, options.setup(name, record, None), 1, jobs, out)
 
 
 def _compare(
@@ -112,7 +136,7 @@ def _compare(
 ) -> None:
     check(record, methods, setup)
     output_folder(out)
-    trainings = seeds * len(set(methods) & set(MODELS))
+    trainings = seeds * len(set(methods) & set(TRAINED))
     jobs = min(jobs or available_cores(), max(trainings, 1))
     with showing.progress(trainings, "training") as progress:
         runs = run_comparison(record, methods, setup, range(seeds), jobs, progress)
@@ -121,6 +145,8 @@ def _compare(
     plots.save(plots.rollouts(record, setup, runs), out / "rollouts.png")
     plots.save(plots.errors(record, setup, runs), out / "error.png")
     plots.save(plots.spectrum(record, found, setup.cutoff), out / "spectrum.png")
+    if any(of_method[0].components for of_method in runs.values()):
+        plots.save(plots.components(record, setup, runs), out / "components.png")
     showing.console.print(showing.comparison(_title(record, setup), runs))
     showing.console.print(
         f"cut-off {setup.cutoff:g} Hz, order {setup.order}: "

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy as np
+import numpy.typing as npt
 import typer
 from rich.table import Table
 
 from splitband import plots
 from splitband.cli import options, showing
-from splitband.data import PUBLIC, fetch
+from splitband.cli.simulating import with_simulator
+from splitband.data import PUBLIC, Trajectory, fetch
 from splitband.files import output_folder, write_json
 from splitband.filters import ComplementaryPair
 from splitband.metrics import rmse
-from splitband.spectrum import default_cutoff, periodogram
+from splitband.paper.settings import RECORD_SETTINGS
+from splitband.spectrum import coherence, default_cutoff, oracle, oracle_cutoffs, periodogram
 from splitband.systems import RECORDS
 
 data = typer.Typer(help="The public records of the paper.", no_args_is_help=True)
@@ -26,49 +31,97 @@ def spectrum(
     columns: options.Columns = None,
     time_column: options.TimeColumn = None,
     sampling_time: options.SamplingTime = None,
+    simulator: options.SimulatorOption = None,
+    simulator_columns: options.SimulatorColumns = None,
+    simulator_timeout: options.SimulatorTimeout = None,
     cutoff: options.Cutoff = None,
     order: options.Order = None,
 ) -> None:
     """Show where the power of a record lies, and what a cut-off would part.
 
     Prints the strongest peaks, the share of the power in either band and how well the filter pair
-    puts the record together again.
+    puts the record together again. With a simulator, also how far it is off, where it is coherent
+    with the record, and the oracle check: the RMSE a hybrid model could reach at each cut-off.
     """
     trajectory = options.load_record(record, columns, None, time_column, sampling_time)
+    trajectory = with_simulator(trajectory, simulator, simulator_columns, simulator_timeout)
     rate = trajectory.sampling_rate
     found = periodogram(trajectory.y, rate)
-    chosen = default_cutoff(trajectory.y, rate, 1) if cutoff is None else cutoff
+    chosen = _cutoff(record, trajectory) if cutoff is None else cutoff
     pair = ComplementaryPair.butterworth(chosen, rate, 1 if order is None else order)
-    low = pair.lowpass(trajectory.y)
-    lost = rmse(trajectory.y, low + pair.highpass(trajectory.y))
     output_folder(out)
-
-    table = Table(title=f"{trajectory.name}: strongest peaks", title_justify="left")
-    table.add_column("frequency (Hz)", justify="right")
-    table.add_column("period (s)", justify="right")
-    table.add_column("share of power", justify="right")
-    peaks = found.peaks()
-    for frequency, share in peaks:
-        table.add_row(f"{frequency:.4g}", f"{1 / frequency:.4g}", f"{share:.1%}")
-    below = found.share_below(chosen)
-    facts = {
+    low, high = pair.split(trajectory.y)
+    facts: dict[str, Any] = {
         "record": trajectory.name,
         "sampling_rate": rate,
         "cutoff": chosen,
         "order": pair.order,
-        "share_below": below,
-        "reconstruction_rmse": lost,
-        "peaks": [{"frequency": f, "share": s} for f, s in peaks],
+        "share_below": found.share_below(chosen),
+        "reconstruction_rmse": rmse(trajectory.y, low + high),
+        "peaks": [{"frequency": f, "share": s} for f, s in found.peaks()],
     }
+    _show_peaks(trajectory, facts)
+    if trajectory.y_sim is not None:
+        facts["simulator"] = _show_simulator(trajectory, trajectory.y_sim, chosen, pair.order)
     write_json(out / "results.json", facts)
     plots.save(plots.spectrum(trajectory, found, chosen), out / "spectrum.png")
+    showing.console.print(f"picture: {out / 'spectrum.png'}", highlight=False)
+
+
+def _cutoff(record: str, trajectory: Trajectory) -> float:
+    """The paper's cut-off for its records, the default of `compare` otherwise."""
+    if record in RECORD_SETTINGS:
+        return RECORD_SETTINGS[record].setup(trajectory.sampling_rate).cutoff
+    return default_cutoff(trajectory.y, trajectory.sampling_rate, 1)
+
+
+def _show_peaks(record: Trajectory, facts: dict[str, Any]) -> None:
+    table = Table(title=f"{record.name}: strongest peaks", title_justify="left")
+    for heading in ("frequency (Hz)", "period (s)", "share of power"):
+        table.add_column(heading, justify="right")
+    for peak in facts["peaks"]:
+        frequency, share = peak["frequency"], peak["share"]
+        table.add_row(f"{frequency:.4g}", f"{1 / frequency:.4g}", f"{share:.1%}")
+    below, nyquist = facts["share_below"], record.sampling_rate / 2
     showing.console.print(table)
     showing.console.print(
-        f"cut-off {chosen:.4g} Hz of {rate / 2:g} Hz (Nyquist), order {pair.order}: {below:.1%} "
-        f"of the power below, {1 - below:.1%} above\nlow and high band add up to the record with "
-        f"RMSE {lost:.2g}, all of it at the ends\npicture: {out / 'spectrum.png'}",
+        f"cut-off {facts['cutoff']:.4g} Hz of {nyquist:g} Hz (Nyquist), order {facts['order']}: "
+        f"{below:.1%} of the power below, {1 - below:.1%} above\n"
+        f"low and high band add up to the record with RMSE {facts['reconstruction_rmse']:.2g}, "
+        "all of it at the ends",
         highlight=False,
     )
+
+
+def _show_simulator(
+    record: Trajectory, y_sim: npt.NDArray[np.float64], cutoff: float, order: int
+) -> dict[str, Any]:
+    """Print and return how the simulator compares with the record."""
+    rate, total = record.sampling_rate, rmse(record.y, y_sim)
+    cutoffs = sorted({*oracle_cutoffs(len(record), rate), cutoff})
+    checks = [oracle(record.y, y_sim, rate, c, order) for c in cutoffs]
+    best = min(checks, key=lambda check: check.perfect_network)
+    title = f"oracle check of the hybrid model; the simulator itself has RMSE {total:.4f}"
+    table = Table(title=title, title_justify="left")
+    for heading in ("cut-off (Hz)", "H(record) + L(simulator)", "L(simulator) alone"):
+        table.add_column(heading, justify="right")
+    for check in checks:
+        style = "bold" if check.cutoff == cutoff else ""
+        values = (check.perfect_network, check.no_network)
+        table.add_row(f"{check.cutoff:g}", *(f"{v:.4f}" for v in values), style=style)
+    showing.console.print(table)
+    frequencies, found = coherence(record.y, y_sim, rate)
+    agree = float(found[frequencies <= cutoff].mean()) if (frequencies <= cutoff).any() else 0.0
+    showing.console.print(
+        f"lowest at {best.cutoff:g} Hz: {best.perfect_network:.4f}; mean coherence of simulator "
+        f"and record up to {cutoff:.4g} Hz: {agree:.2f}",
+        highlight=False,
+    )
+    return {
+        "total_rmse": total,
+        "mean_coherence_below_cutoff": agree,
+        "oracle": [asdict(check) for check in checks],
+    }
 
 
 @data.command("list")

@@ -13,11 +13,13 @@ import typer
 
 from splitband import reporting, saving
 from splitband.cli import options, showing
-from splitband.comparison import MODELS, RunProgress, build
+from splitband.cli.simulating import simulated, with_simulator
+from splitband.comparison import RunProgress
 from splitband.data import Trajectory, read
 from splitband.files import output_folder, replacing, write_json
+from splitband.methods import CALIBRATED, HYBRID, TRAINED, build, check_simulator
 from splitband.metrics import rmse
-from splitband.models import Model
+from splitband.models import Hybrid, Model
 from splitband.training import Progress
 from splitband.training import fit as train_model
 
@@ -27,7 +29,9 @@ def fit(
     out: Annotated[
         Path, typer.Option(metavar="MODEL_DIR", help="Folder for the model.", show_default=False)
     ],
-    method: Annotated[str, typer.Option(help=f"What to train: {', '.join(MODELS)}.")] = "split-gru",
+    method: Annotated[
+        str, typer.Option(help=f"What to train: {', '.join(TRAINED)}.")
+    ] = "split-gru",
     train: Annotated[
         int | None,
         typer.Option(help="Samples at the beginning to train on.", show_default="all"),
@@ -37,6 +41,18 @@ def fit(
     inputs: options.Inputs = None,
     time_column: options.TimeColumn = None,
     sampling_time: options.SamplingTime = None,
+    simulator: options.SimulatorOption = None,
+    simulator_columns: options.SimulatorColumns = None,
+    simulator_timeout: options.SimulatorTimeout = None,
+    calibrate: Annotated[
+        bool,
+        typer.Option(
+            "--calibrate",
+            help="For a hybrid method: calibrate the simulator first, with a gain and an offset "
+            "fitted on the training samples.",
+            rich_help_panel="Simulator",
+        ),
+    ] = False,
     cutoff: options.Cutoff = None,
     order: options.Order = None,
     downsampling: options.Downsampling = None,
@@ -51,10 +67,13 @@ def fit(
 
     MODEL_DIR gets the weights (safetensors), everything else (JSON) and results.json.
     """
-    if method not in MODELS:
-        raise ValueError(f"--method must be one of {', '.join(MODELS)}, got {method}")
+    method += CALIBRATED if calibrate and method in HYBRID else ""
+    if method not in TRAINED:
+        raise ValueError(f"--method must be one of {', '.join(TRAINED)}, got {method}")
     trajectory = options.load_record(record, columns, inputs, time_column, sampling_time)
+    trajectory = with_simulator(trajectory, simulator, simulator_columns, simulator_timeout)
     setup = options.setup(
+        record,
         trajectory,
         len(trajectory) if train is None else train,
         ahead=0,
@@ -69,6 +88,7 @@ def fit(
         hidden=hidden,
     )
     training = trajectory[: setup.train]
+    check_simulator(method, training)
     model = build(method, training, setup, seed)
     output_folder(out)
     networks = len([*model.children()])
@@ -77,7 +97,7 @@ def fit(
         def update(at: Progress) -> None:
             bar(RunProgress(at.task, seed, at.epoch / at.epochs, at.loss))
 
-        history = train_model(model, training, setup.settings, seed, update)
+        history = train_model(model, training, setup.settings_of(method), seed, update)
     within = _training_error(model, training, setup.settings.warmup)
     facts = {
         "method": method,
@@ -105,7 +125,8 @@ def fit(
 def _training_error(model: Model, training: Trajectory, warmup: int) -> float:
     """RMSE of a free run over the training record from its first samples."""
     steps = len(training) - warmup
-    return rmse(training.y[warmup:], model.simulate(training.y[:warmup], steps, training.u))
+    y = model.simulate(training.y[:warmup], steps, training.u, training.y_sim)
+    return rmse(training.y[warmup:], y)
 
 
 def simulate(
@@ -137,11 +158,15 @@ def simulate(
         ),
     ] = None,
     time_column: options.TimeColumn = None,
+    simulator: options.SimulatorOption = None,
+    simulator_columns: options.SimulatorColumns = None,
+    simulator_timeout: options.SimulatorTimeout = None,
 ) -> None:
     """Simulate a saved model beyond a measured history.
 
-    The CSV has a column `time`, in seconds after the last sample of the history, and one column
-    for each measured channel.
+    A hybrid model also needs --simulator, whose trajectory begins with the history's first sample
+    and reaches --steps samples beyond its last. The CSV has a column `time`, in seconds after the
+    last sample of the history, and one column for each measured channel.
     """
     model, facts = saving.load(model_dir)
     known = _Facts(facts)
@@ -157,9 +182,18 @@ def simulate(
             f"--history must have at least the {known.warmup} samples of the model's warm-up, "
             f"got {len(past)}"
         )
+    y_sim = None
+    if isinstance(model, Hybrid):
+        if simulator is None:
+            raise ValueError(
+                f"--simulator must be given for a hybrid model, this is {known.method}"
+            )
+        total = len(past) + steps
+        y_sim = simulated(past, total, simulator, simulator_columns, simulator_timeout)
+        y_sim = y_sim[len(past) - known.warmup :]
     past = past[len(past) - known.warmup :]
     u = _all_inputs(past, future_inputs, steps, known)
-    y = model.simulate(past.y, steps, u)
+    y = model.simulate(past.y, steps, u, y_sim)
     table = pd.DataFrame(y, columns=known.columns)
     table.insert(0, "time", known.sampling_time * np.arange(1, steps + 1))
     output_folder(out.parent)
@@ -173,6 +207,7 @@ class _Facts:
 
     def __init__(self, facts: dict[str, Any]) -> None:
         try:
+            self.method = str(facts["method"])
             self.columns = [str(name) for name in facts["columns"]]
             self.inputs = [str(name) for name in facts["inputs"]]
             self.sampling_time = float(facts["sampling_time"])

@@ -8,13 +8,13 @@ from typing import Annotated, Any
 
 import typer
 
-from splitband.comparison import Setup, check_train, default_setup, default_warmup
 from splitband.data import Trajectory, read
-from splitband.paper.settings import LEARNING_BASED, RECORD_SETTINGS
-from splitband.systems import RECORDS
+from splitband.methods import Setup, check_train, default_setup, default_warmup
+from splitband.paper.settings import RECORD_SETTINGS
+from splitband.systems import RECORDS, SIMULATORS
 from splitband.training import Settings
 
-_RECORD, _FILTER, _TRAINING = "Record", "Filter", "Training"
+_RECORD, _SIMULATOR, _FILTER, _TRAINING = "Record", "Simulator", "Filter", "Training"
 
 
 def names(text: str) -> list[str]:
@@ -86,6 +86,35 @@ SamplingTime = Annotated[
         help="Seconds between samples, where the file has no time column.",
         rich_help_panel=_RECORD,
         show_default=False,
+    ),
+]
+SimulatorOption = Annotated[
+    str | None,
+    typer.Option(
+        "--simulator",
+        metavar="FILE|NAME",
+        help="A simulator of the record: an exported trajectory (any file a record can be), an "
+        ".fmu, FILE.py:FUNCTION (called with the times in s), or one of "
+        f"{', '.join(SIMULATORS)}.",
+        rich_help_panel=_SIMULATOR,
+        show_default="a named record's own",
+    ),
+]
+SimulatorColumns = Annotated[
+    str | None,
+    typer.Option(
+        help="Columns of the trajectory, or outputs of the FMU, that correspond to --columns.",
+        rich_help_panel=_SIMULATOR,
+        show_default="those of the record's names, or all",
+    ),
+]
+SimulatorTimeout = Annotated[
+    float | None,
+    typer.Option(
+        min=0.0,
+        help="Seconds after which a simulator is given up on.",
+        rich_help_panel=_SIMULATOR,
+        show_default="never",
     ),
 ]
 Cutoff = Annotated[
@@ -192,20 +221,24 @@ def load_record(
     return RECORDS[record]()
 
 
-def setup(record: Trajectory, train: int | None, ahead: int = 1, **options: Any) -> Setup:
+def setup(
+    record: str, trajectory: Trajectory, train: int | None, ahead: int = 1, **options: Any
+) -> Setup:
     """What the options say (`None`: nothing), the rest by default: the paper's for its records.
 
-    `ahead` samples at least must be left to predict.
+    `record` is the argument that `trajectory` comes from; `ahead` samples at least must be left
+    to predict.
     """
-    column = LEARNING_BASED.get(RECORD_SETTINGS.get(record.name, ""))
+    column = RECORD_SETTINGS.get(record)
     if train is None:
-        train = column.train if column else int(0.75 * len(record))
-    check_train(record, train, ahead)
+        train = column.train if column else int(0.75 * len(trajectory))
+    check_train(trajectory, train, ahead)
     given = {name: value for name, value in options.items() if value is not None}
     if column:
-        defaults = column.setup(record.sampling_rate)
+        defaults = column.setup(trajectory.sampling_rate)
     else:
-        defaults = default_setup(record, train, given.get("downsampling", 2), given.get("cutoff"))
+        k, cutoff = given.get("downsampling", 2), given.get("cutoff")
+        defaults = default_setup(trajectory, train, k, cutoff)
     if "hidden" in given:
         given["hidden_high"], given["hidden_low"] = _sizes(given.pop("hidden"))
     if "milestones" in given:
@@ -214,4 +247,5 @@ def setup(record: Trajectory, train: int | None, ahead: int = 1, **options: Any)
     if "window" in training:
         training.setdefault("warmup", default_warmup(training["window"], defaults.settings.warmup))
     settings = replace(defaults.settings, **training)
-    return replace(defaults, train=train, settings=settings, **given)
+    overrides = {name: replace(s, **training) for name, s in defaults.overrides.items()}
+    return replace(defaults, train=train, settings=settings, overrides=overrides, **given)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from splitband.comparison import Setup
+from splitband.methods import Setup
 from splitband.training import Settings
 
 SAMPLE_FREQUENCY = 10.0
@@ -36,21 +36,73 @@ class LearningBased:
     epochs: int
     downsampling: int = 2
 
-    def cutoff_hz(self, sampling_rate: float) -> float:
-        """The cut-off in real Hz for a record of `sampling_rate` Hz."""
-        return self.cutoff * sampling_rate / SAMPLE_FREQUENCY
-
     def setup(self, sampling_rate: float) -> Setup:
         """The setup of a comparison on a record of `sampling_rate` Hz."""
         return Setup(
             train=self.train,
             settings=Settings(self.window, self.warmup, self.epochs, normalize=False),
-            cutoff=self.cutoff_hz(sampling_rate),
+            cutoff=in_hz(self.cutoff, sampling_rate),
             order=self.order,
             downsampling=self.downsampling,
             hidden_high=self.hidden_high,
             hidden_low=self.hidden_low,
         )
+
+
+@dataclass(frozen=True)
+class Hybrid:
+    """A column of the tables "Hyperparameters for hybrid model" with MLP and with GRU.
+
+    Attributes
+    ----------
+    train : Samples trained on; not in the paper (docs/deviations.md).
+    cutoff : w, in the table's unit; the filters have order 1.
+    warmup : Recognition steps of the MLP and warm-up phase of the GRU.
+    gru_window, gru_epochs, gru_hidden : Of the GRU.
+    rnn_window, rnn_epochs, rnn_state : Of the MLP; its state's size is the table's input_dim.
+    rnn_milestones : Learning rates of `rnn_reduced`, by epoch.
+    rnn_reduced : The RNN methods whose learning rate is reduced; the text names them.
+    """
+
+    train: int
+    cutoff: float
+    warmup: int
+    gru_window: int
+    gru_epochs: int
+    rnn_window: int
+    rnn_epochs: int
+    rnn_state: int
+    rnn_milestones: tuple[tuple[int, float], ...]
+    rnn_reduced: tuple[str, ...]
+    gru_hidden: int = 64
+
+    def setup(self, sampling_rate: float) -> Setup:
+        """The setup of a comparison on a record of `sampling_rate` Hz."""
+        rnn = {
+            method: Settings(
+                self.rnn_window,
+                self.warmup,
+                self.rnn_epochs,
+                milestones=self.rnn_milestones if method in self.rnn_reduced else (),
+                normalize=False,
+            )
+            for method in ("rnn", "filtered-rnn", "residual-rnn")
+        }
+        return Setup(
+            train=self.train,
+            settings=Settings(self.gru_window, self.warmup, self.gru_epochs, normalize=False),
+            cutoff=in_hz(self.cutoff, sampling_rate),
+            hidden_high=self.gru_hidden - self.gru_hidden // 4,
+            hidden_low=self.gru_hidden // 4,
+            state_size=self.rnn_state,
+            step_size=1 / sampling_rate,
+            overrides=rnn,
+        )
+
+
+def in_hz(cutoff: float, sampling_rate: float) -> float:
+    """A cut-off of the paper's tables in real Hz, for a record of `sampling_rate` Hz."""
+    return cutoff * sampling_rate / SAMPLE_FREQUENCY
 
 
 LEARNING_BASED = {
@@ -59,6 +111,21 @@ LEARNING_BASED = {
     "iii": LearningBased(600, 64, 32, 0.1, 1, 250, 50, 501),
     "iv": LearningBased(600, 64, 32, 0.2, 1, 250, 50, 1000),
 }
+HYBRID = {
+    "v": Hybrid(
+        600, 0.25, 10, 200, 2000, 200, 2000, 4,
+        ((20, 1e-4), (500, 1e-5)), ("rnn", "filtered-rnn"),
+    ),
+    "vi": Hybrid(
+        2000, 0.1, 50, 500, 500, 1500, 300, 15,
+        ((10, 1e-4),), ("filtered-rnn", "residual-rnn"),
+    ),
+}  # fmt: skip
 
-RECORD_SETTINGS = {"double-mass-spring": "i", "double-torsion": "ii"}
-"""Which column is the default for a named record."""
+RECORD_SETTINGS: dict[str, LearningBased | Hybrid] = {
+    "double-mass-spring": LEARNING_BASED["i"],
+    "double-torsion": LEARNING_BASED["ii"],
+    "van-der-pol": HYBRID["v"],
+    "drill-string": HYBRID["vi"],
+}
+"""The column that is the default for a named record."""

@@ -1,0 +1,85 @@
+"""The `--simulator` option: a file or a name becomes the record's simulated trajectory."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.cli.options import names
+from splitband.data import Trajectory, read
+from splitband.simulators import Fmu, Function, Recorded, Simulator, run
+from splitband.systems import SIMULATORS
+
+
+def with_simulator(
+    record: Trajectory, simulator: str | None, columns: str | None, timeout: float | None
+) -> Trajectory:
+    """The record with the trajectory of the simulator that the options name."""
+    if simulator is None:
+        return record
+    return replace(record, y_sim=simulated(record, len(record), simulator, columns, timeout))
+
+
+def simulated(
+    record: Trajectory, samples: int, simulator: str, columns: str | None, timeout: float | None
+) -> npt.NDArray[np.float64]:
+    """The simulator's trajectory `(samples, ny)` from the record's first sample on."""
+    with _open(simulator, record, names(columns or "")) as opened:
+        return run(opened, samples, record.sampling_time, record.ny, timeout)
+
+
+@contextmanager
+def _open(text: str, record: Trajectory, columns: list[str]) -> Iterator[Simulator]:
+    path, _, function = text.partition(".py:")
+    if text in SIMULATORS:
+        yield SIMULATORS[text]()
+    elif function:
+        yield Function(_function(Path(path + ".py"), function))
+    elif text.lower().endswith(".fmu"):
+        with Fmu(text, columns or None) as fmu:
+            yield fmu
+    elif Path(text).exists():
+        yield _exported(text, record, columns)
+    else:
+        raise FileNotFoundError(
+            f"--simulator must be a file, FILE.py:FUNCTION or one of {', '.join(SIMULATORS)}, "
+            f"got {text}"
+        )
+
+
+def _exported(path: str, record: Trajectory, columns: list[str]) -> Simulator:
+    found = read(path, columns=columns or None, sampling_time=record.sampling_time)
+    if not columns and set(record.columns) <= set(found.columns):
+        chosen = [found.columns.index(name) for name in record.columns]
+        return Recorded(found.y[:, chosen], found.sampling_time)
+    if found.ny != record.ny:
+        raise ValueError(
+            f"--simulator-columns must choose {record.ny} column(s), as many as the record has, "
+            f"out of {', '.join(found.columns)} in {path}"
+        )
+    return Recorded(found.y, found.sampling_time)
+
+
+def _function(path: Path, name: str) -> Callable[[npt.NDArray[np.float64]], Any]:
+    """Import a function of the user's own file, which runs that file."""
+    if not path.is_file():
+        raise FileNotFoundError(f"no such file: {path}")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise ValueError(f"{path} cannot be run: {type(error).__name__}: {error}") from error
+    function = getattr(module, name, None)
+    if not callable(function):
+        raise ValueError(f"{path} must define a function {name}")
+    return function
