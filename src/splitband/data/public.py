@@ -132,8 +132,8 @@ def _download(record: PublicFile) -> Path:
         )
     except OSError as error:  # those of requests and urllib among them
         raise OSError(
-            f"{record.name} could not be downloaded from {url}: check the connection, or set "
-            f"SPLITBAND_DATA_DIR to a folder that holds {record.path} ({one_line(error)})"
+            f"{record.name} could not be downloaded ({type(error).__name__} at {url}): check the "
+            f"connection, or set SPLITBAND_DATA_DIR to a folder that holds {record.path}"
         ) from error
     except ValueError as error:
         raise ValueError(
