@@ -539,7 +539,7 @@ def test_an_order_too_high_for_the_cutoff_is_named_with_it(
 
 def test_an_accepted_pair_has_the_responses_of_its_sections() -> None:
     accepted = 0
-    for order, cutoff in itertools.product(range(1, 13), np.geomspace(2e-5, 4.95, 30)):
+    for order, cutoff in itertools.product(range(1, 13), np.geomspace(1e-3, 4.95, 30)):
         try:
             pair = ComplementaryPair.butterworth(cutoff, RATE, order, zero_phase=False)
         except ValueError:

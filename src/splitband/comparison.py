@@ -89,9 +89,9 @@ def run(
         reporter = _reporter(method, seed, model, progress)
         history = fit(model, train, setup.settings_of(method), seed, reporter)
         seconds, losses, description = history.seconds, history.losses, ""
-        components = _simulate(model, record, 0, warmup)
+        components = predict(model, record, 0, warmup)
         from_start = sum(components.values(), np.zeros(record.ny))
-        parts = _simulate(model, record, setup.train - warmup, setup.train)
+        parts = predict(model, record, setup.train - warmup, setup.train)
         forecast = sum(parts.values(), np.zeros(record.ny))
     truth = record.y if record.y_true is None else record.y_true
     return Run(
@@ -148,8 +148,8 @@ def compare(
     return {m: [found[m, s] for s in seeds] for m in methods}
 
 
-def _simulate(model: Model, record: Trajectory, begin: int, start: int) -> dict[str, Array]:
-    """Warm up on `begin`..`start - 1`, simulate to the end of the record."""
+def predict(model: Model, record: Trajectory, begin: int, start: int) -> dict[str, Array]:
+    """Warm up on `begin`..`start - 1`, simulate to the end of the record; by component."""
     u, y_sim = (None if s is None else s[begin:] for s in (record.u, record.y_sim))
     return model.simulate_components(record.y[begin:start], len(record) - start, u, y_sim)
 

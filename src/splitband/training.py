@@ -99,8 +99,8 @@ def fit(
     began = time.perf_counter()
     history = History()
     record = model.normalised(trajectory)
-    generator = torch.Generator().manual_seed(seed)
     for task in model.tasks(record):
+        generator = torch.Generator().manual_seed(seed)  # a network does not depend on the others
         losses = history.losses.setdefault(task.name, [])
         for loss in _train(task, settings, generator):
             losses.append(loss)

@@ -1,0 +1,254 @@
+"""What models promise: no look into the future, parts that add up, units that do not matter."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.signal
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor, nn
+
+from splitband import (
+    GRU,
+    ComplementaryPair,
+    EulerMLP,
+    Filtered,
+    Recurrent,
+    Residual,
+    Settings,
+    Split,
+    Trajectory,
+    fit,
+)
+from splitband.comparison import predict, run
+from splitband.filters import butterworth
+from splitband.methods import METHODS, TRAINED, Setup, build
+from splitband.models import Signals
+
+DT, WARMUP, TRAIN, LENGTH = 0.1, 12, 90, 140
+QUICK = Settings(window=40, warmup=WARMUP, epochs=1, batch_size=16)
+SETUP = Setup(TRAIN, QUICK, cutoff=0.6, order=2, hidden_high=5, hidden_low=3)
+
+
+def record(ny: int = 1, nu: int = 0, seed: int = 0) -> Trajectory:
+    rng = np.random.default_rng(seed)
+    t = DT * np.arange(LENGTH)[:, None]
+    phase = rng.uniform(0, 6, (2, ny))
+    y = np.sin(2 * np.pi * 0.2 * t + phase[0]) + 0.4 * np.sin(2 * np.pi * 1.1 * t + phase[1])
+    y_sim = 0.8 * np.sin(2 * np.pi * 0.2 * t + phase[0]) + 0.3
+    u = rng.standard_normal((LENGTH, nu)) if nu else None
+    return Trajectory(y + 0.05 * rng.standard_normal(y.shape), DT, u=u, y_sim=y_sim)
+
+
+def trained(method: str, trajectory: Trajectory):
+    model = build(method, trajectory, SETUP, seed=1)
+    fit(model, trajectory[:TRAIN], SETUP.settings, seed=1)
+    return model
+
+
+MODELS = {method: trained(method, record()) for method in TRAINED if "rnn" not in method}
+
+
+def with_other_future(trajectory: Trajectory, start: int, index: int, value: float) -> Trajectory:
+    y = trajectory.y.copy()
+    y[start + index % (len(y) - start)] = value
+    return replace(trajectory, y=y)
+
+
+@pytest.mark.parametrize("protocol", [(0, WARMUP), (TRAIN - WARMUP, TRAIN)])
+@pytest.mark.parametrize("method", MODELS)
+@settings(max_examples=10, deadline=None)
+@given(index=st.integers(0, LENGTH), value=st.floats(-1e3, 1e3))
+def test_a_prediction_ignores_every_sample_after_the_warm_up(method, protocol, index, value):
+    begin, start = protocol
+    altered = with_other_future(record(), start, index, value)
+    expected = predict(MODELS[method], record(), begin, start)
+    for name, part in predict(MODELS[method], altered, begin, start).items():
+        np.testing.assert_array_equal(part, expected[name])
+
+
+@pytest.mark.parametrize("method", [m for m in METHODS if "rnn" not in m])
+def test_no_method_learns_from_samples_after_the_training_part(method):
+    altered = with_other_future(record(), TRAIN, 17, 25.0)
+    expected, found = (run(method, r, SETUP, seed=0) for r in (record(), altered))
+    np.testing.assert_array_equal(found.forecast, expected.forecast)
+    np.testing.assert_array_equal(found.from_start, expected.from_start)
+
+
+@pytest.mark.parametrize("method", MODELS)
+def test_components_add_up_to_the_simulation(method):
+    r = record()
+    whole = MODELS[method].simulate(r.y[:WARMUP], 50, y_sim=r.y_sim)
+    parts = MODELS[method].simulate_components(r.y[:WARMUP], 50, y_sim=r.y_sim)
+    np.testing.assert_allclose(sum(parts.values()), whole, atol=1e-12)
+
+
+@pytest.mark.parametrize("method", TRAINED)
+@pytest.mark.parametrize(("ny", "nu"), [(1, 2), (3, 0), (2, 1)])
+def test_channels_and_inputs_of_any_number(method, ny, nu):
+    r = record(ny, nu)
+    model = build(method, r, SETUP, seed=0)
+    u = None if r.u is None else r.u
+    y = model.simulate(r.y[:WARMUP], 30, u, r.y_sim)
+    assert y.shape == (30, ny)
+    assert np.isfinite(y).all()
+
+
+@pytest.mark.parametrize("method", MODELS)
+def test_a_batch_is_simulated_like_each_of_its_members(method):
+    members = [record(seed=s) for s in range(3)]
+    y = np.stack([r.y[:WARMUP] for r in members])
+    y_sim = np.stack([r.y_sim for r in members])
+    together = MODELS[method].simulate(y, 40, y_sim=y_sim)
+    for r, found in zip(members, together, strict=True):
+        alone = MODELS[method].simulate(r.y[:WARMUP], 40, y_sim=r.y_sim)
+        np.testing.assert_allclose(found, alone, atol=1e-5)
+
+
+@pytest.mark.parametrize("method", MODELS)
+def test_units_do_not_matter(method):
+    r = record()
+    other = replace(r, y=1e3 * r.y + 5e6, y_sim=1e3 * r.y_sim + 5e6)
+    expected = predict(trained(method, r), r, 0, WARMUP)
+    found = predict(trained(method, other), other, 0, WARMUP)
+    total, total_other = (sum(p.values()) for p in (expected, found))
+    np.testing.assert_allclose((total_other - 5e6) / 1e3, total, atol=2e-3)
+
+
+def test_one_dimensional_and_torch_signals_come_back_as_they_went_in():
+    model = MODELS["split-gru"]
+    y = record().y[:WARMUP]
+    flat = model.simulate(y[:, 0], 9)
+    assert flat.shape == (9,)
+    tensor = model.simulate(torch.tensor(y)[None], 9)
+    assert tensor.shape == (1, 9, 1)
+    assert tensor.dtype == torch.float64
+    np.testing.assert_array_equal(tensor.detach().numpy()[0, :, 0], flat)
+
+
+def test_the_bands_of_the_split_model_add_up_to_the_record_at_its_ends_too():
+    known = Signals(torch.tensor(record().y[:TRAIN]))
+    low, high = build("split-gru", record(), SETUP, seed=0).double().tasks(known)
+    torch.testing.assert_close(low.target + high.target, known.y, rtol=0, atol=1e-12)
+
+
+def test_the_low_network_predicts_the_samples_it_is_up_sampled_to():
+    """A network that knows the low band exactly gives it back, up to linear interpolation."""
+    t = torch.arange(400, dtype=torch.float64)[:, None]
+    slow = torch.sin(2 * torch.pi * t / 200)
+    for k in (2, 3, 5):
+        for warmup in (30, 31, 32):
+            low = _Scripted(slow[warmup % k :: k], after=(warmup - warmup % k) // k)
+            high = _Scripted(torch.zeros(400, 1, dtype=torch.float64), after=0)
+            model = Split(low, high, ComplementaryPair.butterworth(0.8, 10.0), downsampling=k)
+            found = model.double().components(Signals(slow[None, :warmup]), 101)["low band"]
+            torch.testing.assert_close(found[0], slow[warmup : warmup + 101], rtol=0, atol=4e-3)
+
+
+class _Scripted(nn.Module):
+    """A cell that says what it was told, from entry `after` on."""
+
+    ny, nu = 1, 0
+
+    def __init__(self, script: Tensor, after: int) -> None:
+        super().__init__()
+        self.script, self.after = nn.Parameter(script), after
+
+    def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> int:
+        self.batch = len(y_warmup)
+        return self.after
+
+    def step(self, h: int, y: Tensor, u: Tensor | None = None) -> int:
+        return h + 1
+
+    def observe(self, h: int) -> Tensor:
+        return self.script[h].expand(self.batch, 1)
+
+
+def _filtered(script: Tensor, order: int) -> Filtered:
+    b, a = butterworth(0.5, 20.0, order)
+    return Filtered(_Scripted(script, 0), ComplementaryPair.perfect(b, a, 20.0)).double()
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+@pytest.mark.parametrize("slow", ["constant", "ramp"])
+def test_the_low_band_of_the_network_cannot_move_the_hybrid_prediction(order, slow):
+    """What reaches the result is the high-pass filter's response to what was added, no more."""
+    steps, warmup = 1500, 20
+    n = torch.arange(steps, dtype=torch.float64)[:, None]
+    added = 5.0 * torch.ones_like(n) if slow == "constant" else 0.01 * n
+    detail = torch.sin(2 * torch.pi * n * 4 / 20)
+    y_sim = torch.sin(2 * torch.pi * torch.arange(warmup + steps).double() / 300)[None, :, None]
+    known = Signals(y_sim[:, :warmup] + 0.1, y_sim=y_sim)
+    without, with_added = (
+        sum(_filtered(script, order).components(known, steps).values())[0, :, 0].detach().numpy()
+        for script in (detail, detail + added)
+    )
+    pair = _filtered(detail, order).pair
+    response = scipy.signal.lfilter(pair.b_high, pair.a, added[:, 0].numpy())
+    np.testing.assert_allclose(with_added - without, response, atol=1e-9)
+    # A constant dies out; a ramp leaves at most its slope over the cut-off's angular frequency,
+    # times the order.
+    settled = np.abs((with_added - without)[-200:]).max()
+    bound = 1e-6 if slow == "constant" else order * 0.01 * 20.0 / (2 * np.pi * 0.5) * 1.01
+    assert settled < bound
+
+
+def test_the_hybrid_prediction_goes_on_from_the_last_measured_sample():
+    """H + L = 1: a network and a simulator that both know the signal reproduce it."""
+    t = torch.arange(300, dtype=torch.float64)
+    y = (torch.sin(t / 15) + 0.3 * torch.sin(t / 2))[:, None]
+    known = Signals(y[None, :50], y_sim=y[None])
+    found = sum(_filtered(y[50:], order=1).components(known, 250).values())
+    torch.testing.assert_close(found[0], y[50:], rtol=0, atol=1e-12)
+
+
+def test_calibration_finds_gain_and_offset_on_the_training_samples():
+    r = record(ny=2)
+    off = replace(r, y=r.y_sim * [2.0, -0.5] + [3.0, 100.0])
+    model = Residual(GRU(2, 3), calibrate=True)
+    model.adapt_to(off[:TRAIN])
+    known = model.normalised(off)
+    torch.testing.assert_close(model._calibrated(known), known.y, rtol=0, atol=1e-4)
+
+
+def test_the_residual_model_adds_its_network_to_the_simulator():
+    r = record()
+    script = torch.linspace(-1, 1, 60, dtype=torch.float64)[:, None]
+    model = Residual(_Scripted(script, 0)).double()
+    y = model.simulate(r.y[:WARMUP], 60, y_sim=r.y_sim)
+    np.testing.assert_allclose(y, r.y_sim[WARMUP : WARMUP + 60] + script.numpy(), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: Recurrent(GRU(1, 4)).simulate(np.zeros((5, 2)), 3), "y_warmup must have 1"),
+        (lambda: Recurrent(GRU(1, 4)).simulate(np.zeros(5), 0), "steps must be at least 1, got 0"),
+        (lambda: Recurrent(GRU(1, 4)).simulate(np.zeros((0, 1)), 3), "at least 1 sample"),
+        (lambda: Recurrent(GRU(1, 4, 1)).simulate(np.zeros(5), 3), "u must be given"),
+        (
+            lambda: Recurrent(GRU(1, 4, 1)).simulate(np.zeros(5), 3, u=np.zeros((7, 1))),
+            "u must have 1 channel",
+        ),
+        (lambda: Residual(GRU(1, 4)).simulate(np.zeros(5), 3), "y_sim must be given"),
+        (
+            lambda: Split(GRU(1, 4), GRU(2, 4), ComplementaryPair.butterworth(1, 10)),
+            r"must agree in \(ny, nu\)",
+        ),
+        (
+            lambda: Split(GRU(1, 4), GRU(1, 4), ComplementaryPair.butterworth(2, 10), 3),
+            "downsampling by 3",
+        ),
+        (
+            lambda: Filtered(GRU(1, 4), ComplementaryPair.butterworth(2, 10)),
+            "must filter one way",
+        ),
+        (lambda: EulerMLP(ny=3, state_size=2), "state_size must be at least ny = 3, got 2"),
+    ],
+)
+def test_errors_name_the_argument_and_the_value(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()

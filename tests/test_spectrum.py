@@ -1,0 +1,121 @@
+"""Spectra of signals whose spectrum is known."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from splitband.resampling import check_downsampling
+from splitband.spectrum import default_cutoff, periodogram
+
+Array = npt.NDArray[Any]
+
+RATE = 20.0
+SAMPLES = 1000
+HANN_PEAK = 2 / 3
+"""Of a sinusoid on a bin, the Hann window leaves two thirds there and a sixth on either side."""
+
+
+def sinusoid(frequency: float, amplitude: float = 1.0, samples: int = SAMPLES) -> Array:
+    return amplitude * np.sin(2 * np.pi * frequency * np.arange(samples) / RATE + 0.4)[:, None]
+
+
+def test_the_density_integrates_to_the_power() -> None:
+    y = np.hstack([7 + sinusoid(1.0, 3.0), sinusoid(2.0, 0.5)])
+    spectrum = periodogram(y, RATE)
+    assert spectrum.frequencies[0] == 0
+    assert spectrum.frequencies[-1] == RATE / 2
+    power = spectrum.density.sum(axis=0) * spectrum.frequencies[1]
+    np.testing.assert_allclose(power, [4.5, 0.125])
+
+
+@pytest.mark.parametrize(("slow", "fast"), [(1.0, 1.0), (3.0, 1.0), (0.2, 1.0)])
+def test_share_below_is_that_of_the_squared_amplitudes(slow: float, fast: float) -> None:
+    spectrum = periodogram(50 + sinusoid(0.5, slow) + sinusoid(4.0, fast), RATE)
+    assert spectrum.share_below(2.0) == pytest.approx(slow**2 / (slow**2 + fast**2))
+    assert spectrum.share_below(0.4) == pytest.approx(0, abs=1e-12)
+    assert spectrum.share_below(RATE / 2) == pytest.approx(1)
+
+
+def test_the_cutoff_itself_counts_as_below() -> None:
+    spectrum = periodogram(sinusoid(4.0), RATE)
+    assert spectrum.share_below(4.0) == pytest.approx(5 / 6)
+
+
+def test_channels_weigh_the_same_whatever_their_unit() -> None:
+    y = np.hstack([sinusoid(0.5, 1e-3), sinusoid(4.0, 1e3)])
+    assert periodogram(y, RATE).share_below(2.0) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("constant", [0.0, 2.0, 1 / 3])
+def test_a_constant_channel_has_no_weight(constant: float) -> None:
+    y = np.hstack([sinusoid(4.0), np.full((SAMPLES, 1), constant)])
+    assert periodogram(y, RATE).share_below(2.0) == pytest.approx(0, abs=1e-12)
+
+
+def test_peaks_are_the_sinusoids_by_strength() -> None:
+    y = sinusoid(0.5, 1.0) + sinusoid(4.0, 3.0) + sinusoid(7.0, 2.0)
+    spectrum = periodogram(y, RATE)
+    found = np.array(spectrum.peaks(3))
+    np.testing.assert_allclose(found[:, 0], [4.0, 7.0, 0.5])
+    np.testing.assert_allclose(found[:, 1], HANN_PEAK * np.array([9, 4, 1]) / 14)
+    assert spectrum.peaks(1) == spectrum.peaks(3)[:1]
+
+
+@pytest.mark.parametrize("frequency", [RATE / SAMPLES, RATE / 2])
+def test_peaks_are_found_at_both_ends(frequency: float) -> None:
+    y = np.cos(2 * np.pi * frequency * np.arange(SAMPLES) / RATE)[:, None]
+    assert periodogram(y, RATE).peaks(1)[0][0] == pytest.approx(frequency)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    y=hnp.arrays(
+        np.float64,
+        st.tuples(st.integers(20, 200), st.integers(1, 3)),
+        elements=st.integers(-50, 50).map(float),
+    ),
+    downsampling=st.integers(1, 20),
+    share=st.floats(0.05, 0.99),
+)
+def test_the_default_cutoff_stays_in_its_limits(y: Array, downsampling: int, share: float) -> None:
+    y[0], y[1] = 99.0, -99.0
+    cutoff = default_cutoff(y, RATE, downsampling, share)
+    highest = 0.8 * RATE / 2 / downsampling
+    lowest = min(3 * RATE / len(y), highest)
+    assert lowest <= cutoff <= highest
+    check_downsampling(downsampling, cutoff, RATE)
+    if lowest < cutoff < highest:
+        spectrum = periodogram(y, RATE)
+        assert spectrum.share_below(cutoff) >= share - 1e-9
+        assert spectrum.share_below(cutoff - RATE / len(y) / 2) < share + 1e-9
+
+
+@pytest.mark.parametrize("offset", [0.0, -300.0])
+def test_the_default_cutoff_parts_a_strong_slow_from_a_weak_fast_sinusoid(offset: float) -> None:
+    y = offset + sinusoid(0.5, 1.0) + sinusoid(4.0, 0.2)
+    for downsampling in (1, 2, 5):
+        assert 0.5 <= default_cutoff(y, RATE, downsampling) < 1.0
+
+
+def test_the_default_cutoff_rises_with_the_share_of_the_power() -> None:
+    y = sinusoid(0.5, 2.0) + sinusoid(2.0, 1.0) + sinusoid(4.0, 1.0)
+    cutoffs = [default_cutoff(y, RATE, 1, share) for share in (0.5, 0.75, 0.95)]
+    np.testing.assert_allclose(cutoffs, [0.5, 2.0, 4.0], atol=1.01 * RATE / SAMPLES)
+
+
+@pytest.mark.parametrize("constant", [0.0, 2.0, 0.1, 1 / 3])
+def test_a_constant_record_has_no_cutoff(constant: float) -> None:
+    with pytest.raises(ValueError, match="the record is constant"):
+        default_cutoff(np.full((SAMPLES, 2), constant), RATE, 2)
+
+
+@pytest.mark.parametrize("constant", [0.0, 2.0])
+def test_a_constant_record_has_no_peaks_and_no_power_above(constant: float) -> None:
+    spectrum = periodogram(np.full((SAMPLES, 2), constant), RATE)
+    assert spectrum.peaks() == []
+    assert spectrum.share_below(0.0) == 1
