@@ -11,6 +11,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
+
 from splitband.comparison import Run
 from splitband.data import Trajectory
 from splitband.methods import Setup
@@ -31,6 +34,23 @@ def results(record: Trajectory, setup: Setup, runs: Mapping[str, Sequence[Run]])
         "methods": {name: _method(of_method) for name, of_method in runs.items()},
         "environment": environment(),
     }
+
+
+def predictions(record: Trajectory, runs: Mapping[str, Sequence[Run]]) -> pd.DataFrame:
+    """What `compare` writes to predictions.csv: the record and the first seed's predictions.
+
+    One column for each channel, method and protocol, empty before a prediction begins.
+    """
+    table = {"time": record.time}
+    for i, column in enumerate(record.columns):
+        table[column] = record.y[:, i]
+        for name, of_method in runs.items():
+            sides = (("from start", of_method[0].from_start), ("forecast", of_method[0].forecast))
+            for protocol, predicted in sides:
+                values = np.full(len(record), np.nan)
+                values[len(record) - len(predicted) :] = predicted[:, i]
+                table[f"{column}, {name}, {protocol}"] = values
+    return pd.DataFrame(table)
 
 
 def environment() -> dict[str, Any]:

@@ -12,7 +12,7 @@ from splitband.cli import options, showing
 from splitband.cli.simulating import with_simulator
 from splitband.comparison import compare as run_comparison
 from splitband.data import Trajectory
-from splitband.files import output_folder, write_json
+from splitband.files import output_folder, replacing, write_json
 from splitband.methods import CALIBRATED, HYBRID, METHODS, TRAINED, Setup, check, default_methods
 from splitband.spectrum import periodogram
 from splitband.threads import available_cores
@@ -142,6 +142,8 @@ def _compare(
         runs = run_comparison(record, methods, setup, range(seeds), jobs, progress)
     found = periodogram(record.y[: setup.train], record.sampling_rate)
     write_json(out / "results.json", reporting.results(record, setup, runs))
+    with replacing(out / "predictions.csv") as temporary:
+        reporting.predictions(record, runs).to_csv(temporary, index=False)
     plots.save(plots.rollouts(record, setup, runs), out / "rollouts.png")
     plots.save(plots.errors(record, setup, runs), out / "error.png")
     plots.save(plots.spectrum(record, found, setup.cutoff), out / "spectrum.png")
