@@ -12,8 +12,7 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-import scipy.optimize
-import scipy.signal
+import scipy
 
 Array = npt.NDArray[np.float64]
 

@@ -11,11 +11,11 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
-import scipy.integrate
+import scipy
 
 from splitband.data import Trajectory
 from splitband.files import replacing
@@ -88,12 +88,12 @@ class Ode:
     method : Its name for SciPy.
     """
 
-    derivative: Callable[[float, Array], npt.ArrayLike]
+    derivative: Callable[[float, Array], Any]
     initial_state: npt.ArrayLike
     observe: Callable[[Array], npt.ArrayLike] = lambda x: x[:, 0]
     rtol: float = 1e-8
     atol: float = 1e-10
-    method: str = "RK45"
+    method: Literal["RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA"] = "RK45"
 
     def simulate(self, time: Array) -> npt.ArrayLike:
         """See `Simulator`; raises RuntimeError where the solver gives up."""
@@ -234,7 +234,7 @@ def run(
     stored = _cache_file(simulator, (samples, sampling_time, ny), cache)
     if stored is not None and stored.is_file():
         return np.asarray(np.load(stored, allow_pickle=False))
-    time = sampling_time * np.arange(samples)
+    time: Array = np.arange(samples, dtype=np.float64) * sampling_time
     try:
         found = _within(timeout, lambda: simulator.simulate(time))
         y = np.asarray(found, float)

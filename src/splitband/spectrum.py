@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy.signal
+import scipy
 
 from splitband.filters import ComplementaryPair, butterworth
 from splitband.metrics import rmse

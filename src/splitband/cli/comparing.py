@@ -14,6 +14,7 @@ from splitband.comparison import compare as run_comparison
 from splitband.data import Trajectory
 from splitband.files import output_folder, replacing, write_json
 from splitband.methods import CALIBRATED, HYBRID, METHODS, TRAINED, Setup, check, default_methods
+from splitband.paper.settings import RECORD_SETTINGS, SAMPLE_FREQUENCY
 from splitband.spectrum import periodogram
 from splitband.threads import available_cores
 
@@ -28,6 +29,7 @@ Jobs = Annotated[
 
 
 def compare(
+    context: typer.Context,
     record: options.Record,
     train: options.Train = None,
     horizon: Annotated[
@@ -108,10 +110,11 @@ def compare(
     chosen = options.names(methods or "") or default_methods(trajectory.y_sim is not None)
     if calibrate:
         chosen = [n for m in chosen for n in ((m, m + CALIBRATED) if m in HYBRID else (m,))]
-    _compare(trajectory, chosen, setup, seeds, jobs, out)
+    _compare(context, trajectory, chosen, setup, seeds, jobs, out)
 
 
 def demo(
+    context: typer.Context,
     out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = Path("demo"),
     jobs: Jobs = None,
 ) -> None:
@@ -123,10 +126,11 @@ def demo(
     name = "double-mass-spring"
     record = options.load_record(name)
     methods = ["gru", "split-gru", "persistence", "seasonal-naive", "harmonic"]
-    _compare(record, methods, options.setup(name, record, None), 1, jobs, out)
+    _compare(context, record, methods, options.setup(name, record, None), 1, jobs, out)
 
 
 def _compare(
+    context: typer.Context,
     record: Trajectory,
     methods: list[str],
     setup: Setup,
@@ -141,7 +145,9 @@ def _compare(
     with showing.progress(trainings, "training") as progress:
         runs = run_comparison(record, methods, setup, range(seeds), jobs, progress)
     found = periodogram(record.y[: setup.train], record.sampling_rate)
-    write_json(out / "results.json", reporting.results(record, setup, runs))
+    arguments = {k: str(v) if isinstance(v, Path) else v for k, v in context.params.items()}
+    facts = {"command": context.info_name, "arguments": arguments}
+    write_json(out / "results.json", facts | reporting.results(record, setup, runs))
     with replacing(out / "predictions.csv") as temporary:
         reporting.predictions(record, runs).to_csv(temporary, index=False)
     plots.save(plots.rollouts(record, setup, runs), out / "rollouts.png")
@@ -151,9 +157,10 @@ def _compare(
         plots.save(plots.components(record, setup, runs), out / "components.png")
     showing.console.print(showing.comparison(_title(record, setup), runs))
     showing.console.print(
-        f"cut-off {setup.cutoff:g} Hz, order {setup.order}: "
+        f"cut-off {setup.cutoff:g} Hz{_papers_cutoff(record, setup)}, order {setup.order}: "
         f"{found.share_below(setup.cutoff):.1%} of the training part's power in the low band, "
-        f"kept at every {_ordinal(setup.downsampling)} sample"
+        f"kept at every {_ordinal(setup.downsampling)} sample",
+        highlight=False,
     )
     showing.console.print(f"results and pictures: {out}/", highlight=False)
 
@@ -164,6 +171,14 @@ def _title(record: Trajectory, setup: Setup) -> str:
         f"{record.name}: free-run RMSE against {truth}, {setup.train} samples to train on, "
         f"{len(record) - setup.train} beyond"
     )
+
+
+def _papers_cutoff(record: Trajectory, setup: Setup) -> str:
+    """The number in the paper's table, where the cut-off is the paper's."""
+    column = RECORD_SETTINGS.get(record.name)
+    if column is None or column.setup(record.sampling_rate).cutoff != setup.cutoff:
+        return ""
+    return f" (the paper's w = {column.cutoff:g} at f = {SAMPLE_FREQUENCY:g})"
 
 
 def _ordinal(k: int) -> str:

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
-import scipy.io
+import scipy
 from numpy.typing import NDArray
 from pandas.api.types import (
     is_complex_dtype,
