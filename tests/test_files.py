@@ -1,5 +1,6 @@
 """Files appear whole or not at all."""
 
+import errno
 import json
 import os
 import stat
@@ -41,22 +42,26 @@ def test_the_temporary_lies_beside_the_file_with_its_suffix(path: Path) -> None:
         assert temporary != path
 
 
+def fail_while_replacing(path: Path, error: type[BaseException]) -> None:
+    with replacing(path) as temporary:
+        temporary.write_text(NEW)
+        raise error
+
+
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
 def test_a_failing_block_leaves_the_old_content_and_nothing_else(
     path: Path, error: type[BaseException]
 ) -> None:
     path.write_text(OLD)
-    with pytest.raises(error), replacing(path) as temporary:
-        temporary.write_text(NEW)
-        raise error
+    with pytest.raises(error):
+        fail_while_replacing(path, error)
     assert path.read_text() == OLD
     assert list(path.parent.iterdir()) == [path]
 
 
 def test_a_failing_block_leaves_no_new_file(path: Path) -> None:
-    with pytest.raises(RuntimeError), replacing(path) as temporary:
-        temporary.write_text(NEW)
-        raise RuntimeError
+    with pytest.raises(RuntimeError):
+        fail_while_replacing(path, RuntimeError)
     assert list(path.parent.iterdir()) == []
 
 
@@ -96,6 +101,23 @@ def test_json_refuses_numbers_it_lacks_and_keeps_the_old_file(
     path.write_text(OLD)
     with pytest.raises(ValueError, match="not JSON compliant"):
         write_json(path, nest(number))
+    assert path.read_text() == OLD
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_json_cut_short_by_a_full_disk_keeps_the_old_file(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path.write_text(OLD)
+    written = Path.write_text
+
+    def cut_short(self: Path, text: str, encoding: str | None = None) -> int:
+        written(self, text[:5], encoding)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_text", cut_short)
+    with pytest.raises(OSError, match="No space left"):
+        write_json(path, {"rmse": 0.1})
     assert path.read_text() == OLD
     assert list(path.parent.iterdir()) == [path]
 

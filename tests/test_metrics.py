@@ -102,8 +102,6 @@ def test_lists_and_integers_are_taken_as_real_numbers() -> None:
         (noise(5), noise(5, 1)),
         (noise(5, 2), noise(5, 1)),
         (noise(2, 5, 1), noise(2, 5, 1)),
-        (noise(0), noise(0)),
-        (np.array(1.0), np.array(1.0)),
     ],
 )
 def test_shapes_that_do_not_fit_are_named(
@@ -114,7 +112,24 @@ def test_shapes_that_do_not_fit_are_named(
     assert str(caught.value).endswith(f"got {y.shape} and {prediction.shape}")
 
 
-@pytest.mark.parametrize("constant", [0.0, 2.0, 0.1, 1 / 3])
+@pytest.mark.parametrize("metric", [rmse, cumulative_rmse])
+@pytest.mark.parametrize("y", [noise(0), np.array(1.0)])
+def test_a_record_without_samples_is_named(metric: Callable[..., Any], y: Array) -> None:
+    with pytest.raises(ValueError, match="y and prediction must have one shape"):
+        metric(y, y)
+
+
+@pytest.mark.parametrize("metric", [nrmse, fit_percent])
+@pytest.mark.parametrize("y", [noise(0), np.array(1.0)])
+def test_a_record_without_samples_has_no_nrmse(metric: Callable[..., Any], y: Array) -> None:
+    with pytest.raises(ValueError, match="y and prediction must have one shape"):
+        metric(y, y)
+
+
+@pytest.mark.parametrize(
+    "constant",
+    [0.0, 2.0, 0.1, 1 / 3],
+)
 @pytest.mark.parametrize("metric", [nrmse, fit_percent])
 def test_a_constant_record_has_no_nrmse(metric: Callable[..., Any], constant: float) -> None:
     with pytest.raises(ValueError, match="y must not be constant"):

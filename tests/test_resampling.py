@@ -123,16 +123,26 @@ def test_torch_gives_the_numbers_of_numpy_as_a_tensor(align: Alignment) -> None:
 
 
 @pytest.mark.parametrize("align", ALIGNMENTS)
-def test_float32_stays_float32(align: Alignment) -> None:
+def test_float32_tensors_stay_float32(align: Alignment) -> None:
     assert upsample(torch.ones(5, 2), 3, align=align).dtype == torch.float32
+
+
+@pytest.mark.parametrize("align", ALIGNMENTS)
+def test_float32_arrays_stay_float32(align: Alignment) -> None:
     assert upsample(np.ones((5, 2), np.float32), 3, align=align).dtype == np.float32
 
 
 @pytest.mark.parametrize("align", ALIGNMENTS)
-def test_integers_are_interpolated_as_real_numbers(align: Alignment) -> None:
+def test_integer_arrays_are_interpolated_as_real_numbers(align: Alignment) -> None:
     y = np.array([0, 3, 1])
     expected = upsample(y.astype(np.float64), 2, align=align)
     np.testing.assert_array_equal(upsample(y, 2, align=align), expected)
+
+
+@pytest.mark.parametrize("align", ALIGNMENTS)
+def test_integer_tensors_are_interpolated_as_real_numbers(align: Alignment) -> None:
+    y = np.array([0, 3, 1])
+    expected = upsample(y.astype(np.float64), 2, align=align)
     fast = upsample(torch.from_numpy(y), 2, align=align)
     np.testing.assert_allclose(fast.double().numpy(), expected, atol=1e-12)
 

@@ -1,6 +1,6 @@
 """Cells and free runs against torch's own layers and loops written out."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,15 @@ Array = npt.NDArray[Any]
 NY, NU, HIDDEN = 2, 3, 5
 BATCH, WARMUP, STEPS = 4, 6, 9
 TIGHT = 1e-10
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread() -> Iterator[None]:
+    """Networks this small are slower on several threads, by far where cores are busy."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
 
 
 class LSTM(nn.Module):
@@ -271,7 +280,8 @@ def test_gradients_reach_the_warmup_the_inputs_and_every_parameter(make: Make, n
         result: Tensor = torch.func.functional_call(free, exchanged, (y, u))
         return result
 
-    assert torch.autograd.gradcheck(run, (y, u, *free.parameters()), fast_mode=True)
+    arguments: tuple[Tensor | None, ...] = (y, u, *free.parameters())
+    assert torch.autograd.gradcheck(run, arguments, fast_mode=True)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("make", CELLS)
@@ -295,7 +305,7 @@ def whole(cell: Cell) -> Model:
 
 def split(cell: Cell) -> Model:
     torch.manual_seed(7)
-    pair = ComplementaryPair.butterworth(0.08, 1.0, order=1)
+    pair = ComplementaryPair.butterworth(0.1, 1.0, order=1)
     return Split(cell, LSTM(cell.ny, HIDDEN, cell.nu), pair, downsampling=2)
 
 
@@ -305,17 +315,17 @@ def test_a_user_s_cell_is_trained_in_any_model(
     make_model: Callable[[Cell], Model], nu: int
 ) -> None:
     torch.manual_seed(6)
-    phase = 2 * np.pi * np.arange(120) / 30
-    y = np.stack([np.sin(phase), np.cos(phase) + 0.3 * np.sin(6 * phase)], axis=1)
-    u = np.sin(3 * phase)[:, None] if nu else None
-    model = make_model(LSTM(NY, 12, nu))
-    settings = Settings(window=40, warmup=20, epochs=15, batch_size=20, learning_rate=1e-2)
+    phase = 2 * np.pi * np.arange(70) / 20
+    y = np.stack([np.sin(phase), np.cos(phase) + 0.5 * np.sin(5 * phase)], axis=1)
+    u = np.cos(phase)[:, None] if nu else None
+    model = make_model(LSTM(NY, 8, nu))
+    settings = Settings(window=28, warmup=16, epochs=30, batch_size=22, learning_rate=2e-2)
     history = fit(model, Trajectory(y, 1.0, u=u), settings)
     assert len(history.losses) == (2 if isinstance(model, Split) else 1)
     for losses in history.losses.values():
-        assert len(losses) == 15
-        assert losses[-1] < 0.75 * losses[0]
-    simulated = model.simulate(y[:20], 30, None if u is None else u[:50])
+        assert len(losses) == 30
+        assert losses[-1] < 0.9 * losses[0]
+    simulated = model.simulate(y[:16], 30, None if u is None else u[:46])
     assert simulated.shape == (30, NY)
     assert np.isfinite(simulated).all()
 
@@ -349,9 +359,9 @@ def test_inputs_of_a_wrong_shape_are_named(shape: tuple[int, ...]) -> None:
 
 
 @pytest.mark.parametrize("make", CELLS)
-@pytest.mark.parametrize("steps", [0, 1, STEPS])
+@pytest.mark.parametrize("steps", [1, STEPS])
 def test_inputs_too_short_are_named(make: Make, steps: int) -> None:
-    rows = min(WARMUP, WARMUP + steps - 1) - 1 if steps < 2 else WARMUP + steps - 2
+    rows = WARMUP + steps - 2
     with pytest.raises(ValueError, match=rf"u must cover .* got {rows}$"):
         rollout(make(nu=NU), noise(BATCH, WARMUP, NY), steps, inputs(NU, rows))
 

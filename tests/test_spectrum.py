@@ -51,6 +51,14 @@ def test_channels_weigh_the_same_whatever_their_unit() -> None:
     assert periodogram(y, RATE).share_below(2.0) == pytest.approx(0.5)
 
 
+def test_the_mean_s_bin_has_no_power_although_the_window_leaks_into_it() -> None:
+    slowest = sinusoid(RATE / SAMPLES)
+    assert periodogram(slowest, RATE).share_below(0.0) == 0
+    assert periodogram(np.hstack([slowest, sinusoid(4.0)]), RATE).share_below(2.0) == (
+        pytest.approx(0.5)
+    )
+
+
 @pytest.mark.parametrize("constant", [0.0, 2.0, 1 / 3])
 def test_a_constant_channel_has_no_weight(constant: float) -> None:
     y = np.hstack([sinusoid(4.0), np.full((SAMPLES, 1), constant)])
@@ -108,7 +116,10 @@ def test_the_default_cutoff_rises_with_the_share_of_the_power() -> None:
     np.testing.assert_allclose(cutoffs, [0.5, 2.0, 4.0], atol=1.01 * RATE / SAMPLES)
 
 
-@pytest.mark.parametrize("constant", [0.0, 2.0, 0.1, 1 / 3])
+@pytest.mark.parametrize(
+    "constant",
+    [0.0, 2.0, 0.1, 1 / 3],
+)
 def test_a_constant_record_has_no_cutoff(constant: float) -> None:
     with pytest.raises(ValueError, match="the record is constant"):
         default_cutoff(np.full((SAMPLES, 2), constant), RATE, 2)

@@ -48,7 +48,7 @@ class GRU(nn.Module):
 
     def __init__(self, ny: int = 1, hidden_size: int = 64, nu: int = 0) -> None:
         super().__init__()
-        _check_sizes(ny=ny, hidden_size=hidden_size)
+        _check_sizes(nu, ny=ny, hidden_size=hidden_size)
         self.ny, self.nu, self.hidden_size = ny, nu, hidden_size
         self.transition = nn.GRUCell(ny + nu, hidden_size)
         self.observation = nn.Linear(hidden_size, ny)
@@ -98,7 +98,14 @@ class EulerMLP(nn.Module):
         nu: int = 0,
     ) -> None:
         super().__init__()
-        _check_sizes(ny=ny, warmup=warmup, state_size=state_size, hidden_size=hidden_size)
+        _check_sizes(
+            nu,
+            ny=ny,
+            warmup=warmup,
+            state_size=state_size,
+            hidden_size=hidden_size,
+            recognition_size=recognition_size,
+        )
         if state_size < ny:
             raise ValueError(f"state_size must be at least ny = {ny}, got {state_size}")
         self.ny, self.nu, self.warmup = ny, nu, warmup
@@ -138,7 +145,9 @@ class EulerMLP(nn.Module):
         return h[:, : self.ny]
 
 
-def _check_sizes(**sizes: int) -> None:
+def _check_sizes(nu: int, **sizes: int) -> None:
+    if nu < 0:
+        raise ValueError(f"nu must not be negative, got {nu}")
     for name, size in sizes.items():
         if size < 1:
             raise ValueError(f"{name} must be at least 1, got {size}")

@@ -28,9 +28,14 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 def write_json(path: str | Path, value: Any) -> None:
     """Write `value` as indented JSON; NaN and infinity, which JSON lacks, are refused."""
-    text = json.dumps(value, indent=2, allow_nan=False)
+    text = to_json(value)
     with replacing(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8")
+
+
+def to_json(value: Any) -> str:
+    """Indented JSON; raises ValueError or TypeError for what JSON cannot hold."""
+    return json.dumps(value, indent=2, allow_nan=False) + "\n"
 
 
 def output_folder(path: str | Path) -> Path:

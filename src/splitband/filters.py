@@ -55,12 +55,13 @@ def butterworth(
         raise ValueError(f"order must be at least 1, got {order}")
     b, a = scipy.signal.iirfilter(order, cutoff, btype=band, ftype="butter", fs=sampling_rate)
     passed = 1.0 if band == "low" else -1.0  # z at zero frequency, at the Nyquist frequency
-    gain = np.polyval(b, passed) / np.polyval(a, passed)
-    _check_stable(a)
-    if abs(gain - 1) > 1e-6:
+    rest = np.polyval(a, passed)
+    gain = float(np.polyval(b, passed) / rest) if rest else float("inf")
+    if abs(gain - 1) > 1e-6 or _largest_pole(a) >= 1:
         raise ValueError(
             f"order {order} is too high for a cut-off of {cutoff:g} Hz at {sampling_rate:g} Hz: "
-            f"the gain that should be 1 is {gain:.3g}; lower the order or raise the cut-off"
+            f"its coefficients are lost in rounding (the gain that should be 1 is {gain:.3g}); "
+            f"lower the order or raise the cut-off"
         )
     return b, a
 
@@ -95,6 +96,8 @@ def lfilter(
     b, a = _normalised(b, a)
     if start == "odd":
         raise ValueError('start="odd" is for filtering in both directions; use "steady" or "zeros"')
+    if first is not None:
+        _check_first(first.shape, x.shape, len(a) - 1, _time_axis(x.ndim, dim))
 
     def run(x: Tensor, first: Tensor | None) -> Tensor:
         if first is None:
@@ -250,6 +253,8 @@ class ComplementaryPair:
         low part runs by itself and the high part starts from what it leaves of `first`: a low
         part that does not change needs to be filtered only once.
         """
+        if first is not None:
+            _check_first(first.shape, low.shape, self.order, _time_axis(low.ndim, dim))
         low = self.lowpass(low, dim)
         if first is None:
             return low + self.highpass(high, dim)
@@ -291,10 +296,10 @@ class _LFilter(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor, zi: Tensor, b: Array, a: Array) -> Tensor:
         ctx.coefficients = b, a
-        # `lfilter` handles `time = 0` badly, and float32 loses what a high order needs.
-        signal, state = (t.detach().to("cpu", torch.float64).numpy() for t in (x, zi))
+        signal, state = (t.detach().cpu().numpy() for t in (x, zi))
+        # SciPy refuses a signal of no samples.
         y = scipy.signal.lfilter(b, a, signal, zi=state)[0] if signal.size else signal
-        return torch.from_numpy(np.ascontiguousarray(y)).to(x)
+        return torch.from_numpy(np.ascontiguousarray(y)).to(x.device)
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
@@ -328,8 +333,6 @@ def _run(b: Array, a: Array, x: Tensor, start: Start) -> Tensor:
 def _run_on(b: Array, a: Array, x: Tensor, first: Tensor) -> Tensor:
     """Filter `(..., time)` one way, going on from the first P outputs."""
     order = len(a) - 1
-    if first.shape[-1] != order:
-        raise ValueError(f"first must hold the first {order} outputs, got {first.shape[-1]}")
     state = [
         sum(
             float(b[k]) * x[..., order - (k - m)] - float(a[k]) * first[..., order - (k - m)]
@@ -356,11 +359,29 @@ def _along_time(
 ) -> Signal:
     """Call `run` with the time axis last, on tensors, and give back what came in."""
     axis = _time_axis(x.ndim, dim)
-    tensors = [None if s is None else _tensor(s).movedim(axis, -1) for s in (x, first)]
-    signal = tensors[0]
-    assert signal is not None
-    y = run(signal, tensors[1]).movedim(-1, axis)
+    signal = _tensor(x)
+    # In float64 whatever comes in: a high order needs the digits.
+    known = None if first is None else _tensor(first).to(signal.device, torch.float64)
+    if known is not None:
+        known = known.movedim(axis, -1)
+    y = run(signal.double().movedim(axis, -1), known).movedim(-1, axis).to(signal.dtype)
     return y if isinstance(x, Tensor) else y.numpy()
+
+
+def _check_first(first: tuple[int, ...], signal: tuple[int, ...], order: int, axis: int) -> None:
+    """Check that `first` has the signal's shape but `order` samples, and the signal that many."""
+    given = first[axis] if len(first) == len(signal) else len(first)
+    if len(first) != len(signal) or given != order:
+        raise ValueError(
+            f"first must hold the first {order} outputs, got {given} in shape {tuple(first)}"
+        )
+    if signal[axis] < order:
+        raise ValueError(f"the signal must have at least {order} samples, got {signal[axis]}")
+    others = [n for n, of in enumerate(signal) if n != axis % len(signal) and first[n] != of]
+    if others:
+        raise ValueError(
+            f"first must be shaped like the signal {tuple(signal)}, got {tuple(first)}"
+        )
 
 
 def _tensor(x: npt.NDArray[Any] | Tensor) -> Tensor:
@@ -387,9 +408,13 @@ def _normalised(b: npt.ArrayLike, a: npt.ArrayLike) -> tuple[Array, Array]:
 
 
 def _check_stable(a: Array) -> None:
-    poles = np.roots(a)
-    if len(poles) and max(abs(poles)) >= 1:
+    largest = _largest_pole(a)
+    if largest >= 1:
         raise ValueError(
             f"the filter must be stable, its poles inside the unit circle, "
-            f"got one at |z| = {max(abs(poles)):.6g}"
+            f"got one at |z| = {largest:.6g}"
         )
+
+
+def _largest_pole(a: Array) -> float:
+    return float(max(abs(np.roots(a)), default=0.0))

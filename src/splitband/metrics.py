@@ -25,11 +25,10 @@ def cumulative_rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
 
 def nrmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
     """RMSE over the standard deviation of y: 1 is as good as the mean."""
-    y = np.asarray(y, float)
-    spread = float(np.sqrt(np.mean(_squared_errors(y, np.broadcast_to(y.mean(0), y.shape)))))
-    if spread == 0:
+    error, y = rmse(y, prediction), np.asarray(y, float)
+    if not np.ptp(y, axis=0).any():
         raise ValueError("y must not be constant: its standard deviation is 0")
-    return rmse(y, prediction) / spread
+    return error / rmse(y, np.broadcast_to(y.mean(axis=0), y.shape))
 
 
 def fit_percent(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:

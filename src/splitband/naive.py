@@ -17,6 +17,10 @@ import scipy
 Array = npt.NDArray[np.float64]
 
 
+RESOLUTION = 0.1
+"""Sinusoids too close to be told apart are fitted as one: singular values below this are cut."""
+
+
 class Naive(Protocol):
     """A prediction that needs no training beyond a closed-form fit."""
 
@@ -77,8 +81,10 @@ class SeasonalNaive:
         Compared are the lags up to half the record at which the record resembles itself: the
         local minima of its mean squared difference at a lag.
         """
-        candidates = _self_similar_lags(y)
-        lag = min(candidates, key=lambda lag: _backward_error(y, lag))
+        errors = {lag: _backward_error(y, lag) for lag in sorted(_self_similar_lags(y))}
+        # A period and its multiples tie up to rounding: the shortest one is meant.
+        good_enough = min(errors.values()) * (1 + 1e-9) + 1e-24 * float(np.mean(y**2))
+        lag = next(lag for lag, error in errors.items() if error <= good_enough)
         return cls(y[len(y) - lag :].copy(), len(y))
 
     @property
@@ -134,7 +140,7 @@ class HarmonicRegression:
 def _self_similar_lags(y: Array, most: int = 200) -> list[int]:
     """Lags up to half of `y` with the smallest local minima of mean (y_n - y_{n+lag})^2."""
     n = len(y)
-    lags = np.arange(1, max(n // 2, 1) + 1)
+    lags = np.arange(1, n // 2 + 1)
     centred = y - y.mean(axis=0)
     power = np.concatenate([[0.0], np.cumsum((centred**2).sum(axis=1))])
     products = sum(
@@ -142,7 +148,7 @@ def _self_similar_lags(y: Array, most: int = 200) -> list[int]:
     )
     products = np.asarray(products)[lags]
     difference = (power[n - lags] + power[n] - power[lags] - 2 * products) / (n - lags)
-    minima = scipy.signal.argrelmin(difference)[0]
+    minima = scipy.signal.argrelmin(np.append(difference, np.inf))[0]  # the last lag may be one
     ranked = minima[np.argsort(difference[minima], kind="stable")]
     return [int(lags[i]) for i in ranked[:most]] or [int(lags[-1])]
 
@@ -161,7 +167,7 @@ def _basis(frequencies: Array, index: npt.NDArray[np.int_]) -> Array:
 
 def _solve(frequencies: Array, y: Array) -> tuple[Array, Array]:
     basis = _basis(frequencies, np.arange(len(y)))
-    coefficients = np.linalg.lstsq(basis, y, rcond=None)[0].astype(np.float64)
+    coefficients = np.linalg.lstsq(basis, y, rcond=RESOLUTION)[0].astype(np.float64)
     return coefficients, y - basis @ coefficients
 
 
@@ -170,13 +176,13 @@ def _fit_channel(y: Array, sinusoids: int | None) -> tuple[Array, Array]:
     most = min(10 if sinusoids is None else sinusoids, max((n - 2) // 3, 0))
     frequencies = np.empty(0)
     best = (frequencies, *_solve(frequencies, y))
-    best_score = _information(best[2], 0)
+    best_score = _information(best[2], y, 0)
     residual = best[2]
     for count in range(1, most + 1):
         peak = scipy.signal.periodogram(residual, nfft=8 * n, detrend=False)
         frequencies = _refine(np.append(frequencies, peak[0][1:][np.argmax(peak[1][1:])]), y)
         coefficients, residual = _solve(frequencies, y)
-        score = _information(residual, count)
+        score = _information(residual, y, count)
         if sinusoids is not None or score < best_score:
             best, best_score = (frequencies, coefficients, residual), score
     return best[0], best[1]
@@ -185,8 +191,9 @@ def _fit_channel(y: Array, sinusoids: int | None) -> tuple[Array, Array]:
 def _refine(frequencies: Array, y: Array) -> Array:
     """Move the frequencies to the least squares, the amplitudes being eliminated."""
     reach = 1 / len(y)
-    low = np.clip(frequencies - reach, 1e-9, 0.5)
-    high = np.clip(frequencies + reach, 2e-9, 0.5 + 1e-9)
+    # A sinusoid of less than a cycle in the record would be a drift, and run away beyond it.
+    low = np.clip(frequencies - reach, reach, 0.5)
+    high = np.clip(frequencies + reach, 1.01 * reach, 0.5 + 1e-9)
 
     def residual(moved: Array) -> Array:
         return _solve(moved, y)[1]
@@ -196,13 +203,15 @@ def _refine(frequencies: Array, y: Array) -> Array:
         np.clip(frequencies, low, high),
         bounds=(low, high),
         x_scale=reach,
+        ftol=1e-12,
+        xtol=1e-12,
         max_nfev=50,
     )
     return np.asarray(found.x)
 
 
-def _information(residual: Array, sinusoids: int) -> float:
-    """Bayesian information criterion of a Gaussian residual."""
+def _information(residual: Array, y: Array, sinusoids: int) -> float:
+    """Bayesian information criterion of a Gaussian residual, taken as 1e-8 of y at least."""
     n = len(residual)
-    variance = max(float(np.mean(residual**2)), np.finfo(float).tiny)
+    variance = max(float(np.mean(residual**2)), 1e-16 * float(np.mean(y**2)), 1e-300)
     return n * float(np.log(variance)) + (1 + 3 * sinusoids) * float(np.log(n))

@@ -29,10 +29,11 @@ def check_downsampling(downsampling: int, cutoff: float, sampling_rate: float) -
         raise ValueError(f"downsampling must be at least 1, got {downsampling}")
     nyquist = sampling_rate / downsampling / 2
     if cutoff >= nyquist:
+        best = next((k for k in range(downsampling, 0, -1) if cutoff < sampling_rate / k / 2), None)
+        advice = f"; at most {best} will do" if best else ""
         raise ValueError(
             f"downsampling by {downsampling} leaves a Nyquist frequency of {nyquist:g} Hz, which "
-            f"must exceed the cut-off of {cutoff:g} Hz; at most "
-            f"{max(1, int(np.ceil(sampling_rate / cutoff / 2)) - 1)} will do"
+            f"must exceed the cut-off of {cutoff:g} Hz{advice}"
         )
 
 
@@ -56,7 +57,8 @@ def upsample(y: Signal, k: int, length: int | None = None, align: Alignment = "t
     """
     if k < 1:
         raise ValueError(f"k must be at least 1, got {k}")
-    slow = y if isinstance(y, Tensor) else torch.from_numpy(np.array(y, dtype=np.float64))
+    slow = y if isinstance(y, Tensor) else torch.from_numpy(np.array(y))
+    slow = slow if slow.is_floating_point() else slow.double()
     if slow.ndim == 1:
         fast = upsample(slow[:, None], k, length, align)[:, 0]
         return fast if isinstance(y, Tensor) else fast.numpy()

@@ -64,7 +64,7 @@ def _check(cell: Cell, y_warmup: Tensor, steps: int, u: Tensor | None) -> None:
             raise ValueError(
                 f"u must be (batch = {batch}, time, nu = {cell.nu}), got {tuple(u.shape)}"
             )
-        if u.shape[1] < warmup + steps - 1:
+        if u.shape[1] < warmup + max(steps - 1, 0):
             raise ValueError(
                 f"u must cover warm-up and simulation, {warmup} + {steps} samples, got {u.shape[1]}"
             )

@@ -17,11 +17,14 @@ import safetensors.torch
 from torch import nn
 
 from splitband.cells import GRU, EulerMLP
-from splitband.files import replacing, write_json
+from splitband.files import replacing, to_json
 from splitband.filters import ComplementaryPair
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
 
 FORMAT = 1
+_UNFIT = (
+    RuntimeError, TypeError, KeyError, ValueError, AttributeError, safetensors.SafetensorError,
+)  # fmt: skip
 _DESCRIPTION, _WEIGHTS = "model.json", "weights.safetensors"
 
 # What each class is built from: the arguments of its constructor, which are also its attributes.
@@ -54,15 +57,17 @@ def save(model: Model, folder: str | Path, facts: Mapping[str, Any] | None = Non
     folder.mkdir(parents=True, exist_ok=True)
     state = {name: value.contiguous().cpu() for name, value in model.state_dict().items()}
     weights = safetensors.torch.save(state)
-    with replacing(folder / _WEIGHTS) as temporary:
-        temporary.write_bytes(weights)
     description = {
         "format": FORMAT,
         "model": _describe(model),
         "weights_sha256": hashlib.sha256(weights).hexdigest(),
         "facts": dict(facts or {}),
     }
-    write_json(folder / _DESCRIPTION, description)
+    text = to_json(description)
+    # Both are written before either takes the place of its predecessor.
+    with replacing(folder / _DESCRIPTION) as new, replacing(folder / _WEIGHTS) as new_weights:
+        new_weights.write_bytes(weights)
+        new.write_text(text, encoding="utf-8")
 
 
 def load(
@@ -90,7 +95,7 @@ def load(
         description = json.loads((folder / _DESCRIPTION).read_text(encoding="utf-8"))
         version, spec, digest = (description[k] for k in ("format", "model", "weights_sha256"))
         facts = dict(description["facts"])
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{folder / _DESCRIPTION} is damaged: {error!r}") from None
     if version != FORMAT:
         raise ValueError(f"{folder / _DESCRIPTION} has format {version!r}; this is for {FORMAT}")
@@ -101,8 +106,9 @@ def load(
         model = _build(spec, dict(cells or {}))
         if not isinstance(model, Model):
             raise ValueError(f"{type(model).__name__} is not a model")
-        model.load_state_dict(safetensors.torch.load(weights))
-    except (RuntimeError, TypeError, KeyError, ValueError, safetensors.SafetensorError) as error:
+        # `assign` keeps the precision that was saved.
+        model.load_state_dict(safetensors.torch.load(weights), assign=True)
+    except _UNFIT as error:
         raise ValueError(f"{folder / _DESCRIPTION} describes no model: {error}") from None
     return model, facts
 
@@ -127,6 +133,8 @@ def _build(value: Any, cells: dict[str, Callable[..., Any]]) -> Any:
         return np.array(value) if isinstance(value, list) else value
     known = {c.__name__: c for c in _ARGUMENTS} | cells
     arguments = {k: _build(v, cells) for k, v in value.items() if k != "type"}
-    if value.get("type") not in known:
-        raise ValueError(f"unknown type {value.get('type')!r}; pass its constructor in `cells`")
+    if "type" not in value:
+        return arguments
+    if value["type"] not in known:
+        raise ValueError(f"unknown type {value['type']!r}; pass its constructor in `cells`")
     return known[value["type"]](**arguments)

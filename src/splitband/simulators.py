@@ -7,6 +7,8 @@ one and checks what comes back.
 from __future__ import annotations
 
 import hashlib
+import shutil
+import tempfile
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -142,7 +144,8 @@ class Fmu:
         self._folder: str | None = None
         self._instance: Any = None
         try:
-            self._folder = fmpy.extract(str(self.path))
+            self._folder = tempfile.mkdtemp(prefix="splitband-fmu-")
+            fmpy.extract(str(self.path), self._folder)
             self._description = fmpy.read_model_description(self._folder)
             self._instance = instantiate_fmu(self._folder, self._description)
         except Exception as error:
@@ -159,19 +162,24 @@ class Fmu:
     def simulate(self, time: Array) -> npt.ArrayLike:
         """See `Simulator`."""
         if self._instance is None:
-            raise ValueError(f"the FMU {self.path} has been closed")
+            raise ValueError(f"the FMU {self.path} has been closed, or an earlier run failed")
+        # Given back only after a good end: an instance that failed or still runs cannot be freed.
+        instance, self._instance = self._instance, None
         step = float(time[1] - time[0])
         result = self._simulate_fmu(
             self._folder,
             model_description=self._description,
-            fmu_instance=self._instance,
+            fmu_instance=instance,
             start_time=float(time[0]),
             stop_time=float(time[-1]),
             output_interval=step,
             start_values=self.start_values,
             output=self.outputs,
         )
-        self._instance.reset()
+        instance.reset()
+        self._instance = instance
+        if result["time"][-1] < time[-1] - step / 2:
+            raise ValueError(f"the FMU {self.path} stopped at {result['time'][-1]:g} s")
         found = np.column_stack([result[name] for name in self.outputs])
         # FMPy stores an event's sample beside that of the grid.
         at = np.searchsorted(result["time"], time - step / 4)
@@ -184,8 +192,6 @@ class Fmu:
 
     def close(self) -> None:
         """Free the instance and remove the unpacked files."""
-        import shutil  # noqa: PLC0415
-
         if self._instance is not None:
             self._instance.freeInstance()
             self._instance = None
@@ -234,9 +240,12 @@ def run(
     stored = _cache_file(simulator, (samples, sampling_time, ny), cache)
     if stored is not None and stored.is_file():
         return np.asarray(np.load(stored, allow_pickle=False))
-    time: Array = np.arange(samples, dtype=np.float64) * sampling_time
+    # A grid has two points at least, from which a simulator can tell its step.
+    time: Array = np.arange(max(samples, 2), dtype=np.float64) * sampling_time
     try:
-        found = _within(timeout, lambda: simulator.simulate(time))
+        found = np.asarray(_within(timeout, lambda: simulator.simulate(time)))
+        if np.iscomplexobj(found):
+            raise TypeError("its values must be real")
         y = np.asarray(found, float)
     except TimeoutError:
         raise ValueError(f"simulator {name} has not returned within {timeout:g} s") from None
@@ -246,13 +255,14 @@ def run(
             f"{type(error).__name__}: {error}"
         ) from error
     y = y[:, None] if y.ndim == 1 else y
-    if y.shape != (samples, ny):
-        raise ValueError(f"simulator {name} must return {(samples, ny)} values, got {y.shape}")
+    if y.shape != (len(time), ny):
+        raise ValueError(f"simulator {name} must return {(len(time), ny)} values, got {y.shape}")
+    y = y[:samples]
     bad = ~np.isfinite(y).all(axis=1)
     if bad.any():
         raise ValueError(
             f"simulator {name} must return finite values: {bad.sum()} samples are not, "
-            f"the first at {time[bad][0]:g} s"
+            f"the first at {time[:samples][bad][0]:g} s"
         )
     if stored is not None:
         stored.parent.mkdir(parents=True, exist_ok=True)

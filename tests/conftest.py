@@ -1,0 +1,67 @@
+"""Fixtures that several test files share."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+_SLAVE = '''
+from pythonfmu import Fmi2Causality, Fmi2Initial, Fmi2Slave, Fmi2Variability, Real
+
+
+class VanDerPol(Fmi2Slave):
+    """x'' = mu (1 - x^2) x' - x by Runge-Kutta substeps; `stop_at` and `raise_at` are in s."""
+
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.mu, self.x, self.v, self.stop_at, self.raise_at = 1.0, -2.0, 1.0, 1e9, 1e9
+        self.pause = 0.0
+        tunable = {"variability": Fmi2Variability.tunable, "causality": Fmi2Causality.parameter}
+        for name in ("mu", "stop_at", "raise_at", "pause"):
+            self.register_variable(Real(name, **tunable))
+        for name in ("x", "v"):
+            self.register_variable(
+                Real(name, causality=Fmi2Causality.output, initial=Fmi2Initial.exact)
+            )
+
+    def rate(self, x, v):
+        return v, self.mu * (1 - x * x) * v - x
+
+    def do_step(self, t, dt):
+        if self.pause:
+            import time
+            time.sleep(self.pause)
+        if t > self.raise_at:
+            raise RuntimeError("no convergence")
+        if t > self.stop_at:
+            return False
+        n = max(1, round(dt / 1e-3))
+        h = dt / n
+        for _ in range(n):
+            a = self.rate(self.x, self.v)
+            b = self.rate(self.x + h / 2 * a[0], self.v + h / 2 * a[1])
+            c = self.rate(self.x + h / 2 * b[0], self.v + h / 2 * b[1])
+            d = self.rate(self.x + h * c[0], self.v + h * c[1])
+            self.x += h / 6 * (a[0] + 2 * b[0] + 2 * c[0] + d[0])
+            self.v += h / 6 * (a[1] + 2 * b[1] + 2 * c[1] + d[1])
+        return True
+'''
+
+
+@pytest.fixture(scope="session")
+def public_data() -> Path:
+    """The folder of the public records, where there is one."""
+    folder = os.environ.get("SPLITBAND_DATA_DIR")
+    if not folder:
+        pytest.skip("SPLITBAND_DATA_DIR is not set: the public records are not at hand")
+    return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def van_der_pol_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An unforced Van der Pol oscillator as an FMU, with the outputs x and v."""
+    builder = pytest.importorskip("pythonfmu.builder")
+    pytest.importorskip("fmpy")
+    folder = tmp_path_factory.mktemp("fmu")
+    (folder / "van_der_pol_slave.py").write_text(_SLAVE)
+    return Path(builder.FmuBuilder.build_FMU(folder / "van_der_pol_slave.py", dest=folder))
