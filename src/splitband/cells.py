@@ -68,6 +68,14 @@ class GRU(nn.Module):
         """C h + c."""
         return self.observation(h)
 
+    def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
+        """What `splitband.rollout` computes step by step, in one compiled call on the CPU."""
+        from splitband.kernels import gru_rollout  # noqa: PLC0415  numba loads on first use
+
+        cell, out = self.transition, self.observation
+        recurrent = cell.weight_ih, cell.weight_hh, cell.bias_ih, cell.bias_hh
+        return gru_rollout(y_warmup, steps, u, *recurrent, out.weight, out.bias)
+
 
 class EulerMLP(nn.Module):
     """A recurrent multilayer perceptron, the paper's "RNN" (supplement, "MLP training").

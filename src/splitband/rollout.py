@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -10,7 +10,12 @@ from torch import Tensor
 from splitband.cells import Cell
 
 
-def rollout(cell: Cell, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
+Backend = Literal["auto", "plain", "fused"]
+
+
+def rollout(
+    cell: Cell, y_warmup: Tensor, steps: int, u: Tensor | None = None, backend: Backend = "auto"
+) -> Tensor:
     """Warm up on measured samples, then simulate (paper, Eq. 9, with the start of NOTES 7).
 
     The warm-up feeds y_0..y_{R-1} and leaves h_R; the first prediction is C h_R, and each
@@ -23,6 +28,8 @@ def rollout(cell: Cell, y_warmup: Tensor, steps: int, u: Tensor | None = None) -
     steps : How many samples to simulate.
     u : Known inputs `(batch, R + steps, nu)` or longer, where the cell takes any. Row n acts on
         the step from n to n + 1, so the last row is not used.
+    backend : `"plain"` is the loop over steps, the definition. `"fused"` is a compiled kernel,
+        for cells that have a `fused_rollout`, on the CPU. `"auto"` takes the kernel where it can.
 
     Returns
     -------
@@ -31,6 +38,16 @@ def rollout(cell: Cell, y_warmup: Tensor, steps: int, u: Tensor | None = None) -
     """
     _check(cell, y_warmup, steps, u)
     warmup = y_warmup.shape[1]
+    fused = getattr(cell, "fused_rollout", None)
+    possible = fused is not None and steps > 0 and y_warmup.device.type == "cpu"
+    if backend == "fused" and not possible:
+        raise ValueError(
+            f'backend="fused" needs a cell with a kernel, the CPU and a step, got '
+            f"{type(cell).__name__} on {y_warmup.device.type} for {steps} steps"
+        )
+    if fused is not None and possible and backend != "plain":
+        simulated: Tensor = fused(y_warmup, steps, u)
+        return simulated
     past, future = (None, None) if u is None else (u[:, :warmup], u[:, warmup:])
     return free_run(cell, cell.initial_state(y_warmup, past), steps, future)[0]
 

@@ -1,0 +1,127 @@
+"""The matrix product of the kernels, for the many small products of a rollout.
+
+BLAS spends most of such a product on packing its operands and waking its threads. Here a block
+of the result stays in registers while the inner index runs. That takes LLVM instructions, since
+a loop over an array goes through memory.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from llvmlite import binding, ir
+from numba import njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+PAD = 16
+
+_VECTOR_BYTES = 64
+# Vectors by rows of a block: 16 of the 32 registers of AVX-512, or 8 of 16 half as wide. The
+# smaller ones take what is left over.
+_WIDE = ((4, (4, 1)), (2, (8, 4, 1)), (1, (8, 4, 1)))
+_BLOCKS = _WIDE if binding.get_host_cpu_features().get("avx512f") else ((1, (4, 1)),)
+
+
+@njit
+def matmul(out, a, w, accumulate):  # type: ignore[no-untyped-def]
+    """out (+)= a @ w, where rows of `out` and `w` are contiguous, a multiple of `PAD` long."""
+    _matmul(out, a, w, accumulate)
+
+
+@intrinsic
+def _matmul(typingctx, out, a, w, accumulate):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        arrays = (
+            context.make_array(kind)(context, builder, value)
+            for kind, value in zip(signature.args[:3], args[:3], strict=True)
+        )
+        item = context.get_value_type(w.dtype)
+        _Product(builder, *arrays, args[3], item, w.dtype.bitwidth // 8).emit()
+        return context.get_dummy_value()
+
+    return types.void(out, a, w, accumulate), codegen
+
+
+@dataclass(frozen=True)
+class _Product:
+    """Emits one product; rows, columns and sizes are LLVM integers unless they are `int`."""
+
+    builder: Any
+    out: Any
+    a: Any
+    w: Any
+    accumulate: Any
+    item: Any
+    item_bytes: int
+
+    @property
+    def vector(self) -> Any:
+        return ir.VectorType(self.item, _VECTOR_BYTES // self.item_bytes)
+
+    def emit(self) -> None:
+        rows, columns = cgutils.unpack_tuple(self.builder, self.out.shape)
+        j = zero = columns.type(0)
+        for width, heights in _BLOCKS:
+            n_strips, j_end = self.divide(j, columns, width * self.vector.count)
+            with cgutils.for_range(self.builder, n_strips) as strip:
+                column = self.step(j, strip.index, width * self.vector.count)
+                i = zero
+                for height in heights:
+                    n_blocks, i_end = self.divide(i, rows, height)
+                    with cgutils.for_range(self.builder, n_blocks) as block:
+                        self.block(self.step(i, block.index, height), column, height, width)
+                    i = i_end
+            j = j_end
+
+    def block(self, row: Any, column: Any, height: int, width: int) -> None:
+        count = self.vector.count
+        down = [self.step(row, row.type(r), 1) for r in range(height)]
+        across = [self.step(column, column.type(v), count) for v in range(width)]
+        zero = ir.Constant(self.vector, None)
+        sums = {(r, c): cgutils.alloca_once(self.builder, self.vector) for r in down for c in across}
+        for register in sums.values():
+            self.builder.store(zero, register)
+        inner = cgutils.unpack_tuple(self.builder, self.w.shape)[0]
+        with cgutils.for_range(self.builder, inner) as k:
+            ws = {c: self.load(self.w, k.index, c, self.vector) for c in across}
+            for r in down:
+                x = self.spread(self.load(self.a, r, k.index, self.item))
+                for c in across:
+                    self.add(sums[r, c], self.builder.fmul(x, ws[c], flags=("contract",)))
+        # What was there is added last, so that long accumulations are sums of sums.
+        with self.builder.if_then(self.accumulate):
+            for (r, c), register in sums.items():
+                self.add(register, self.load(self.out, r, c, self.vector))
+        for (r, c), register in sums.items():
+            target = self.pointer(self.out, r, c, self.vector)
+            self.builder.store(self.builder.load(register), target, align=self.item_bytes)
+
+    def divide(self, start: Any, stop: Any, length: int) -> tuple[Any, Any]:
+        """How many whole lengths fit between start and stop, and where they end."""
+        count = self.builder.sdiv(self.builder.sub(stop, start), start.type(length))
+        return count, self.step(start, count, length)
+
+    def step(self, start: Any, count: Any, length: int) -> Any:
+        return self.builder.add(start, self.builder.mul(count, start.type(length)))
+
+    def pointer(self, array: Any, row: Any, column: Any, kind: Any) -> Any:
+        strides = cgutils.unpack_tuple(self.builder, array.strides)
+        offsets = (self.builder.mul(i, s) for i, s in zip((row, column), strides, strict=True))
+        return cgutils.pointer_add(
+            self.builder, array.data, self.builder.add(*offsets), kind.as_pointer()
+        )
+
+    def load(self, array: Any, row: Any, column: Any, kind: Any) -> Any:
+        return self.builder.load(self.pointer(array, row, column, kind), align=self.item_bytes)
+
+    def spread(self, x: Any) -> Any:
+        lanes = ir.VectorType(ir.IntType(32), self.vector.count)
+        undefined = ir.Constant(self.vector, ir.Undefined)
+        first = self.builder.insert_element(undefined, x, ir.Constant(lanes.element, 0))
+        return self.builder.shuffle_vector(first, undefined, ir.Constant(lanes, None))
+
+    def add(self, register: Any, x: Any) -> None:
+        total = self.builder.fadd(self.builder.load(register), x, flags=("contract",))
+        self.builder.store(total, register)
