@@ -9,6 +9,7 @@ SOURCE = Path(splitband.__file__).parent
 
 # From the top down; each may import what stands below it.
 LAYERS = (
+    "__main__",
     "cli",
     "paper",
     "plots",
