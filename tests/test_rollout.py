@@ -13,7 +13,7 @@ from splitband.cells import GRU, Cell, EulerMLP
 from splitband.data import Trajectory
 from splitband.filters import ComplementaryPair
 from splitband.models import Model, Recurrent, Split
-from splitband.rollout import free_run, rollout
+from splitband.rollout import Backend, free_run, rollout
 from splitband.training import Settings, fit
 
 Array = npt.NDArray[Any]
@@ -58,13 +58,13 @@ class LSTM(nn.Module):
 class Free(nn.Module):
     """A rollout as a module, so that its parameters can be exchanged."""
 
-    def __init__(self, cell: nn.Module, steps: int) -> None:
+    def __init__(self, cell: nn.Module, steps: int, backend: Backend) -> None:
         super().__init__()
-        self.cell, self.steps = cell, steps
+        self.cell, self.steps, self.backend = cell, steps, backend
 
     def forward(self, y_warmup: Tensor, u: Tensor | None) -> Tensor:
         assert isinstance(self.cell, Cell)
-        return rollout(self.cell, y_warmup, self.steps, u)
+        return rollout(self.cell, y_warmup, self.steps, u, self.backend)
 
 
 def gru(ny: int = NY, nu: int = 0) -> GRU:
@@ -84,6 +84,7 @@ def lstm(ny: int = NY, nu: int = 0) -> LSTM:
 
 
 CELLS = [gru, euler_mlp, lstm]
+BACKENDS: list[Backend] = ["auto", "plain"]
 Make = Callable[..., Any]
 
 
@@ -136,7 +137,8 @@ def test_the_gru_warms_up_like_torch_s_own(nu: int) -> None:
 
 @pytest.mark.parametrize("ny", [1, NY])
 @pytest.mark.parametrize("nu", [0, NU])
-def test_a_gru_rollout_is_the_loop_of_the_notes(ny: int, nu: int) -> None:
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_gru_rollout_is_the_loop_of_the_notes(ny: int, nu: int, backend: Backend) -> None:
     cell = gru(ny, nu)
     y_warmup, u = noise(BATCH, WARMUP, ny), inputs(nu)
     measured = y_warmup.numpy()
@@ -151,12 +153,13 @@ def test_a_gru_rollout_is_the_loop_of_the_notes(ny: int, nu: int) -> None:
             y = h @ p["weight"].T + p["bias"]
             samples.append(y)
         h = written_gru_step(cell, h, np.hstack([y, known[:, n]]))
-    found = rollout(cell, y_warmup, STEPS, u).detach().numpy()
+    found = rollout(cell, y_warmup, STEPS, u, backend).detach().numpy()
     np.testing.assert_allclose(found, np.stack(samples, axis=1), atol=TIGHT, rtol=0)
 
 
 @pytest.mark.parametrize("nu", [0, NU])
-def test_an_euler_mlp_rollout_is_euler_s_method_written_out(nu: int) -> None:
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_an_euler_mlp_rollout_is_euler_s_method_written_out(nu: int, backend: Backend) -> None:
     cell = euler_mlp(nu=nu)
     y_warmup, u = noise(BATCH, WARMUP, NY), inputs(nu)
     known = np.zeros((BATCH, WARMUP + STEPS, 0)) if u is None else u.numpy()
@@ -167,7 +170,7 @@ def test_an_euler_mlp_rollout_is_euler_s_method_written_out(nu: int) -> None:
         f = written_layers(cell.dynamics, np.hstack([h, known[:, n]]), lambda x: x)
         h = h + 0.3 * f
         samples.append(h[:, :NY])
-    found = rollout(cell, y_warmup, STEPS, u).detach().numpy()
+    found = rollout(cell, y_warmup, STEPS, u, backend).detach().numpy()
     np.testing.assert_allclose(found, np.stack(samples, axis=1), atol=TIGHT, rtol=0)
 
 
@@ -269,8 +272,11 @@ def test_the_last_input_is_not_needed_and_later_ones_are_ignored(make: Make) -> 
 
 @pytest.mark.parametrize("make", CELLS)
 @pytest.mark.parametrize("nu", [0, NU])
-def test_gradients_reach_the_warmup_the_inputs_and_every_parameter(make: Make, nu: int) -> None:
-    free = Free(make(nu=nu), steps=3)
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_gradients_reach_the_warmup_the_inputs_and_every_parameter(
+    make: Make, nu: int, backend: Backend
+) -> None:
+    free = Free(make(nu=nu), 3, backend)
     names = [name for name, _ in free.named_parameters()]
     y = noise(2, WARMUP - 2, NY).requires_grad_()
     u = noise(2, WARMUP, nu, seed=1).requires_grad_() if nu else None
@@ -282,6 +288,49 @@ def test_gradients_reach_the_warmup_the_inputs_and_every_parameter(make: Make, n
 
     arguments: tuple[Tensor | None, ...] = (y, u, *free.parameters())
     assert torch.autograd.gradcheck(run, arguments, fast_mode=True)  # type: ignore[arg-type]
+
+
+class Damped(GRU):
+    def step(self, h: Tensor, y: Tensor, u: Tensor | None = None) -> Tensor:
+        return 0.5 * super().step(h, y, u)
+
+
+class Squashed(GRU):
+    def observe(self, h: Tensor) -> Tensor:
+        return torch.tanh(super().observe(h))
+
+
+def altered(how: str) -> GRU:
+    cell = GRU(NY, HIDDEN)
+    if how == "other observation":
+        cell.observation = nn.Sequential(nn.Linear(HIDDEN, NY), nn.Tanh())  # type: ignore[assignment]
+    elif how == "no bias":
+        cell.transition = nn.GRUCell(NY, HIDDEN, bias=False)
+    elif how == "hook":
+        cell.transition.register_forward_hook(lambda _, __, h: 0.5 * h)
+    else:
+        cell = {"own step": Damped, "own observe": Squashed}[how](NY, HIDDEN)
+    return cell.double()
+
+
+@pytest.mark.parametrize("how", ["own step", "own observe", "other observation", "no bias", "hook"])
+def test_the_backend_never_changes_what_an_altered_gru_predicts(how: str) -> None:
+    cell, y = altered(how), noise(BATCH, WARMUP, NY)
+    expected = rollout(cell, y, STEPS, backend="plain")
+    torch.testing.assert_close(rollout(cell, y, STEPS), expected, atol=TIGHT, rtol=0)
+
+
+def test_an_unknown_backend_is_named() -> None:
+    unknown: Any = "plian"
+    with pytest.raises(ValueError, match=r"backend must .* 'plian'"):
+        rollout(gru(), noise(BATCH, WARMUP, NY), STEPS, backend=unknown)
+
+
+@pytest.mark.parametrize(("make", "steps"), [(lstm, STEPS), (gru, 0)])
+def test_a_fused_rollout_that_there_is_not_is_refused(make: Make, steps: int) -> None:
+    cell = make()
+    with pytest.raises(ValueError, match=rf'backend="fused" needs .* {type(cell).__name__} on cpu'):
+        rollout(cell, noise(BATCH, WARMUP, NY), steps, backend="fused")
 
 
 @pytest.mark.parametrize("make", CELLS)

@@ -68,6 +68,17 @@ class GRU(nn.Module):
         """C h + c."""
         return self.observation(h)
 
+    def fusable(self) -> bool:
+        """Whether the parts are what they were built as, and nothing listens to them."""
+        cell, out = self.transition, self.observation
+        return (
+            type(cell) is nn.GRUCell
+            and type(out) is nn.Linear
+            and cell.bias
+            and out.bias is not None
+            and not any(m._forward_hooks or m._forward_pre_hooks for m in (cell, out))
+        )
+
     def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
         """What `splitband.rollout` computes step by step, in one compiled call on the CPU."""
         from splitband.kernels import gru_rollout  # noqa: PLC0415  numba loads on first use

@@ -172,6 +172,15 @@ def _solve(frequencies: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _fit_channel(y: Array, sinusoids: int | None) -> tuple[Array, Array]:
+    """Frequencies and coefficients, found in units of the signal's own range."""
+    offset, scale = float(y.mean()), float(np.ptp(y)) or 1.0
+    frequencies, coefficients = _fit_scaled((y - offset) / scale, sinusoids)
+    coefficients = coefficients * scale
+    coefficients[0] += offset
+    return frequencies, coefficients
+
+
+def _fit_scaled(y: Array, sinusoids: int | None) -> tuple[Array, Array]:
     n = len(y)
     most = min(10 if sinusoids is None else sinusoids, max((n - 2) // 3, 0))
     frequencies = np.empty(0)

@@ -6,7 +6,7 @@ NumPy in, NumPy out; torch in, torch out.
 
 from __future__ import annotations
 
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,7 @@ def check_downsampling(downsampling: int, cutoff: float, sampling_rate: float) -
     if downsampling < 1:
         raise ValueError(f"downsampling must be at least 1, got {downsampling}")
     nyquist = sampling_rate / downsampling / 2
-    if cutoff >= nyquist:
+    if not cutoff < nyquist:
         best = next((k for k in range(downsampling, 0, -1) if cutoff < sampling_rate / k / 2), None)
         advice = f"; at most {best} will do" if best else ""
         raise ValueError(
@@ -41,6 +41,8 @@ def downsample(y: Signal, k: int, offset: int = 0) -> Signal:
     """Every k-th sample from `offset` on (paper, Eq. 11)."""
     if k < 1:
         raise ValueError(f"k must be at least 1, got {k}")
+    if offset < 0:
+        raise ValueError(f"offset must not be negative, got {offset}")
     return y[offset::k] if y.ndim == 1 else y[..., offset::k, :]
 
 
@@ -57,6 +59,8 @@ def upsample(y: Signal, k: int, length: int | None = None, align: Alignment = "t
     """
     if k < 1:
         raise ValueError(f"k must be at least 1, got {k}")
+    if align not in get_args(Alignment):
+        raise ValueError(f"align must be one of {get_args(Alignment)}, got {align!r}")
     slow = y if isinstance(y, Tensor) else torch.from_numpy(np.array(y))
     slow = slow if slow.is_floating_point() else slow.double()
     if slow.ndim == 1:

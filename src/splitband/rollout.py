@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Callable
+from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor
 
 from splitband.cells import Cell
-
 
 Backend = Literal["auto", "plain", "fused"]
 
@@ -38,16 +38,17 @@ def rollout(
     """
     _check(cell, y_warmup, steps, u)
     warmup = y_warmup.shape[1]
-    fused = getattr(cell, "fused_rollout", None)
-    possible = fused is not None and steps > 0 and y_warmup.device.type == "cpu"
-    if backend == "fused" and not possible:
+    if backend not in get_args(Backend):
+        raise ValueError(f"backend must be one of {get_args(Backend)}, got {backend!r}")
+    fused = _kernel(cell, y_warmup, steps)
+    if backend == "fused" and fused is None:
         raise ValueError(
-            f'backend="fused" needs a cell with a kernel, the CPU and a step, got '
-            f"{type(cell).__name__} on {y_warmup.device.type} for {steps} steps"
+            f'backend="fused" needs a cell with a kernel, the CPU, float32 or float64 throughout '
+            f"and a step, got {type(cell).__name__} on {y_warmup.device.type} in {y_warmup.dtype} "
+            f"for {steps} steps"
         )
-    if fused is not None and possible and backend != "plain":
-        simulated: Tensor = fused(y_warmup, steps, u)
-        return simulated
+    if fused is not None and backend != "plain":
+        return fused(y_warmup, steps, u)
     past, future = (None, None) if u is None else (u[:, :warmup], u[:, warmup:])
     return free_run(cell, cell.initial_state(y_warmup, past), steps, future)[0]
 
@@ -64,6 +65,20 @@ def free_run(cell: Cell, h: Any, steps: int, u: Tensor | None = None) -> tuple[T
         y = cell.observe(h)
         samples.append(y)
     return torch.stack(samples[:steps], dim=1) if steps else y[:, None][:, :0], h
+
+
+def _kernel(cell: Cell, y_warmup: Tensor, steps: int) -> Callable[..., Tensor] | None:
+    """The cell's fused rollout where it computes what the loop would.
+
+    A subclass may step differently, so that only the class that declares a kernel is served.
+    """
+    if "fused_rollout" not in vars(type(cell)) or not cell.fusable():  # type: ignore[attr-defined]
+        return None
+    dtypes = {y_warmup.dtype, *(p.dtype for p in cell.parameters())}  # type: ignore[attr-defined]
+    served = y_warmup.device.type == "cpu" and steps > 0 and len(dtypes) == 1
+    if served and dtypes <= {torch.float32, torch.float64}:
+        return cell.fused_rollout  # type: ignore[attr-defined, no-any-return]
+    return None
 
 
 def _check(cell: Cell, y_warmup: Tensor, steps: int, u: Tensor | None) -> None:

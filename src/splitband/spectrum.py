@@ -55,7 +55,8 @@ class Spectrum:
 
 
 def periodogram(y: Array, sampling_rate: float) -> Spectrum:
-    """The periodogram of `y` `(time, ny)`, its mean removed, under a Hann window."""
+    """The periodogram of `y` `(time,)` or `(time, ny)`, mean removed, under a Hann window."""
+    y = y[:, None] if y.ndim == 1 else y
     y = y - y[:1]  # so that a constant is exactly zero, not rounding of its mean
     frequencies, density = scipy.signal.periodogram(
         y, sampling_rate, window="hann", detrend="constant", axis=0

@@ -37,7 +37,7 @@ def gru_rollout(
     weight_out: Tensor,
     bias_out: Tensor,
 ) -> Tensor:
-    """gru rollout"""
+    """Gru rollout"""
     weights = (weight_ih, weight_hh, bias_ih, bias_hh, weight_out, bias_out)
     u = y_warmup.new_empty(len(y_warmup), y_warmup.shape[1] + steps, 0) if u is None else u
     if torch.is_grad_enabled() and any(t.requires_grad for t in (y_warmup, u, *weights)):

@@ -26,7 +26,7 @@ _BLOCKS = _WIDE if binding.get_host_cpu_features().get("avx512f") else ((1, (4, 
 
 @njit
 def matmul(out, a, w, accumulate):  # type: ignore[no-untyped-def]
-    """out (+)= a @ w, where rows of `out` and `w` are contiguous, a multiple of `PAD` long."""
+    """Out (+)= a @ w, where rows of `out` and `w` are contiguous, a multiple of `PAD` long."""
     _matmul(out, a, w, accumulate)
 
 

@@ -1,0 +1,221 @@
+"""Filter design, and complementary pairs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from splitband.filters.iir import (
+    Array,
+    Signal,
+    Start,
+    check_first,
+    filtfilt,
+    lfilter,
+    normalised,
+    time_axis,
+)
+
+Band = Literal["low", "high"]
+
+
+def butterworth(
+    cutoff: float, sampling_rate: float, order: int = 1, band: Band = "low"
+) -> tuple[Array, Array]:
+    """Design a Butterworth filter; return its coefficients `(b, a)`, each `(order + 1,)`.
+
+    Parameters
+    ----------
+    cutoff : Frequency of half power in Hz, inside (0, sampling_rate / 2).
+    sampling_rate : In Hz.
+    order : At least 1.
+    band : Which side of the cut-off passes.
+
+    Raises
+    ------
+    ValueError
+        For a cut-off outside the Nyquist range, or an order so high for the cut-off that the
+        coefficients no longer describe the filter in double precision.
+    """
+    nyquist = sampling_rate / 2
+    if not sampling_rate > 0:
+        raise ValueError(f"sampling_rate must be positive, got {sampling_rate:g} Hz")
+    if not 0 < cutoff < nyquist:
+        raise ValueError(
+            f"cutoff must lie between 0 and the Nyquist frequency {nyquist:g} Hz, got {cutoff:g} Hz"
+        )
+    if order < 1:
+        raise ValueError(f"order must be at least 1, got {order}")
+    design = {"ftype": "butter", "fs": sampling_rate}
+    low, a = scipy.signal.iirfilter(order, cutoff, btype="low", **design)
+    high, _ = scipy.signal.iirfilter(order, cutoff, btype="high", **design)
+    # What passes without loss: zero frequency, z = 1, and the Nyquist frequency, z = -1.
+    for b, z in ((low, 1.0), (high, -1.0)):
+        rest = np.polyval(a, z)
+        gain = float(np.polyval(b, z) / rest) if rest else float("inf")
+        if abs(gain - 1) > 1e-6 or _largest_pole(a) >= 1:
+            raise ValueError(
+                f"order {order} is too high for a cut-off of {cutoff:g} Hz at "
+                f"{sampling_rate:g} Hz: its coefficients are lost in rounding (a gain that should "
+                f"be 1 is {gain:.3g}); lower the order or move the cut-off"
+            )
+    return (low if band == "low" else high), a
+
+
+@dataclass(frozen=True, eq=False)
+class ComplementaryPair:
+    """A low-pass and a high-pass filter that together pass everything (paper, Eqs. 3 and 7).
+
+    Use `ComplementaryPair.butterworth` or `ComplementaryPair.perfect`.
+
+    Attributes
+    ----------
+    b_low, b_high, a : Coefficients `(P + 1,)` over one common denominator, a_0 = 1.
+    sampling_rate : In Hz.
+    cutoff : In Hz, where it is known.
+    zero_phase : Whether the filters run in both directions.
+    start : How they start, see `lfilter` and `filtfilt`.
+    """
+
+    b_low: Array
+    b_high: Array
+    a: Array
+    sampling_rate: float
+    cutoff: float | None = None
+    zero_phase: bool = True
+    start: Start = "odd"
+
+    def __post_init__(self) -> None:
+        """Check the coefficients."""
+        lengths = {len(self.b_low), len(self.b_high), len(self.a)}
+        if len(lengths) > 1:
+            raise ValueError(f"b_low, b_high and a must have one length, got {sorted(lengths)}")
+        if self.start == "odd" and not self.zero_phase:
+            raise ValueError('start="odd" needs zero_phase=True; use "steady" or "zeros"')
+        _check_stable(self.a)
+
+    @classmethod
+    def butterworth(
+        cls,
+        cutoff: float,
+        sampling_rate: float,
+        order: int = 1,
+        zero_phase: bool = True,
+        start: Start | None = None,
+    ) -> ComplementaryPair:
+        """Two Butterworth filters that share a cut-off.
+
+        They satisfy |L|^2 + |H|^2 = 1, so in both directions any order adds up to the identity
+        away from the ends of a signal. One way, only order 1 does.
+
+        Parameters
+        ----------
+        cutoff, sampling_rate : In Hz.
+        order : Of each filter, one way.
+        zero_phase : Run both directions: no delay, but each output then depends on later samples.
+        start : By default `"odd"` in both directions and `"steady"` one way.
+        """
+        b_low, a = butterworth(cutoff, sampling_rate, order, "low")
+        b_high, _ = butterworth(cutoff, sampling_rate, order, "high")
+        start = start or ("odd" if zero_phase else "steady")
+        return cls(b_low, b_high, a, sampling_rate, cutoff, zero_phase, start)
+
+    @classmethod
+    def perfect(
+        cls,
+        b: npt.ArrayLike,
+        a: npt.ArrayLike,
+        sampling_rate: float,
+        band: Band = "low",
+        zero_phase: bool = False,
+        start: Start | None = None,
+        cutoff: float | None = None,
+    ) -> ComplementaryPair:
+        """Complete any stable filter with coefficients `b`, `a` to L + H = 1 (paper, Sec. 3.3).
+
+        `band` says which of the two `b` describes; the other is a - b. L + H = 1 holds one way;
+        in both directions the pair adds up to L^2 + H^2 instead.
+        """
+        b, a = normalised(b, a)
+        low, high = (b, a - b) if band == "low" else (a - b, b)
+        start = start or ("odd" if zero_phase else "steady")
+        return cls(low, high, a, sampling_rate, cutoff, zero_phase, start)
+
+    @property
+    def order(self) -> int:
+        """P, the order of each filter one way."""
+        return len(self.a) - 1
+
+    def lowpass(self, y: Signal, dim: int | None = None) -> Signal:
+        """L(y), shaped like `y`."""
+        return self._filter(self.b_low, y, dim)
+
+    def highpass(self, y: Signal, dim: int | None = None) -> Signal:
+        """H(y), shaped like `y`."""
+        return self._filter(self.b_high, y, dim)
+
+    def split(self, y: Signal, dim: int | None = None) -> tuple[Signal, Signal]:
+        """`(L(y), H(y))`, each shaped like `y`."""
+        return self.lowpass(y, dim), self.highpass(y, dim)
+
+    def combine(
+        self, *, low: Signal, high: Signal, first: Signal | None = None, dim: int | None = None
+    ) -> Signal:
+        """L(low) + H(high), the joint recurrence (paper, Eq. 7), shaped like its arguments.
+
+        One way, `first` may give the first P outputs of the sum. The recurrence is linear, so the
+        low part runs by itself and the high part starts from what it leaves of `first`: a low
+        part that does not change needs to be filtered only once.
+        """
+        if first is not None:
+            check_first(first.shape, low.shape, self.order, time_axis(low.ndim, dim))
+        low = self.lowpass(low, dim)
+        if first is None:
+            return low + self.highpass(high, dim)
+        rest = first - self._head(low, dim)
+        return low + self.highpass_from(high, rest, dim)
+
+    def highpass_from(self, y: Signal, first: Signal, dim: int | None = None) -> Signal:
+        """H(y) one way, with its first P outputs given."""
+        if self.zero_phase:
+            raise ValueError("first outputs can be given one way only (zero_phase=False)")
+        return lfilter(self.b_high, self.a, y, first=first, dim=dim)
+
+    def response(self, freqs: npt.ArrayLike) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        """The complex responses `(L, H)` at `freqs` in Hz; real squares where zero-phase."""
+        pair = [
+            scipy.signal.freqz(b, self.a, worN=np.atleast_1d(freqs), fs=self.sampling_rate)[1]
+            for b in (self.b_low, self.b_high)
+        ]
+        low, high = (abs(r) ** 2 if self.zero_phase else r for r in pair)
+        return low, high
+
+    def reconstruction_error(self, y: Signal, dim: int | None = None) -> Signal:
+        """Y - L(y) - H(y), shaped like `y`: what the pair loses, mostly at the ends."""
+        low, high = self.split(y, dim)
+        return y - low - high
+
+    def _filter(self, b: Array, y: Signal, dim: int | None) -> Signal:
+        run = filtfilt if self.zero_phase else lfilter
+        return run(b, self.a, y, start=self.start, dim=dim)
+
+    def _head(self, y: Signal, dim: int | None) -> Signal:
+        axis = time_axis(y.ndim, dim)
+        return y[(slice(None),) * (axis % y.ndim) + (slice(self.order),)]
+
+
+def _check_stable(a: Array) -> None:
+    largest = _largest_pole(a)
+    if largest >= 1:
+        raise ValueError(
+            f"the filter must be stable, its poles inside the unit circle, "
+            f"got one at |z| = {largest:.6g}"
+        )
+
+
+def _largest_pole(a: Array) -> float:
+    return float(max(abs(np.roots(a)), default=0.0))

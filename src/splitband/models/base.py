@@ -1,0 +1,191 @@
+"""What every model is: networks with tasks to learn, and components to add up."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from splitband.cells import Cell
+from splitband.data import Trajectory
+
+Signal = TypeVar("Signal", npt.NDArray[Any], Tensor)
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """What a model may know, normalised: `(time, n)` for a record, `(batch, time, n)` otherwise."""
+
+    y: Tensor
+    u: Tensor | None = None
+    y_sim: Tensor | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One network's share of the training.
+
+    Attributes
+    ----------
+    name : For messages and loss curves.
+    network : Whose parameters are trained.
+    known : What windows are cut from, aligned with the record.
+    target : What the output is compared with, `(time, ny)`, aligned with the record.
+    simulate : Maps what is known of a batch of windows, `y` over the warm-up only, and a number
+        of samples to the network's share of them, `(batch, samples, ny)`.
+    stride : The output holds every `stride`-th sample, the first right after the warm-up.
+    """
+
+    name: str
+    network: nn.Module
+    known: Signals
+    target: Tensor
+    simulate: Callable[[Signals, int], Tensor]
+    stride: int = 1
+
+
+class Model(nn.Module, ABC):
+    """A simulator learned from a record; subclasses say what its components are.
+
+    Parameters
+    ----------
+    ny, nu : Measured channels and known inputs.
+    """
+
+    y_mean: Tensor
+    y_std: Tensor
+    u_mean: Tensor
+    u_std: Tensor
+
+    def __init__(self, ny: int, nu: int) -> None:
+        super().__init__()
+        self.ny, self.nu = ny, nu
+        for name, size in (("y", ny), ("u", nu)):
+            self.register_buffer(f"{name}_mean", torch.zeros(size, dtype=torch.float64))
+            self.register_buffer(f"{name}_std", torch.ones(size, dtype=torch.float64))
+
+    @abstractmethod
+    def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
+        """The parts of a simulation, to be added: `steps` samples after the warm-up `known.y`."""
+
+    @abstractmethod
+    def tasks(self, record: Signals) -> list[Task]:
+        """What each network has to learn from a normalised record."""
+
+    def simulate(
+        self,
+        y_warmup: Signal,
+        steps: int,
+        u: Signal | None = None,
+        y_sim: Signal | None = None,
+    ) -> Signal:
+        """Run free for `steps` samples after a measured warm-up.
+
+        Parameters
+        ----------
+        y_warmup : Measured samples `(R,)`, `(R, ny)` or `(batch, R, ny)`, NumPy or torch.
+        steps : How many samples to simulate.
+        u : Known inputs over warm-up and simulation, `(R + steps, nu)`, with a batch if y has one.
+        y_sim : A simulator's output over warm-up and simulation, shaped like y, where one is used.
+
+        Returns
+        -------
+        Signal
+            Shaped like `y_warmup`, with `steps` samples; in its units, dtype and device.
+        """
+        parts = list(self.simulate_components(y_warmup, steps, u, y_sim).values())
+        total = parts[0]
+        for part in parts[1:]:
+            total = total + part
+        return total
+
+    def simulate_components(
+        self,
+        y_warmup: Signal,
+        steps: int,
+        u: Signal | None = None,
+        y_sim: Signal | None = None,
+    ) -> dict[str, Signal]:
+        """The parts that `simulate` adds up, by name; the first one carries the record's mean."""
+        known = self._normalised(y_warmup, steps, u, y_sim)
+        if isinstance(y_warmup, Tensor):
+            parts = self.components(known, steps)
+        else:
+            with torch.no_grad():
+                parts = self.components(known, steps)
+        units: dict[str, Signal] = {}
+        for name, part in parts.items():
+            value = part.double() * self.y_std + (self.y_mean if not units else 0.0)
+            value = value.reshape(*y_warmup.shape[:-2], steps, self.ny)
+            value = value[:, 0] if y_warmup.ndim == 1 else value
+            units[name] = value.to(y_warmup) if isinstance(y_warmup, Tensor) else value.numpy()
+        return units
+
+    def adapt_to(self, trajectory: Trajectory, normalize: bool = True) -> None:
+        """Take from a training record what is not learned by gradient: here, the units.
+
+        With `normalize`, that is the mean and the standard deviation of each channel.
+        """
+        if not normalize:
+            return
+        for name, values in (("y", trajectory.y), ("u", trajectory.u)):
+            if values is not None:
+                # Rounding gives a constant a tiny deviation, so that its range decides.
+                spread = np.where(np.ptp(values, axis=0) > 0, values.std(axis=0), 1.0)
+                getattr(self, f"{name}_mean").copy_(torch.from_numpy(values.mean(axis=0)))
+                getattr(self, f"{name}_std").copy_(torch.from_numpy(spread))
+
+    def normalised(self, trajectory: Trajectory) -> Signals:
+        """The signals of a record as the networks see them, each `(time, n)`."""
+        u, y_sim = trajectory.u, trajectory.y_sim
+        return Signals(
+            self._to_network(trajectory.y, "y"),
+            self._to_network(u, "u") if self.nu and u is not None else None,
+            None if y_sim is None else self._to_network(y_sim, "y"),
+        )
+
+    def _normalised(
+        self, y_warmup: Signal, steps: int, u: Signal | None, y_sim: Signal | None
+    ) -> Signals:
+        if steps < 1:
+            raise ValueError(f"steps must be at least 1, got {steps}")
+        total = (y_warmup.shape[0] if y_warmup.ndim == 1 else y_warmup.shape[-2]) + steps
+        if bool(self.nu) != (u is not None):
+            raise ValueError(f"u must be given exactly where the model has inputs, nu = {self.nu}")
+        return Signals(
+            self._batch(y_warmup, "y_warmup", self.ny, 1),
+            None if u is None else self._batch(u, "u", self.nu, total),
+            None if y_sim is None else self._batch(y_sim, "y_sim", self.ny, total),
+        )
+
+    def _batch(self, x: Signal, name: str, channels: int, samples: int) -> Tensor:
+        """Bring `(time,)`, `(time, n)` or `(batch, time, n)` to a normalised batch."""
+        shape = tuple(x.shape)
+        x = x[:, None] if x.ndim == 1 else x
+        x = x[None] if x.ndim == 2 else x
+        if x.ndim != 3 or x.shape[-1] != channels or x.shape[1] < samples:
+            raise ValueError(
+                f"{name} must have {channels} channel(s) and at least {samples} sample(s), shape "
+                f"(time, {channels}) or (batch, time, {channels}), got {shape}"
+            )
+        return self._to_network(x, "u" if name == "u" else "y")
+
+    def _to_network(self, x: npt.NDArray[Any] | Tensor, kind: str) -> Tensor:
+        # In float64 first: a large offset would use up the digits of a float32.
+        mean, std = getattr(self, f"{kind}_mean"), getattr(self, f"{kind}_std")
+        x = x if isinstance(x, Tensor) else torch.from_numpy(np.array(x, dtype=np.float64))
+        values = x.to(mean)
+        return ((values - mean) / std).to(next(self.parameters()).dtype)
+
+
+def as_module(cell: Cell) -> nn.Module:
+    """The cell as what is trained; raises TypeError where it is none."""
+    if not isinstance(cell, nn.Module):
+        raise TypeError(f"a cell must be an nn.Module, got {type(cell).__name__}")
+    return cell
