@@ -67,11 +67,11 @@ def inner_imports(path: Path) -> set[str]:
 FILES = sorted(p for p in SOURCE.rglob("*.py") if p.parent != SOURCE or p.name != "__init__.py")
 
 
-def test_every_module_has_a_layer():
+def test_every_module_has_a_layer() -> None:
     assert {module_of(p) for p in FILES} == set(LAYERS)
 
 
-def test_imports_point_downwards():
+def test_imports_point_downwards() -> None:
     upward = [
         f"{path.relative_to(SOURCE)} imports {name}"
         for path in FILES
@@ -81,7 +81,7 @@ def test_imports_point_downwards():
     assert not upward
 
 
-def test_leaves_import_nothing_from_the_package():
+def test_leaves_import_nothing_from_the_package() -> None:
     grown = {
         module_of(path): inner_imports(path) - {module_of(path)}
         for path in FILES
@@ -90,7 +90,7 @@ def test_leaves_import_nothing_from_the_package():
     assert not any(grown.values()), grown
 
 
-def test_heavy_libraries_are_imported_in_one_place():
+def test_heavy_libraries_are_imported_in_one_place() -> None:
     strayed = [
         f"{path.relative_to(SOURCE)} imports {library}"
         for path in FILES
@@ -101,7 +101,7 @@ def test_heavy_libraries_are_imported_in_one_place():
     assert not strayed
 
 
-def test_only_the_command_line_prints():
+def test_only_the_command_line_prints() -> None:
     printing = [
         str(path.relative_to(SOURCE))
         for path in FILES

@@ -1,8 +1,10 @@
 """What models promise: no look into the future, parts that add up, units that do not matter."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import scipy.signal
 import torch
@@ -25,7 +27,7 @@ from splitband import (
 from splitband.comparison import predict, run
 from splitband.filters import butterworth
 from splitband.methods import METHODS, TRAINED, Setup, build
-from splitband.models import Signals
+from splitband.models import Model, Signals
 
 DT, WARMUP, TRAIN, LENGTH = 0.1, 12, 90, 140
 QUICK = Settings(window=40, warmup=WARMUP, epochs=1, batch_size=16)
@@ -42,7 +44,12 @@ def record(ny: int = 1, nu: int = 0, seed: int = 0) -> Trajectory:
     return Trajectory(y + 0.05 * rng.standard_normal(y.shape), DT, u=u, y_sim=y_sim)
 
 
-def trained(method: str, trajectory: Trajectory):
+def y_sim_of(trajectory: Trajectory) -> npt.NDArray[np.float64]:
+    assert trajectory.y_sim is not None
+    return trajectory.y_sim
+
+
+def trained(method: str, trajectory: Trajectory) -> Model:
     model = build(method, trajectory, SETUP, seed=1)
     fit(model, trajectory[:TRAIN], SETUP.settings, seed=1)
     return model
@@ -61,7 +68,9 @@ def with_other_future(trajectory: Trajectory, start: int, index: int, value: flo
 @pytest.mark.parametrize("method", MODELS)
 @settings(max_examples=10, deadline=None)
 @given(index=st.integers(0, LENGTH), value=st.floats(-1e3, 1e3))
-def test_a_prediction_ignores_every_sample_after_the_warm_up(method, protocol, index, value):
+def test_a_prediction_ignores_every_sample_after_the_warm_up(
+    method: Any, protocol: Any, index: Any, value: Any
+) -> None:
     begin, start = protocol
     altered = with_other_future(record(), start, index, value)
     expected = predict(MODELS[method], record(), begin, start)
@@ -70,7 +79,7 @@ def test_a_prediction_ignores_every_sample_after_the_warm_up(method, protocol, i
 
 
 @pytest.mark.parametrize("method", [m for m in METHODS if "rnn" not in m])
-def test_no_method_learns_from_samples_after_the_training_part(method):
+def test_no_method_learns_from_samples_after_the_training_part(method: Any) -> None:
     altered = with_other_future(record(), TRAIN, 17, 25.0)
     expected, found = (run(method, r, SETUP, seed=0) for r in (record(), altered))
     np.testing.assert_array_equal(found.forecast, expected.forecast)
@@ -78,46 +87,46 @@ def test_no_method_learns_from_samples_after_the_training_part(method):
 
 
 @pytest.mark.parametrize("method", MODELS)
-def test_components_add_up_to_the_simulation(method):
+def test_components_add_up_to_the_simulation(method: Any) -> None:
     r = record()
-    whole = MODELS[method].simulate(r.y[:WARMUP], 50, y_sim=r.y_sim)
-    parts = MODELS[method].simulate_components(r.y[:WARMUP], 50, y_sim=r.y_sim)
+    whole = MODELS[method].simulate(r.y[:WARMUP], 50, y_sim=y_sim_of(r))
+    parts = MODELS[method].simulate_components(r.y[:WARMUP], 50, y_sim=y_sim_of(r))
     np.testing.assert_allclose(sum(parts.values()), whole, atol=1e-12)
 
 
 @pytest.mark.parametrize("method", TRAINED)
 @pytest.mark.parametrize(("ny", "nu"), [(1, 2), (3, 0), (2, 1)])
-def test_channels_and_inputs_of_any_number(method, ny, nu):
+def test_channels_and_inputs_of_any_number(method: Any, ny: Any, nu: Any) -> None:
     r = record(ny, nu)
     model = build(method, r, SETUP, seed=0)
     u = None if r.u is None else r.u
-    y = model.simulate(r.y[:WARMUP], 30, u, r.y_sim)
+    y = model.simulate(r.y[:WARMUP], 30, u, y_sim_of(r))
     assert y.shape == (30, ny)
     assert np.isfinite(y).all()
 
 
 @pytest.mark.parametrize("method", MODELS)
-def test_a_batch_is_simulated_like_each_of_its_members(method):
+def test_a_batch_is_simulated_like_each_of_its_members(method: Any) -> None:
     members = [record(seed=s) for s in range(3)]
     y = np.stack([r.y[:WARMUP] for r in members])
-    y_sim = np.stack([r.y_sim for r in members])
+    y_sim = np.stack([y_sim_of(r) for r in members])
     together = MODELS[method].simulate(y, 40, y_sim=y_sim)
     for r, found in zip(members, together, strict=True):
-        alone = MODELS[method].simulate(r.y[:WARMUP], 40, y_sim=r.y_sim)
+        alone = MODELS[method].simulate(r.y[:WARMUP], 40, y_sim=y_sim_of(r))
         np.testing.assert_allclose(found, alone, atol=1e-5)
 
 
 @pytest.mark.parametrize("method", MODELS)
-def test_units_do_not_matter(method):
+def test_units_do_not_matter(method: Any) -> None:
     r = record()
-    other = replace(r, y=1e3 * r.y + 5e6, y_sim=1e3 * r.y_sim + 5e6)
+    other = replace(r, y=1e3 * r.y + 5e6, y_sim=1e3 * y_sim_of(r) + 5e6)
     expected = predict(trained(method, r), r, 0, WARMUP)
     found = predict(trained(method, other), other, 0, WARMUP)
     total, total_other = (sum(p.values()) for p in (expected, found))
     np.testing.assert_allclose((total_other - 5e6) / 1e3, total, atol=2e-3)
 
 
-def test_one_dimensional_and_torch_signals_come_back_as_they_went_in():
+def test_one_dimensional_and_torch_signals_come_back_as_they_went_in() -> None:
     model = MODELS["split-gru"]
     y = record().y[:WARMUP]
     flat = model.simulate(y[:, 0], 9)
@@ -128,13 +137,13 @@ def test_one_dimensional_and_torch_signals_come_back_as_they_went_in():
     np.testing.assert_array_equal(tensor.detach().numpy()[0, :, 0], flat)
 
 
-def test_the_bands_of_the_split_model_add_up_to_the_record_at_its_ends_too():
+def test_the_bands_of_the_split_model_add_up_to_the_record_at_its_ends_too() -> None:
     known = Signals(torch.tensor(record().y[:TRAIN]))
     low, high = build("split-gru", record(), SETUP, seed=0).double().tasks(known)
     torch.testing.assert_close(low.target + high.target, known.y, rtol=0, atol=1e-12)
 
 
-def test_the_low_network_predicts_the_samples_it_is_up_sampled_to():
+def test_the_low_network_predicts_the_samples_it_is_up_sampled_to() -> None:
     """A network that knows the low band exactly gives it back, up to linear interpolation."""
     t = torch.arange(400, dtype=torch.float64)[:, None]
     slow = torch.sin(2 * torch.pi * t / 200)
@@ -174,7 +183,9 @@ def _filtered(script: Tensor, order: int) -> Filtered:
 
 @pytest.mark.parametrize("order", [1, 2, 3])
 @pytest.mark.parametrize("slow", ["constant", "ramp"])
-def test_the_low_band_of_the_network_cannot_move_the_hybrid_prediction(order, slow):
+def test_the_low_band_of_the_network_cannot_move_the_hybrid_prediction(
+    order: Any, slow: Any
+) -> None:
     """What reaches the result is the high-pass filter's response to what was added, no more."""
     steps, warmup = 1500, 20
     n = torch.arange(steps, dtype=torch.float64)[:, None]
@@ -183,7 +194,10 @@ def test_the_low_band_of_the_network_cannot_move_the_hybrid_prediction(order, sl
     y_sim = torch.sin(2 * torch.pi * torch.arange(warmup + steps).double() / 300)[None, :, None]
     known = Signals(y_sim[:, :warmup] + 0.1, y_sim=y_sim)
     without, with_added = (
-        sum(_filtered(script, order).components(known, steps).values())[0, :, 0].detach().numpy()
+        torch.stack([*_filtered(script, order).components(known, steps).values()])
+        .sum(dim=0)[0, :, 0]
+        .detach()
+        .numpy()
         for script in (detail, detail + added)
     )
     pair = _filtered(detail, order).pair
@@ -196,30 +210,30 @@ def test_the_low_band_of_the_network_cannot_move_the_hybrid_prediction(order, sl
     assert settled < bound
 
 
-def test_the_hybrid_prediction_goes_on_from_the_last_measured_sample():
+def test_the_hybrid_prediction_goes_on_from_the_last_measured_sample() -> None:
     """H + L = 1: a network and a simulator that both know the signal reproduce it."""
     t = torch.arange(300, dtype=torch.float64)
     y = (torch.sin(t / 15) + 0.3 * torch.sin(t / 2))[:, None]
     known = Signals(y[None, :50], y_sim=y[None])
-    found = sum(_filtered(y[50:], order=1).components(known, 250).values())
-    torch.testing.assert_close(found[0], y[50:], rtol=0, atol=1e-12)
+    low, high = _filtered(y[50:], order=1).components(known, 250).values()
+    torch.testing.assert_close((low + high)[0], y[50:], rtol=0, atol=1e-12)
 
 
-def test_calibration_finds_gain_and_offset_on_the_training_samples():
+def test_calibration_finds_gain_and_offset_on_the_training_samples() -> None:
     r = record(ny=2)
-    off = replace(r, y=r.y_sim * [2.0, -0.5] + [3.0, 100.0])
+    off = replace(r, y=y_sim_of(r) * np.array([2.0, -0.5]) + np.array([3.0, 100.0]))
     model = Residual(GRU(2, 3), calibrate=True)
     model.adapt_to(off[:TRAIN])
     known = model.normalised(off)
     torch.testing.assert_close(model._calibrated(known), known.y, rtol=0, atol=1e-4)
 
 
-def test_the_residual_model_adds_its_network_to_the_simulator():
+def test_the_residual_model_adds_its_network_to_the_simulator() -> None:
     r = record()
     script = torch.linspace(-1, 1, 60, dtype=torch.float64)[:, None]
     model = Residual(_Scripted(script, 0)).double()
-    y = model.simulate(r.y[:WARMUP], 60, y_sim=r.y_sim)
-    np.testing.assert_allclose(y, r.y_sim[WARMUP : WARMUP + 60] + script.numpy(), atol=1e-12)
+    y = model.simulate(r.y[:WARMUP], 60, y_sim=y_sim_of(r))
+    np.testing.assert_allclose(y, y_sim_of(r)[WARMUP : WARMUP + 60] + script.numpy(), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -249,6 +263,6 @@ def test_the_residual_model_adds_its_network_to_the_simulator():
         (lambda: EulerMLP(ny=3, state_size=2), "state_size must be at least ny = 3, got 2"),
     ],
 )
-def test_errors_name_the_argument_and_the_value(call, message):
+def test_errors_name_the_argument_and_the_value(call: Any, message: Any) -> None:
     with pytest.raises(ValueError, match=message):
         call()

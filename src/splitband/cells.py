@@ -70,14 +70,7 @@ class GRU(nn.Module):
 
     def fusable(self) -> bool:
         """Whether the parts are what they were built as, and nothing listens to them."""
-        cell, out = self.transition, self.observation
-        return (
-            type(cell) is nn.GRUCell
-            and type(out) is nn.Linear
-            and cell.bias
-            and out.bias is not None
-            and not any(m._forward_hooks or m._forward_pre_hooks for m in (cell, out))
-        )
+        return _are_plain((self.transition, nn.GRUCell), (self.observation, nn.Linear))
 
     def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
         """What `splitband.rollout` computes step by step, in one compiled call on the CPU."""
@@ -162,6 +155,35 @@ class EulerMLP(nn.Module):
     def observe(self, h: Tensor) -> Tensor:
         """The first `ny` entries of h."""
         return h[:, : self.ny]
+
+    def fusable(self) -> bool:
+        """Whether the parts are what they were built as, and nothing listens to them."""
+        kinds = (nn.Linear, nn.Tanh, nn.Linear, nn.Tanh, nn.Linear)
+        return len(self.dynamics) == len(kinds) and _are_plain(
+            (self.dynamics, nn.Sequential), *zip(self.dynamics.children(), kinds, strict=True)
+        )
+
+    def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
+        """What `splitband.rollout` computes step by step, in one compiled call on the CPU."""
+        from splitband.kernels import euler_rollout  # noqa: PLC0415  numba loads on first use
+
+        warmup = y_warmup.shape[1]
+        past, future = (None, None) if u is None else (u[:, :warmup], u[:, warmup:])
+        h = self.initial_state(y_warmup, past)
+        weights = (p for layer in self.dynamics.children() for p in layer.parameters())
+        return euler_rollout(h, steps, self.ny, self.step_size, future, *weights)
+
+
+def _are_plain(*modules: tuple[nn.Module, type[nn.Module]]) -> bool:
+    """Whether each module is of exactly its type, has its biases, and no hooks."""
+    return all(
+        type(module) is kind
+        and getattr(module, "bias", True) is not None
+        and getattr(module, "bias", True) is not False
+        and not module._forward_hooks
+        and not module._forward_pre_hooks
+        for module, kind in modules
+    )
 
 
 def _check_sizes(nu: int, **sizes: int) -> None:

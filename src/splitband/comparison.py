@@ -11,8 +11,9 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
-from queue import Queue
+from multiprocessing.queues import SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -192,23 +193,23 @@ def _run_in_processes(
     progress: Callable[[RunProgress], None] | None,
 ) -> list[Run]:
     context = multiprocessing.get_context("spawn")
-    with context.Manager() as manager:
-        queue: Queue[RunProgress | None] = manager.Queue()
-        listener = threading.Thread(target=_forward, args=(queue, progress), daemon=True)
-        listener.start()
-        workers = min(jobs, len(todo))
-        pool = ProcessPoolExecutor(workers, context, _start_worker, (queue,))
-        try:
-            futures = [pool.submit(_work, record, m, setup, s) for m, s in todo]
-            return [future.result() for future in as_completed(futures)]
-        finally:
-            pool.shutdown(cancel_futures=True)
-            queue.put(None)
-            listener.join()
+    queue: SimpleQueue[RunProgress | None] = context.SimpleQueue()
+    listener = threading.Thread(target=_forward, args=(queue, progress), daemon=True)
+    listener.start()
+    pool = ProcessPoolExecutor(min(jobs, len(todo)), context, _start_worker, (queue,))
+    try:
+        futures = [pool.submit(_work, record, m, setup, s) for m, s in todo]
+        return [future.result() for future in as_completed(futures)]
+    except BrokenProcessPool:
+        raise OSError("a training process was ended from outside, perhaps for memory") from None
+    finally:
+        pool.shutdown(cancel_futures=True)
+        queue.put(None)
+        listener.join()
 
 
 def _forward(
-    queue: Queue[RunProgress | None], progress: Callable[[RunProgress], None] | None
+    queue: SimpleQueue[RunProgress | None], progress: Callable[[RunProgress], None] | None
 ) -> None:
     while (at := queue.get()) is not None:
         if progress is not None:

@@ -50,6 +50,12 @@ class Setup:
     step_size: float = 0.1
     overrides: Mapping[str, Settings] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """Check sizes."""
+        for name in ("order", "downsampling", "hidden_high", "hidden_low", "state_size"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+
     def settings_of(self, method: str) -> Settings:
         """How a method is trained."""
         return self.overrides.get(method.removesuffix(CALIBRATED), self.settings)
@@ -162,14 +168,28 @@ def check(record: Trajectory, methods: Sequence[str], setup: Setup) -> None:
     if unknown or not methods:
         raise ValueError(f"methods must be out of {', '.join(METHODS)}, got {', '.join(unknown)}")
     check_train(record, setup.train)
-    if setup.settings.window > setup.train:
-        raise ValueError(
-            f"window must fit into the {setup.train} training samples, got {setup.settings.window}"
-        )
     for method in methods:
-        if method in TRAINED:
-            build(method, record, setup, seed=0)
-        check_simulator(method, record)
+        check_method(method, record, setup)
+
+
+def check_method(method: str, record: Trajectory, setup: Setup) -> None:
+    """Find what is wrong with one method's setup."""
+    butterworth(setup.cutoff, record.sampling_rate, setup.order)
+    check_simulator(method, record)
+    if method not in TRAINED:
+        return
+    settings = setup.settings_of(method)
+    if settings.window > setup.train:
+        raise ValueError(
+            f"window must fit into the {setup.train} training samples, got {settings.window}"
+        )
+    build(method, record, setup, seed=0)
+    shortest = 3 * (setup.order + 1) if method.startswith("split") else setup.order - 1
+    if settings.warmup <= shortest:
+        raise ValueError(
+            f"warmup must have more than {shortest} samples for filters of order {setup.order}, "
+            f"got {settings.warmup}"
+        )
 
 
 def check_simulator(method: str, record: Trajectory) -> None:

@@ -52,14 +52,14 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
             ax.axvline(record.time[end], color="0.4", ls=":", lw=1)
             ax.set_title(f"{name}   RMSE {_spread(errors)}", fontsize=9, loc="left", pad=3)
             ax.margins(x=0.01)
-        axes[0].set_ylabel(record.columns[channel])
+        axes[0].set_ylabel(_literal(record.columns[channel]))
     limits = _limits(record.y)
     grid[0, 0].set_ylim(*limits)
     for ax in grid[-1]:
         ax.set_xlabel("time (s)")
     figure.suptitle(
-        f"{record.name}: free runs (colour, seed {next(iter(runs.values()))[0].seed}) over the "
-        "record (grey)\nleft: from the start; right: forecast from the end of the training part "
+        f"{_literal(record.name)}: free runs (colour, first seed) over the record (grey)\n"
+        "left: from the start; right: forecast from the end of the training part "
         "(dotted line); shaded: warm-up",
         fontsize=10,
     )
@@ -81,7 +81,7 @@ def components(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
         ax.axvspan(record.time[0], record.time[start - 1], color="0.93", zorder=0)
         ax.axvline(record.time[setup.train], color="0.4", ls=":", lw=1)
         ax.set_title(f"{name}: components before they are added", fontsize=9, loc="left", pad=3)
-        ax.set_ylabel(record.columns[channel])
+        ax.set_ylabel(_literal(record.columns[channel]))
         ax.margins(x=0.01)
         ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     grid[-1].set_xlabel("time (s)")
@@ -109,9 +109,9 @@ def errors(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
         settled = [line.get_ydata()[10:] for line in ax.lines if len(line.get_ydata()) > 20]
         ax.set_ylim(bottom=0.7 * min((y.min() for y in settled), default=1e-3))
         ax.yaxis.set_major_formatter("{x:g}")
-        ax.set_title(f"{record.name}, {title}", fontsize=10)
+        ax.set_title(f"{_literal(record.name)}, {title}", fontsize=10)
         ax.set_xlabel("time (s)")
-        ax.set_ylabel("RMSE since the warm-up, $e_n$")
+        ax.set_ylabel("RMSE since the warm-up (e_n)")
         ax.grid(True, which="both", color="0.93", lw=0.6)
     ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1))
     return figure
@@ -131,7 +131,7 @@ def spectrum(record: Trajectory, found: Spectrum, cutoff: float | None) -> Figur
         simulated = periodogram(record.y_sim, record.sampling_rate)
         frequencies, agreement = coherence(record.y, record.y_sim, record.sampling_rate)
         for i, name in enumerate(record.columns):
-            label = f"simulator's {name}"
+            label = f"simulator's {_literal(name)}"
             style = {"color": _PALETTE[-1 - i % len(_PALETTE)], "lw": 1.0}
             axes[0].loglog(
                 simulated.frequencies[1:], simulated.density[1:, i], label=label, **style
@@ -145,7 +145,7 @@ def spectrum(record: Trajectory, found: Spectrum, cutoff: float | None) -> Figur
         label = f"cut-off {cutoff:.4g} Hz: {share:.1%} of the power below"
         for ax in axes:
             ax.axvline(cutoff, color="#D55E00", ls="--", lw=1.2, label=label)
-    axes[0].set_title(f"{record.name}: spectrum", fontsize=10)
+    axes[0].set_title(f"{_literal(record.name)}: spectrum", fontsize=10)
     axes[0].legend(fontsize=8, loc="lower left")
     axes[-1].set_xlabel("frequency (Hz)")
     axes[-1].xaxis.set_major_formatter("{x:g}")
@@ -154,9 +154,12 @@ def spectrum(record: Trajectory, found: Spectrum, cutoff: float | None) -> Figur
 
 def _draw_spectrum(ax: Axes, record: Trajectory, found: Spectrum) -> None:
     for name, density in zip(record.columns, found.density.T, strict=True):
-        ax.loglog(found.frequencies[1:], np.maximum(density[1:], 1e-300), lw=1, label=name)
+        ax.loglog(
+            found.frequencies[1:], np.maximum(density[1:], 1e-300), lw=1, label=_literal(name)
+        )
     top = found.density[1:].max()
-    ax.set_ylim(max(found.density[1:].min(), top * 1e-9), top * 3)
+    if top > 0:
+        ax.set_ylim(max(found.density[1:].min(), top * 1e-9), top * 3)
     ax.set_ylabel("power spectral density (squared units per Hz)")
     ax.grid(True, which="both", color="0.93", lw=0.6)
 
@@ -167,6 +170,11 @@ def _from_start(run: Run) -> Array:
 
 def _forecast(run: Run) -> Array:
     return run.forecast
+
+
+def _literal(name: str) -> str:
+    """A user's name, whose dollar signs are not for formulas."""
+    return name.replace("$", r"\$")
 
 
 def _draw_record(ax: Axes, record: Trajectory, channel: int, begin: int) -> None:

@@ -41,7 +41,7 @@ def predictions(record: Trajectory, runs: Mapping[str, Sequence[Run]]) -> pd.Dat
 
     One column for each channel, method and protocol, empty before a prediction begins.
     """
-    table = {"time": record.time}
+    table = {time_header(record.columns): record.time}
     for i, column in enumerate(record.columns):
         table[column] = record.y[:, i]
         for name, of_method in runs.items():
@@ -51,6 +51,11 @@ def predictions(record: Trajectory, runs: Mapping[str, Sequence[Run]]) -> pd.Dat
                 values[len(record) - len(predicted) :] = predicted[:, i]
                 table[f"{column}, {name}, {protocol}"] = values
     return pd.DataFrame(table)
+
+
+def time_header(columns: Sequence[str]) -> str:
+    """The name of the time column beside `columns`."""
+    return "time (s)" if "time" in columns else "time"
 
 
 def environment() -> dict[str, Any]:

@@ -77,7 +77,7 @@ def _kernel(cell: Cell, y_warmup: Tensor, steps: int) -> Callable[..., Tensor] |
     dtypes = {y_warmup.dtype, *(p.dtype for p in cell.parameters())}  # type: ignore[attr-defined]
     served = y_warmup.device.type == "cpu" and steps > 0 and len(dtypes) == 1
     if served and dtypes <= {torch.float32, torch.float64}:
-        return cell.fused_rollout  # type: ignore[attr-defined, no-any-return]
+        return cell.fused_rollout  # type: ignore[attr-defined]
     return None
 
 

@@ -213,6 +213,7 @@ def run(
     ny: int = 1,
     timeout: float | None = None,
     cache: str | Path | None = None,
+    name: str | None = None,
 ) -> Array:
     """Call a simulator and check what it returns.
 
@@ -224,6 +225,7 @@ def run(
     timeout : Seconds to wait; what runs on then is left behind in a thread.
     cache : Folder to keep trajectories in, for a simulator that has a `fingerprint()`: a string
         that changes with whatever its trajectory depends on.
+    name : What messages call the simulator, by default its class.
 
     Returns
     -------
@@ -236,7 +238,7 @@ def run(
         When the simulator raises, takes too long, or returns another shape or NaN. The message
         names the simulator.
     """
-    name = type(simulator).__name__
+    name = name or type(simulator).__name__
     stored = _cache_file(simulator, (samples, sampling_time, ny), cache)
     if stored is not None and stored.is_file():
         return np.asarray(np.load(stored, allow_pickle=False))
@@ -249,7 +251,7 @@ def run(
         y = np.asarray(found, float)
     except TimeoutError:
         raise ValueError(f"simulator {name} has not returned within {timeout:g} s") from None
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ValueError(
             f"simulator {name} failed on {samples} samples every {sampling_time:g} s: "
             f"{type(error).__name__}: {error}"
@@ -292,12 +294,12 @@ def _within(timeout: float | None, call: Callable[[], Any]) -> Any:
     def work() -> None:
         try:
             outcome.extend((True, call()))
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             outcome.extend((False, error))
 
     thread = threading.Thread(target=work, daemon=True)
     thread.start()
-    thread.join(timeout)
+    thread.join(min(timeout, threading.TIMEOUT_MAX))
     if not outcome:
         raise TimeoutError
     returned, value = outcome

@@ -70,8 +70,11 @@ def coherence(y: Array, y_sim: Array, sampling_rate: float) -> tuple[Array, Arra
     Welch's estimate over eighths of the record, half overlapping.
     """
     segment = max(8, len(y) // 8)
-    frequencies, found = scipy.signal.coherence(y, y_sim, sampling_rate, nperseg=segment, axis=0)
-    return frequencies, found
+    with np.errstate(invalid="ignore", divide="ignore"):
+        frequencies, found = scipy.signal.coherence(
+            y, y_sim, sampling_rate, nperseg=segment, axis=0
+        )
+    return frequencies, np.nan_to_num(found)  # a band without power agrees with nothing
 
 
 @dataclass(frozen=True)
@@ -110,6 +113,8 @@ def default_cutoff(y: Array, sampling_rate: float, downsampling: int, share: flo
     It is kept under 0.8 of the Nyquist frequency after down-sampling, and above three cycles of
     the record, below which nothing could be learned.
     """
+    if downsampling < 1:
+        raise ValueError(f"downsampling must be at least 1, got {downsampling}")
     spectrum = periodogram(y, sampling_rate)
     power = spectrum._power()
     if not power.any():

@@ -46,6 +46,9 @@ class Settings:
                 f"window must be longer than the warm-up of {self.warmup} samples, "
                 f"got {self.window}"
             )
+        for epoch, _ in self.milestones:
+            if epoch < 0:
+                raise ValueError(f"milestones must be at epochs from 0 on, got {epoch}")
         for rate in (self.learning_rate, *(rate for _, rate in self.milestones)):
             if not 0 < rate < float("inf"):
                 raise ValueError(f"learning rates must be positive, got {rate}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 
 import typer
@@ -29,21 +30,34 @@ app.add_typer(inspecting.data, name="data")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; bad input is one line on the error stream and exit status 2."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
     try:
         status = typer.main.get_command(app).main(
-            None if arguments is None else list(arguments),
-            prog_name="splitband",
-            standalone_mode=False,
+            given, prog_name="splitband", standalone_mode=False
         )
     except TyperException as error:
-        return _complain(error.format_message())
+        # Called without a command it has printed the help, and has nothing else to say.
+        nothing = f"a command must be given: {' '.join(['splitband', *given])} COMMAND"
+        return _complain((error.format_message().strip() or nothing) + _value(error, given))
     except (ValueError, OSError, FloatingPointError) as error:
         return _complain(_in_one_line(error))
     return status if isinstance(status, int) else 0
 
 
+def _value(error: TyperException, given: Sequence[str]) -> str:
+    """What an option was given that the message does not repeat."""
+    names = getattr(getattr(error, "param", None), "opts", [])
+    values = ""
+    for word, following in zip(given, [*given[1:], ""], strict=True):
+        name, _, value = word.partition("=")
+        if name in names:
+            values = f", got {value or following}"
+    return values
+
+
 def _complain(message: str) -> int:
-    Console(stderr=True, soft_wrap=True).print(f"error: {message}", markup=False, highlight=False)
+    console = Console(stderr=True, soft_wrap=True, markup=False, emoji=False, highlight=False)
+    console.print(f"error: {message}")
     return 2
 
 

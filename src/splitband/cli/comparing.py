@@ -107,7 +107,11 @@ def compare(
                 f"samples after the {setup.train} of --train, got {horizon}"
             )
         trajectory = trajectory[: setup.train + horizon]
-    chosen = options.names(methods or "") or default_methods(trajectory.y_sim is not None)
+    chosen = default_methods(trajectory.y_sim is not None)
+    if methods is not None:
+        chosen = options.names(methods)
+    if calibrate and not set(chosen) & set(HYBRID):
+        raise ValueError(f"--calibrate needs a hybrid method in --methods, got {methods}")
     if calibrate:
         chosen = [n for m in chosen for n in ((m, m + CALIBRATED) if m in HYBRID else (m,))]
     _compare(context, trajectory, chosen, setup, seeds, jobs, out)
@@ -160,9 +164,8 @@ def _compare(
         f"cut-off {setup.cutoff:g} Hz{_papers_cutoff(record, setup)}, order {setup.order}: "
         f"{found.share_below(setup.cutoff):.1%} of the training part's power in the low band, "
         f"kept at every {_ordinal(setup.downsampling)} sample",
-        highlight=False,
     )
-    showing.console.print(f"results and pictures: {out}/", highlight=False)
+    showing.console.print(f"results and pictures: {out}/")
 
 
 def _title(record: Trajectory, setup: Setup) -> str:

@@ -49,8 +49,8 @@ def spectrum(
     found = periodogram(trajectory.y, rate)
     chosen = _cutoff(record, trajectory) if cutoff is None else cutoff
     pair = ComplementaryPair.butterworth(chosen, rate, 1 if order is None else order)
-    output_folder(out)
     low, high = pair.split(trajectory.y)
+    output_folder(out)
     facts: dict[str, Any] = {
         "record": trajectory.name,
         "sampling_rate": rate,
@@ -65,7 +65,7 @@ def spectrum(
         facts["simulator"] = _show_simulator(trajectory, trajectory.y_sim, chosen, pair.order)
     write_json(out / "results.json", facts)
     plots.save(plots.spectrum(trajectory, found, chosen), out / "spectrum.png")
-    showing.console.print(f"picture: {out / 'spectrum.png'}", highlight=False)
+    showing.console.print(f"picture: {out / 'spectrum.png'}")
 
 
 def _cutoff(record: str, trajectory: Trajectory) -> float:
@@ -89,7 +89,6 @@ def _show_peaks(record: Trajectory, facts: dict[str, Any]) -> None:
         f"{below:.1%} of the power below, {1 - below:.1%} above\n"
         f"low and high band add up to the record with RMSE {facts['reconstruction_rmse']:.2g}, "
         "all of it at the ends",
-        highlight=False,
     )
 
 
@@ -114,7 +113,6 @@ def _show_simulator(
     showing.console.print(
         f"a lower cut-off leaves more to the network; mean coherence of simulator and record up "
         f"to {cutoff:.4g} Hz: {agree:.2f}",
-        highlight=False,
     )
     return {
         "total_rmse": total,
@@ -133,7 +131,7 @@ def list_records() -> None:
         size = f"{public.size / 1000:.0f} kB"
         table.add_row(public.name, public.description, public.licence, size)
     showing.console.print(table)
-    showing.console.print(f"named records: {', '.join(RECORDS)}", highlight=False)
+    showing.console.print(f"named records: {', '.join(RECORDS)}")
 
 
 @data.command("fetch")
@@ -145,4 +143,4 @@ def fetch_records(
 ) -> None:
     """Download public files, or find them in SPLITBAND_DATA_DIR, and check them."""
     for name in names or PUBLIC:
-        showing.console.print(f"{name}: {fetch(name)}", highlight=False)
+        showing.console.print(f"{name}: {fetch(name)}")

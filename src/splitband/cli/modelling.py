@@ -17,7 +17,7 @@ from splitband.cli.simulating import simulated, with_simulator
 from splitband.comparison import RunProgress
 from splitband.data import Trajectory, read
 from splitband.files import output_folder, replacing, write_json
-from splitband.methods import CALIBRATED, HYBRID, TRAINED, build, check_simulator
+from splitband.methods import CALIBRATED, HYBRID, TRAINED, build, check_method
 from splitband.metrics import rmse
 from splitband.models import Hybrid, Model
 from splitband.training import Progress
@@ -36,7 +36,9 @@ def fit(
         int | None,
         typer.Option(help="Samples at the beginning to train on.", show_default="all"),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of initial weights and order of windows.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, max=2**32 - 1, help="Of initial weights and order of windows.")
+    ] = 0,
     columns: options.Columns = None,
     inputs: options.Inputs = None,
     time_column: options.TimeColumn = None,
@@ -88,7 +90,7 @@ def fit(
         hidden=hidden,
     )
     training = trajectory[: setup.train]
-    check_simulator(method, training)
+    check_method(method, training, setup)
     model = build(method, training, setup, seed)
     output_folder(out)
     networks = len([*model.children()])
@@ -118,7 +120,6 @@ def fit(
     showing.console.print(
         f"{method} trained on {len(training)} samples in {history.seconds:.1f} s; free run over "
         f"them from the first {setup.settings.warmup}: RMSE {within:.4g}\nmodel: {out}/",
-        highlight=False,
     )
 
 
@@ -169,14 +170,21 @@ def simulate(
     last sample of the history, and one column for each measured channel.
     """
     model, facts = saving.load(model_dir)
-    known = _Facts(facts)
+    known = _Facts(model_dir, model, facts)
+    if out.is_dir():
+        raise ValueError(f"--out must be a file, got the folder {out}")
     past = read(
         history,
         columns=known.columns,
         inputs=known.inputs,
         time_column=time_column,
-        sampling_time=known.sampling_time,
+        fallback_sampling_time=known.sampling_time,
     )
+    if abs(past.sampling_time - known.sampling_time) > 0.01 * known.sampling_time:
+        raise ValueError(
+            f"--history must be sampled like the training record, every {known.sampling_time:g} s, "
+            f"got every {past.sampling_time:g} s in {history}"
+        )
     if len(past) < known.warmup:
         raise ValueError(
             f"--history must have at least the {known.warmup} samples of the model's warm-up, "
@@ -191,21 +199,22 @@ def simulate(
         total = len(past) + steps
         y_sim = simulated(past, total, simulator, simulator_columns, simulator_timeout)
         y_sim = y_sim[len(past) - known.warmup :]
-    past = past[len(past) - known.warmup :]
-    u = _all_inputs(past, future_inputs, steps, known)
-    y = model.simulate(past.y, steps, u, y_sim)
+    warmup = slice(len(past) - known.warmup, None)
+    u = _all_inputs(None if past.u is None else past.u[warmup], future_inputs, steps, known)
+    y = model.simulate(past.y[warmup], steps, u, y_sim)
     table = pd.DataFrame(y, columns=known.columns)
-    table.insert(0, "time", known.sampling_time * np.arange(1, steps + 1))
+    time = known.sampling_time * np.arange(1, steps + 1)
+    table.insert(0, reporting.time_header(known.columns), time)
     output_folder(out.parent)
     with replacing(out) as temporary:
         table.to_csv(temporary, index=False)
-    showing.console.print(f"{steps} samples after {history}: {out}", highlight=False)
+    showing.console.print(f"{steps} samples after {history}: {out}")
 
 
 class _Facts:
     """What `fit` saved with the model and `simulate` needs."""
 
-    def __init__(self, facts: dict[str, Any]) -> None:
+    def __init__(self, folder: Path, model: Model, facts: dict[str, Any]) -> None:
         try:
             self.method = str(facts["method"])
             self.columns = [str(name) for name in facts["columns"]]
@@ -213,11 +222,18 @@ class _Facts:
             self.sampling_time = float(facts["sampling_time"])
             self.warmup = int(facts["setup"]["settings"]["warmup"])
         except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"the model was not written by `splitband fit`: {error!r}") from None
+            raise ValueError(f"{folder} was not written by `splitband fit`: {error!r}") from None
+        if self.warmup < 1:
+            raise ValueError(f"{folder} is damaged: its warmup is {self.warmup}")
+        if (len(self.columns), len(self.inputs)) != (model.ny, model.nu):
+            raise ValueError(
+                f"{folder} is damaged: its columns {self.columns} and inputs {self.inputs} are not "
+                f"the model's {model.ny} and {model.nu}"
+            )
 
 
 def _all_inputs(
-    past: Trajectory, future: Path | None, steps: int, known: _Facts
+    past: npt.NDArray[np.float64] | None, future: Path | None, steps: int, known: _Facts
 ) -> npt.NDArray[np.float64] | None:
     """Known inputs over warm-up and simulation, where the model has any."""
     if (future is not None) != bool(known.inputs):
@@ -225,11 +241,11 @@ def _all_inputs(
         raise ValueError(
             f"--future-inputs must be given exactly for a model with inputs; it has {names}"
         )
-    if future is None or past.u is None:
+    if future is None or past is None:
         return None
-    ahead = read(future, columns=known.inputs, sampling_time=known.sampling_time).y
+    ahead = read(future, columns=known.inputs, fallback_sampling_time=known.sampling_time).y
     if len(ahead) < steps:
         raise ValueError(
             f"--future-inputs must cover the {steps} samples of --steps, got {len(ahead)}"
         )
-    return np.concatenate([past.u, ahead[:steps]])
+    return np.concatenate([past, ahead[:steps]])

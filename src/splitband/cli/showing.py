@@ -10,10 +10,17 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 from splitband.comparison import Run, RunProgress
 
-console = Console(soft_wrap=not sys.stdout.isatty(), width=None if sys.stdout.isatty() else 120)
+console = Console(
+    soft_wrap=not sys.stdout.isatty(),
+    width=None if sys.stdout.isatty() else 120,
+    markup=False,  # names of files and columns are no markup
+    emoji=False,
+    highlight=False,
+)
 
 
 def comparison(title: str, runs: Mapping[str, Sequence[Run]], unit: str = "") -> Table:
@@ -75,9 +82,9 @@ def _forecast(runs: Sequence[Run]) -> list[float]:
     return [r.forecast_rmse for r in runs]
 
 
-def _spread(values: Sequence[float], lowest: float) -> str:
+def _spread(values: Sequence[float], lowest: float) -> Text:
     mean = statistics.mean(values)
     text = f"{mean:.3g}" if mean >= 1e3 else f"{mean:.3f}" if mean >= 0.01 else f"{mean:.2e}"
     if len(set(values)) > 1:
         text += f" ± {statistics.stdev(values):.2g}"
-    return f"[bold]{text}[/bold]" if mean == lowest else text
+    return Text(text, style="bold" if mean == lowest else "")

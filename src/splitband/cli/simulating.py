@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -22,6 +23,8 @@ def with_simulator(
     record: Trajectory, simulator: str | None, columns: str | None, timeout: float | None
 ) -> Trajectory:
     """The record with the trajectory of the simulator that the options name."""
+    if timeout is not None and not math.isfinite(timeout):
+        raise ValueError(f"--simulator-timeout must be a number of seconds, got {timeout:g}")
     if simulator is None:
         return record
     return replace(record, y_sim=simulated(record, len(record), simulator, columns, timeout))
@@ -32,7 +35,7 @@ def simulated(
 ) -> npt.NDArray[np.float64]:
     """The simulator's trajectory `(samples, ny)` from the record's first sample on."""
     with _open(simulator, record, names(columns or "")) as opened:
-        return run(opened, samples, record.sampling_time, record.ny, timeout)
+        return run(opened, samples, record.sampling_time, record.ny, timeout, name=simulator)
 
 
 @contextmanager
@@ -42,6 +45,8 @@ def _open(text: str, record: Trajectory, columns: list[str]) -> Iterator[Simulat
         yield SIMULATORS[text]()
     elif function:
         yield Function(_function(Path(path + ".py"), function))
+    elif text.endswith(".py"):
+        raise ValueError(f"--simulator needs a function of the file, {text}:FUNCTION, got {text}")
     elif text.lower().endswith(".fmu"):
         with Fmu(text, columns or None) as fmu:
             yield fmu
@@ -55,7 +60,7 @@ def _open(text: str, record: Trajectory, columns: list[str]) -> Iterator[Simulat
 
 
 def _exported(path: str, record: Trajectory, columns: list[str]) -> Simulator:
-    found = read(path, columns=columns or None, sampling_time=record.sampling_time)
+    found = read(path, columns=columns or None, fallback_sampling_time=record.sampling_time)
     if not columns and set(record.columns) <= set(found.columns):
         chosen = [found.columns.index(name) for name in record.columns]
         return Recorded(found.y[:, chosen], found.sampling_time)
@@ -77,7 +82,7 @@ def _function(path: Path, name: str) -> Callable[[npt.NDArray[np.float64]], Any]
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ValueError(f"{path} cannot be run: {type(error).__name__}: {error}") from error
     function = getattr(module, name, None)
     if not callable(function):

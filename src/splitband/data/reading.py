@@ -44,6 +44,7 @@ def read(
     inputs: _Names = (),
     time_column: str | int | None = None,
     sampling_time: float | None = None,
+    fallback_sampling_time: float | None = None,
 ) -> Trajectory:
     """Read a record from CSV, TSV, Parquet, NPZ, NPY, MAT (up to v7.2) or plain text.
 
@@ -65,6 +66,7 @@ def read(
         as long as that unit is below a step.
     sampling_time : seconds; by default from the stamps, else a scalar `sampling_time`, `dt` or
         `Ts` of the file.
+    fallback_sampling_time : seconds, for a file that says nothing of time.
 
     Raises
     ------
@@ -76,7 +78,8 @@ def read(
     """
     path = Path(path)
     try:
-        return _assemble(_load(path), columns, inputs, time_column, sampling_time, name=path.stem)
+        times = (time_column, sampling_time, fallback_sampling_time)
+        return _assemble(_load(path), columns, inputs, times, name=path.stem)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -218,28 +221,28 @@ def _assemble(
     table: _Table,
     columns: _Names | None,
     inputs: _Names,
-    time_column: str | int | None,
-    sampling_time: float | None,
+    times: tuple[str | int | None, float | None, float | None],
     *,
     name: str,
 ) -> Trajectory:
     """Pick the columns, check every cell of them, and find the sampling time."""
+    time_column, sampling_time, fallback = times
     known = _find(table, inputs)
     stamps = [] if time_column is None or time_column == "" else _find(table, time_column)
     picked = stamps + known + ([] if columns is None else _find(table, columns))
     rows = _common_length(table, picked)
     rest = [c for c in table if c not in picked and len(table[c]) == rows]
-    times = [c for c in rest if _time_name(c)[0] in _TIME_NAMES]
+    timed = [c for c in rest if _time_name(c)[0] in _TIME_NAMES]
     if time_column is None:
-        stamps = sorted(times, key=lambda c: _TIME_NAMES.index(_time_name(c)[0]))[:1]
+        stamps = sorted(timed, key=lambda c: _TIME_NAMES.index(_time_name(c)[0]))[:1]
     if columns is None:  # without the unnamed: a pandas index, or what a trailing comma leaves
-        named = [c for c in rest if c not in times and not c.startswith("Unnamed: ")]
+        named = [c for c in rest if c not in timed and not c.startswith("Unnamed: ")]
         measured = [c for c in named if _has_number(table[c])]
     else:
         measured = _find(table, columns)
     if not measured:
         raise ValueError(f"there is no numeric column to model: {_available(table)}")
-    step = _sampling_time(table, stamps, sampling_time)
+    step = _sampling_time(table, stamps, sampling_time, fallback)
     y = _matrix(table, measured)
     u = _matrix(table, known) if known else None
     labels = () if list(table) == ["0"] else tuple(measured)
@@ -313,7 +316,9 @@ def _time_name(column: str) -> tuple[str, float]:
     return (name[: unit.start()], _UNITS[unit[1]]) if unit else (name, 1.0)
 
 
-def _sampling_time(table: _Table, stamps: Sequence[str], given: float | None) -> float:
+def _sampling_time(
+    table: _Table, stamps: Sequence[str], given: float | None, fallback: float | None
+) -> float:
     """Return the seconds between two rows: as given, by the stamps, or by a scalar of the file."""
     if stamps:
         what = f"time column {stamps[0]!r}"
@@ -328,6 +333,7 @@ def _sampling_time(table: _Table, stamps: Sequence[str], given: float | None) ->
     for name in ("sampling_time", "dt", "Ts"):
         if given is None and len(table.get(name, ())) == 1:
             given = float(_numbers(f"variable {name!r}", table[name])[0])
+    given = fallback if given is None else given
     if given is None:
         raise ValueError(
             "there is no time column: pass sampling_time (--sampling-time) in seconds, "

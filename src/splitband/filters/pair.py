@@ -50,9 +50,8 @@ def butterworth(
         )
     if order < 1:
         raise ValueError(f"order must be at least 1, got {order}")
-    design = {"ftype": "butter", "fs": sampling_rate}
-    low, a = scipy.signal.iirfilter(order, cutoff, btype="low", **design)
-    high, _ = scipy.signal.iirfilter(order, cutoff, btype="high", **design)
+    low, a = scipy.signal.iirfilter(order, cutoff, btype="low", ftype="butter", fs=sampling_rate)
+    high, _ = scipy.signal.iirfilter(order, cutoff, btype="high", ftype="butter", fs=sampling_rate)
     # What passes without loss: zero frequency, z = 1, and the Nyquist frequency, z = -1.
     for b, z in ((low, 1.0), (high, -1.0)):
         rest = np.polyval(a, z)

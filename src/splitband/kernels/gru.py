@@ -1,11 +1,11 @@
-"""A GRU's rollout, forward and backward, in compiled code (paper, Eqs. 8 and 9).
+"""The rollout of a GRU, forward and backward, in compiled code.
 
-With x = [y, u, 1], the biases as the last columns of W, and `torch.nn.GRU`'s formulas,
+With x = [y, u, 1], the biases as last columns of W, and the formulas of `torch.nn.GRU`,
 
-    r = sigma(W_r x + U_r h),  z = sigma(W_z x + U_z h),  m = U_n h + c_n,
+    r = sigma(W_r x + U_r h),  z = sigma(W_z x + U_z h),  m = U_m h + c_m,
     n = tanh(W_n x + r m),     h' = n + z (h - n),        y = C h + c.
 
-A step keeps the planes r, z, m, n, so that U takes the first three and W all but m.
+The gates of a step are kept as planes r, z, m, n: U has the first three, W all but m.
 """
 
 from __future__ import annotations
@@ -14,16 +14,28 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import njit
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from splitband.kernels.common import JIT, pad, run_rows, split_rows, tanh, zeros
-from splitband.kernels.matmul import PAD, matmul
+from splitband.kernels.common import (
+    PAD,
+    Array,
+    add,
+    array,
+    check,
+    copy,
+    kernel,
+    pad,
+    part,
+    run_rows,
+    split_rows,
+    tanh,
+    zeros,
+)
+from splitband.kernels.matmul import matmul
 
-# Rows of gate gradients to gather before a product with them: enough to keep sums in registers,
-# few enough to stay in the cache.
-_GATHER = 128
+_W_PLANES = [0, 1, 3]
+_GATHER = 64  # rows of gate gradients worth a product with them
 
 
 def gru_rollout(
@@ -37,91 +49,133 @@ def gru_rollout(
     weight_out: Tensor,
     bias_out: Tensor,
 ) -> Tensor:
-    """Gru rollout"""
+    """Warm up from h = 0 on measured samples, then simulate (paper, Eqs. 8 and 9).
+
+    Differentiable once, with respect to every tensor. Without gradients the memory does not grow
+    with the steps, apart from the result.
+
+    Parameters
+    ----------
+    y_warmup : Measured samples `(batch, R, ny)`, float32 or float64.
+    steps : How many samples to simulate.
+    u : Known inputs `(batch, R + steps - 1, nu)` or longer, or None.
+    weight_ih, weight_hh : `(3 H, ny + nu)` and `(3 H, H)`, gates r, z, n as in `torch.nn.GRUCell`.
+    bias_ih, bias_hh : `(3 H,)` each.
+    weight_out, bias_out : C `(ny, H)` and c `(ny,)`.
+
+    Returns
+    -------
+    Tensor
+        The samples R..R+steps-1, shape `(batch, steps, ny)`.
+    """
+    batch, warmup, ny = y_warmup.shape
+    size, last = weight_hh.shape[-1], warmup + steps - 1
+    u = y_warmup.new_empty(batch, last, 0) if u is None else u
+    check(
+        y_warmup,
+        u=(u, (batch, max(last, *u.shape[1:2]), u.shape[-1])),
+        weight_ih=(weight_ih, (3 * size, ny + u.shape[-1])),
+        weight_hh=(weight_hh, (3 * size, size)),
+        bias_ih=(bias_ih, (3 * size,)),
+        bias_hh=(bias_hh, (3 * size,)),
+        weight_out=(weight_out, (ny, size)),
+        bias_out=(bias_out, (ny,)),
+    )
     weights = (weight_ih, weight_hh, bias_ih, bias_hh, weight_out, bias_out)
-    u = y_warmup.new_empty(len(y_warmup), y_warmup.shape[1] + steps, 0) if u is None else u
     if torch.is_grad_enabled() and any(t.requires_grad for t in (y_warmup, u, *weights)):
         y: Tensor = _Rollout.apply(y_warmup, u, steps, *weights)  # type: ignore[no-untyped-call]
         return y
-    return _simulate(y_warmup, u, steps, _pack(*weights), keep=False)[0]
+    return _simulate(y_warmup, u, steps, weights, keep=False)[0]
 
 
 class _Rollout(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, y_warmup: Tensor, u: Tensor, steps: int, *weights: Tensor) -> Tensor:
-        wx, wh, wy = _pack(*weights)
-        y, x, h, gates = _simulate(y_warmup, u, steps, (wx, wh, wy), keep=True)
-        ctx.save_for_backward(*weights, wx, *x, *h, *gates)
+        y, ctx.rows, kept = _simulate(y_warmup, u, steps, weights, keep=True)
+        ctx.save_for_backward(*weights, *kept)
         ctx.shapes = y_warmup.shape, u.shape
         return y
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, dy: Tensor) -> tuple[Tensor | None, ...]:
-        weight_ih, weight_hh, _, _, weight_out, _, wx, *saved = ctx.saved_tensors
-        batch, warmup, ny, nu = *ctx.shapes[0], ctx.shapes[1][2]
-        size = weight_hh.shape[1]
-        n = len(saved) // 3
-        dy_warmup, du = zeros(dy, *ctx.shapes[0]), zeros(dy, *ctx.shapes[1])
-        dy = dy.contiguous()
-        inputs = ctx.needs_input_grad[0] or ctx.needs_input_grad[1]
-        whh, wih = (pad(w.detach().view(-1, size, w.shape[1])) for w in (weight_hh, weight_ih))
-        wy = pad(weight_out)
+        weight_ih, weight_hh, _, _, weight_out, _, *kept = ctx.saved_tensors
+        ny, size = weight_out.shape
+        wih, whh = (pad(w.reshape(3, size, -1)) for w in (weight_ih, weight_hh))
+        wy, dy = pad(weight_out), dy.contiguous()
+        dy_warmup, du = (zeros(dy, *shape) for shape in ctx.shapes)
+        wanted = ctx.needs_input_grad[0] or ctx.needs_input_grad[1]
+        sizes = ((4, weight_ih.shape[1] + 1, whh.shape[2]), whh.shape, wy.shape, (ny,))
+        sums = [[zeros(dy, *size) for size in sizes] for _ in ctx.rows]
         jobs = []
-        grads = []
-        at = 0
-        for i in range(n):
-            x, h, gates = saved[i::n]
-            rows = x.shape[1]
-            width = h.shape[2]
-            p = slice(at, at + rows); at += rows
-            block = max(1, _GATHER // rows)
-            dgates = h.new_empty(4, block, rows, width)
-            grads.append((zeros(wx, *wx.shape), zeros(wx, *whh.shape), zeros(wx, ny, width), zeros(wx, ny)))
-            jobs.append((inputs, dy[p], x, h, gates, dgates, wih, whh, wy, *grads[-1], dy_warmup[p], du[p]))
+        for i, rows in enumerate(ctx.rows):
+            n = rows.stop - rows.start
+            dgates = dy.new_empty(4, -(-_GATHER // n), n, whh.shape[2])
+            saved = (*kept[3 * i : 3 * i + 3], dgates, wih, whh, wy)
+            jobs.append((wanted, dy[rows], *saved, *sums[i], dy_warmup[rows], du[rows]))
         run_rows(_backward, jobs)
-        dwx, dwh, dwy, dby = (sum(g.numpy() for g in gs) for gs in zip(*grads))
-        k = [0, 1, 3]
-        t = torch.from_numpy
-        return (
-            dy_warmup, du, None,
-            t(dwx[k, :-1, :size].transpose(0, 2, 1).reshape(3 * size, ny + nu)),
-            t(dwh[:, :, :size].reshape(3 * size, size)),
-            t(dwx[k, -1, :size].reshape(-1)),
-            t(dwx[:3, -1, :size].reshape(-1)),
-            t(dwy[:, :size]), t(dby),
-        )
+        return dy_warmup, du, None, *_unpack(size, *add(sums))
 
 
-def _pack(weight_ih, weight_hh, bias_ih, bias_hh, weight_out, bias_out):
-    size = weight_hh.shape[1]
-    wx = np.zeros((4, weight_ih.shape[1] + 1, size), weight_ih.detach().numpy().dtype)
-    wx[[0, 1, 3], :-1] = weight_ih.detach().numpy().reshape(3, size, -1).transpose(0, 2, 1)
-    wx[[0, 1, 3], -1] = bias_ih.detach().numpy().reshape(3, size)
-    wx[:3, -1] += bias_hh.detach().numpy().reshape(3, size)
-    wh = weight_hh.detach().view(3, size, size).transpose(1, 2)
-    wy = torch.cat([weight_out.detach().t(), bias_out.detach()[None]])
-    return pad(torch.from_numpy(wx)), pad(wh), pad(wy)
-
-
-def _simulate(y_warmup, u, steps, weights, keep):
+def _simulate(
+    y_warmup: Tensor, u: Tensor, steps: int, weights: tuple[Tensor, ...], keep: bool
+) -> tuple[Tensor, list[slice], list[Tensor]]:
+    """The samples, the rows of each job, and for each x, h and gates: of every step or the last."""
+    packed = wx, wh, _ = _pack(*(array(w) for w in weights))
     batch, warmup, ny = y_warmup.shape
-    wx, wh, wy = weights
-    size, width = wh.shape[1:]
-    last = warmup + steps - 1
-    slots = last if keep else 1
-    parts = split_rows(batch, 4.0 * batch * last * width * (size + PAD))
+    width, last = wh.shape[2], warmup + steps - 1
+    slots = max(last, 1) if keep else 1
+    split = split_rows(batch, 4.0 * batch * last * width * (width + PAD))
     y = y_warmup.new_empty(batch, steps, ny)
-    x = [wx.new_empty(slots + 1, p.stop - p.start, wx.shape[1]) for p in parts]
-    h = [wx.new_empty(slots + 1, p.stop - p.start, width) for p in parts]
-    gates = [wx.new_empty(slots, 4, p.stop - p.start, width) for p in parts]
     y_warmup, u = y_warmup.contiguous(), u.contiguous()
-    run_rows(_forward, [(y_warmup[p], u[p], wx, wh, wy, *state, y[p]) for p, *state in zip(parts, x, h, gates)])
-    return y, x, h, gates
+    kept, jobs = [], []
+    for rows in split:
+        n = rows.stop - rows.start
+        sizes = (slots + 1, n, wx.shape[1]), (slots + 1, n, width), (slots, 4, n, width)
+        kept += [y.new_empty(size) for size in sizes]
+        jobs.append((y_warmup[rows], u[rows], *packed, *kept[-3:], y[rows]))
+    run_rows(_forward, jobs)
+    return y, split, kept
 
 
-@njit(nogil=True, cache=True, **JIT)
-def _forward(y_warmup, u, wx, wh, wy, xs, hs, gates, y):
+def _pack(
+    weight_ih: Array,
+    weight_hh: Array,
+    bias_ih: Array,
+    bias_hh: Array,
+    weight_out: Array,
+    bias_out: Array,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """W' by planes, U' by planes, and C' over c, all to multiply from the right."""
+    size = weight_hh.shape[1]
+    wx = np.zeros((4, weight_ih.shape[1] + 1, size), weight_ih.dtype)
+    wx[_W_PLANES, :-1] = weight_ih.reshape(3, size, -1).transpose(0, 2, 1)
+    wx[_W_PLANES, -1] = bias_ih.reshape(3, size)
+    wx[:3, -1] += bias_hh.reshape(3, size)
+    wh = weight_hh.reshape(3, size, size).transpose(0, 2, 1)
+    return pad(wx), pad(wh), pad(np.concatenate([weight_out.T, bias_out[None]]))
+
+
+def _unpack(size: int, dwx: Array, dwh: Array, dwy: Array, dby: Array) -> list[Tensor]:
+    """The gradients in the order and shapes of the weights."""
+    dw = dwx[_W_PLANES, :, :size].transpose(0, 2, 1).reshape(3 * size, -1)
+    du = dwh[:, :, :size].reshape(3 * size, size)
+    db = dwx[:3, -1, :size].reshape(-1)
+    return [torch.from_numpy(d) for d in (dw[:, :-1], du, dw[:, -1], db, dwy[:, :size], dby)]
+
+
+@kernel
+def _forward(
+    y_warmup: Array,
+    u: Array,
+    wx: Array,
+    wh: Array,
+    wy: Array,
+    xs: Array,
+    hs: Array,
+    gates: Array,
+    y: Array,
+) -> None:
     rows, warmup, ny = y_warmup.shape
     one, size = ny + u.shape[2], wh.shape[1]
     last = warmup + y.shape[1] - 1
@@ -131,88 +185,104 @@ def _forward(y_warmup, u, wx, wh, wy, xs, hs, gates, y):
         x, h = xs[t % len(xs)], hs[t % len(hs)]
         x[:, one] = 1
         if t < warmup:
-            x[:, :ny] = y_warmup[:, t]
+            copy(x, y_warmup[:, t])
         else:
             matmul(seen, x[:, one:], wy[size:], False)
             matmul(seen, h[:, :size], wy[:size], True)
-            x[:, :ny] = seen[:, :ny]
-            y[:, t - warmup] = seen[:, :ny]
+            copy(x, seen[:, :ny])
+            copy(y[:, t - warmup], seen[:, :ny])
         if t == last:
             break
-        x[:, ny:one] = u[:, t]
+        copy(x[:, ny:], u[:, t])
         g = gates[t % len(gates)]
-        r, z, m, n = g[0], g[1], g[2], g[3]
-        matmul(r, x, wx[0], False)
-        matmul(z, x, wx[1], False)
-        matmul(m, x[:, one:], wx[2, one:], False)
-        matmul(n, x, wx[3], False)
-        matmul(r, h[:, :size], wh[0], True)
-        matmul(z, h[:, :size], wh[1], True)
-        matmul(m, h[:, :size], wh[2], True)
-        h_next = hs[(t + 1) % len(hs)]
-        _gate(r.ravel(), z.ravel(), m.ravel(), n.ravel(), h.ravel(), h_next.ravel())
+        for p in range(4):
+            first = one if p == 2 else 0
+            matmul(g[p], x[:, first:], wx[p, first:], False)
+        for p in range(3):
+            matmul(g[p], h[:, :size], wh[p], True)
+        _gate(g.reshape(4, -1), h.reshape(-1), hs[(t + 1) % len(hs)].reshape(-1))
 
 
-@njit(**JIT)
-def _gate(r, z, m, n, h, h_next):
-    half = r.dtype.type(0.5)
-    for j in range(r.size):
+@part
+def _gate(g: Array, h: Array, h_next: Array) -> None:
+    r, z, m, n = g[0], g[1], g[2], g[3]
+    half = h.dtype.type(0.5)
+    for j in range(h.size):
         r[j] = half + half * tanh(half * r[j])
         z[j] = half + half * tanh(half * z[j])
         n[j] = tanh(n[j] + r[j] * m[j])
         h_next[j] = n[j] + z[j] * (h[j] - n[j])
 
 
-@njit(nogil=True, cache=True, **JIT)
-def _backward(inputs, dy, xs, hs, gates, dgates, wih, whh, wy, dwx, dwh, dwy, dby, dy_warmup, du):
+@kernel
+def _backward(
+    wanted: bool,
+    dy: Array,
+    xs: Array,
+    hs: Array,
+    gates: Array,
+    dgates: Array,
+    wih: Array,
+    whh: Array,
+    wy: Array,
+    dwx: Array,
+    dwh: Array,
+    dwy: Array,
+    dby: Array,
+    dy_warmup: Array,
+    du: Array,
+) -> None:
     rows, warmup, ny = dy_warmup.shape
     one, size, width = ny + du.shape[2], whh.shape[1], whh.shape[2]
     last = warmup + dy.shape[1] - 1
     dh, dx = np.zeros((rows, width), dy.dtype), np.zeros((rows, wih.shape[2]), dy.dtype)
     for t in range(last, -1, -1):
         if t >= warmup:
-            total = dy[:, t - warmup] + dx[:, :ny]
-            matmul(dh, total, wy, True)
-            matmul(dwy, total.T, hs[t], True)
+            seen = dy[:, t - warmup] + dx[:, :ny]
             for i in range(ny):
-                dby[i] += total[:, i].sum()
-        elif inputs:
-            dy_warmup[:, t] = dx[:, :ny]
+                dby[i] += seen[:, i].sum()
+            matmul(dwy, seen.T, hs[t], True)
+            matmul(dh, seen, wy, True)
+        elif wanted:
+            copy(dy_warmup[:, t], dx[:, :ny])
         if t == 0:
             break
         s = t - 1
-        block = s % dgates.shape[1]
-        g = gates[s]
-        r, z, m, n = g[0], g[1], g[2], g[3]
-        dr, dz, dm, dn = dgates[0, block], dgates[1, block], dgates[2, block], dgates[3, block]
-        _gate_back(r.ravel(), z.ravel(), m.ravel(), n.ravel(), hs[s].ravel(), dr.ravel(), dz.ravel(), dm.ravel(), dn.ravel(), dh.ravel())
-        matmul(dh, dr[:, :size], whh[0], True)
-        matmul(dh, dz[:, :size], whh[1], True)
-        matmul(dh, dm[:, :size], whh[2], True)
-        if inputs or s >= warmup:
-            matmul(dx, dr[:, :size], wih[0], False)
-            matmul(dx, dz[:, :size], wih[1], True)
-            matmul(dx, dn[:, :size], wih[2], True)
-        if inputs:
-            du[:, s] = dx[:, ny:one]
-        if block == 0:
+        step = s % dgates.shape[1]
+        _gate_back(gates[s].reshape(4, -1), hs[s].reshape(-1), dgates, step, dh.reshape(-1))
+        for p in range(3):
+            matmul(dh, dgates[p, step, :, :size], whh[p], True)
+        if wanted or s >= warmup:
+            for i in range(3):
+                p = i if i < 2 else 3
+                matmul(dx, dgates[p, step, :, :size], wih[i], i > 0)
+        if wanted:
+            copy(du[:, s], dx[:, ny:one])
+        if step == 0:
             stop = min(s + dgates.shape[1], last)
-            x = xs[s:stop].reshape(-1, one + 1)
-            h = hs[s:stop].reshape(-1, width)
-            for p in range(4):
-                dg = dgates[p].reshape(-1, width)[: len(x)]
-                first = one if p == 2 else 0
-                matmul(dwx[p, first:], x[:, first:].T, dg, True)
-                if p < 3:
-                    matmul(dwh[p], dg[:, :size].T, h, True)
+            _gather(dwx, dwh, xs[s:stop], hs[s:stop], dgates)
 
 
-@njit(**JIT)
-def _gate_back(r, z, m, n, h, dr, dz, dm, dn, dh):
-    one = r.dtype.type(1)
-    for j in range(r.size):
+@part
+def _gate_back(g: Array, h: Array, dgates: Array, step: int, dh: Array) -> None:
+    r, z, m, n = g[0], g[1], g[2], g[3]
+    dr, dz = dgates[0, step].reshape(-1), dgates[1, step].reshape(-1)
+    dm, dn = dgates[2, step].reshape(-1), dgates[3, step].reshape(-1)
+    one = h.dtype.type(1)
+    for j in range(h.size):
         dn[j] = dh[j] * (one - z[j]) * (one - n[j] * n[j])
         dz[j] = dh[j] * (h[j] - n[j]) * z[j] * (one - z[j])
         dm[j] = dn[j] * r[j]
         dr[j] = dm[j] * m[j] * (one - r[j])
         dh[j] = dh[j] * z[j]
+
+
+@part
+def _gather(dwx: Array, dwh: Array, xs: Array, hs: Array, dgates: Array) -> None:
+    x, h = xs.reshape(-1, xs.shape[2]), hs.reshape(-1, hs.shape[2])
+    for p in range(4):
+        dg = dgates[p].reshape(-1, h.shape[1])[: len(h)]
+        first = x.shape[1] - 1 if p == 2 else 0
+        matmul(dwx[p, first:], x[:, first:].T, dg, True)
+        if p < 3:
+            matmul(dwh[p], dg[:, : dwh.shape[1]].T, h, True)

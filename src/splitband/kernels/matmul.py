@@ -11,37 +11,43 @@ from dataclasses import dataclass
 from typing import Any
 
 from llvmlite import binding, ir
-from numba import njit, types
-from numba.core import cgutils
+from numba import types
+from numba.core import cgutils as _cgutils
 from numba.extending import intrinsic
 
-PAD = 16
+from splitband.kernels.common import Array, part
 
+cgutils: Any = _cgutils  # its helpers have no types
 _VECTOR_BYTES = 64
-# Vectors by rows of a block: 16 of the 32 registers of AVX-512, or 8 of 16 half as wide. The
-# smaller ones take what is left over.
+# Vectors by rows of a block of sums: 16 of the 32 registers of AVX-512, or 12 of 16 half as wide.
+# The smaller ones take what is left over.
 _WIDE = ((4, (4, 1)), (2, (8, 4, 1)), (1, (8, 4, 1)))
-_BLOCKS = _WIDE if binding.get_host_cpu_features().get("avx512f") else ((1, (4, 1)),)
+_NARROW = ((1, (6, 4, 1)),)
+_BLOCKS = _WIDE if binding.get_host_cpu_features().get("avx512f") else _NARROW
 
 
-@njit
-def matmul(out, a, w, accumulate):  # type: ignore[no-untyped-def]
-    """Out (+)= a @ w, where rows of `out` and `w` are contiguous, a multiple of `PAD` long."""
+@part
+def matmul(out: Array, a: Array, w: Array, accumulate: bool) -> None:
+    """Write or add a @ w to `out`; rows of both are contiguous, a multiple of `PAD` long."""
     _matmul(out, a, w, accumulate)
 
 
-@intrinsic
-def _matmul(typingctx, out, a, w, accumulate):  # type: ignore[no-untyped-def]
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        arrays = (
+def _product(typingctx: Any, out: Any, a: Any, w: Any, accumulate: Any) -> tuple[Any, Any]:
+    item_bytes = w.dtype.bitwidth // 8
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        arrays = [
             context.make_array(kind)(context, builder, value)
             for kind, value in zip(signature.args[:3], args[:3], strict=True)
-        )
+        ]
         item = context.get_value_type(w.dtype)
-        _Product(builder, *arrays, args[3], item, w.dtype.bitwidth // 8).emit()
+        _Product(builder, arrays[0], arrays[1], arrays[2], args[3], item, item_bytes).emit()
         return context.get_dummy_value()
 
     return types.void(out, a, w, accumulate), codegen
+
+
+_matmul: Any = intrinsic(_product)
 
 
 @dataclass(frozen=True)
@@ -79,10 +85,10 @@ class _Product:
         count = self.vector.count
         down = [self.step(row, row.type(r), 1) for r in range(height)]
         across = [self.step(column, column.type(v), count) for v in range(width)]
-        zero = ir.Constant(self.vector, None)
-        sums = {(r, c): cgutils.alloca_once(self.builder, self.vector) for r in down for c in across}
+        places = [(r, c) for r in down for c in across]
+        sums = {place: cgutils.alloca_once(self.builder, self.vector) for place in places}
         for register in sums.values():
-            self.builder.store(zero, register)
+            self.builder.store(ir.Constant(self.vector, None), register)
         inner = cgutils.unpack_tuple(self.builder, self.w.shape)[0]
         with cgutils.for_range(self.builder, inner) as k:
             ws = {c: self.load(self.w, k.index, c, self.vector) for c in across}

@@ -1,0 +1,139 @@
+"""Filters: ours, forward and backward, against SciPy's forward pass and a blocked torch form.
+
+    python -m benchmarks.filters [--out FILE.json]
+
+Times are medians of interleaved repeats in one run on one thread; read the ratios.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+import torch
+from torch import Tensor
+
+from splitband.filters import ComplementaryPair
+
+Array = npt.NDArray[np.float64]
+
+
+def medians(calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Median seconds of each call, the calls taking turns."""
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for call in calls.values():
+        call()
+    for _ in range(repeats):
+        for name, call in calls.items():
+            began = time.perf_counter()
+            call()
+            times[name].append(time.perf_counter() - began)
+    return {name: statistics.median(values) for name, values in times.items()}
+
+
+def blocked_lfilter(b: Array, a: Array, x: Tensor, block: int = 64) -> Tensor:
+    """One way from zero, in products of blocks: what the autograd function was chosen over.
+
+    The output of a block is a triangular Toeplitz product and the response to the state before it;
+    the states follow the same recurrence over blocks, one step each.
+    """
+    order = len(a) - 1
+    basis = [scipy.signal.lfilter(b, a, np.zeros(block), zi=e)[0] for e in np.eye(order)]
+    impulse = scipy.signal.lfilter(b, a, np.eye(1, block)[0])
+    toeplitz = torch.tensor(scipy.linalg.toeplitz(impulse, np.zeros(block)).T)
+    observe = torch.tensor(np.array(basis))
+    ends = [scipy.signal.lfilter(b, a, np.zeros(block), zi=e)[1] for e in np.eye(order)]
+    transition = torch.tensor(np.array(ends))
+    into = torch.tensor(
+        np.array([scipy.signal.lfilter(b, a, row, zi=np.zeros(order))[1] for row in np.eye(block)])
+    )
+    samples = x.shape[-1]
+    padded = torch.nn.functional.pad(x.double(), (0, -samples % block))
+    blocks = padded.unflatten(-1, (-1, block))
+    pushed = blocks @ into
+    h, states = pushed.new_zeros(*x.shape[:-1], order), []
+    for n in range(blocks.shape[-2]):
+        states.append(h)
+        h = h @ transition + pushed[..., n, :]
+    y = blocks @ toeplitz + torch.stack(states, dim=-2) @ observe
+    return y.flatten(-2)[..., :samples].to(x)
+
+
+def case(batch: int, samples: int, repeats: int) -> dict[str, float]:
+    """Seconds and ratios for one shape, order 1."""
+    zero_phase = ComplementaryPair.butterworth(1.0, 10.0)
+    one_way = ComplementaryPair.butterworth(1.0, 10.0, zero_phase=False)
+    x = torch.randn(batch, samples, 1)
+    leaf = x.clone().requires_grad_()
+    flat, array = leaf[..., 0], x[..., 0].double().numpy()
+    b, a = one_way.b_low, one_way.a
+    expected = scipy.signal.lfilter(b, a, array)
+    np.testing.assert_allclose(blocked_lfilter(b, a, x[..., 0].double()), expected, atol=1e-9)
+
+    def both(filtered: Callable[[], Tensor]) -> Callable[[], None]:
+        def call() -> None:
+            leaf.grad = None
+            filtered().sum().backward()
+
+        return call
+
+    first = x[:, :1]
+    found = medians(
+        {
+            "SciPy filtfilt, forward": lambda: scipy.signal.filtfilt(b, a, array),
+            "zero-phase, forward and backward": both(lambda: zero_phase.lowpass(leaf)),
+            "SciPy lfilter, forward": lambda: scipy.signal.lfilter(b, a, array),
+            "one way, forward and backward": both(lambda: one_way.lowpass(leaf)),
+            "joint, forward and backward": both(
+                lambda: one_way.combine(low=x, high=leaf, first=first)
+            ),
+            "blocked form one way, forward and backward": both(lambda: blocked_lfilter(b, a, flat)),
+        },
+        repeats,
+    )
+    scipy_zero, scipy_one = found["SciPy filtfilt, forward"], found["SciPy lfilter, forward"]
+    ratios = {
+        "zero-phase / SciPy filtfilt": found["zero-phase, forward and backward"] / scipy_zero,
+        "one way / SciPy lfilter": found["one way, forward and backward"] / scipy_one,
+        "joint / two SciPy lfilters": found["joint, forward and backward"] / scipy_one / 2,
+        "blocked form / ours, one way": found["blocked form one way, forward and backward"]
+        / found["one way, forward and backward"],
+    }
+    return found | ratios
+
+
+def main() -> None:
+    """Print and, if asked to, write the figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, help="JSON file for the figures")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    figures: dict[str, object] = {
+        "versions": {"torch": torch.__version__, "scipy": scipy.__version__},
+        "machine": platform.processor() or platform.machine(),
+        "threads": 1,
+    }
+    for batch, samples, repeats in ((50, 1500, 100), (1, 1_000_000, 10)):
+        found = case(batch, samples, repeats)
+        figures[f"({batch}, {samples})"] = found
+        print(f"batch {batch}, {samples} samples, float32, order 1")
+        for name, value in found.items():
+            print(
+                f"  {name:45s} {value:8.2f}x"
+                if "/" in name
+                else f"  {name:45s} {1e3 * value:8.3f} ms"
+            )
+    if arguments.out:
+        arguments.out.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,283 @@
+"""The rollout of an Euler step of a three-layer perceptron, forward and backward, compiled.
+
+With x = [h, u, 1] and the biases as last columns of the weights (paper, supplement, "MLP
+training"),
+
+    a = tanh(W_1 x),  b = tanh(W_2 [a, 1]),  h' = h + dt W_3 [b, 1],
+
+and y is the first entries of h.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from splitband.kernels.common import (
+    Array,
+    add,
+    array,
+    check,
+    copy,
+    kernel,
+    pad,
+    padded,
+    part,
+    run_rows,
+    split_rows,
+    tanh,
+    zeros,
+)
+from splitband.kernels.matmul import matmul
+
+_GATHER = 64  # rows of gradients worth a product with them
+
+
+def euler_rollout(
+    h0: Tensor,
+    steps: int,
+    ny: int,
+    step_size: float,
+    u: Tensor | None,
+    weight_1: Tensor,
+    bias_1: Tensor,
+    weight_2: Tensor,
+    bias_2: Tensor,
+    weight_3: Tensor,
+    bias_3: Tensor,
+) -> Tensor:
+    """Simulate from a given state (paper, Eqs. 8 and 9).
+
+    Differentiable once, with respect to every tensor. Without gradients the memory does not grow
+    with the steps, apart from the result.
+
+    Parameters
+    ----------
+    h0 : The state h_R of the first sample `(batch, S)`, float32 or float64.
+    steps : How many samples to simulate.
+    ny : How many entries of the state are the sample.
+    step_size : dt.
+    u : Known inputs `(batch, steps - 1, nu)` or longer, from time R on, or None.
+    weight_1, bias_1 : `(M, S + nu)` and `(M,)`.
+    weight_2, bias_2 : `(N, M)` and `(N,)`.
+    weight_3, bias_3 : `(S, N)` and `(S,)`.
+
+    Returns
+    -------
+    Tensor
+        The samples R..R+steps-1, shape `(batch, steps, ny)`.
+    """
+    batch, size = h0.shape
+    last = max(steps - 1, 0)
+    u = h0.new_empty(batch, last, 0) if u is None else u
+    check(
+        h0,
+        u=(u, (batch, max(last, *u.shape[1:2]), u.shape[-1])),
+        weight_1=(weight_1, (len(bias_1), size + u.shape[-1])),
+        bias_1=(bias_1, (len(bias_1),)),
+        weight_2=(weight_2, (len(bias_2), len(bias_1))),
+        bias_2=(bias_2, (len(bias_2),)),
+        weight_3=(weight_3, (size, len(bias_2))),
+        bias_3=(bias_3, (size,)),
+    )
+    weights = (weight_1, bias_1, weight_2, bias_2, weight_3, bias_3)
+    if torch.is_grad_enabled() and any(t.requires_grad for t in (h0, u, *weights)):
+        y: Tensor = _Rollout.apply(h0, u, steps, ny, step_size, *weights)  # type: ignore[no-untyped-call]
+        return y
+    return _simulate(h0, u, steps, ny, step_size, weights, keep=False)[0]
+
+
+class _Rollout(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, h0: Tensor, u: Tensor, steps: int, ny: int, step_size: float, *weights: Tensor
+    ) -> Tensor:
+        y, ctx.rows, kept = _simulate(h0, u, steps, ny, step_size, weights, keep=True)
+        ctx.save_for_backward(*weights[::2], *kept)
+        ctx.shapes, ctx.step_size = (h0.shape, u.shape), step_size
+        return y
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, dy: Tensor) -> tuple[Tensor | None, ...]:
+        weights, kept = ctx.saved_tensors[:3], ctx.saved_tensors[3:]
+        w1, w2, w3 = (pad(w) for w in weights)
+        dy = dy.contiguous()
+        dh, du = (zeros(dy, *shape) for shape in ctx.shapes)
+        first, size = (weights[0].shape[1] + 1, w2.shape[1]), len(w3)
+        sizes = first, w2.shape, (1, w3.shape[1]), w3.shape, (size,)
+        sums = [[zeros(dy, *size) for size in sizes] for _ in ctx.rows]
+        jobs = []
+        for i, rows in enumerate(ctx.rows):
+            n = rows.stop - rows.start
+            widths = w2.shape[1], w3.shape[1], padded(size)
+            layers = [dy.new_empty(-(-_GATHER // n), n, width) for width in widths]
+            saved = (*kept[3 * i : 3 * i + 3], *layers, w1, w2, w3)
+            jobs.append((ctx.step_size, dy[rows], *saved, *sums[i], dh[rows], du[rows]))
+        run_rows(_backward, jobs)
+        return dh, du, None, None, None, *_unpack(*weights[1].shape, *add(sums))
+
+
+def _simulate(
+    h0: Tensor,
+    u: Tensor,
+    steps: int,
+    ny: int,
+    step_size: float,
+    weights: tuple[Tensor, ...],
+    keep: bool,
+) -> tuple[Tensor, list[slice], list[Tensor]]:
+    """The samples, the rows of each job, and for each x, a and b: of every step or the last."""
+    values = [array(w) for w in weights]
+    pairs = zip(values[::2], values[1::2], strict=True)
+    packed = [pad(np.concatenate([w.T, bias[None]])) for w, bias in pairs]
+    w1, w2, _ = packed
+    slots = max(steps - 1, 1) if keep else 1
+    work = sum(w.numel() for w in packed)
+    split = split_rows(len(h0), float(len(h0)) * steps * work)
+    y = h0.new_empty(len(h0), steps, ny)
+    h0, u = h0.contiguous(), u.contiguous()
+    kept, jobs = [], []
+    for rows in split:
+        n = rows.stop - rows.start
+        sizes = (slots + 1, n, len(w1)), (slots, n, w1.shape[1]), (slots, n, w2.shape[1])
+        kept += [y.new_empty(size) for size in sizes]
+        jobs.append((step_size, h0[rows], u[rows], *packed, *kept[-3:], y[rows]))
+    run_rows(_forward, jobs)
+    return y, split, kept
+
+
+def _unpack(
+    n: int, m: int, dw1: Array, dw2: Array, db2: Array, dw3: Array, db3: Array
+) -> list[Tensor]:
+    """The gradients in the order and shapes of the weights."""
+    first = dw1[:, :m].T
+    grads = first[:, :-1], first[:, -1], dw2[:, :m], db2[0, :n], dw3[:, :n], db3
+    return [torch.from_numpy(np.ascontiguousarray(grad)) for grad in grads]
+
+
+@kernel
+def _forward(
+    step_size: float,
+    h0: Array,
+    u: Array,
+    w1: Array,
+    w2: Array,
+    w3: Array,
+    xs: Array,
+    as_: Array,
+    bs: Array,
+    y: Array,
+) -> None:
+    rows, size = h0.shape
+    steps, ny = y.shape[1:]
+    one = size + u.shape[2]
+    dt = h0.dtype.type(step_size)
+    change = np.empty((rows, w3.shape[1]), y.dtype)
+    copy(xs[0], h0)
+    for t in range(steps):
+        x, x_next = xs[t % len(xs)], xs[(t + 1) % len(xs)]
+        copy(y[:, t], x[:, :ny])
+        if t == steps - 1:
+            break
+        copy(x[:, size:], u[:, t])
+        x[:, one] = 1
+        a, b = as_[t % len(as_)], bs[t % len(bs)]
+        matmul(a, x, w1, False)
+        _tanh_of(a.reshape(-1))
+        _layer(b, a, x[:, one:], w2)
+        _tanh_of(b.reshape(-1))
+        _layer(change, b, x[:, one:], w3)
+        for i in range(rows):
+            for j in range(size):
+                x_next[i, j] = x[i, j] + dt * change[i, j]
+
+
+@part
+def _layer(out: Array, values: Array, ones: Array, w: Array) -> None:
+    matmul(out, ones, w[-1:], False)
+    matmul(out, values[:, : len(w) - 1], w[:-1], True)
+
+
+@part
+def _tanh_of(x: Array) -> None:
+    for i in range(x.size):
+        x[i] = tanh(x[i])
+
+
+@kernel
+def _backward(
+    step_size: float,
+    dy: Array,
+    xs: Array,
+    as_: Array,
+    bs: Array,
+    das: Array,
+    dbs: Array,
+    dcs: Array,
+    w1: Array,
+    w2: Array,
+    w3: Array,
+    dw1: Array,
+    dw2: Array,
+    db2: Array,
+    dw3: Array,
+    db3: Array,
+    dh: Array,
+    du: Array,
+) -> None:
+    rows, size = dh.shape
+    steps = dy.shape[1]
+    one = size + du.shape[2]
+    dt = dy.dtype.type(step_size)
+    dx = np.empty((rows, w1.shape[1]), dy.dtype)
+    for t in range(steps - 1, -1, -1):
+        _add(dh, dy[:, t])
+        if t == 0:
+            break
+        s = t - 1
+        step = s % len(das)
+        da, db, dc = das[step], dbs[step], dcs[step]
+        for i in range(rows):
+            for j in range(size):
+                dc[i, j] = dt * dh[i, j]
+                db3[j] += dc[i, j]
+        matmul(db, dc[:, :size], w3, False)
+        _tanh_back(bs[s].reshape(-1), db.reshape(-1))
+        matmul(da, db[:, : len(w2)], w2, False)
+        _tanh_back(as_[s].reshape(-1), da.reshape(-1))
+        matmul(dx, da[:, : len(w1)], w1, False)
+        _add(dh, dx[:, :size])
+        copy(du[:, s], dx[:, size:one])
+        if step == 0:
+            stop = min(s + len(das), steps - 1)
+            n = (stop - s) * rows
+            x, a, b = _flat(xs[s:stop], n), _flat(as_[s:stop], n), _flat(bs[s:stop], n)
+            das_, dbs_, dcs_ = _flat(das, n), _flat(dbs, n), _flat(dcs, n)
+            matmul(dw1, x.T, das_, True)
+            matmul(dw2, dbs_[:, : len(w2)].T, a, True)
+            matmul(db2, x[:, one:].T, dbs_, True)
+            matmul(dw3, dcs_[:, :size].T, b, True)
+
+
+@part
+def _add(out: Array, values: Array) -> None:
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            out[i, j] += values[i, j]
+
+
+@part
+def _flat(x: Array, n: int) -> Array:
+    return x.reshape(-1, x.shape[2])[:n]
+
+
+@part
+def _tanh_back(a: Array, da: Array) -> None:
+    one = a.dtype.type(1)
+    for i in range(a.size):
+        da[i] *= one - a[i] * a[i]
