@@ -48,7 +48,7 @@ def _value(error: TyperException, given: Sequence[str]) -> str:
     """What an option was given that the message does not repeat."""
     names = getattr(getattr(error, "param", None), "opts", [])
     values = ""
-    for word, following in zip(given, [*given[1:], ""], strict=True):
+    for word, following in zip(given, [*given[1:], ""], strict=False):
         name, _, value = word.partition("=")
         if name in names:
             values = f", got {value or following}"
