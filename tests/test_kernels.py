@@ -2,57 +2,76 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
-from torch import nn
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor, nn
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from splitband.cells import GRU, EulerMLP
-from splitband.kernels import euler_rollout, gru_rollout
+from splitband.kernels import common, euler_rollout, gru_rollout, on_compilation
+from splitband.kernels import matmul as products
 from splitband.rollout import free_run
+
+Sizes = tuple[int, int, int, int, int, int]
+Run = Callable[..., Tensor]
+Case = Callable[[Sizes, torch.dtype], tuple[Any, Tensor, int, Any]]
 
 RTOL = {torch.float32: 1e-5, torch.float64: 1e-10}
 DTYPES = list(RTOL)
 # batch, warm-up, steps, ny, hidden size, nu
-SIZES = [(50, 30, 60, 1, 64, 0), (5, 4, 7, 3, 10, 2), (1, 1, 1, 1, 1, 0), (3, 1, 2, 2, 17, 1)]
+SIZES: list[Sizes] = [
+    (50, 30, 60, 1, 64, 0),
+    (5, 4, 7, 3, 10, 2),
+    (1, 1, 1, 1, 1, 0),
+    (3, 1, 2, 2, 17, 1),
+]
 SIZES += [(13, 2, 9, 2, 48, 0), (1, 70, 3, 3, 33, 2), (2, 3, 70, 17, 20, 18)]
 
 
 @pytest.fixture(autouse=True)
-def _seeded_on_two_threads(monkeypatch):
-    """Small cases too are spread over two threads."""
-    monkeypatch.setattr(common, "_WORTH_A_THREAD", 1)
+def _two_threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Two threads for the kernels, small as the cases are, and one for torch, which would spin."""
     threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
+    monkeypatch.setattr(common, "_WORTH_A_THREAD", 1)
     torch.manual_seed(0)
-    torch.set_num_threads(2)
     yield
     torch.set_num_threads(threads)
 
 
-def plain(cell, y, steps, u=None):
+def plain(cell: GRU, y: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
     past, future = (None, None) if u is None else (u[:, : y.shape[1]], u[:, y.shape[1] :])
     return free_run(cell, cell.initial_state(y, past), steps, future)[0]
 
 
-def fused(cell, y, steps, u=None):
+def fused(cell: GRU, y: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
     recurrent, out = cell.transition, cell.observation
     weights = recurrent.weight_ih, recurrent.weight_hh, recurrent.bias_ih, recurrent.bias_hh
     return gru_rollout(y, steps, u, *weights, out.weight, out.bias)
 
 
-def plain_euler(cell, h0, steps, u=None):
+def plain_euler(cell: Any, h0: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
     return free_run(cell, h0, steps, u)[0]
 
 
-def fused_euler(cell, h0, steps, u=None):
+def fused_euler(cell: Any, h0: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
     f = cell.dynamics
     weights = [p for i in (0, 2, 4) for p in (f[i].weight, f[i].bias)]
     return euler_rollout(h0, steps, cell.ny, cell.step_size, u, *weights)
 
 
-def gru_case(sizes, dtype):
+def gru_case(sizes: Sizes, dtype: torch.dtype) -> tuple[Any, Tensor, int, Any]:
     batch, warmup, steps, ny, hidden, nu = sizes
     cell = GRU(ny, hidden, nu).to(dtype)
     y = torch.randn(batch, warmup, ny, dtype=dtype, requires_grad=True)
@@ -60,7 +79,7 @@ def gru_case(sizes, dtype):
     return cell, y, steps, u if nu else None
 
 
-def euler_case(sizes, dtype):
+def euler_case(sizes: Sizes, dtype: torch.dtype) -> tuple[Any, Tensor, int, Any]:
     batch, warmup, steps, ny, hidden, nu = sizes
     cell = EulerMLP(ny, warmup, ny + 1, hidden, 5, 0.3, nu).to(dtype)
     h0 = torch.randn(batch, ny + 1, dtype=dtype, requires_grad=True)
@@ -75,7 +94,9 @@ CASES = pytest.mark.parametrize(
 )
 
 
-def samples_and_gradients(run, cell, start, steps, u=None):
+def samples_and_gradients(
+    run: Run, cell: nn.Module, start: Tensor, steps: int, u: Tensor | None = None
+) -> dict[str, Tensor]:
     """The samples, and the gradients of their RMSE against noise with respect to everything."""
     y = run(cell, start, steps, u)
     target = torch.randn(y.shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
@@ -88,7 +109,7 @@ def samples_and_gradients(run, cell, start, steps, u=None):
     }
 
 
-def agree(found, expected, rtol):
+def agree(found: dict[str, Tensor], expected: dict[str, Tensor], rtol: float) -> None:
     """Largest error within `rtol` of the largest value, array by array."""
     assert found.keys() == expected.keys()
     for name, value in expected.items():
@@ -102,7 +123,9 @@ def agree(found, expected, rtol):
 @CASES
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("sizes", SIZES, ids=str)
-def test_samples_and_every_gradient_are_those_of_the_plain_loop(case, kernel, loop, sizes, dtype):
+def test_samples_and_every_gradient_are_those_of_the_plain_loop(
+    case: Case, kernel: Run, loop: Run, sizes: Sizes, dtype: torch.dtype
+) -> None:
     args = case(sizes, dtype)
     agree(samples_and_gradients(kernel, *args), samples_and_gradients(loop, *args), RTOL[dtype])
 
@@ -119,7 +142,7 @@ def test_samples_and_every_gradient_are_those_of_the_plain_loop(case, kernel, lo
         st.integers(0, 3),
     )
 )
-def test_any_sizes(case, kernel, loop, sizes):
+def test_any_sizes(case: Case, kernel: Run, loop: Run, sizes: Sizes) -> None:
     args = case(sizes, torch.float64)
     if args[2]:
         found, expected = (samples_and_gradients(run, *args) for run in (kernel, loop))
@@ -128,29 +151,18 @@ def test_any_sizes(case, kernel, loop, sizes):
         assert kernel(*args).shape == (sizes[0], 0, sizes[3])
 
 
+@pytest.mark.parametrize("sizes", [(2, 2, 3, 2, 3, 1), (1, 1, 2, 1, 2, 0)], ids=str)
 @CASES
-def test_gradcheck(case, kernel, loop):
-    cell, start, steps, u = case((2, 2, 3, 2, 3, 1), torch.float64)
-    names, values = zip(*cell.named_parameters(), strict=True)
-
-    def run(start, u, *values):
-        call = torch.func.functional_call
-        return call(Caller(cell, kernel), dict(zip(names, values, strict=True)), (start, steps, u))
-
-    class Caller(nn.Module):
-        def __init__(self, cell, kernel):
-            super().__init__()
-            self.__dict__.update(vars(cell))
-            self.kernel = kernel
-
-        def forward(self, *args):
-            return self.kernel(self, *args)
-
-    assert torch.autograd.gradcheck(run, (start, u, *values))
+def test_gradcheck(case: Case, kernel: Run, loop: Run, sizes: Sizes) -> None:
+    cell, start, steps, u = case(sizes, torch.float64)
+    weights = list(cell.parameters())
+    inputs = [start, *weights] if u is None else [start, *weights, u]
+    # The kernels read the weights from the cell, where gradcheck moves them in place.
+    assert torch.autograd.gradcheck(lambda *_: kernel(cell, start, steps, u), inputs)
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
-def test_the_warm_up_is_a_teacher_forced_gru(dtype):
+def test_the_warm_up_is_a_teacher_forced_gru(dtype: torch.dtype) -> None:
     cell, y, *_ = gru_case((5, 20, 1, 2, 24, 0), dtype)
     layer = nn.GRU(2, 24, batch_first=True).to(dtype)
     mine = cell.transition
@@ -172,7 +184,9 @@ def test_the_warm_up_is_a_teacher_forced_gru(dtype):
 
 
 @CASES
-def test_float32_is_as_near_to_float64_as_the_plain_loop(case, kernel, loop):
+def test_float32_is_as_near_to_float64_as_the_plain_loop(
+    case: Case, kernel: Run, loop: Run
+) -> None:
     args = case((50, 30, 150, 1, 64, 0), torch.float32)
     exact = case((50, 30, 150, 1, 64, 0), torch.float64)
     exact[0].load_state_dict(args[0].state_dict())
@@ -181,16 +195,42 @@ def test_float32_is_as_near_to_float64_as_the_plain_loop(case, kernel, loop):
     )
     ours, theirs = (samples_and_gradients(run, *args) for run in (kernel, loop))
     for name, value in expected.items():
-        scale = value.abs().max().item()
+        scale = value.abs().max().item() or 1.0
         error, allowed = (
             (found[name].double() - value).abs().max().item() / scale for found in (ours, theirs)
         )
         assert error < 3 * allowed + 2e-6, name
 
 
-def test_tanh_in_float32_is_exact_to_four_ulp_odd_and_bounded():
+@pytest.mark.parametrize("blocks", ["_WIDE", "_NARROW"])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_products_of_any_shape_on_any_processor(
+    monkeypatch: pytest.MonkeyPatch, blocks: str, dtype: type[np.floating[Any]]
+) -> None:
+    monkeypatch.setattr(products, "_BLOCKS", getattr(products, blocks))
+
     @common.part
-    def compiled(x):
+    def product(out: common.Array, a: common.Array, w: common.Array, accumulate: bool) -> None:
+        products._matmul(out, a, w, accumulate)
+
+    rng = np.random.default_rng(0)
+    for rows, inner, columns in [(1, 1, 16), (7, 3, 48), (25, 0, 64), (11, 9, 112), (16, 40, 80)]:
+        a = rng.standard_normal((inner, rows + 1)).astype(dtype)[:, 1:].T
+        w = rng.standard_normal((inner, columns + 3)).astype(dtype)[:, 3:]
+        out = rng.standard_normal((rows, columns)).astype(dtype)
+        before, beside = out.copy(), np.full((rows + 2, columns + 2), 7, dtype)
+        product(out, a, w, True)
+        product(beside[1:-1, 1:-1], a, w, False)
+        tolerance = 1e-5 if dtype == np.float32 else 1e-12
+        np.testing.assert_allclose(out, before + a @ w, atol=tolerance)
+        np.testing.assert_allclose(beside[1:-1, 1:-1], a @ w, atol=tolerance)
+        beside[1:-1, 1:-1] = 7
+        assert (beside == 7).all()
+
+
+def test_tanh_in_float32_is_exact_to_four_ulp_odd_and_bounded() -> None:
+    @common.part
+    def compiled(x: common.Array) -> None:
         for i in range(x.size):
             x[i] = common.tanh(x[i])
 
@@ -204,16 +244,17 @@ def test_tanh_in_float32_is_exact_to_four_ulp_odd_and_bounded():
 
 
 @CASES
-def test_inputs_and_weights_need_not_be_contiguous(case, kernel, loop):
+def test_inputs_and_weights_need_not_be_contiguous(case: Case, kernel: Run, loop: Run) -> None:
     cell, start, steps, u = case((4, 3, 5, 2, 20, 2), torch.float64)
-    wide = nn.Parameter(torch.randn(60, 44, dtype=torch.float64))
     strided = torch.stack([start.detach(), start.detach()], dim=-1)[..., 0].requires_grad_()
     long = torch.randn(2, 9, 4, dtype=torch.float64).requires_grad_()
     u = long.transpose(0, 2)[..., ::1]
     assert not strided.is_contiguous()
     assert not u.is_contiguous()
-    if case is gru_case:
-        cell.transition.weight_hh = nn.Parameter(wide.detach()[:, ::2][:, :20].t()[:, :].t())
+    for layer in cell.modules():
+        for name, weight in list(layer.named_parameters(recurse=False)):
+            spread = torch.stack([weight.detach(), weight.detach()], dim=-1)[..., 0]
+            setattr(layer, name, nn.Parameter(spread))
     agree(
         samples_and_gradients(kernel, cell, strided, steps, u),
         samples_and_gradients(loop, cell, strided, steps, u),
@@ -223,7 +264,9 @@ def test_inputs_and_weights_need_not_be_contiguous(case, kernel, loop):
 
 @CASES
 @pytest.mark.parametrize("dtype", DTYPES)
-def test_a_nan_stays_in_its_row_and_shows(case, kernel, loop, dtype):
+def test_a_nan_stays_in_its_row_and_shows(
+    case: Case, kernel: Run, loop: Run, dtype: torch.dtype
+) -> None:
     cell, start, steps, u = case((6, 3, 5, 2, 20, 2), dtype)
     with torch.no_grad():
         clean = kernel(cell, start, steps, u)
@@ -236,7 +279,7 @@ def test_a_nan_stays_in_its_row_and_shows(case, kernel, loop, dtype):
     assert torch.equal(found[[0, 1, 3, 5]], clean[[0, 1, 3, 5]])
 
 
-def test_infinite_inputs_saturate_the_gates():
+def test_infinite_inputs_saturate_the_gates() -> None:
     cell, y, steps, _ = gru_case((2, 3, 4, 1, 5, 0), torch.float32)
     with torch.no_grad():
         y[0, 1] = torch.inf
@@ -246,11 +289,11 @@ def test_infinite_inputs_saturate_the_gates():
 class Allocations(TorchDispatchMode):
     """Sizes of what torch makes."""
 
-    def __init__(self):
-        super().__init__()
-        self.sizes = []
+    def __init__(self) -> None:
+        super().__init__()  # type: ignore[no-untyped-call]
+        self.sizes: list[int] = []
 
-    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         out = func(*args, **(kwargs or {}))
         if "empty" in str(func):
             self.sizes.append(out.numel())
@@ -258,7 +301,9 @@ class Allocations(TorchDispatchMode):
 
 
 @CASES
-def test_without_gradients_the_memory_does_not_grow_with_the_steps(case, kernel, loop):
+def test_without_gradients_the_memory_does_not_grow_with_the_steps(
+    case: Case, kernel: Run, loop: Run
+) -> None:
     steps = 200_000
     cell, start, *_ = case((1, 3, 1, 1, 16, 0), torch.float32)
     with torch.no_grad(), Allocations() as made:
@@ -268,11 +313,11 @@ def test_without_gradients_the_memory_does_not_grow_with_the_steps(case, kernel,
     assert sum(made.sizes) < steps + 10_000
     with Allocations() as made:
         kernel(cell, start, 1000)
-    assert max(made.sizes) >= 16_000
+    assert max(made.sizes) > 10_000
 
 
 @CASES
-def test_nothing_is_kept_where_nothing_needs_a_gradient(case, kernel, loop):
+def test_nothing_is_kept_where_nothing_needs_a_gradient(case: Case, kernel: Run, loop: Run) -> None:
     cell, start, steps, u = case((2, 3, 4, 1, 5, 1), torch.float64)
     cell.requires_grad_(False)
     y = kernel(cell, start.detach(), steps, u.detach())
@@ -281,31 +326,33 @@ def test_nothing_is_kept_where_nothing_needs_a_gradient(case, kernel, loop):
 
 
 @CASES
-def test_backward_can_be_repeated_but_not_differentiated(case, kernel, loop):
+def test_backward_can_be_repeated_but_not_differentiated(
+    case: Case, kernel: Run, loop: Run
+) -> None:
     cell, start, steps, u = case((3, 2, 5, 1, 7, 1), torch.float64)
     y = kernel(cell, start, steps, u).square().sum()
-    first = torch.autograd.grad(
-        y, list(cell.parameters())[:3] + [start], retain_graph=True, allow_unused=True
-    )
-    (again,) = torch.autograd.grad(y, [start], create_graph=True)
-    assert torch.equal(again, first[-1])
+    (first,) = torch.autograd.grad(y, start, retain_graph=True)
+    (again,) = torch.autograd.grad(y, start, create_graph=True)
+    assert torch.equal(again, first)
     with pytest.raises(RuntimeError, match="once_differentiable"):
         again.sum().backward()
 
 
 @CASES
-def test_rows_do_not_see_each_other_nor_the_number_of_threads(case, kernel, loop):
+def test_rows_do_not_see_each_other_nor_the_number_of_threads(
+    monkeypatch: pytest.MonkeyPatch, case: Case, kernel: Run, loop: Run
+) -> None:
     cell, start, steps, u = case((11, 3, 20, 2, 20, 1), torch.float32)
     whole = kernel(cell, start, steps, u)
     for rows in (slice(0, 1), slice(3, 8)):
         torch.testing.assert_close(kernel(cell, start[rows], steps, u[rows]), whole[rows])
     two = samples_and_gradients(kernel, cell, start, steps, u)
-    torch.set_num_threads(1)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
     agree(samples_and_gradients(kernel, cell, start, steps, u), two, 1e-5)
 
 
 @CASES
-def test_several_threads_at_once(case, kernel, loop):
+def test_several_threads_at_once(case: Case, kernel: Run, loop: Run) -> None:
     args = case((8, 3, 50, 1, 32, 0), torch.float64)
     alone = samples_and_gradients(kernel, *args)
     with ThreadPoolExecutor(8) as pool:
@@ -314,26 +361,28 @@ def test_several_threads_at_once(case, kernel, loop):
             agree(run.result(), alone, 1e-12)
 
 
-def test_rows_are_split_evenly_over_the_threads_that_the_work_is_worth(monkeypatch):
+def test_rows_are_split_evenly_over_the_threads_that_the_work_is_worth(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     assert common.split_rows(5, 100) == [slice(0, 2), slice(2, 5)]
     assert common.split_rows(1, 100) == [slice(0, 1)]
     monkeypatch.setattr(common, "_WORTH_A_THREAD", 60)
     assert common.split_rows(5, 100) == [slice(0, 5)]
 
 
-def test_jobs_that_no_thread_takes_are_done_all_the_same(monkeypatch):
+def test_jobs_that_no_thread_takes_are_done_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     class Lost:
-        def submit(self, work):
+        def submit(self, work: Callable[[], None]) -> Future[None]:
             return Future()
 
-    done = []
+    done: list[int] = []
     monkeypatch.setattr(common, "_POOL", Lost())
     common.run_rows(done.append, [(i,) for i in range(5)])
     assert sorted(done) == list(range(5))
 
 
-def test_an_error_in_a_job_is_raised():
-    def fail(i):
+def test_an_error_in_a_job_is_raised() -> None:
+    def fail(i: int) -> None:
         if i == 1:
             raise MemoryError
 
@@ -341,12 +390,12 @@ def test_an_error_in_a_job_is_raised():
         common.run_rows(fail, [(0,), (1,), (2,)])
 
 
-def test_compiling_is_announced_once_and_only_then():
+def test_compiling_is_announced_once_and_only_then() -> None:
     @common.part
-    def fresh(x):
+    def fresh(x: float) -> float:
         return x + 1
 
-    said = []
+    said: list[str] = []
     with on_compilation(partial(said.append, "compiling")):
         fresh(1)
         fresh(1.0)
@@ -355,7 +404,7 @@ def test_compiling_is_announced_once_and_only_then():
     assert said == ["compiling"]
 
 
-def test_importing_compiles_nothing():
+def test_importing_compiles_nothing() -> None:
     code = """
 from splitband.kernels import euler_mlp, gru
 kernels = [m._forward for m in (euler_mlp, gru)] + [m._backward for m in (euler_mlp, gru)]
@@ -375,7 +424,7 @@ assert not any(k.signatures for k in kernels)
         ({"y_warmup": torch.zeros(2, 3, 1).half()}, "float32 or float64, got torch.float16"),
     ],
 )
-def test_tensors_that_do_not_fit_are_refused(wrong, message):
+def test_tensors_that_do_not_fit_are_refused(wrong: dict[str, Tensor], message: str) -> None:
     tensors = {
         "y_warmup": torch.zeros(2, 3, 1),
         "u": torch.zeros(2, 6, 1),
@@ -390,7 +439,7 @@ def test_tensors_that_do_not_fit_are_refused(wrong, message):
         gru_rollout(steps=4, **tensors | wrong)
 
 
-def test_an_euler_rollout_refuses_tensors_that_do_not_fit():
+def test_an_euler_rollout_refuses_tensors_that_do_not_fit() -> None:
     cell, h0, steps, u = euler_case((2, 3, 4, 1, 5, 1), torch.float32)
     with pytest.raises(ValueError, match=r"u must be \(2, 3, 1\)"):
         fused_euler(cell, h0, steps, u[:, :2])
