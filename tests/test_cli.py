@@ -930,3 +930,17 @@ def test_square_brackets_in_names_are_printed(
 def test_dollar_signs_in_names_are_drawn(tmp_path: Path) -> None:
     pd.read_csv("record.csv").rename(columns={"a": "US$_{1$"}).to_csv(tmp_path / "r.csv")
     call(f"spectrum {tmp_path / 'r.csv'} --columns 'US$_{{1$'", tmp_path / "out")
+
+
+def test_a_slow_function_is_kept_by_its_content(tmp_path: Path) -> None:
+    code = (
+        "def simulate(time):\n    with open('calls', 'a') as file:\n        file.write('x')\n"
+        "    return {} * time\n"
+    )
+    line = f"spectrum record.csv --columns a --simulator f.py:simulate --simulator-cache {tmp_path}"
+    for slope in (1, 1, 2):
+        Path("f.py").write_text(code.format(slope))
+        call(line, tmp_path / "out")
+    assert Path("calls").read_text() == "xx"
+    Path("calls").unlink()
+    Path("f.py").unlink()

@@ -458,3 +458,20 @@ def test_the_named_simulator_is_that_of_the_record(system_v: Trajectory) -> None
     np.testing.assert_array_equal(
         run(van_der_pol_simulator(), 2000, system_v.sampling_time), system_v.y_sim
     )
+
+
+def test_a_function_and_an_ode_are_cached_by_their_keys(tmp_path: Path) -> None:
+    calls: list[float] = []
+
+    def function(time: Any) -> Any:
+        calls.append(time[-1])
+        return np.sin(time)
+
+    for key in ("one", "one", "another", None, None):
+        run(Function(function, key), 30, DT, cache=tmp_path)
+    assert len(calls) == 4
+    loose, tight = (
+        run(Ode(lambda _, x: -x, [1.0], rtol=rtol, key="decay"), 30, DT, cache=tmp_path)
+        for rtol in (1e-2, 1e-10)
+    )
+    assert np.abs(loose - tight).max() > 1e-6

@@ -68,13 +68,24 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Function:
-    """A Python callable, `function(time) -> (time,) or (time, ny)`."""
+    """A Python callable, `function(time) -> (time,) or (time, ny)`.
+
+    Attributes
+    ----------
+    function : What to call.
+    key : Identifies it and its parameters in the cache of `run`; without one it is not cached.
+    """
 
     function: Callable[[Array], npt.ArrayLike]
+    key: str | None = None
 
     def simulate(self, time: Array) -> npt.ArrayLike:
         """See `Simulator`."""
         return self.function(time)
+
+    def fingerprint(self) -> str | None:
+        """The key."""
+        return self.key
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +99,7 @@ class Ode:
     observe : Maps the states `(time, nx)` to the measured channels; the first state by default.
     rtol, atol : Tolerances of the solver.
     method : Its name for SciPy.
+    key : As for `Function`.
     """
 
     derivative: Callable[[float, Array], Any]
@@ -96,6 +108,7 @@ class Ode:
     rtol: float = 1e-8
     atol: float = 1e-10
     method: Literal["RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA"] = "RK45"
+    key: str | None = None
 
     def simulate(self, time: Array) -> npt.ArrayLike:
         """See `Simulator`; raises RuntimeError where the solver gives up."""
@@ -111,6 +124,10 @@ class Ode:
         if not solution.success:
             raise RuntimeError(f"the solver stopped at t = {solution.t[-1:]} s: {solution.message}")
         return self.observe(solution.y.T)
+
+    def fingerprint(self) -> str | None:
+        """The key and the solver's settings."""
+        return None if self.key is None else f"{self.key} {self.method} {self.rtol} {self.atol}"
 
 
 class Fmu:
@@ -223,8 +240,8 @@ def run(
     samples, sampling_time : The time grid: 0, dt, 2 dt, ... in s.
     ny : Channels of the record.
     timeout : Seconds to wait; what runs on then is left behind in a thread.
-    cache : Folder to keep trajectories in, for a simulator that has a `fingerprint()`: a string
-        that changes with whatever its trajectory depends on.
+    cache : Folder to keep trajectories in, for a simulator whose `fingerprint()` gives a string
+        that changes with whatever its trajectory depends on; an FMU's is its content.
     name : What messages call the simulator, by default its class.
 
     Returns
@@ -311,10 +328,10 @@ def _within(timeout: float | None, call: Callable[[], Any]) -> Any:
 def _cache_file(
     simulator: Simulator, grid: tuple[Any, ...], cache: str | Path | None
 ) -> Path | None:
-    fingerprint = getattr(simulator, "fingerprint", None)
+    fingerprint = getattr(simulator, "fingerprint", lambda: None)()
     if cache is None or fingerprint is None:
         return None
-    key = hashlib.sha256(f"{fingerprint()} {grid}".encode()).hexdigest()
+    key = hashlib.sha256(f"{fingerprint} {grid}".encode()).hexdigest()
     return Path(cache) / f"{key[:32]}.npy"
 
 

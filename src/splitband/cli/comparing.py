@@ -58,6 +58,7 @@ def compare(
     simulator: options.SimulatorOption = None,
     simulator_columns: options.SimulatorColumns = None,
     simulator_timeout: options.SimulatorTimeout = None,
+    simulator_cache: options.SimulatorCache = None,
     calibrate: Annotated[
         bool,
         typer.Option(
@@ -85,7 +86,9 @@ def compare(
     RMSE of the free run over everything after the warm-up, in the record's unit.
     """
     trajectory = options.load_record(record, columns, inputs, time_column, sampling_time)
-    trajectory = with_simulator(trajectory, simulator, simulator_columns, simulator_timeout)
+    trajectory = with_simulator(
+        trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache
+    )
     setup = options.setup(
         record,
         trajectory,

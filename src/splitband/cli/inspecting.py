@@ -34,6 +34,7 @@ def spectrum(
     simulator: options.SimulatorOption = None,
     simulator_columns: options.SimulatorColumns = None,
     simulator_timeout: options.SimulatorTimeout = None,
+    simulator_cache: options.SimulatorCache = None,
     cutoff: options.Cutoff = None,
     order: options.Order = None,
 ) -> None:
@@ -44,7 +45,9 @@ def spectrum(
     with the record, and the oracle check: the RMSE a hybrid model could reach at each cut-off.
     """
     trajectory = options.load_record(record, columns, None, time_column, sampling_time)
-    trajectory = with_simulator(trajectory, simulator, simulator_columns, simulator_timeout)
+    trajectory = with_simulator(
+        trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache
+    )
     rate = trajectory.sampling_rate
     found = periodogram(trajectory.y, rate)
     chosen = _cutoff(record, trajectory) if cutoff is None else cutoff

@@ -46,6 +46,7 @@ def fit(
     simulator: options.SimulatorOption = None,
     simulator_columns: options.SimulatorColumns = None,
     simulator_timeout: options.SimulatorTimeout = None,
+    simulator_cache: options.SimulatorCache = None,
     calibrate: Annotated[
         bool,
         typer.Option(
@@ -73,7 +74,9 @@ def fit(
     if method not in TRAINED:
         raise ValueError(f"--method must be one of {', '.join(TRAINED)}, got {method}")
     trajectory = options.load_record(record, columns, inputs, time_column, sampling_time)
-    trajectory = with_simulator(trajectory, simulator, simulator_columns, simulator_timeout)
+    trajectory = with_simulator(
+        trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache
+    )
     setup = options.setup(
         record,
         trajectory,
@@ -162,6 +165,7 @@ def simulate(
     simulator: options.SimulatorOption = None,
     simulator_columns: options.SimulatorColumns = None,
     simulator_timeout: options.SimulatorTimeout = None,
+    simulator_cache: options.SimulatorCache = None,
 ) -> None:
     """Simulate a saved model beyond a measured history.
 
@@ -197,7 +201,9 @@ def simulate(
                 f"--simulator must be given for a hybrid model, this is {known.method}"
             )
         total = len(past) + steps
-        y_sim = simulated(past, total, simulator, simulator_columns, simulator_timeout)
+        y_sim = simulated(
+            past, total, simulator, simulator_columns, simulator_timeout, simulator_cache
+        )
         y_sim = y_sim[len(past) - known.warmup :]
     warmup = slice(len(past) - known.warmup, None)
     u = _all_inputs(None if past.u is None else past.u[warmup], future_inputs, steps, known)

@@ -117,6 +117,15 @@ SimulatorTimeout = Annotated[
         show_default="never",
     ),
 ]
+SimulatorCache = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Keep what a slow FMU or function computes in this folder, by its content.",
+        rich_help_panel=_SIMULATOR,
+        show_default="not kept",
+    ),
+]
 Cutoff = Annotated[
     float | None,
     typer.Option(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
+import hashlib
 import math
+import runpy
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -20,22 +21,32 @@ from splitband.systems import SIMULATORS
 
 
 def with_simulator(
-    record: Trajectory, simulator: str | None, columns: str | None, timeout: float | None
+    record: Trajectory,
+    simulator: str | None,
+    columns: str | None,
+    timeout: float | None,
+    cache: Path | None,
 ) -> Trajectory:
     """The record with the trajectory of the simulator that the options name."""
     if timeout is not None and not math.isfinite(timeout):
         raise ValueError(f"--simulator-timeout must be a number of seconds, got {timeout:g}")
     if simulator is None:
         return record
-    return replace(record, y_sim=simulated(record, len(record), simulator, columns, timeout))
+    y_sim = simulated(record, len(record), simulator, columns, timeout, cache)
+    return replace(record, y_sim=y_sim)
 
 
 def simulated(
-    record: Trajectory, samples: int, simulator: str, columns: str | None, timeout: float | None
+    record: Trajectory,
+    samples: int,
+    simulator: str,
+    columns: str | None,
+    timeout: float | None,
+    cache: Path | None,
 ) -> npt.NDArray[np.float64]:
     """The simulator's trajectory `(samples, ny)` from the record's first sample on."""
     with _open(simulator, record, names(columns or "")) as opened:
-        return run(opened, samples, record.sampling_time, record.ny, timeout, name=simulator)
+        return run(opened, samples, record.sampling_time, record.ny, timeout, cache, name=simulator)
 
 
 @contextmanager
@@ -44,7 +55,9 @@ def _open(text: str, record: Trajectory, columns: list[str]) -> Iterator[Simulat
     if text in SIMULATORS:
         yield SIMULATORS[text]()
     elif function:
-        yield Function(_function(Path(path + ".py"), function))
+        file = Path(path + ".py")
+        run_code = _function(file, function)
+        yield Function(run_code, f"{hashlib.sha256(file.read_bytes()).hexdigest()} {function}")
     elif text.endswith(".py"):
         raise ValueError(f"--simulator needs a function of the file, {text}:FUNCTION, got {text}")
     elif text.lower().endswith(".fmu"):
@@ -76,15 +89,10 @@ def _function(path: Path, name: str) -> Callable[[npt.NDArray[np.float64]], Any]
     """Import a function of the user's own file, which runs that file."""
     if not path.is_file():
         raise FileNotFoundError(f"no such file: {path}")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(module)
+        function = runpy.run_path(str(path), run_name=path.stem).get(name)
     except (Exception, SystemExit) as error:
         raise ValueError(f"{path} cannot be run: {type(error).__name__}: {error}") from error
-    function = getattr(module, name, None)
     if not callable(function):
         raise ValueError(f"{path} must define a function {name}")
     return function

@@ -161,6 +161,21 @@ def split_rows(batch: int, work: float) -> list[slice]:
     return [slice(batch * i // n, batch * (i + 1) // n) for i in range(n)]
 
 
+def buffers(like: Tensor, split: list[slice], *shape: int) -> list[Tensor]:
+    """For each job a tensor of `shape`, its rows the last axis but one, cut from one allocation.
+
+    The C library gives large blocks back and takes new ones page by page; a single one it keeps.
+    """
+    per_row = math.prod(shape)
+    whole = like.new_empty(split[-1].stop * per_row)
+    return [
+        whole[rows.start * per_row : rows.stop * per_row].view(
+            *shape[:-1], rows.stop - rows.start, shape[-1]
+        )
+        for rows in split
+    ]
+
+
 def run_rows(kernel: Callable[..., None], jobs: Sequence[Sequence[Any]]) -> None:
     """Call `kernel` with each of the `jobs`, tensors as arrays, on as many threads.
 

@@ -10,6 +10,7 @@ and y is the first entries of h.
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from splitband.kernels.common import (
     Array,
     add,
     array,
+    buffers,
     check,
     copy,
     kernel,
@@ -97,29 +99,29 @@ class _Rollout(torch.autograd.Function):
         ctx: Any, h0: Tensor, u: Tensor, steps: int, ny: int, step_size: float, *weights: Tensor
     ) -> Tensor:
         y, ctx.rows, kept = _simulate(h0, u, steps, ny, step_size, weights, keep=True)
-        ctx.save_for_backward(*weights[::2], *kept)
+        ctx.save_for_backward(*weights, *chain(*kept))
         ctx.shapes, ctx.step_size = (h0.shape, u.shape), step_size
         return y
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, dy: Tensor) -> tuple[Tensor | None, ...]:
-        weights, kept = ctx.saved_tensors[:3], ctx.saved_tensors[3:]
-        w1, w2, w3 = (pad(w) for w in weights)
+        weights, kept = ctx.saved_tensors[:6], ctx.saved_tensors[6:]
+        w1, w2, w3 = (pad(w) for w in weights[::2])
+        first, *_ = _pack(weights)
         dy = dy.contiguous()
         dh, du = (zeros(dy, *shape) for shape in ctx.shapes)
-        first, size = (weights[0].shape[1] + 1, w2.shape[1]), len(w3)
-        sizes = first, w2.shape, (1, w3.shape[1]), w3.shape, (size,)
+        sizes = first.shape, w2.shape, (1, w3.shape[1]), w3.shape, (len(w3),)
         sums = [[zeros(dy, *size) for size in sizes] for _ in ctx.rows]
         jobs = []
         for i, rows in enumerate(ctx.rows):
             n = rows.stop - rows.start
-            widths = w2.shape[1], w3.shape[1], padded(size)
+            widths = w2.shape[1], w2.shape[1], w3.shape[1], padded(len(w3))
             layers = [dy.new_empty(-(-_GATHER // n), n, width) for width in widths]
-            saved = (*kept[3 * i : 3 * i + 3], *layers, w1, w2, w3)
+            saved = (*kept[2 * i : 2 * i + 2], *layers, first, w1, w2, w3)
             jobs.append((ctx.step_size, dy[rows], *saved, *sums[i], dh[rows], du[rows]))
         run_rows(_backward, jobs)
-        return dh, du, None, None, None, *_unpack(*weights[1].shape, *add(sums))
+        return dh, du, None, None, None, *_unpack(*weights[2].shape, *add(sums))
 
 
 def _simulate(
@@ -130,25 +132,32 @@ def _simulate(
     step_size: float,
     weights: tuple[Tensor, ...],
     keep: bool,
-) -> tuple[Tensor, list[slice], list[Tensor]]:
-    """The samples, the rows of each job, and for each x, a and b: of every step or the last."""
-    values = [array(w) for w in weights]
-    pairs = zip(values[::2], values[1::2], strict=True)
-    packed = [pad(np.concatenate([w.T, bias[None]])) for w, bias in pairs]
-    w1, w2, _ = packed
+) -> tuple[Tensor, list[slice], list[tuple[Tensor, Tensor]]]:
+    """The samples, the rows of each job, and for each x and b: of every step or the last.
+
+    The narrow first layer is cheap: a is computed anew on the way back.
+    """
+    packed = w1, w2, _ = _pack(weights)
     slots = max(steps - 1, 1) if keep else 1
-    work = sum(w.numel() for w in packed)
-    split = split_rows(len(h0), float(len(h0)) * steps * work)
+    split = split_rows(len(h0), float(len(h0)) * steps * sum(w.numel() for w in packed))
     y = h0.new_empty(len(h0), steps, ny)
     h0, u = h0.contiguous(), u.contiguous()
-    kept, jobs = [], []
-    for rows in split:
-        n = rows.stop - rows.start
-        sizes = (slots + 1, n, len(w1)), (slots, n, w1.shape[1]), (slots, n, w2.shape[1])
-        kept += [y.new_empty(size) for size in sizes]
-        jobs.append((step_size, h0[rows], u[rows], *packed, *kept[-3:], y[rows]))
+    x, b = buffers(y, split, slots + 1, len(w1)), buffers(y, split, slots, w2.shape[1])
+    kept = list(zip(x, b, strict=True))
+    jobs = [
+        (step_size, h0[rows], u[rows], *packed, *saved, y[rows])
+        for rows, saved in zip(split, kept, strict=True)
+    ]
     run_rows(_forward, jobs)
     return y, split, kept
+
+
+def _pack(weights: tuple[Tensor, ...]) -> tuple[Tensor, Tensor, Tensor]:
+    """Each layer's W' over its bias, to multiply from the right."""
+    w1, b1, w2, b2, w3, b3 = (array(w) for w in weights)
+    pairs = (w1, b1), (w2, b2), (w3, b3)
+    first, second, third = (pad(np.concatenate([w.T, bias[None]])) for w, bias in pairs)
+    return first, second, third
 
 
 def _unpack(
@@ -169,7 +178,6 @@ def _forward(
     w2: Array,
     w3: Array,
     xs: Array,
-    as_: Array,
     bs: Array,
     y: Array,
 ) -> None:
@@ -177,6 +185,7 @@ def _forward(
     steps, ny = y.shape[1:]
     one = size + u.shape[2]
     dt = h0.dtype.type(step_size)
+    a = np.empty((rows, w1.shape[1]), y.dtype)
     change = np.empty((rows, w3.shape[1]), y.dtype)
     copy(xs[0], h0)
     for t in range(steps):
@@ -186,7 +195,7 @@ def _forward(
             break
         copy(x[:, size:], u[:, t])
         x[:, one] = 1
-        a, b = as_[t % len(as_)], bs[t % len(bs)]
+        b = bs[t % len(bs)]
         matmul(a, x, w1, False)
         _tanh_of(a.reshape(-1))
         _layer(b, a, x[:, one:], w2)
@@ -214,11 +223,12 @@ def _backward(
     step_size: float,
     dy: Array,
     xs: Array,
-    as_: Array,
     bs: Array,
+    as_: Array,
     das: Array,
     dbs: Array,
     dcs: Array,
+    first: Array,
     w1: Array,
     w2: Array,
     w3: Array,
@@ -231,8 +241,7 @@ def _backward(
     du: Array,
 ) -> None:
     rows, size = dh.shape
-    steps = dy.shape[1]
-    one = size + du.shape[2]
+    steps, one = dy.shape[1], size + du.shape[2]
     dt = dy.dtype.type(step_size)
     dx = np.empty((rows, w1.shape[1]), dy.dtype)
     for t in range(steps - 1, -1, -1):
@@ -241,7 +250,7 @@ def _backward(
             break
         s = t - 1
         step = s % len(das)
-        da, db, dc = das[step], dbs[step], dcs[step]
+        a, da, db, dc = as_[step], das[step], dbs[step], dcs[step]
         for i in range(rows):
             for j in range(size):
                 dc[i, j] = dt * dh[i, j]
@@ -249,19 +258,21 @@ def _backward(
         matmul(db, dc[:, :size], w3, False)
         _tanh_back(bs[s].reshape(-1), db.reshape(-1))
         matmul(da, db[:, : len(w2)], w2, False)
-        _tanh_back(as_[s].reshape(-1), da.reshape(-1))
+        matmul(a, xs[s], first, False)
+        _tanh_of(a.reshape(-1))
+        _tanh_back(a.reshape(-1), da.reshape(-1))
         matmul(dx, da[:, : len(w1)], w1, False)
         _add(dh, dx[:, :size])
         copy(du[:, s], dx[:, size:one])
         if step == 0:
             stop = min(s + len(das), steps - 1)
             n = (stop - s) * rows
-            x, a, b = _flat(xs[s:stop], n), _flat(as_[s:stop], n), _flat(bs[s:stop], n)
-            das_, dbs_, dcs_ = _flat(das, n), _flat(dbs, n), _flat(dcs, n)
-            matmul(dw1, x.T, das_, True)
-            matmul(dw2, dbs_[:, : len(w2)].T, a, True)
-            matmul(db2, x[:, one:].T, dbs_, True)
-            matmul(dw3, dcs_[:, :size].T, b, True)
+            x, b, dc = _flat(xs[s:stop], n), _flat(bs[s:stop], n), _flat(dcs, n)
+            a, da, db = _flat(as_, n), _flat(das, n), _flat(dbs, n)
+            matmul(dw1, x.T, da, True)
+            matmul(dw2, db[:, : len(w2)].T, a, True)
+            matmul(db2, x[:, one:].T, db, True)
+            matmul(dw3, dc[:, :size].T, b, True)
 
 
 @part

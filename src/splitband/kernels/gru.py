@@ -10,6 +10,7 @@ The gates of a step are kept as planes r, z, m, n: U has the first three, W all 
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from splitband.kernels.common import (
     Array,
     add,
     array,
+    buffers,
     check,
     copy,
     kernel,
@@ -92,7 +94,7 @@ class _Rollout(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, y_warmup: Tensor, u: Tensor, steps: int, *weights: Tensor) -> Tensor:
         y, ctx.rows, kept = _simulate(y_warmup, u, steps, weights, keep=True)
-        ctx.save_for_backward(*weights, *kept)
+        ctx.save_for_backward(*weights, *chain(*kept))
         ctx.shapes = y_warmup.shape, u.shape
         return y
 
@@ -119,7 +121,7 @@ class _Rollout(torch.autograd.Function):
 
 def _simulate(
     y_warmup: Tensor, u: Tensor, steps: int, weights: tuple[Tensor, ...], keep: bool
-) -> tuple[Tensor, list[slice], list[Tensor]]:
+) -> tuple[Tensor, list[slice], list[tuple[Tensor, Tensor, Tensor]]]:
     """The samples, the rows of each job, and for each x, h and gates: of every step or the last."""
     packed = wx, wh, _ = _pack(*(array(w) for w in weights))
     batch, warmup, ny = y_warmup.shape
@@ -128,12 +130,14 @@ def _simulate(
     split = split_rows(batch, 4.0 * batch * last * width * (width + PAD))
     y = y_warmup.new_empty(batch, steps, ny)
     y_warmup, u = y_warmup.contiguous(), u.contiguous()
-    kept, jobs = [], []
-    for rows in split:
-        n = rows.stop - rows.start
-        sizes = (slots + 1, n, wx.shape[1]), (slots + 1, n, width), (slots, 4, n, width)
-        kept += [y.new_empty(size) for size in sizes]
-        jobs.append((y_warmup[rows], u[rows], *packed, *kept[-3:], y[rows]))
+    x = buffers(y, split, slots + 1, wx.shape[1])
+    h = buffers(y, split, slots + 1, width)
+    gates = buffers(y, split, slots, 4, width)
+    kept = list(zip(x, h, gates, strict=True))
+    jobs = [
+        (y_warmup[rows], u[rows], *packed, *saved, y[rows])
+        for rows, saved in zip(split, kept, strict=True)
+    ]
     run_rows(_forward, jobs)
     return y, split, kept
 
