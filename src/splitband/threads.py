@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import os
 
+import threadpoolctl
 import torch
 
 
 def use_threads(count: int) -> None:
-    """Let this process compute on `count` threads; parallel runs are processes of one each."""
+    """Let this process compute on `count` threads; parallel runs are processes of one each.
+
+    That goes for torch, whose count the fused kernels take, and for the BLAS of NumPy and SciPy.
+    """
     torch.set_num_threads(count)
+    threadpoolctl.threadpool_limits(count, user_api="blas")
 
 
 def available_cores() -> int:
