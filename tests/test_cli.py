@@ -292,10 +292,10 @@ def test_the_numbers_do_not_depend_on_the_number_of_jobs(tmp_path: Path) -> None
         call(f"compare record.csv --columns a --methods gru {QUICK} --seeds 2 --jobs {jobs}",
              tmp_path / str(jobs))  # fmt: skip
         found.append(results(tmp_path / str(jobs))["methods"]["gru"])
-    for key in ("seeds", "total_rmse", "forecast_rmse", "final_loss"):
-        assert found[0][key] == found[1][key]
+    for key in ("total_rmse", "forecast_rmse"):
+        assert found[0][key] == pytest.approx(found[1][key], rel=1e-6)
         assert len(found[0][key]) == 2
-    assert found[0]["seeds"] == [0, 1]
+    assert found[0]["seeds"] == found[1]["seeds"] == [0, 1]
     assert len(set(found[0]["total_rmse"])) == 2
     assert found[0]["total_rmse_std"] == pytest.approx(np.std(found[0]["total_rmse"], ddof=1))
 
