@@ -117,7 +117,7 @@ def compare(
     jobs: int = 1,
     progress: Callable[[RunProgress], None] | None = None,
 ) -> dict[str, list[Run]]:
-    """Run every method with every seed; the numbers do not depend on `jobs`.
+    """Run every method with every seed; `jobs` changes the numbers by rounding at most.
 
     Parameters
     ----------
