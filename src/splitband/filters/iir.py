@@ -1,13 +1,16 @@
 """IIR filtering, one way and in both directions: exact, differentiable, on any batch.
 
-A fixed IIR filter is a linear map, so its gradient is the same filter run backwards in time.
-Forward and backward are therefore SciPy's compiled recurrence, in float64 whatever the dtype of
-the signal. A blocked state-space form in torch operations was slower (benchmarks/filters.py).
+A fixed IIR filter is a linear map, so its gradient is the same filter run backwards in time, with
+the ends handled in turn. Both run as a compiled recurrence in float64, whatever the dtype of the
+signal; SciPy designs the filters and is what the tests compare with (benchmarks/filters.py for
+the speed).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
@@ -15,6 +18,8 @@ import numpy.typing as npt
 import scipy
 import torch
 from torch import Tensor
+
+from splitband.kernels.recurrence import recurrence
 
 Array = npt.NDArray[np.float64]
 Signal = TypeVar("Signal", npt.NDArray[Any], Tensor)
@@ -57,7 +62,7 @@ def lfilter(
 
     def run(x: Tensor, first: Tensor | None) -> Tensor:
         if first is None:
-            return _run(b, a, x, start)
+            return _apply(_Passes(b, a, start, both_ways=False), x)
         return _run_on(b, a, x, first)
 
     return _along_time(run, x, first, dim)
@@ -88,66 +93,124 @@ def filtfilt(
     """
     b, a = normalised(b, a)
     _check_start(start)
-    pad = 3 * len(a) if start == "odd" else 0
-    once: Start = "zeros" if start == "zeros" else "steady"
+    passes = _Passes(b, a, start, both_ways=True)
 
     def run(x: Tensor, _: Tensor | None) -> Tensor:
-        if x.shape[-1] <= pad:
+        if x.shape[-1] <= passes.pad:
             raise ValueError(
-                f"zero-phase filtering of order {len(a) - 1} needs more than {pad} samples, "
+                f"zero-phase filtering of order {len(a) - 1} needs more than {passes.pad} samples, "
                 f"got {x.shape[-1]}"
             )
-        extended = _extend_odd(x, pad) if pad else x
-        forward = _run(b, a, extended, once)
-        both = _run(b, a, forward.flip(-1), once).flip(-1)
-        return both[..., pad : both.shape[-1] - pad]
+        return _apply(passes, x)
 
     return _along_time(run, x, None, dim)
 
 
+class _Passes:
+    """One pass or two over `(rows, time)` and, as the map is linear, its adjoint."""
+
+    def __init__(self, b: Array, a: Array, start: Start, both_ways: bool) -> None:
+        self.b, self.a = b, a
+        self.pad = 3 * len(a) if start == "odd" else 0
+        self.directions = (False, True) if both_ways else (False,)
+        order = len(a) - 1
+        # The state of a pass is this times its first sample.
+        self.steady = np.zeros(order) if start == "zeros" else _steady(tuple(b), tuple(a))
+
+    def map(self, x: npt.NDArray[Any]) -> Array:
+        p = self.pad
+        y = np.empty((len(x), x.shape[1] + 2 * p))
+        inner = y[:, p : p + x.shape[1]]
+        inner[:] = x
+        if p:
+            y[:, :p] = 2 * inner[:, :1] - inner[:, p:0:-1]
+            y[:, -p:] = 2 * inner[:, -1:] - inner[:, -2 : -p - 2 : -1]
+        for reverse in self.directions:
+            first = y[:, -1] if reverse else y[:, 0]
+            recurrence(self.b, self.a, np.outer(first, self.steady), y, y, reverse)
+        return inner
+
+    def adjoint(self, grad: npt.NDArray[Any]) -> Array:
+        p = self.pad
+        g = np.zeros((len(grad), grad.shape[1] + 2 * p))
+        inner = g[:, p : p + grad.shape[1]]
+        inner[:] = grad
+        nothing = np.zeros((len(g), len(self.steady)))
+        for reverse in reversed(self.directions):
+            onto_state = g @ _responses(tuple(self.b), tuple(self.a), g.shape[1], reverse)
+            recurrence(self.b, self.a, nothing, g, g, not reverse)
+            g[:, -1 if reverse else 0] += onto_state @ self.steady
+        if p:
+            left, right = g[:, :p], g[:, -p:]
+            inner[:, 0] += 2 * left.sum(axis=1)
+            inner[:, -1] += 2 * right.sum(axis=1)
+            inner[:, 1 : p + 1] -= left[:, ::-1]
+            inner[:, -p - 1 : -1] -= right[:, ::-1]
+        return inner
+
+
+class _Map(torch.autograd.Function):
+    """A linear map `(rows, time)` to the same, or its adjoint; each is the other's gradient."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, passes: _Passes, adjoint: bool) -> Tensor:
+        ctx.passes, ctx.adjoint = passes, adjoint
+        run = passes.adjoint if adjoint else passes.map
+        values = x.detach().cpu().numpy()
+        y = run(values) if values.size else values
+        return torch.from_numpy(np.array(y, values.dtype)).to(x.device)
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
+        return _Map.apply(grad, ctx.passes, not ctx.adjoint), None, None  # type: ignore[no-untyped-call]
+
+
+def _apply(passes: _Passes, x: Tensor) -> Tensor:
+    """Filter `(..., time)`."""
+    y: Tensor = _Map.apply(x.reshape(-1, x.shape[-1]), passes, False)  # type: ignore[no-untyped-call]
+    return y.view(x.shape)
+
+
 class _LFilter(torch.autograd.Function):
-    """SciPy's `lfilter` on `(..., time)` from the state `zi` `(..., P)`."""
+    """One pass over `(rows, time)` in float64 from the state `zi` `(rows, P)`."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, zi: Tensor, b: Array, a: Array) -> Tensor:
-        ctx.coefficients = b, a
-        signal, state = (t.detach().cpu().numpy() for t in (x, zi))
-        # SciPy refuses a signal of no samples.
-        y = scipy.signal.lfilter(b, a, signal, zi=state)[0] if signal.size else signal
-        return torch.from_numpy(np.ascontiguousarray(y)).to(x.device)
+    def forward(ctx: Any, x: Tensor, zi: Tensor, b: Array, a: Array, reverse: bool) -> Tensor:
+        ctx.coefficients, ctx.reverse = (b, a), reverse
+        values, state = (t.detach().cpu().numpy() for t in (x, zi))
+        y = np.empty(values.shape)
+        recurrence(b, a, np.ascontiguousarray(state), np.ascontiguousarray(values), y, reverse)
+        return torch.from_numpy(y).to(x.device)
 
     @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         b, a = ctx.coefficients
-        need_x, need_zi, *_ = ctx.needs_input_grad
-        backwards = grad.flip(-1)
-        rest = grad.new_zeros(*grad.shape[:-1], len(a) - 1)
-        grad_x = grad_zi = None
-        if need_x:
-            grad_x = _recurrence(b, a, backwards, rest).flip(-1)
-        if need_zi:  # the state enters as P extra inputs behind the numerator
-            impulse = np.eye(1, len(a))[0]
-            seen = _recurrence(impulse, a, backwards, rest).flip(-1)[..., : len(a) - 1]
-            grad_zi = torch.nn.functional.pad(seen, (0, len(a) - 1 - seen.shape[-1]))
-        return grad_x, grad_zi, None, None
+        responses = torch.from_numpy(_responses(tuple(b), tuple(a), grad.shape[-1], ctx.reverse))
+        nothing = grad.new_zeros(len(grad), len(a) - 1)
+        grad_x = _LFilter.apply(grad, nothing, b, a, not ctx.reverse)  # type: ignore[no-untyped-call]
+        return grad_x, grad @ responses.to(grad), None, None, None
 
 
-def _recurrence(b: Array, a: Array, x: Tensor, zi: Tensor) -> Tensor:
-    return _LFilter.apply(x, zi, b, a)  # type: ignore[no-untyped-call]
+@lru_cache(maxsize=4)
+def _responses(
+    b: tuple[float, ...], a: tuple[float, ...], samples: int, reverse: bool
+) -> npt.NDArray[Any]:
+    """What each entry of the state before a pass adds to its output, `(samples, P)`."""
+    order = len(a) - 1
+    y = np.zeros((order, samples))
+    recurrence(np.array(b), np.array(a), np.eye(order), y, y, reverse)
+    return np.ascontiguousarray(y.T)
 
 
-def _run(b: Array, a: Array, x: Tensor, start: Start) -> Tensor:
-    """Filter `(..., time)` one way from zero or steady state."""
-    if start == "steady" and x.shape[-1]:
-        zi = x[..., :1] * torch.from_numpy(scipy.signal.lfilter_zi(b, a)).to(x)
-    else:
-        zi = x.new_zeros(*x.shape[:-1], len(a) - 1)
-    return _recurrence(b, a, x, zi)
+@lru_cache(maxsize=64)
+def _steady(b: tuple[float, ...], a: tuple[float, ...]) -> Array:
+    """The state `(P,)` that a constant 1 leaves."""
+    return scipy.signal.lfilter_zi(b, a)
 
 
 def _run_on(b: Array, a: Array, x: Tensor, first: Tensor) -> Tensor:
-    """Filter `(..., time)` one way, going on from the first P outputs."""
-    order = len(a) - 1
+    """Filter `(..., time)` one way in float64, going on from the first P outputs."""
+    order, x = len(a) - 1, x.double()
     state = [
         sum(
             float(b[k]) * x[..., order - (k - m)] - float(a[k]) * first[..., order - (k - m)]
@@ -156,14 +219,12 @@ def _run_on(b: Array, a: Array, x: Tensor, first: Tensor) -> Tensor:
         for m in range(order)
     ]
     zi = torch.stack([s for s in state if isinstance(s, Tensor)], dim=-1)
-    return torch.cat([first, _recurrence(b, a, x[..., order:], zi)], dim=-1)
-
-
-def _extend_odd(x: Tensor, pad: int) -> Tensor:
-    """Point-reflect `pad` samples at both ends of `(..., time)`."""
-    left = 2 * x[..., :1] - x[..., 1 : pad + 1].flip(-1)
-    right = 2 * x[..., -1:] - x[..., -pad - 1 : -1].flip(-1)
-    return torch.cat([left, x, right], dim=-1)
+    rest = x[..., order:]
+    rows, shape = math.prod(rest.shape[:-1]), rest.shape
+    y: Tensor = _LFilter.apply(  # type: ignore[no-untyped-call]
+        rest.reshape(rows, -1), zi.reshape(rows, order), b, a, False
+    )
+    return torch.cat([first, y.view(shape)], dim=-1)
 
 
 def _along_time(
@@ -179,7 +240,7 @@ def _along_time(
     known = None if first is None else _tensor(first).to(signal.device, torch.float64)
     if known is not None:
         known = known.movedim(axis, -1)
-    y = run(signal.double().movedim(axis, -1), known).movedim(-1, axis).to(signal.dtype)
+    y = run(signal.movedim(axis, -1), known).movedim(-1, axis).to(signal.dtype)
     return y if isinstance(x, Tensor) else y.numpy()
 
 

@@ -161,19 +161,24 @@ def split_rows(batch: int, work: float) -> list[slice]:
     return [slice(batch * i // n, batch * (i + 1) // n) for i in range(n)]
 
 
-def buffers(like: Tensor, split: list[slice], *shape: int) -> list[Tensor]:
-    """For each job a tensor of `shape`, its rows the last axis but one, cut from one allocation.
+def buffers(like: Tensor, split: list[slice], *shapes: tuple[int, ...]) -> list[list[Tensor]]:
+    """For each job a tensor of each shape, with its rows as the last axis but one.
 
-    The C library gives large blocks back and takes new ones page by page; a single one it keeps.
+    All are cut from one allocation: the C library gives several large ones back to the system,
+    and taking them again page by page costs as much as the products.
     """
-    per_row = math.prod(shape)
-    whole = like.new_empty(split[-1].stop * per_row)
-    return [
-        whole[rows.start * per_row : rows.stop * per_row].view(
-            *shape[:-1], rows.stop - rows.start, shape[-1]
-        )
-        for rows in split
-    ]
+    sizes = [math.prod(shape) for shape in shapes]
+    whole = like.new_empty(split[-1].stop * sum(sizes) + PAD * len(split) * len(sizes))
+    found: list[list[Tensor]] = []
+    at = 0
+    for rows in split:
+        found.append([])
+        for shape, size in zip(shapes, sizes, strict=True):
+            n = rows.stop - rows.start
+            values = whole[at : at + n * size]
+            found[-1].append(values.view(*shape[:-1], n, shape[-1]))
+            at = padded(at + n * size)
+    return found
 
 
 def run_rows(kernel: Callable[..., None], jobs: Sequence[Sequence[Any]]) -> None:

@@ -132,7 +132,7 @@ def _simulate(
     step_size: float,
     weights: tuple[Tensor, ...],
     keep: bool,
-) -> tuple[Tensor, list[slice], list[tuple[Tensor, Tensor]]]:
+) -> tuple[Tensor, list[slice], list[list[Tensor]]]:
     """The samples, the rows of each job, and for each x and b: of every step or the last.
 
     The narrow first layer is cheap: a is computed anew on the way back.
@@ -142,8 +142,7 @@ def _simulate(
     split = split_rows(len(h0), float(len(h0)) * steps * sum(w.numel() for w in packed))
     y = h0.new_empty(len(h0), steps, ny)
     h0, u = h0.contiguous(), u.contiguous()
-    x, b = buffers(y, split, slots + 1, len(w1)), buffers(y, split, slots, w2.shape[1])
-    kept = list(zip(x, b, strict=True))
+    kept = buffers(y, split, (slots + 1, len(w1)), (slots, w2.shape[1]))
     jobs = [
         (step_size, h0[rows], u[rows], *packed, *saved, y[rows])
         for rows, saved in zip(split, kept, strict=True)

@@ -121,7 +121,7 @@ class _Rollout(torch.autograd.Function):
 
 def _simulate(
     y_warmup: Tensor, u: Tensor, steps: int, weights: tuple[Tensor, ...], keep: bool
-) -> tuple[Tensor, list[slice], list[tuple[Tensor, Tensor, Tensor]]]:
+) -> tuple[Tensor, list[slice], list[list[Tensor]]]:
     """The samples, the rows of each job, and for each x, h and gates: of every step or the last."""
     packed = wx, wh, _ = _pack(*(array(w) for w in weights))
     batch, warmup, ny = y_warmup.shape
@@ -130,10 +130,8 @@ def _simulate(
     split = split_rows(batch, 4.0 * batch * last * width * (width + PAD))
     y = y_warmup.new_empty(batch, steps, ny)
     y_warmup, u = y_warmup.contiguous(), u.contiguous()
-    x = buffers(y, split, slots + 1, wx.shape[1])
-    h = buffers(y, split, slots + 1, width)
-    gates = buffers(y, split, slots, 4, width)
-    kept = list(zip(x, h, gates, strict=True))
+    sizes = (slots + 1, wx.shape[1]), (slots + 1, width), (slots, 4, width)
+    kept = buffers(y, split, *sizes)
     jobs = [
         (y_warmup[rows], u[rows], *packed, *saved, y[rows])
         for rows, saved in zip(split, kept, strict=True)
