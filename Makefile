@@ -24,7 +24,10 @@ format: .venv/.ready
 	$(BIN)/ruff format .
 
 bench: .venv/.ready
-	$(BIN)/python benchmarks/filters.py
+	mkdir -p docs/benchmarks
+	$(BIN)/python -m benchmarks.filters --out docs/benchmarks/filters.json
+	$(BIN)/python -m benchmarks.rollout --out docs/benchmarks/rollout.json
+	$(BIN)/python -m benchmarks.system_i --out docs/benchmarks/system_i.json
 
 .venv/.ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv

@@ -8,10 +8,6 @@ Times are medians of interleaved repeats in one run on one thread; read the rati
 from __future__ import annotations
 
 import argparse
-import json
-import platform
-import statistics
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,22 +17,10 @@ import scipy
 import torch
 from torch import Tensor
 
+from benchmarks.timing import circumstances, medians, write
 from splitband.filters import ComplementaryPair
 
 Array = npt.NDArray[np.float64]
-
-
-def medians(calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Median seconds of each call, the calls taking turns."""
-    times: dict[str, list[float]] = {name: [] for name in calls}
-    for call in calls.values():
-        call()
-    for _ in range(repeats):
-        for name, call in calls.items():
-            began = time.perf_counter()
-            call()
-            times[name].append(time.perf_counter() - began)
-    return {name: statistics.median(values) for name, values in times.items()}
 
 
 def blocked_lfilter(b: Array, a: Array, x: Tensor, block: int = 64) -> Tensor:
@@ -116,12 +100,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="JSON file for the figures")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    figures: dict[str, object] = {
-        "versions": {"torch": torch.__version__, "scipy": scipy.__version__},
-        "machine": platform.processor() or platform.machine(),
-        "threads": 1,
-    }
-    for batch, samples, repeats in ((50, 1500, 100), (1, 1_000_000, 10)):
+    figures = circumstances("torch", "numba", "scipy")
+    for batch, samples, repeats in ((50, 1500, 30), (1, 1_000_000, 5)):
         found = case(batch, samples, repeats)
         figures[f"({batch}, {samples})"] = found
         print(f"batch {batch}, {samples} samples, float32, order 1")
@@ -131,8 +111,7 @@ def main() -> None:
                 if "/" in name
                 else f"  {name:45s} {1e3 * value:8.3f} ms"
             )
-    if arguments.out:
-        arguments.out.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    write(figures, arguments.out)
 
 
 if __name__ == "__main__":

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,9 +19,9 @@ from torch import Tensor, nn
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from splitband.cells import GRU, EulerMLP
-from splitband.kernels import common, euler_rollout, gru_rollout, on_compilation
+from splitband.kernels import common, euler_rollout, gru_rollout
 from splitband.kernels import matmul as products
-from splitband.rollout import free_run
+from splitband.rollouts import free_run
 
 Sizes = tuple[int, int, int, int, int, int]
 Run = Callable[..., Tensor]
@@ -390,18 +391,27 @@ def test_an_error_in_a_job_is_raised() -> None:
         common.run_rows(fail, [(0,), (1,), (2,)])
 
 
-def test_compiling_is_announced_once_and_only_then() -> None:
-    @common.part
-    def fresh(x: float) -> float:
-        return x + 1
+def test_compiling_is_announced_once_and_only_then(tmp_path: Path) -> None:
+    code = """
+import torch
+from splitband import GRU, rollout
+with torch.no_grad():
+    for dtype in (torch.float32, torch.float64):
+        rollout(GRU().to(dtype), torch.ones(1, 3, 1, dtype=dtype), 3)
+"""
 
-    said: list[str] = []
-    with on_compilation(partial(said.append, "compiling")):
-        fresh(1)
-        fresh(1.0)
-    with on_compilation(partial(said.append, "again")):
-        fresh(1)
-    assert said == ["compiling"]
+    def stderr() -> str:
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        return done.stderr
+
+    assert stderr().count("compiling kernels") == 1
+    assert not stderr()
 
 
 def test_importing_compiles_nothing() -> None:

@@ -19,7 +19,7 @@ LAYERS = (
     "saving",
     "training",
     "models",
-    "rollout",
+    "rollouts",
     "cells",
     "systems",
     "simulators",
@@ -33,6 +33,7 @@ LAYERS = (
     "threads",
     "kernels",
 )
+# These import nothing from the package but compiled code.
 LEAVES = ("filters", "resampling", "metrics", "naive", "files", "threads", "kernels")
 ONLY_IN = {
     "matplotlib": {"plots"},
@@ -81,9 +82,9 @@ def test_imports_point_downwards() -> None:
     assert not upward
 
 
-def test_leaves_import_nothing_from_the_package() -> None:
+def test_leaves_import_nothing_else_from_the_package() -> None:
     grown = {
-        module_of(path): inner_imports(path) - {module_of(path)}
+        module_of(path): inner_imports(path) - {module_of(path), "kernels"}
         for path in FILES
         if module_of(path) in LEAVES
     }

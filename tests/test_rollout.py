@@ -13,7 +13,7 @@ from splitband.cells import GRU, Cell, EulerMLP
 from splitband.data import Trajectory
 from splitband.filters import ComplementaryPair
 from splitband.models import Model, Recurrent, Split
-from splitband.rollout import Backend, free_run, rollout
+from splitband.rollouts import Backend, free_run, rollout
 from splitband.training import Settings, fit
 
 Array = npt.NDArray[Any]

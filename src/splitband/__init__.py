@@ -1,13 +1,27 @@
 """Learn dynamics models from measured records, their slow and fast parts by different means."""
 
-from splitband.cells import GRU, Cell, EulerMLP
-from splitband.data import Trajectory, read
-from splitband.filters import ComplementaryPair
-from splitband.models import Filtered, Model, Recurrent, Residual, Split
-from splitband.rollout import rollout
-from splitband.training import History, Progress, Settings, fit
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from splitband.cells import GRU, Cell, EulerMLP
+    from splitband.data import Trajectory, read
+    from splitband.filters import ComplementaryPair
+    from splitband.models import Filtered, Model, Recurrent, Residual, Split
+    from splitband.rollouts import rollout
+    from splitband.training import History, Progress, Settings, fit
 
 __version__ = "0.1.0"
+
+# Loaded on first use: torch and pandas take seconds.
+_MODULES = {
+    "cells": ("GRU", "Cell", "EulerMLP"),
+    "data": ("Trajectory", "read"),
+    "filters": ("ComplementaryPair",),
+    "models": ("Filtered", "Model", "Recurrent", "Residual", "Split"),
+    "rollouts": ("rollout",),
+    "training": ("History", "Progress", "Settings", "fit"),
+}
 __all__ = [
     "GRU",
     "Cell",
@@ -26,3 +40,16 @@ __all__ = [
     "read",
     "rollout",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _MODULES.items():
+        if name in names:
+            found = getattr(import_module(f"splitband.{module}"), name)
+            globals()[name] = found
+            return found
+    raise AttributeError(f"module 'splitband' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import threadpoolctl
 import torch
@@ -15,6 +17,20 @@ def use_threads(count: int) -> None:
     """
     torch.set_num_threads(count)
     threadpoolctl.threadpool_limits(count, user_api="blas")
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Keep torch to one thread, for small work between calls of the fused kernels.
+
+    Its other threads would go on spinning for milliseconds on the cores that the kernels need.
+    """
+    count = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(count)
 
 
 def available_cores() -> int:

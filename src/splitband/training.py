@@ -11,6 +11,7 @@ from torch import Tensor
 
 from splitband.data import Trajectory
 from splitband.models import Model, Signals, Task
+from splitband.threads import one_torch_thread
 
 
 @dataclass(frozen=True)
@@ -124,10 +125,13 @@ def _train(task: Task, settings: Settings, generator: torch.Generator) -> Iterat
             group["lr"] = rates.get(epoch, group["lr"])
         total = 0.0
         for batch in torch.randperm(len(target), generator=generator).split(settings.batch_size):
+            with one_torch_thread():
+                seen, wanted = _select(known, batch), target[batch]
             optimizer.zero_grad(set_to_none=True)
-            loss = _rmse(task.simulate(_select(known, batch), steps), target[batch])
+            loss = _rmse(task.simulate(seen, steps), wanted)
             loss.backward()
-            optimizer.step()
+            with one_torch_thread():
+                optimizer.step()
             total += loss.item() * len(batch)
         mean = total / len(target)
         if not mean < float("inf"):

@@ -19,7 +19,7 @@ import scipy
 import torch
 from torch import Tensor
 
-from splitband.kernels.recurrence import recurrence
+from splitband.kernels import recurrence
 
 Array = npt.NDArray[np.float64]
 Signal = TypeVar("Signal", npt.NDArray[Any], Tensor)

@@ -1,12 +1,13 @@
 """Whole rollouts in compiled code: warm-up, free run and their gradients in one call each.
 
 The plain loop, `splitband.rollout`, is the definition; these take a cell's tensors and give the
-same samples and gradients, on the CPU in float32 and float64. Numba compiles a kernel on its
-first call and keeps it on disk. Importing this package compiles nothing.
+same samples and gradients, on the CPU in float32 and float64. `recurrence` is that of a filter.
+Numba compiles a kernel on its first call, says so on the log, and keeps it on disk. Importing
+this package compiles nothing.
 """
 
-from splitband.kernels.common import on_compilation
 from splitband.kernels.euler_mlp import euler_rollout
 from splitband.kernels.gru import gru_rollout
+from splitband.kernels.recurrence import recurrence
 
-__all__ = ["euler_rollout", "gru_rollout", "on_compilation"]
+__all__ = ["euler_rollout", "gru_rollout", "recurrence"]

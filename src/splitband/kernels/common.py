@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import numpy as np
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 Array = NDArray[Any]
+_LOG = logging.getLogger("splitband")
 F = TypeVar("F", bound=Callable[..., Any])
 
 PAD = 16  # the last axis of a buffer is padded to a multiple, so that no vector loop has a rest
@@ -49,26 +50,23 @@ def kernel(function: F) -> F:
     return compiled
 
 
-@contextmanager
-def on_compilation(say: Callable[[], None]) -> Iterator[None]:
-    """Call `say` once if a kernel has to be compiled within the block, before it is.
+class _Announcement(event.Listener):
+    """Say once in a process that kernels are compiled; where they are on disk, say nothing."""
 
-    Where the cache on disk has the kernels nothing is said.
-    """
+    said = False
 
-    class _Listener(event.Listener):
-        said = False
+    def on_start(self, event: Any) -> None:
+        ours = event.data["dispatcher"].py_func.__module__.startswith("splitband.")
+        if ours and not self.said:
+            self.said = True
+            # A warning, so that it is seen where nobody has set up logging.
+            _LOG.warning("splitband: compiling kernels, once after installation (some seconds)")
 
-        def on_start(self, event: Any) -> None:
-            if not self.said:
-                self.said = True
-                say()
+    def on_end(self, event: Any) -> None:
+        pass
 
-        def on_end(self, event: Any) -> None:
-            pass
 
-    with event.install_listener("numba:compile", _Listener()):
-        yield
+event.register("numba:compile", _Announcement())  # type: ignore[no-untyped-call]
 
 
 def tanh(x: float) -> float:

@@ -11,7 +11,7 @@ from splitband.cells import Cell
 from splitband.data import Trajectory
 from splitband.filters import ComplementaryPair
 from splitband.models.base import Model, Signals, Task, as_module
-from splitband.rollout import rollout
+from splitband.rollouts import rollout
 from splitband.simulators import affine_fit
 
 

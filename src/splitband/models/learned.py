@@ -9,7 +9,7 @@ from splitband.cells import Cell
 from splitband.filters import ComplementaryPair
 from splitband.models.base import Model, Signals, Task, as_module
 from splitband.resampling import check_downsampling, downsample, upsample
-from splitband.rollout import rollout
+from splitband.rollouts import rollout
 
 
 class Recurrent(Model):

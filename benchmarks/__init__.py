@@ -1,0 +1,1 @@
+"""Figures, not tests: each prints ratios measured side by side in one run."""
