@@ -15,6 +15,7 @@ LAYERS = (
     "plots",
     "reporting",
     "comparison",
+    "processes",
     "methods",
     "saving",
     "training",

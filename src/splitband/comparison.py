@@ -6,25 +6,20 @@ after the warm-up. *Forecast*: warm up on the last R training samples, simulate 
 
 from __future__ import annotations
 
-import multiprocessing
-import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
-from multiprocessing.queues import SimpleQueue
-from typing import Any
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
 from splitband.data import Trajectory
 from splitband.methods import FIXED, Setup, build, check
 from splitband.metrics import rmse
 from splitband.models import Model
-from splitband.threads import use_threads
+from splitband.naive import Naive
+from splitband.processes import over
 from splitband.training import Progress, fit
 
 Array = npt.NDArray[np.float64]
@@ -74,39 +69,53 @@ def run(
     progress: Callable[[RunProgress], None] | None = None,
 ) -> Run:
     """Fit one method on the first `setup.train` samples and predict under both protocols."""
-    began = time.perf_counter()
-    train, warmup = record[: setup.train], setup.settings.warmup
-    losses: dict[str, list[float]] = {}
-    components: dict[str, Array] = {}
     if method in FIXED:
-        naive = FIXED[method](record, setup.train)
-        seconds, description = time.perf_counter() - began, str(naive)
-        from_start, forecast = (
-            naive.predict(start, len(record) - start, record.y[start - 1])
-            for start in (warmup, setup.train)
-        )
-    else:
-        model = build(method, record, setup, seed)
-        reporter = _reporter(method, seed, model, progress)
-        history = fit(model, train, setup.settings_of(method), seed, reporter)
-        seconds, losses, description = history.seconds, history.losses, ""
-        components = predict(model, record, 0, warmup)
-        from_start = sum(components.values(), np.zeros(record.ny))
-        parts = predict(model, record, setup.train - warmup, setup.train)
-        forecast = sum(parts.values(), np.zeros(record.ny))
-    truth = record.y if record.y_true is None else record.y_true
+        return run_baseline(method, FIXED[method], record, setup, seed)
+    model = build(method, record, setup, seed)
+    reporter = _reporter(method, seed, model, progress)
+    history = fit(model, record[: setup.train], setup.settings_of(method), seed, reporter)
+    warmup = setup.settings.warmup
+    components = predict(model, record, 0, warmup)
+    parts = predict(model, record, setup.train - warmup, setup.train)
+    from_start, forecast = (sum(p.values(), np.zeros(record.ny)) for p in (components, parts))
     return Run(
         method,
         seed,
-        rmse(truth[warmup:], from_start),
-        rmse(truth[setup.train :], forecast),
-        seconds,
+        *_errors(record, setup, from_start, forecast),
+        history.seconds,
         from_start,
         forecast,
         components if len(components) > 1 else {},
-        description,
-        losses,
+        losses=history.losses,
     )
+
+
+def run_baseline(
+    method: str,
+    baseline: Callable[[Trajectory, int], Naive],
+    record: Trajectory,
+    setup: Setup,
+    seed: int = 0,
+) -> Run:
+    """Fit a baseline on the first `setup.train` samples and predict under both protocols."""
+    began = time.perf_counter()
+    naive = baseline(record, setup.train)
+    seconds = time.perf_counter() - began
+    from_start, forecast = (
+        naive.predict(start, len(record) - start, record.y[start - 1])
+        for start in (setup.settings.warmup, setup.train)
+    )
+    errors = _errors(record, setup, from_start, forecast)
+    return Run(method, seed, *errors, seconds, from_start, forecast, description=str(naive))
+
+
+def _errors(
+    record: Trajectory, setup: Setup, from_start: Array, forecast: Array
+) -> tuple[float, float]:
+    """The RMSE of both protocols against the truth where it is known."""
+    truth = record.y if record.y_true is None else record.y_true
+    start = setup.settings.warmup
+    return rmse(truth[start:], from_start), rmse(truth[setup.train :], forecast)
 
 
 def compare(
@@ -136,16 +145,8 @@ def compare(
     check(record, methods, setup)
     # The longest first, so that no process is left with one of them at the end.
     todo = sorted(((m, s) for m in methods for s in seeds), key=lambda job: job[0] in FIXED)
-    if jobs == 1:
-        threads = torch.get_num_threads()
-        use_threads(1)
-        try:
-            done = [run(method, record, setup, seed, progress) for method, seed in todo]
-        finally:
-            use_threads(threads)
-    else:
-        done = _run_in_processes(record, todo, setup, jobs, progress)
-    found = {(r.method, r.seed): r for r in done}
+    work = partial(_work, record, setup, progress is None)
+    found = {(r.method, r.seed): r for r in over(work, todo, jobs, progress)}
     return {m: [found[m, s] for s in seeds] for m in methods}
 
 
@@ -172,45 +173,12 @@ def _reporter(
     return report
 
 
-_to_parent: Any = None
-
-
-def _start_worker(queue: Any) -> None:
-    global _to_parent  # noqa: PLW0603  set once, when the process starts
-    _to_parent = queue
-    use_threads(1)
-
-
-def _work(record: Trajectory, method: str, setup: Setup, seed: int) -> Run:
-    return run(method, record, setup, seed, _to_parent.put)
-
-
-def _run_in_processes(
+def _work(
     record: Trajectory,
-    todo: Sequence[tuple[str, int]],
     setup: Setup,
-    jobs: int,
-    progress: Callable[[RunProgress], None] | None,
-) -> list[Run]:
-    context = multiprocessing.get_context("spawn")
-    queue: SimpleQueue[RunProgress | None] = context.SimpleQueue()
-    listener = threading.Thread(target=_forward, args=(queue, progress), daemon=True)
-    listener.start()
-    pool = ProcessPoolExecutor(min(jobs, len(todo)), context, _start_worker, (queue,))
-    try:
-        futures = [pool.submit(_work, record, m, setup, s) for m, s in todo]
-        return [future.result() for future in as_completed(futures)]
-    except BrokenProcessPool:
-        raise OSError("a training process was ended from outside, perhaps for memory") from None
-    finally:
-        pool.shutdown(cancel_futures=True)
-        queue.put(None)
-        listener.join()
-
-
-def _forward(
-    queue: SimpleQueue[RunProgress | None], progress: Callable[[RunProgress], None] | None
-) -> None:
-    while (at := queue.get()) is not None:
-        if progress is not None:
-            progress(at)
+    silent: bool,
+    job: tuple[str, int],
+    report: Callable[[RunProgress], None],
+) -> Run:
+    method, seed = job
+    return run(method, record, setup, seed, None if silent else report)

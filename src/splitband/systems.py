@@ -6,8 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from splitband.data import Trajectory, double_torsion, drill_string
+from splitband.naive import Given, Naive
 from splitband.simulators import Ode, Recorded, Simulator, run
 
 Array = npt.NDArray[np.float64]
@@ -28,6 +30,31 @@ def double_mass_spring(
     x = 1.28 * np.cos(2 * np.pi * 0.115 * t - 7.7) + 0.677 * np.cos(2 * np.pi * 0.57 * t) - 0.009
     noise = np.random.default_rng(seed).normal(0.0, np.sqrt(noise_variance), samples)
     return Trajectory(x + noise, 0.1, y_true=x, name="double-mass-spring", columns=("x",))
+
+
+def double_mass_spring_oracle(record: Trajectory, train: int) -> Naive:
+    """What can be known of system (i): least squares on the true form, from the true values.
+
+    Two cosines and an offset, fitted on the first `train` samples. No learned model has to be
+    better than this.
+    """
+    t = record.time - record.time[0]
+
+    def basis(frequencies: Array) -> Array:
+        phases = 2 * np.pi * np.outer(t, frequencies)
+        return np.column_stack([np.cos(phases), np.sin(phases), np.ones_like(t)])
+
+    def fitted(frequencies: Array) -> Array:
+        coefficients = np.linalg.lstsq(basis(frequencies)[:train], record.y[:train], rcond=None)[0]
+        return basis(frequencies) @ coefficients
+
+    def residual(frequencies: Array) -> Array:
+        return (fitted(frequencies)[:train] - record.y[:train]).ravel()
+
+    found = scipy.optimize.least_squares(residual, [0.115, 0.57], x_scale=[1e-3, 1e-3]).x
+    return Given(
+        fitted(found), "two cosines and an offset, " + " and ".join(f"{f:.4g} Hz" for f in found)
+    )
 
 
 def van_der_pol(samples: int = 2000, simulator_rtol: float = 1e-10) -> Trajectory:
@@ -68,6 +95,49 @@ def van_der_pol_simulator(rtol: float = 1e-10) -> Simulator:
         return np.array([y, -x + a * (1 - x**2) * y])
 
     return Ode(unforced, [-2.0, 1.0], rtol=rtol, atol=1e-3 * rtol)
+
+
+TORSION_DRIVES = {"ii": (0.625, 24.0), "iii": (0.9, 40.0), "iv": (1.8, 150.0)}
+"""Frequency in Hz and amplitude in 1/s^2 of the simulated pendulum's excitations, by row."""
+
+
+def double_torsion_pendulum(row: str, samples: int = 2000, seed: int = 0) -> Trajectory:
+    """A double-torsion pendulum in place of the paper's unpublished records (ii) to (iv).
+
+    Two discs of inertia 1: a spring to the frame and a sinusoidal torque on the first, a spring
+    between them, and stick-slip (Stribeck) friction on the second, whose angle is measured.
+    Equations and parameters are ours; the first excitation has the period of the public record.
+
+    Parameters
+    ----------
+    row : Which excitation, out of `TORSION_DRIVES`.
+    samples : At 0.01 s, after 5 s of settling; normalised.
+    seed : Of the noise on `y`, standard deviation 0.01; `y_true` is without.
+    """
+    frequency, amplitude = TORSION_DRIVES[row]
+    to_frame, between = (2 * np.pi * 0.6) ** 2, (2 * np.pi * 2.2) ** 2
+    static, kinetic, stribeck = 16.0, 6.0, 0.5
+
+    def discs(t: float, s: Array) -> Array:
+        angle_1, speed_1, angle_2, speed_2 = s
+        twist = between * (angle_1 - angle_2)
+        level = kinetic + (static - kinetic) * np.exp(-((speed_2 / stribeck) ** 2))
+        torque = amplitude * np.sin(2 * np.pi * frequency * t)
+        return np.array(
+            [
+                speed_1,
+                torque - to_frame * angle_1 - 0.3 * speed_1 - twist,
+                speed_2,
+                twist - 0.2 * speed_2 - level * np.tanh(speed_2 / 0.05),
+            ]
+        )
+
+    dt, settling = 0.01, 500
+    angle = run(Ode(discs, [0.3, 0, 0.1, 0], lambda s: s[:, 2]), settling + samples, dt)[settling:]
+    y = (angle - angle.mean(axis=0)) / angle.std(axis=0)
+    noise = np.random.default_rng(seed).normal(0.0, 0.01, y.shape)
+    name = f"double-torsion-pendulum-{row}"
+    return Trajectory(y + noise, dt, y_true=y, name=name, columns=("phi2",))
 
 
 def drill_string_simulator() -> Simulator:

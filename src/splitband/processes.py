@@ -1,0 +1,96 @@
+"""The same work over many inputs, in this process or in several."""
+
+from __future__ import annotations
+
+import multiprocessing
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.queues import SimpleQueue
+from typing import Any, TypeVar
+
+import torch
+
+from splitband.threads import use_threads
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+Message = TypeVar("Message")
+Work = Callable[[Job, Callable[[Message], None]], Result]
+
+
+def over(
+    work: Work[Job, Message, Result],
+    jobs: Sequence[Job],
+    processes: int = 1,
+    progress: Callable[[Message], None] | None = None,
+) -> Iterator[Result]:
+    """Yield `work(job, report)` for each job as it is done, each on one thread.
+
+    Parameters
+    ----------
+    work : A function of a module, as other processes have to find it.
+    jobs : In the order in which they are begun.
+    processes : How many at once; 1 is this process.
+    progress : Called in this process with whatever the work reports.
+
+    Raises
+    ------
+    OSError
+        When a process is ended from outside.
+    """
+    if processes > 1 and len(jobs) > 1:
+        yield from _in_processes(work, jobs, min(processes, len(jobs)), progress)
+        return
+    threads = torch.get_num_threads()
+    use_threads(1)
+    try:
+        for job in jobs:
+            yield work(job, progress or _ignore)
+    finally:
+        use_threads(threads)
+
+
+def _ignore(_: Any) -> None:
+    pass
+
+
+_to_parent: Any = None
+
+
+def _start_worker(queue: Any) -> None:
+    global _to_parent  # noqa: PLW0603  set once, when the process starts
+    _to_parent = queue
+    use_threads(1)
+
+
+def _work(work: Work[Job, Message, Result], job: Job) -> Result:
+    return work(job, _to_parent.put)
+
+
+def _in_processes(
+    work: Work[Job, Message, Result],
+    jobs: Sequence[Job],
+    processes: int,
+    progress: Callable[[Message], None] | None,
+) -> Iterator[Result]:
+    context = multiprocessing.get_context("spawn")
+    queue: SimpleQueue[Message | None] = context.SimpleQueue()
+    listener = threading.Thread(target=_forward, args=(queue, progress or _ignore), daemon=True)
+    listener.start()
+    pool = ProcessPoolExecutor(processes, context, _start_worker, (queue,))
+    try:
+        for done in as_completed([pool.submit(_work, work, job) for job in jobs]):
+            yield done.result()
+    except BrokenProcessPool:
+        raise OSError("a training process was ended from outside, perhaps for memory") from None
+    finally:
+        pool.shutdown(cancel_futures=True)
+        queue.put(None)
+        listener.join()
+
+
+def _forward(queue: SimpleQueue[Message | None], progress: Callable[[Message], None]) -> None:
+    while (at := queue.get()) is not None:
+        progress(at)
