@@ -35,6 +35,7 @@ class Run:
     seconds : Of the fit.
     from_start, forecast : The predictions `(time, ny)`, to the end of the record.
     components : What `from_start` is the sum of, for a model of several parts.
+    unfiltered : What its filters were fed with, for a model that filters its output.
     description : What a baseline settled on.
     losses : Mean training loss of each epoch, by network.
     """
@@ -49,6 +50,7 @@ class Run:
     components: dict[str, Array] = field(default_factory=dict)
     description: str = ""
     losses: dict[str, list[float]] = field(default_factory=dict)
+    unfiltered: dict[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,7 @@ def run(
         forecast,
         components if len(components) > 1 else {},
         losses=history.losses,
+        unfiltered=model.simulate_unfiltered(*_known(record, 0, warmup)),
     )
 
 
@@ -152,8 +155,15 @@ def compare(
 
 def predict(model: Model, record: Trajectory, begin: int, start: int) -> dict[str, Array]:
     """Warm up on `begin`..`start - 1`, simulate to the end of the record; by component."""
+    return model.simulate_components(*_known(record, begin, start))
+
+
+def _known(
+    record: Trajectory, begin: int, start: int
+) -> tuple[Array, int, Array | None, Array | None]:
+    """What a simulation from `start` to the end may know, warmed up from `begin` on."""
     u, y_sim = (None if s is None else s[begin:] for s in (record.u, record.y_sim))
-    return model.simulate_components(record.y[begin:start], len(record) - start, u, y_sim)
+    return record.y[begin:start], len(record) - start, u, y_sim
 
 
 def _reporter(

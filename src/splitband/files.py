@@ -33,6 +33,13 @@ def write_json(path: str | Path, value: Any) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def write_json_lines(path: str | Path, value: dict[str, Any]) -> None:
+    """Write `value` as a JSON object with a line for each key: small, and its differences short."""
+    lines = [f"{json.dumps(k)}: {json.dumps(v, allow_nan=False)}" for k, v in value.items()]
+    with replacing(path) as temporary:
+        temporary.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+
+
 def to_json(value: Any) -> str:
     """Indented JSON; raises ValueError or TypeError for what JSON cannot hold."""
     return json.dumps(value, indent=2, allow_nan=False) + "\n"

@@ -119,13 +119,35 @@ class Model(nn.Module, ABC):
         else:
             with torch.no_grad():
                 parts = self.components(known, steps)
-        units: dict[str, Signal] = {}
-        for name, part in parts.items():
-            value = part.double() * self.y_std + (self.y_mean if not units else 0.0)
-            value = value.reshape(*y_warmup.shape[:-2], steps, self.ny)
-            value = value[:, 0] if y_warmup.ndim == 1 else value
-            units[name] = value.to(y_warmup) if isinstance(y_warmup, Tensor) else value.numpy()
-        return units
+        scaled = {name: part.double() * self.y_std for name, part in parts.items()}
+        first = next(iter(scaled))
+        scaled[first] = scaled[first] + self.y_mean
+        return {name: self._shaped(part, y_warmup) for name, part in scaled.items()}
+
+    def simulate_unfiltered(
+        self, y_warmup: Signal, steps: int, u: Signal | None = None, y_sim: Signal | None = None
+    ) -> dict[str, Signal]:
+        """What the filters of a model are fed with, by name; empty for a model without.
+
+        As for `simulate`, but each part is of the whole signal: they do not add up to it.
+        """
+        known = self._normalised(y_warmup, steps, u, y_sim)
+        with torch.no_grad():
+            parts = self.unfiltered(known, steps)
+        return {
+            name: self._shaped(part.double() * self.y_std + self.y_mean, y_warmup)
+            for name, part in parts.items()
+        }
+
+    def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
+        """What is filtered after the warm-up `known.y`; nothing, unless a subclass filters."""
+        return {}
+
+    def _shaped(self, values: Tensor, like: Signal) -> Signal:
+        """`(batch, steps, ny)` as the caller's kind of array."""
+        values = values.reshape(*like.shape[:-2], values.shape[1], self.ny)
+        values = values[:, 0] if like.ndim == 1 else values
+        return values.to(like) if isinstance(like, Tensor) else values.numpy()
 
     def adapt_to(self, trajectory: Trajectory, normalize: bool = True) -> None:
         """Take from a training record what is not learned by gradient: here, the units.

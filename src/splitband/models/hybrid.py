@@ -76,6 +76,12 @@ class Filtered(Hybrid):
         low = _required(filtered)[:, known.y.shape[1] :][:, :steps]
         return {"simulator, low band": low, "network, high band": self._high(filtered, steps)}
 
+    def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
+        """The simulator's samples and the network's, before the filters."""
+        calibrated, warmup = self._calibrated(known), known.y.shape[1]
+        network = rollout(self.cell, known.y, steps, known.u)
+        return {"simulator": calibrated[:, warmup : warmup + steps], "network": network}
+
     def tasks(self, record: Signals) -> list[Task]:
         """Reproduce the record (paper, Eq. 14); L(simulator) is filtered once, as a whole."""
         known = self._low_passed(record)

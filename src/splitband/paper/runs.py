@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from splitband.comparison import Run, RunProgress, run, run_baseline
 from splitband.data import Trajectory, double_torsion, drill_string, read
-from splitband.files import to_json, write_json
-from splitband.methods import FIXED, Setup
+from splitband.files import write_json_lines
+from splitband.methods import FIXED, METHODS, Setup
 from splitband.paper.settings import HYBRID, LEARNING_BASED, Hybrid, LearningBased, in_hz
 from splitband.processes import over
 from splitband.reporting import environment
@@ -26,6 +27,7 @@ from splitband.systems import (
     van_der_pol,
 )
 
+Array = npt.NDArray[np.float64]
 FORMAT = 1
 ORACLE = "oracle"
 """Method on system (i): least squares on the true form."""
@@ -104,6 +106,8 @@ class Job:
         """Drop what is the paper's own value, so that equal runs are equal jobs."""
         if self.system not in SYSTEMS:
             raise ValueError(f"systems must be out of {', '.join(SYSTEMS)}, got {self.system}")
+        if self.method not in (*METHODS, ORACLE):
+            raise ValueError(f"methods must be out of {', '.join(METHODS)}, got {self.method}")
         column = SYSTEMS[self.system].column
         own = {"cutoff": column.cutoff, "downsampling": getattr(column, "downsampling", None)}
         own["epochs"] = column_epochs(column, self.method)
@@ -198,11 +202,12 @@ def as_run(facts: dict[str, Any]) -> Run:
         facts["total_rmse"],
         facts["forecast_rmse"],
         facts["seconds"],
-        np.array(facts["from_start"], float),
-        np.array(facts["forecast"], float),
-        {name: np.array(values) for name, values in facts["components"].items()},
+        _array(facts["from_start"]),
+        _array(facts["forecast"]),
+        {name: _array(values) for name, values in facts["components"].items()},
         facts["description"],
         facts["losses"],
+        {name: _array(values) for name, values in facts["unfiltered"].items()},
     )
 
 
@@ -215,16 +220,17 @@ def _work(folder: Path, silent: bool, job: Job, report: Callable[[RunProgress], 
         else:
             done = run(job.method, record, setup, job.seed, None if silent else report)
         facts = _results(job, done)
-        to_json(facts)
-    except (FloatingPointError, ValueError) as error:  # JSON has no infinity
+    except FloatingPointError as error:
         facts = {"diverged": str(error)}
     path = folder / job.path
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_json(path, _identity(job, record, setup) | facts | {"environment": environment()})
+    write_json_lines(path, _identity(job, record, setup) | facts | {"environment": environment()})
 
 
 def _results(job: Job, done: Run) -> dict[str, Any]:
     """What came out; components and forecasts of the first seed only, which is drawn."""
+    if not np.isfinite(done.total_rmse + done.forecast_rmse):
+        raise FloatingPointError("the prediction is not finite")
     varied = job.cutoff is not None or job.downsampling is not None or job.draw
     drawn = job.seed == 0 and not varied
     return {
@@ -235,7 +241,10 @@ def _results(job: Job, done: Run) -> dict[str, Any]:
         "losses": {name: _few(values) for name, values in done.losses.items()},
         "from_start": [] if varied else _rounded(done.from_start),
         "forecast": _rounded(done.forecast) if drawn else [],
-        "components": {k: _rounded(v) for k, v in done.components.items()} if drawn else {},
+        **{
+            name: {k: _rounded(v) for k, v in getattr(done, name).items()} if drawn else {}
+            for name in ("components", "unfiltered")
+        },
     }
 
 
@@ -273,6 +282,10 @@ def _few(losses: Sequence[float]) -> list[float]:
     return [float(f"{value:.4g}") for value in losses[::-1][::step][::-1]]
 
 
-def _rounded(values: Any) -> list[Any]:
-    rounded: list[Any] = np.round(np.asarray(values, float), 3).tolist()
-    return rounded
+def _rounded(values: Array) -> list[list[float]]:
+    """By channel, `(ny, time)`, in few characters."""
+    return [[round(float(v), 3) for v in channel] for channel in values.T]
+
+
+def _array(channels: list[list[float]]) -> Array:
+    return np.array(channels, float).T
