@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -66,21 +67,33 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
     return figure
 
 
-def components(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
-    """What each prediction from the start is the sum of, a row for each method of several parts."""
-    rows = [
-        (name, channel) for name in runs if runs[name][0].components for channel in range(record.ny)
-    ]
+def components(
+    record: Trajectory,
+    setup: Setup,
+    runs: Runs,
+    what: Literal["components", "unfiltered"] = "components",
+) -> Figure:
+    """What each prediction from the start is the sum of, a row for each method of several parts.
+
+    With "unfiltered", what the filters of a method were fed with instead.
+    """
+    parts: dict[str, Mapping[str, Array]] = {
+        name: getattr(of_method[0], what) for name, of_method in runs.items()
+    }
+    rows = [(name, channel) for name in runs if parts[name] for channel in range(record.ny)]
+    if not rows:
+        raise ValueError(f"none of {', '.join(runs)} has {what} to draw")
     figure = Figure(figsize=(13, 0.9 + 1.7 * len(rows)), layout="constrained")
     grid = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
     start = setup.settings.warmup
+    says = "components before they are added" if what == "components" else "before the filters"
     for ax, (name, channel) in zip(grid, rows, strict=True):
         _draw_record(ax, record, channel, 0)
-        for color, (part, values) in zip(_PALETTE, runs[name][0].components.items(), strict=False):
+        for color, (part, values) in zip(_PALETTE, parts[name].items(), strict=False):
             ax.plot(record.time[start:], values[:, channel], color=color, lw=1, label=part)
         ax.axvspan(record.time[0], record.time[start - 1], color="0.93", zorder=0)
         ax.axvline(record.time[setup.train], color="0.4", ls=":", lw=1)
-        ax.set_title(f"{name}: components before they are added", fontsize=9, loc="left", pad=3)
+        ax.set_title(f"{name}: {says}", fontsize=9, loc="left", pad=3)
         ax.set_ylabel(_literal(record.columns[channel]))
         ax.margins(x=0.01)
         ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))

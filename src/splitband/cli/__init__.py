@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from typer.exceptions import TyperException
 
-from splitband.cli import comparing, inspecting, modelling
+from splitband.cli import comparing, inspecting, modelling, reproducing
 
 app = typer.Typer(
     name="splitband",
@@ -26,6 +26,7 @@ app.command()(modelling.fit)
 app.command()(modelling.simulate)
 app.command()(inspecting.spectrum)
 app.add_typer(inspecting.data, name="data")
+app.add_typer(reproducing.paper, name="paper")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

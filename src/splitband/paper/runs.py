@@ -228,7 +228,7 @@ def _work(folder: Path, silent: bool, job: Job, report: Callable[[RunProgress], 
 
 
 def _results(job: Job, done: Run) -> dict[str, Any]:
-    """What came out; components and forecasts of the first seed only, which is drawn."""
+    """What came out; predictions at the paper's values only, components of the first seed only."""
     if not np.isfinite(done.total_rmse + done.forecast_rmse):
         raise FloatingPointError("the prediction is not finite")
     varied = job.cutoff is not None or job.downsampling is not None or job.draw
@@ -240,7 +240,7 @@ def _results(job: Job, done: Run) -> dict[str, Any]:
         "description": done.description,
         "losses": {name: _few(values) for name, values in done.losses.items()},
         "from_start": [] if varied else _rounded(done.from_start),
-        "forecast": _rounded(done.forecast) if drawn else [],
+        "forecast": [] if varied else _rounded(done.forecast),
         **{
             name: {k: _rounded(v) for k, v in getattr(done, name).items()} if drawn else {}
             for name in ("components", "unfiltered")

@@ -167,7 +167,7 @@ def table(name: str, of: Iterable[Line], folder: Path) -> Table:
         header, cells = _ERRORS, _error_cells
     first = ("system", *((spec.varied,) if spec.varied and not spec.quantiles else ()), "method")
     rows = [
-        (f"({f['system']}) {f['title']}", *([f"{f['value']:g}"] if len(first) == 3 else []),
+        (f"({f['system']})", *([f"{f['value']:g}"] if len(first) == 3 else []),
          f["method"], *cells(f))
         for f in facts
     ]  # fmt: skip
@@ -187,7 +187,7 @@ def _chosen(what: str, given: Sequence[str] | None, possible: Sequence[str]) -> 
 
 
 def _facts(spec: Spec, line: Line, folder: Path) -> dict[str, Any]:
-    jobs = _finished(line.jobs, folder)
+    jobs = finished(line.jobs, folder)
     runs = [load(job, folder) for job in jobs]
     good = [run for run in runs if "diverged" not in run]
     paper = spec.published.get(line.system if line.value is None else line.value, {})
@@ -212,7 +212,7 @@ def _facts(spec: Spec, line: Line, folder: Path) -> dict[str, Any]:
     }
 
 
-def _finished(jobs: Sequence[Job], folder: Path) -> Sequence[Job]:
+def finished(jobs: Sequence[Job], folder: Path) -> Sequence[Job]:
     """The jobs themselves, or where they are missing the same ones with fewer epochs."""
     if jobs[0].epochs is not None or all((folder / job.path).is_file() for job in jobs):
         return jobs

@@ -1,0 +1,163 @@
+"""`splitband paper`: the paper's tables and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table as RichTable
+
+from splitband import plots
+from splitband.cli import showing
+from splitband.cli.options import names
+from splitband.files import output_folder, replacing, write_json
+from splitband.methods import TRAINED
+from splitband.paper.figures import FIGURES, figure, needed
+from splitband.paper.runs import SYSTEMS, Job, complete
+from splitband.paper.tables import SPECS, Line, Table, lines, table
+from splitband.threads import available_cores
+
+paper = typer.Typer(
+    help="Reproduce the tables and figures of the paper.",
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+)
+
+Systems = Annotated[
+    str | None,
+    typer.Option(
+        help=f"Which, separated by commas, out of {', '.join(SYSTEMS)}.", show_default="all of it"
+    ),
+]
+Methods = Annotated[
+    str | None,
+    typer.Option(help="Which, separated by commas.", show_default="all of it"),
+]
+Seeds = Annotated[int, typer.Option(min=1, help="Trainings of each network.")]
+Epochs = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        help="Passes over the training part; the number stands beside the value.",
+        show_default="the paper's",
+    ),
+]
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        min=1, help="Trainings at once, each a process on one core.", show_default="one a core"
+    ),
+]
+Out = Annotated[
+    Path, typer.Option(help="Folder of results: runs, one file each, tables and figures.")
+]
+Run = Annotated[
+    bool,
+    typer.Option("--run/--no-run", help="Whether to run what is missing; without, it is an error."),
+]
+
+
+@paper.command("list")
+def list_names() -> None:
+    """List the tables, figures and systems."""
+    found = RichTable(show_header=False, box=None)
+    for name, spec in SPECS.items():
+        found.add_row("table", name, spec.title)
+    for name in FIGURES:
+        found.add_row("figure", name, "")
+    for name, system in SYSTEMS.items():
+        found.add_row("system", name, system.title)
+    showing.console.print(found)
+
+
+@paper.command("table")
+def make_table(
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help=f"One of {', '.join(SPECS)}, or all.")
+    ],
+    systems: Systems = None,
+    methods: Methods = None,
+    seeds: Seeds = 5,
+    epochs: Epochs = None,
+    jobs: Jobs = None,
+    out: Out = Path("paper"),
+    run: Run = True,
+) -> None:
+    """Make a table of the paper: ours beside the published values.
+
+    Every run of a method with a seed is one file in OUT/runs. What is there is not run again, so
+    that a long table can be stopped, and the same command goes on; several at once may share a
+    folder.
+    """
+    chosen = _chosen(name, SPECS, "table")
+    if len(chosen) > 1 and (systems or methods):
+        raise ValueError(f"--systems and --methods must be used with one table, got {name}")
+    of = {each: lines(each, _split(systems), _split(methods), seeds, epochs) for each in chosen}
+    _run_missing((line for rows in of.values() for line in rows), out, jobs, run)
+    for each, rows in of.items():
+        made = table(each, rows, out / "runs")
+        output_folder(out / "tables")
+        with replacing(out / "tables" / f"{each}.md") as temporary:
+            temporary.write_text(made.markdown(), encoding="utf-8")
+        write_json(out / "tables" / f"{each}.json", {"title": made.title, "rows": made.facts})
+        showing.console.print(_rich(made))
+    showing.console.print(f"tables: {out / 'tables'}/")
+
+
+@paper.command("figure")
+def make_figure(
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help=f"One of {', '.join(FIGURES)}, or all.")
+    ],
+    systems: Systems = None,
+    methods: Methods = None,
+    seeds: Seeds = 5,
+    epochs: Epochs = None,
+    jobs: Jobs = None,
+    out: Out = Path("paper"),
+    run: Run = True,
+) -> None:
+    """Draw a figure of the paper for every system; runs are shared with the tables."""
+    chosen = _chosen(name, FIGURES, "figure")
+    of = {each: needed(each, _split(systems), _split(methods), seeds, epochs) for each in chosen}
+    every = (line for found in of.values() for rows in found.values() for line in rows)
+    _run_missing(every, out, jobs, run)
+    output_folder(out / "figures")
+    for each, found in of.items():
+        for system, rows in found.items():
+            path = out / "figures" / f"{system}-{each}.png"
+            plots.save(figure(each, system, rows, out / "runs"), path)
+            showing.console.print(f"{path}")
+
+
+def _run_missing(of: Iterable[Line], out: Path, processes: int | None, run: bool) -> None:
+    output_folder(out / "runs")
+    if not run:
+        return
+    todo: list[Job] = list(dict.fromkeys(job for line in of for job in line.jobs))
+    missing = [job for job in todo if not (out / "runs" / job.path).exists()]
+    trainings = sum(job.method in TRAINED for job in missing)
+    with showing.progress(trainings, f"{trainings} trainings") as progress:
+        complete(missing, out / "runs", processes or available_cores(), progress)
+
+
+def _chosen(name: str, possible: Iterable[str], what: str) -> list[str]:
+    if name not in (*possible, "all"):
+        raise ValueError(f"{what} must be one of {', '.join(possible)} or all, got {name}")
+    return [*possible] if name == "all" else [name]
+
+
+def _split(text: str | None) -> list[str] | None:
+    return None if text is None else names(text)
+
+
+def _rich(made: Table) -> RichTable:
+    shown = RichTable(title=made.title, title_justify="left", title_style="bold")
+    words = made.header.index("method") + 1
+    for i, heading in enumerate(made.header):
+        shown.add_column(heading, justify="left" if i < words else "right")
+    for row in made.rows:
+        shown.add_row(*row)
+    return shown

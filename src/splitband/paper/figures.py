@@ -1,0 +1,86 @@
+"""The paper's figures, made of finished runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from splitband import plots
+from splitband.comparison import Run
+from splitband.data import Trajectory
+from splitband.methods import FIXED, Setup
+from splitband.paper.runs import ORACLE, SYSTEMS, Job, as_run, load
+from splitband.paper.tables import SPECS, Line, finished, lines
+from splitband.spectrum import periodogram
+
+Runs = dict[str, list[Run]]
+
+
+def _spectrum(record: Trajectory, setup: Setup, _: Runs) -> Figure:
+    found = periodogram(record.y, record.sampling_rate)
+    return plots.spectrum(record, found, setup.cutoff)
+
+
+def _unfiltered(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
+    return plots.components(record, setup, runs, "unfiltered")
+
+
+FIGURES: dict[str, Callable[[Trajectory, Setup, Runs], Figure]] = {
+    "spectrum": _spectrum,
+    "rollouts": plots.rollouts,
+    "components": plots.components,
+    "unfiltered": _unfiltered,
+    "errors": plots.errors,
+}
+"""By the name that the command line takes."""
+
+_SHOWN_BASELINES = ("simulator", "seasonal-naive", "harmonic")
+
+
+def needed(
+    name: str,
+    systems: Sequence[str] | None = None,
+    methods: Sequence[str] | None = None,
+    seeds: int = 5,
+    epochs: int | None = None,
+) -> dict[str, list[Line]]:
+    """The runs that a figure shows, by system; only those that it is drawn for."""
+    found = {}
+    for system in SYSTEMS if systems is None else systems:
+        if system not in SYSTEMS:
+            raise ValueError(f"systems must be out of {', '.join(SYSTEMS)}, got {system}")
+        rows = [
+            line
+            for table, spec in SPECS.items()
+            if system in spec.systems and not spec.varied and not spec.seconds
+            for line in lines(table, [system], None, seeds, epochs)
+            if _shown(name, line.method) and (methods is None or line.method in methods)
+        ]
+        if rows or name == "spectrum":
+            found[system] = list({line.method: line for line in rows}.values())
+    return found
+
+
+def figure(name: str, system: str, of: Sequence[Line], folder: Path) -> Figure:
+    """Draw one figure of the runs in `folder`; raises what `load` does."""
+    runs: Runs = {}
+    for line in of:
+        facts = [load(job, folder) for job in finished(line.jobs, folder)]
+        good = [as_run(run) for run in facts if "diverged" not in run]
+        if good and good[0].seed == 0:
+            runs[line.method] = good
+    job = Job(system, next(iter(runs), "persistence"))
+    record = job.record
+    return FIGURES[name](record, job.setup(record), runs)
+
+
+def _shown(name: str, method: str) -> bool:
+    if name == "spectrum" or method == ORACLE:
+        return False
+    if name == "components":
+        return method.startswith(("split", "filtered", "residual"))
+    if name == "unfiltered":
+        return method.startswith("filtered")
+    return method not in FIXED or method in _SHOWN_BASELINES
