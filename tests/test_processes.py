@@ -1,0 +1,74 @@
+"""Work over several processes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from splitband.processes import over
+
+
+def square(job: int, report: Callable[[int], None]) -> int:
+    report(job)
+    return job**2
+
+
+def end(job: int, report: Callable[[int], None]) -> int:
+    os._exit(job)
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_every_job_is_done_and_reported(processes: int) -> None:
+    seen: list[int] = []
+    assert sorted(over(square, [1, 2, 3], processes, seen.append)) == [1, 4, 9]
+    assert sorted(seen) == [1, 2, 3]
+
+
+def test_a_process_ended_from_outside_is_an_error_that_says_so() -> None:
+    with pytest.raises(OSError, match="ended from outside"):
+        list(over(end, [1, 1], 2))
+
+
+@pytest.mark.skipif(not hasattr(os, "killpg"), reason="POSIX")
+def test_processes_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        """
+import os, sys, time
+from splitband.processes import over
+
+def work(job, report):
+    open(f"{sys.path[0]}/{job}", "w").write(str(os.getpid()))
+    time.sleep(60)
+
+if __name__ == "__main__":
+    list(over(work, [1, 2], 2))
+"""
+    )
+    parent = subprocess.Popen([sys.executable, str(script)])
+    marks = [tmp_path / "1", tmp_path / "2"]
+    until = time.monotonic() + 60
+    while not all(m.exists() and m.read_text() for m in marks) and time.monotonic() < until:
+        time.sleep(0.1)
+    pids = [int(mark.read_text()) for mark in marks]
+    parent.send_signal(signal.SIGKILL)
+    parent.wait()
+    until = time.monotonic() + 20
+    while any(alive(pid) for pid in pids) and time.monotonic() < until:
+        time.sleep(0.1)
+    assert not any(alive(pid) for pid in pids)
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs; one that has ended may still have an entry (a zombie)."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] not in "ZX"
+    except FileNotFoundError:
+        return False
