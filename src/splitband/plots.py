@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from splitband.metrics import cumulative_rmse
 from splitband.spectrum import Spectrum, coherence, periodogram
 
 Array = npt.NDArray[np.float64]
+Picture: TypeAlias = Figure
 Runs = Mapping[str, Sequence[Run]]
 
 _MEASURED, _TRUTH = "0.72", "0.25"

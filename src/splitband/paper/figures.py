@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from matplotlib.figure import Figure
-
 from splitband import plots
 from splitband.comparison import Run
 from splitband.data import Trajectory
@@ -18,16 +16,16 @@ from splitband.spectrum import periodogram
 Runs = dict[str, list[Run]]
 
 
-def _spectrum(record: Trajectory, setup: Setup, _: Runs) -> Figure:
+def _spectrum(record: Trajectory, setup: Setup, _: Runs) -> plots.Picture:
     found = periodogram(record.y, record.sampling_rate)
     return plots.spectrum(record, found, setup.cutoff)
 
 
-def _unfiltered(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
+def _unfiltered(record: Trajectory, setup: Setup, runs: Runs) -> plots.Picture:
     return plots.components(record, setup, runs, "unfiltered")
 
 
-FIGURES: dict[str, Callable[[Trajectory, Setup, Runs], Figure]] = {
+FIGURES: dict[str, Callable[[Trajectory, Setup, Runs], plots.Picture]] = {
     "spectrum": _spectrum,
     "rollouts": plots.rollouts,
     "components": plots.components,
@@ -63,7 +61,7 @@ def needed(
     return found
 
 
-def figure(name: str, system: str, of: Sequence[Line], folder: Path) -> Figure:
+def figure(name: str, system: str, of: Sequence[Line], folder: Path) -> plots.Picture:
     """Draw one figure of the runs in `folder`; raises what `load` does."""
     runs: Runs = {}
     for line in of:
