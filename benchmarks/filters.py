@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 
 
 def blocked_lfilter(b: Array, a: Array, x: Tensor, block: int = 64) -> Tensor:
-    """One way from zero, in products of blocks: what the autograd function was chosen over.
+    """One way from zero, in products of blocks: what the compiled passes were chosen over.
 
     The output of a block is a triangular Toeplitz product and the response to the state before it;
     the states follow the same recurrence over blocks, one step each.

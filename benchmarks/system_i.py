@@ -1,8 +1,6 @@
 """A whole training run: split GRU on system (i) at the paper's settings, kernels against the loop.
 
-    python -m benchmarks.system_i [--out FILE.json] [--epochs 300]
-
-The paper reports 233 s for it (its run-time table).
+python -m benchmarks.system_i [--out FILE.json] [--epochs 300]
 """
 
 from __future__ import annotations
@@ -15,10 +13,9 @@ from unittest import mock
 from benchmarks.timing import circumstances, threads, write
 from splitband.cells import GRU
 from splitband.comparison import run
+from splitband.paper import published
 from splitband.paper.settings import LEARNING_BASED
 from splitband.systems import double_mass_spring
-
-PAPER_SECONDS = 233.0
 
 
 def seconds(epochs: int) -> float:
@@ -50,7 +47,7 @@ def main() -> None:
         print(
             f"system (i), split GRU, {arguments.epochs} epochs, {count} thread(s): "
             f"kernels {kernels:.1f} s, plain loop {loop:.1f} s ({loop / kernels:.1f} times), "
-            f"the paper {PAPER_SECONDS:.0f} s"
+            f"the paper {published.SECONDS['i']['split-gru'].mean:.0f} s"
         )
     write(figures, arguments.out)
 

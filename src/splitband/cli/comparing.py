@@ -18,16 +18,6 @@ from splitband.paper.settings import RECORD_SETTINGS, SAMPLE_FREQUENCY
 from splitband.spectrum import periodogram
 from splitband.threads import available_cores
 
-Jobs = Annotated[
-    int | None,
-    typer.Option(
-        min=1,
-        help="Trainings at once, each a process on one core; the numbers do not depend on it "
-        "but for rounding.",
-        show_default="one a core",
-    ),
-]
-
 
 def compare(
     context: typer.Context,
@@ -50,7 +40,7 @@ def compare(
         ),
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Trainings of each network.")] = 1,
-    jobs: Jobs = None,
+    jobs: options.Jobs = None,
     out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = Path("out"),
     columns: options.Columns = None,
     inputs: options.Inputs = None,
@@ -124,7 +114,7 @@ def compare(
 def demo(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = Path("demo"),
-    jobs: Jobs = None,
+    jobs: options.Jobs = None,
 ) -> None:
     """Show what the package does, in under a minute: the paper's system (i).
 

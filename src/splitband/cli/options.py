@@ -198,6 +198,16 @@ Hidden = Annotated[
     ),
 ]
 
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        help="Trainings at once, each a process on one core; the numbers do not depend on it "
+        "but for rounding.",
+        show_default="one a core",
+    ),
+]
+
 
 def load_record(
     record: str,

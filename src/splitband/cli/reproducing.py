@@ -10,12 +10,11 @@ import typer
 from rich.table import Table as RichTable
 
 from splitband import plots
-from splitband.cli import showing
-from splitband.cli.options import names
+from splitband.cli import options, showing
 from splitband.files import output_folder, replacing, write_json
 from splitband.methods import TRAINED
 from splitband.paper.figures import FIGURES, figure, needed
-from splitband.paper.runs import SYSTEMS, Job, complete
+from splitband.paper.runs import SYSTEMS, complete, missing
 from splitband.paper.tables import SPECS, Line, Table, lines, table
 from splitband.threads import available_cores
 
@@ -42,12 +41,6 @@ Epochs = Annotated[
         min=1,
         help="Passes over the training part; the number stands beside the value.",
         show_default="the paper's",
-    ),
-]
-Jobs = Annotated[
-    int | None,
-    typer.Option(
-        min=1, help="Trainings at once, each a process on one core.", show_default="one a core"
     ),
 ]
 Out = Annotated[
@@ -81,7 +74,7 @@ def make_table(
     methods: Methods = None,
     seeds: Seeds = 5,
     epochs: Epochs = None,
-    jobs: Jobs = None,
+    jobs: options.Jobs = None,
     out: Out = Path("paper"),
     run: Run = True,
 ) -> None:
@@ -115,7 +108,7 @@ def make_figure(
     methods: Methods = None,
     seeds: Seeds = 5,
     epochs: Epochs = None,
-    jobs: Jobs = None,
+    jobs: options.Jobs = None,
     out: Out = Path("paper"),
     run: Run = True,
 ) -> None:
@@ -136,11 +129,10 @@ def _run_missing(of: Iterable[Line], out: Path, processes: int | None, run: bool
     output_folder(out / "runs")
     if not run:
         return
-    todo: list[Job] = list(dict.fromkeys(job for line in of for job in line.jobs))
-    missing = [job for job in todo if not (out / "runs" / job.path).exists()]
-    trainings = sum(job.method in TRAINED for job in missing)
+    todo = missing((job for line in of for job in line.jobs), out / "runs")
+    trainings = sum(job.method in TRAINED for job in todo)
     with showing.progress(trainings, f"{trainings} trainings") as progress:
-        complete(missing, out / "runs", processes or available_cores(), progress)
+        complete(todo, out / "runs", processes or available_cores(), progress)
 
 
 def _chosen(name: str, possible: Iterable[str], what: str) -> list[str]:
@@ -150,14 +142,13 @@ def _chosen(name: str, possible: Iterable[str], what: str) -> list[str]:
 
 
 def _split(text: str | None) -> list[str] | None:
-    return None if text is None else names(text)
+    return None if text is None else options.names(text)
 
 
 def _rich(made: Table) -> RichTable:
     shown = RichTable(title=made.title, title_justify="left", title_style="bold")
-    words = made.header.index("method") + 1
     for i, heading in enumerate(made.header):
-        shown.add_column(heading, justify="left" if i < words else "right")
+        shown.add_column(heading, justify="left" if i < made.words else "right")
     for row in made.rows:
         shown.add_row(*row)
     return shown

@@ -9,8 +9,8 @@ from splitband import plots
 from splitband.comparison import Run
 from splitband.data import Trajectory
 from splitband.methods import FIXED, Setup
-from splitband.paper.runs import ORACLE, SYSTEMS, Job, as_run, load
-from splitband.paper.tables import SPECS, Line, finished, lines
+from splitband.paper.runs import ORACLE, SYSTEMS, Job, as_run, finished, load
+from splitband.paper.tables import SPECS, Line, chosen, lines
 from splitband.spectrum import periodogram
 
 Runs = dict[str, list[Run]]
@@ -46,9 +46,7 @@ def needed(
 ) -> dict[str, list[Line]]:
     """The runs that a figure shows, by system; only those that it is drawn for."""
     found = {}
-    for system in SYSTEMS if systems is None else systems:
-        if system not in SYSTEMS:
-            raise ValueError(f"systems must be out of {', '.join(SYSTEMS)}, got {system}")
+    for system in chosen("systems", systems, SYSTEMS):
         rows = [
             line
             for table, spec in SPECS.items()

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,10 @@ ORACLE = "oracle"
 """Method on system (i): least squares on the true form."""
 
 _LOSSES = 100  # kept of a curve
+
+
+_once = lru_cache(maxsize=64)
+"""For records that are simulated: a table asks for them again with every run."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +69,9 @@ def _torsion(row: str, _: int) -> Trajectory:
 
 SYSTEMS = {
     "i": System(
-        "double mass-spring", LEARNING_BASED["i"], lambda draw: double_mass_spring(seed=draw)
+        "double mass-spring",
+        LEARNING_BASED["i"],
+        _once(lambda draw: double_mass_spring(seed=draw)),
     ),
     **{
         row: System("double-torsion record", LEARNING_BASED[row], partial(_torsion, row))
@@ -72,11 +79,13 @@ SYSTEMS = {
     },
     **{
         f"{row}-simulated": System(
-            "simulated pendulum", LEARNING_BASED[row], partial(double_torsion_pendulum, row, 2000)
+            "simulated pendulum",
+            LEARNING_BASED[row],
+            _once(partial(double_torsion_pendulum, row, 2000)),
         )
         for row in ("ii", "iii", "iv")
     },
-    "v": System("Van der Pol", HYBRID["v"], lambda draw: van_der_pol()),
+    "v": System("Van der Pol", HYBRID["v"], _once(lambda draw: van_der_pol())),
     "vi": System("drill string", HYBRID["vi"], lambda draw: drill_string()),
 }
 """By the paper's numbers; it has one record for each of (ii) to (iv), of which one is public."""
@@ -162,10 +171,31 @@ def complete(
 
     Each writes its file as soon as it is done, so that one stopped in between is all that is lost.
     """
-    todo = [job for job in dict.fromkeys(jobs) if not (folder / job.path).exists()]
+    todo = missing(jobs, folder)
     for _ in over(partial(_work, folder, progress is None), todo, processes, progress):
         pass
     return len(todo)
+
+
+def missing(jobs: Iterable[Job], folder: Path) -> list[Job]:
+    """Those without a file in `folder`, each once."""
+    return [job for job in dict.fromkeys(jobs) if not (folder / job.path).exists()]
+
+
+def finished(jobs: Sequence[Job], folder: Path) -> list[Job]:
+    """The jobs of a row, or where some are missing all of them with the most epochs that were run.
+
+    That is for jobs that leave the epochs to the paper.
+    """
+    if jobs[0].epochs is not None or not missing(jobs, folder):
+        return [*jobs]
+    names = [path.name for path in (folder / jobs[0].path).parent.glob("*.json")]
+    run = {int(found[1]) for name in names if (found := re.search(r"epochs(\d+)-", name))}
+    for epochs in sorted(run, reverse=True):
+        shorter = [replace(job, epochs=epochs) for job in jobs]
+        if not missing(shorter, folder):
+            return shorter
+    return [*jobs]
 
 
 def load(job: Job, folder: Path) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import numpy as np
 from splitband.methods import FIXED
 from splitband.paper import published
 from splitband.paper.published import Row
-from splitband.paper.runs import ORACLE, SYSTEMS, Job, column_epochs, load
+from splitband.paper.runs import ORACLE, SYSTEMS, Job, column_epochs, finished, load
 
 _NAIVE = ("persistence", "seasonal-naive", "harmonic")
 _GRU = ("gru", "split-gru", "split-gru-hp")
@@ -103,10 +103,14 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     facts: tuple[dict[str, Any], ...]
 
+    @property
+    def words(self) -> int:
+        """How many columns are words: those up to the method."""
+        return self.header.index("method") + 1
+
     def markdown(self) -> str:
         """For a document."""
-        left = 3 if self.header[2] == "method" else 2
-        rule = ["---"] * left + ["---:"] * (len(self.header) - left)
+        rule = ["---"] * self.words + ["---:"] * (len(self.header) - self.words)
         lines = [self.header, rule, *self.rows]
         body = "\n".join("| " + " | ".join(line) + " |" for line in lines)
         return f"**{self.title}**\n\n{body}\n"
@@ -132,19 +136,18 @@ def lines(
     """The rows of a table with the jobs that they need."""
     spec = SPECS[name]
     found = []
-    for system in _chosen("systems", systems, spec.systems):
+    for system in chosen("systems", systems, spec.systems):
         for value in spec.values if spec.varied and not spec.quantiles else (None,):
-            for method in _chosen("methods", methods, spec.methods):
+            for method in chosen("methods", methods, spec.methods):
                 if method == ORACLE and system != "i":
                     continue
                 repeated = 1 if method in (*FIXED, ORACLE) else seeds
                 if spec.quantiles:
                     jobs = [Job(system, method, 0, int(d), epochs=epochs) for d in spec.values]
                 else:
-                    change = {spec.varied: value} if spec.varied else {}
+                    change: dict[str, Any] = {spec.varied: value} if spec.varied else {}
                     jobs = [
-                        Job(system, method, s, epochs=epochs, **change)  # type: ignore[arg-type]
-                        for s in range(repeated)
+                        Job(system, method, s, epochs=epochs, **change) for s in range(repeated)
                     ]
                 found.append(Line(system, method, value, tuple(jobs)))
     return found
@@ -179,11 +182,13 @@ _SECONDS = ("ours (s)", "paper (s)", "paper / ours", "seeds", "epochs")
 _QUANTILES = ("median", "10 %", "90 %", "worst", "mean", "paper, one draw", "median / oracle's")
 
 
-def _chosen(what: str, given: Sequence[str] | None, possible: Sequence[str]) -> list[str]:
+def chosen(what: str, given: Sequence[str] | None, possible: Iterable[str]) -> list[str]:
+    """The names that were asked for, or all."""
+    possible = list(possible)
     unknown = [name for name in given or () if name not in possible]
     if unknown:
         raise ValueError(f"{what} must be out of {', '.join(possible)}, got {', '.join(unknown)}")
-    return list(possible) if given is None else list(given)
+    return possible if given is None else list(given)
 
 
 def _facts(spec: Spec, line: Line, folder: Path) -> dict[str, Any]:
@@ -210,22 +215,6 @@ def _facts(spec: Spec, line: Line, folder: Path) -> dict[str, Any]:
         "paper_text": "" if known is None else str(known),
         "oracle": _oracle(line, folder) if spec.quantiles else None,
     }
-
-
-def finished(jobs: Sequence[Job], folder: Path) -> Sequence[Job]:
-    """The jobs themselves, or where they are missing the same ones with fewer epochs."""
-    if jobs[0].epochs is not None or all((folder / job.path).is_file() for job in jobs):
-        return jobs
-    others: dict[int, list[Job]] = {}
-    for job in jobs:
-        for path in (folder / job.path).parent.glob("*epochs*-seed*.json"):
-            mark = next(p for p in path.stem.split("-") if p.startswith("epochs"))
-            shorter = Job(job.system, job.method, job.seed, job.draw, job.cutoff,
-                          job.downsampling, int(mark.removeprefix("epochs")))  # fmt: skip
-            if (folder / shorter.path) == path:
-                others.setdefault(int(mark.removeprefix("epochs")), []).append(shorter)
-    enough = [epochs for epochs, found in others.items() if len(found) == len(jobs)]
-    return others[max(enough)] if enough else jobs
 
 
 def _oracle(line: Line, folder: Path) -> float:
