@@ -20,6 +20,7 @@ import scipy.integrate
 import scipy.signal
 
 from splitband import read
+from splitband.calibration import Calibration
 from splitband.cli import main
 from splitband.comparison import compare
 from splitband.methods import Setup
@@ -37,7 +38,7 @@ A = np.sin(2 * np.pi * SLOW * TIME) + 0.3 * np.sin(2 * np.pi * FAST * TIME)
 B = 2 + 0.5 * np.cos(2 * np.pi * SLOW * TIME)
 FORCE = np.sign(np.sin(TIME))
 SIMULATED = 0.8 * np.sin(2 * np.pi * SLOW * TIME + 0.2) + 0.3
-QUICK = "--epochs 2 --hidden 4,3 --window 30 --warmup 10"
+QUICK = "--recipe paper --epochs 2 --hidden 4,3 --window 30 --warmup 10"
 
 FUNCTIONS = """
 import sys
@@ -54,6 +55,10 @@ def good(time):
 
 def shifted(time):
     return good(time) + 5
+
+
+def late(time):
+    return good(0.97 * time)
 
 
 def constant(time):
@@ -322,6 +327,19 @@ def test_calibration_adds_a_row_to_each_hybrid_method_only(hybrid: Path) -> None
         assert found[name]["total_rmse"] != found[f"{name}-calibrated"]["total_rmse"]
 
 
+def test_calibrated_and_conditioned_variants_follow_the_method(tmp_path: Path) -> None:
+    call("compare record.csv --columns a --simulator simulated.csv --methods filtered-gru "
+         f"--calibrate --conditioned {QUICK} --jobs 1", tmp_path)  # fmt: skip
+    found = results(tmp_path)["methods"]
+    assert list(found) == [
+        "filtered-gru", "filtered-gru-calibrated", "filtered-gru-conditioned",
+        "filtered-gru-calibrated-conditioned",
+    ]  # fmt: skip
+    errors = [facts["total_rmse"][0] for facts in found.values()]
+    assert np.isfinite(errors).all()
+    assert len(set(errors)) == 4
+
+
 def test_the_simulator_rows_are_its_error_raw_and_after_least_squares(hybrid: Path) -> None:
     found = results(hybrid)["methods"]
     gain, offset = np.polyfit(SIMULATED[:TRAIN], A[:TRAIN], 1)
@@ -448,9 +466,10 @@ def test_simulate_warms_up_on_one_sample_where_the_model_does(tmp_path: Path) ->
 
 
 def test_a_hybrid_model_simulates_on_with_any_simulator(hybrid_model: Path, tmp_path: Path) -> None:
-    loaded, _ = load(hybrid_model)
+    loaded, facts = load(hybrid_model)
     assert isinstance(loaded, Filtered)
-    y, y_sim = A[40:50, None], SIMULATED[40:75, None]
+    calibration = Calibration(**facts["calibration"])
+    y, y_sim = A[40:50, None], calibration.apply(SIMULATED[:, None], 75, DT)[40:]
     for simulator in ("simulated.csv", "functions.py:good"):
         call(f"simulate {hybrid_model} --history history.csv --steps 25 --simulator {simulator}",
              tmp_path / "ahead.csv")  # fmt: skip
@@ -467,8 +486,37 @@ def test_the_simulator_makes_the_low_band_of_a_hybrid_model(
         call(f"simulate {hybrid_model} --history history.csv --steps 150 "
              f"--simulator functions.py:{name}", tmp_path / f"{name}.csv")  # fmt: skip
         found.append(written(tmp_path / f"{name}.csv")["a"].to_numpy())
-    gain = np.polyfit(SIMULATED, A, 1)[0]  # of the calibration
+    (gain,) = load(hybrid_model)[1]["calibration"]["gain"] or (1.0,)
     assert (found[1] - found[0])[-1] == pytest.approx(5 * gain, rel=1e-3)
+
+
+def test_a_fitted_calibration_and_conditioning_are_simulated_with(tmp_path: Path) -> None:
+    """The simulator is 3 % too slow, and known in closed form at any time."""
+    call(f"fit record.csv --columns a --method filtered-gru --calibrate --conditioned {QUICK} "
+         "--simulator functions.py:late", tmp_path / "model")  # fmt: skip
+    call(f"simulate {tmp_path / 'model'} --history history.csv --steps 150 "
+         "--simulator functions.py:late", tmp_path / "ahead.csv")  # fmt: skip
+    model, facts = load(tmp_path / "model")
+    assert isinstance(model, Filtered)
+    assert (facts["method"], model.conditioned) == ("filtered-gru-calibrated-conditioned", True)
+    saved = facts["calibration"]
+    assert saved["clock"] == pytest.approx(1 / 0.97, abs=5e-3)
+    (gain,), (offset,) = saved["gain"] or [1.0], saved["offset"] or [0.0]
+    time = np.maximum(saved["clock"] * TIME - saved["delay"], 0)
+    late = 0.8 * np.sin(2 * np.pi * SLOW * 0.97 * time + 0.2) + 0.3
+    y_sim = (gain * late + offset)[40:, None]
+    found = written(tmp_path / "ahead.csv")[["a"]].to_numpy()
+    np.testing.assert_allclose(found, model.simulate(A[40:50, None], 150, y_sim=y_sim), atol=1e-3)
+    raw = model.simulate(A[40:50, None], 150, y_sim=late[40:, None])
+    assert np.abs(found - raw).max() > 0.05
+
+
+def test_an_exported_trajectory_has_to_reach_the_last_step_and_no_further(tmp_path: Path) -> None:
+    call(f"fit record.csv --columns a --method residual-gru --simulator simulated.csv {QUICK}",
+         tmp_path / "model")  # fmt: skip
+    call(f"simulate {tmp_path / 'model'} --history history.csv --steps 150 "
+         "--simulator simulated.csv", tmp_path / "ahead.csv")  # fmt: skip
+    assert len(written(tmp_path / "ahead.csv")) == 150
 
 
 def test_future_inputs_drive_a_model_that_has_inputs(driven_model: Path, tmp_path: Path) -> None:
@@ -568,7 +616,7 @@ def test_spectrum_gives_the_oracle_figures_of_the_papers_systems(
 def test_the_seasonal_baseline_finds_the_period_of_the_double_torsion_record(
     tmp_path: Path,
 ) -> None:
-    call("compare double-torsion --methods seasonal-naive,persistence", tmp_path)
+    call("compare double-torsion --recipe paper --methods seasonal-naive,persistence", tmp_path)
     facts = results(tmp_path)["methods"]["seasonal-naive"]
     assert "160 training samples" in facts["description"]
     assert facts["forecast_rmse"] == [pytest.approx(0.068, abs=5e-4)]
@@ -717,6 +765,10 @@ SETTINGS = [
     bad(SPLIT + "--learning-rate inf", "learning rate", "inf"),
     bad(GRU + "--learning-rate 1e30", "diverged", "learning rate", "1e+30"),
     bad(SPLIT + "--epochs 0", "epochs", "got 0"),
+    bad(GRU + "--conditioned", "--conditioned", "split-gru", "filtered-gru", "got gru"),
+    bad(GRU + "--calibrate", "--calibrate", "filtered-gru", "got gru"),
+    bad(SPLIT + "--calibrate", "--calibrate", "residual-gru", "got split-gru"),
+    bad(SPLIT + "--calibrate --conditioned", "--calibrate", "got split-gru"),
 ]
 WORDS = [
     bad(SPLIT + "--train abc", "--train", "abc"),
@@ -774,6 +826,9 @@ SIMULATORS = [
 MODELS = [
     bad(f"{FIT} --method lstm", "--method", "got lstm"),
     bad(f"{FIT} --method persistence", "--method", "got persistence"),
+    bad(FIT + "--conditioned", "--conditioned", "split-gru", "got gru"),
+    bad(FIT + "--calibrate", "--calibrate", "filtered-gru", "got gru"),
+    bad(FIT + "--method filtered-gru --calibrate", "filtered-gru-calibrated", "--simulator"),
     bad(FIT + "--train 201", "train", "200", "got 201"),
     bad(FIT + "--seed 99999999999999999999", "seed", "9999"),
     bad("simulate nothing --history history.csv --steps 5 --out ahead.csv", "nothing"),
@@ -868,6 +923,30 @@ def test_a_damaged_model_is_one_line(
     damage(Path("damaged"))
     line = "simulate damaged --history history.csv --steps 5 --out ahead.csv"
     assert_fails(line, says, capsys)
+
+
+@pytest.mark.parametrize(
+    "calibration",
+    [
+        3, [1.0], {"speed": 1.0}, {"clock": "fast"}, {"clock": None}, {"delay": "late"},
+        {"gain": ["high"]}, {"gain": [1.0, 2.0]}, {"clock": float("nan")},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_damaged_calibration_is_one_line(
+    calibration: Any,
+    hybrid_model: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    shutil.copytree(hybrid_model, tmp_path / "damaged")
+    for name in ("history.csv", "simulated.csv"):
+        shutil.copy(name, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    change_json(lambda d: d["facts"].update(calibration=calibration))(Path("damaged"))
+    line = HYBRID_AHEAD.replace("filtered", "damaged") + "--simulator simulated.csv"
+    assert_fails(line, ("damaged",), capsys)
 
 
 def test_a_folder_that_cannot_be_written_is_one_line(

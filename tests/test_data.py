@@ -104,6 +104,39 @@ def test_slices_cut_every_signal() -> None:
     assert part.time[0] == 0.0
 
 
+@pytest.mark.parametrize("later", [0, 6])
+@pytest.mark.parametrize("key", [slice(None, 12), slice(5, 30), slice(-9, -4), slice(3, None)])
+def test_a_slice_hands_what_the_simulator_says_after_it_to_beyond(key: slice, later: int) -> None:
+    simulated = RNG.standard_normal((40 + later, 2))
+    whole = Trajectory(Y, STEP, y_sim=simulated[:40], beyond=simulated[40:] if later else None)
+    part = whole[key]
+    assert part.y_sim is not None
+    np.testing.assert_array_equal(part.y_sim, simulated[:40][key])
+    following = simulated[range(40)[key][-1] + 1 :]
+    if len(following):
+        assert part.beyond is not None
+        np.testing.assert_array_equal(part.beyond, following)
+    else:
+        assert part.beyond is None
+    again = whole[:30][5:20]
+    assert again.beyond is not None
+    np.testing.assert_array_equal(again.beyond, simulated[20:])
+
+
+def test_without_a_simulator_a_slice_has_nothing_beyond() -> None:
+    assert Trajectory(Y, STEP)[:10].beyond is None
+
+
+def test_what_lies_beyond_is_a_signal_like_the_others() -> None:
+    y: Any = np.arange(5, dtype=np.float32)
+    record = Trajectory(y, STEP, y_sim=y, beyond=y[:2])
+    assert record.beyond is not None
+    assert record.beyond.shape == (2, 1)
+    assert record.beyond.dtype == np.float64
+    with pytest.raises(ValueError, match="read-only"):
+        record.beyond[0] = 1.0
+
+
 @pytest.mark.parametrize(
     ("key", "error", "words"),
     [
@@ -140,6 +173,19 @@ def with_bad(*cells: tuple[int, int], value: float = np.nan) -> FloatArray:
         ({"u": np.ones(39)}, "u must have as many samples as y, (40, 2): its shape is (39, 1)"),
         ({"y_sim": np.ones(40)}, "y_sim must have the shape of y, (40, 2): its shape is (40, 1)"),
         ({"y_true": np.ones((41, 2))}, "y_true must have the shape of y"),
+        (
+            {"beyond": np.ones((3, 2))},
+            "beyond must go on from y_sim, (any time, 2): its shape is (3, 2)",
+        ),
+        (
+            {"y_sim": Y, "beyond": np.ones(3)},
+            "beyond must go on from y_sim, (any time, 2): its shape is (3, 1)",
+        ),
+        (
+            {"y_sim": Y, "beyond": with_bad((4, 1)), "columns": ("angle", "torque")},
+            "beyond must be finite: 1 bad value, the first (nan) at row 4, column 'torque'",
+        ),
+        ({"y_sim": Y, "beyond": "later"}, "beyond must be an array of numbers"),
         ({"y": [1.0]}, "y must have at least 2 samples: it has 1"),
         ({"y": np.ones((4, 2, 2))}, "its shape is (4, 2, 2)"),
         ({"y": 3.0}, "its shape is ()"),

@@ -25,6 +25,7 @@ LAYERS = (
     "systems",
     "simulators",
     "data",
+    "calibration",
     "naive",
     "spectrum",
     "resampling",

@@ -49,13 +49,25 @@ def y_sim_of(trajectory: Trajectory) -> npt.NDArray[np.float64]:
     return trajectory.y_sim
 
 
+BANDS = [ComplementaryPair.butterworth(cutoff, 1 / DT, 2) for cutoff in (0.3, 0.9)]
+
+
+def three_bands(trajectory: Trajectory) -> Model:
+    torch.manual_seed(1)
+    told = trajectory.nu + 2 * trajectory.ny
+    networks = [GRU(trajectory.ny, 4, nu) for nu in (trajectory.nu, told, told)]
+    return Split(networks, BANDS, [4, 2], conditioned=True)
+
+
 def trained(method: str, trajectory: Trajectory) -> Model:
-    model = build(method, trajectory, SETUP, seed=1)
+    three = method == "three-bands-conditioned"
+    model = three_bands(trajectory) if three else build(method, trajectory, SETUP, seed=1)
     fit(model, trajectory[:TRAIN], SETUP.settings, seed=1)
     return model
 
 
-MODELS = {method: trained(method, record()) for method in TRAINED if "rnn" not in method}
+NAMES = [*(method for method in TRAINED if "rnn" not in method), "three-bands-conditioned"]
+MODELS = {method: trained(method, record()) for method in NAMES}
 
 
 def with_other_future(trajectory: Trajectory, start: int, index: int, value: float) -> Trajectory:
@@ -143,6 +155,31 @@ def test_the_bands_of_the_split_model_add_up_to_the_record_at_its_ends_too() -> 
     torch.testing.assert_close(low.target + high.target, known.y, rtol=0, atol=1e-12)
 
 
+def test_three_bands_add_up_to_the_record_at_its_ends_too() -> None:
+    known = Signals(torch.tensor(record(ny=2).y[:TRAIN]))
+    tasks = three_bands(record(ny=2)).double().tasks(known)
+    assert [(task.name, task.stride) for task in tasks] == [
+        ("low band", 4), ("band 2", 2), ("high band", 1)
+    ]  # fmt: skip
+    total = tasks[0].target + tasks[1].target + tasks[2].target
+    torch.testing.assert_close(total, known.y, rtol=0, atol=1e-12)
+    for i, pair in enumerate(BANDS):
+        low = scipy.signal.filtfilt(pair.b_low, pair.a, known.y.numpy(), axis=0)
+        found = sum(task.target for task in tasks[: i + 1])
+        np.testing.assert_allclose(found, low, atol=1e-9)
+
+
+def test_a_split_of_lists_is_that_of_a_single_pair() -> None:
+    networks = [GRU(1, 3), GRU(1, 5)]
+    single, listed = Split(networks, BANDS[0], 3), Split(networks, [BANDS[0]], [3])
+    y = record().y[:WARMUP]
+    np.testing.assert_array_equal(listed.simulate(y, 40), single.simulate(y, 40))
+    known = Signals(torch.tensor(record().y[:TRAIN]))
+    for a, b in zip(listed.tasks(known), single.tasks(known), strict=True):
+        assert (a.name, a.stride) == (b.name, b.stride)
+        assert torch.equal(a.target, b.target)
+
+
 def test_the_low_network_predicts_the_samples_it_is_up_sampled_to() -> None:
     """A network that knows the low band exactly gives it back, up to linear interpolation."""
     t = torch.arange(400, dtype=torch.float64)[:, None]
@@ -151,40 +188,130 @@ def test_the_low_network_predicts_the_samples_it_is_up_sampled_to() -> None:
         for warmup in (30, 31, 32):
             low = _Scripted(slow[warmup % k :: k], after=(warmup - warmup % k) // k)
             high = _Scripted(torch.zeros(400, 1, dtype=torch.float64), after=0)
-            model = Split(low, high, ComplementaryPair.butterworth(0.8, 10.0), downsampling=k)
+            model = Split([low, high], ComplementaryPair.butterworth(0.8, 10.0), downsampling=k)
             found = model.double().components(Signals(slow[None, :warmup]), 101)["low band"]
             torch.testing.assert_close(found[0], slow[warmup : warmup + 101], rtol=0, atol=4e-3)
 
 
 class _Scripted(nn.Module):
-    """A cell that says what it was told, from entry `after` on."""
+    """A cell that says what it was told, from entry `after` on, and keeps its inputs."""
 
-    ny, nu = 1, 0
+    ny = 1
 
-    def __init__(self, script: Tensor, after: int) -> None:
+    def __init__(self, script: Tensor, after: int, nu: int = 0) -> None:
         super().__init__()
-        self.script, self.after = nn.Parameter(script), after
+        self.script, self.after, self.nu = nn.Parameter(script), after, nu
+        self.inputs: list[Tensor] = []
 
     def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> int:
         self.batch = len(y_warmup)
+        self.inputs = [] if u is None else [*u.unbind(dim=1)]
         return self.after
 
     def step(self, h: int, y: Tensor, u: Tensor | None = None) -> int:
+        if u is not None:
+            self.inputs.append(u)
         return h + 1
 
     def observe(self, h: int) -> Tensor:
         return self.script[h].expand(self.batch, 1)
 
 
-def _filtered(script: Tensor, order: int) -> Filtered:
+def told_of(slow: Tensor, scale: float) -> Tensor:
+    """Value and slope of a signal `(time, 1)`, each row one sample ahead."""
+    return torch.cat([slow, torch.gradient(slow, dim=0)[0] / scale], dim=1)[1:]
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_the_high_network_of_a_conditioned_split_is_told_of_the_low_bands_prediction(
+    k: Any,
+) -> None:
+    t = torch.arange(400, dtype=torch.float64)[:, None]
+    slow, warmup, steps = torch.sin(t / 30), 31, 41
+    low = _Scripted(slow[warmup % k :: k], after=(warmup - warmup % k) // k)
+    high = _Scripted(torch.zeros_like(t), 0, nu=2)
+    pair = ComplementaryPair.butterworth(0.8, 10.0)
+    model = Split([low, high], pair, k, conditioned=True).double()
+    model.slope_scale.fill_(0.25)
+    known = Signals(slow[None, :warmup] + 0.3)
+    predicted = model.components(known, steps)["low band"][0]
+    torch.testing.assert_close(predicted, slow[warmup : warmup + steps], rtol=0, atol=2e-3)
+    whole = torch.cat([pair.lowpass(known.y)[0], predicted])
+    found = torch.cat(high.inputs)
+    torch.testing.assert_close(found, told_of(whole, 0.25), rtol=0, atol=1e-12)
+
+
+def test_in_training_the_high_network_is_told_of_the_low_bands_prediction_too() -> None:
+    low = _Scripted(torch.linspace(-1, 1, 90, dtype=torch.float64)[:, None], after=15)
+    high = _Scripted(torch.zeros(90, 1, dtype=torch.float64), 0, nu=2)
+    model = Split([low, high], BANDS[1], 2, conditioned=True).double()
+    task = model.tasks(Signals(torch.tensor(record().y)))[1]
+    window = Signals(torch.tensor(record().y[None, :30]))
+    trained = task.simulate(window, 41)
+    inputs = high.inputs
+    simulated = model.components(window, 41)["high band"]
+    assert torch.equal(trained, simulated)
+    assert torch.equal(torch.cat(inputs), torch.cat(high.inputs))
+    assert not torch.cat(inputs).requires_grad
+
+
+@pytest.mark.parametrize("nu", [0, 1])
+@pytest.mark.parametrize("kind", ["filtered", "residual"])
+def test_the_network_of_a_conditioned_hybrid_is_told_of_the_simulator_behind_its_inputs(
+    kind: Any, nu: Any
+) -> None:
+    """Of the whole simulator, in training as in simulation, and not of its low band."""
+    r, steps = record(nu=nu), 60
+    cell = _Scripted(torch.zeros(LENGTH, 1, dtype=torch.float64), 0, nu + 2)
+    pair = ComplementaryPair.perfect(*butterworth(0.5, 10.0), 10.0)
+    hybrid = Filtered(cell, pair, True) if kind == "filtered" else Residual(cell, True)
+    model = hybrid.double()
+    model.slope_scale.fill_(0.1)
+    y_sim, end = torch.tensor(y_sim_of(r)), WARMUP + steps
+    u = None if r.u is None else torch.tensor(r.u)
+    model.components(
+        Signals(
+            torch.tensor(r.y[None, :WARMUP]),
+            None if u is None else u[None, :end],
+            y_sim[None, : end + 1],
+        ),
+        steps,
+    )
+    expected = told_of(y_sim, 0.1)[: end - 1]
+    if u is not None:
+        expected = torch.cat([u[: end - 1], expected], dim=1)
+    torch.testing.assert_close(torch.cat(cell.inputs), expected, rtol=0, atol=1e-12)
+    (task,) = model.tasks(Signals(torch.tensor(r.y), u, y_sim))
+    assert task.known.u is not None
+    torch.testing.assert_close(task.known.u[: end - 1], expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["split-gru-conditioned", "residual-gru-conditioned"])
+def test_slopes_have_unit_deviation_over_the_training_record(name: Any) -> None:
+    r = record(ny=2)
+    model = build(name, r, SETUP, seed=0)
+    model.adapt_to(r[:TRAIN])
+    slow = y_sim_of(r)[:TRAIN] if "residual" in name else r.y[:TRAIN]
+    slow = (slow - r.y[:TRAIN].mean(axis=0)) / r.y[:TRAIN].std(axis=0)
+    if "split" in name:
+        b, a = butterworth(SETUP.cutoff, r.sampling_rate, SETUP.order)
+        slow = scipy.signal.filtfilt(b, a, slow, axis=0)
+    expected = np.gradient(slow, axis=0).std(axis=0, ddof=1)
+    found = model.get_buffer("slope_scale").numpy().ravel()
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+
+
+def _filtered(script: Tensor, order: int, conditioned: bool = False) -> Filtered:
     b, a = butterworth(0.5, 20.0, order)
-    return Filtered(_Scripted(script, 0), ComplementaryPair.perfect(b, a, 20.0)).double()
+    cell = _Scripted(script, 0, nu=2 if conditioned else 0)
+    return Filtered(cell, ComplementaryPair.perfect(b, a, 20.0), conditioned).double()
 
 
+@pytest.mark.parametrize("conditioned", [False, True])
 @pytest.mark.parametrize("order", [1, 2, 3])
 @pytest.mark.parametrize("slow", ["constant", "ramp"])
 def test_the_low_band_of_the_network_cannot_move_the_hybrid_prediction(
-    order: Any, slow: Any
+    order: Any, slow: Any, conditioned: Any
 ) -> None:
     """What reaches the result is the high-pass filter's response to what was added, no more."""
     steps, warmup = 1500, 20
@@ -194,7 +321,7 @@ def test_the_low_band_of_the_network_cannot_move_the_hybrid_prediction(
     y_sim = torch.sin(2 * torch.pi * torch.arange(warmup + steps).double() / 300)[None, :, None]
     known = Signals(y_sim[:, :warmup] + 0.1, y_sim=y_sim)
     without, with_added = (
-        torch.stack([*_filtered(script, order).components(known, steps).values()])
+        torch.stack([*_filtered(script, order, conditioned).components(known, steps).values()])
         .sum(dim=0)[0, :, 0]
         .detach()
         .numpy()
@@ -219,15 +346,6 @@ def test_the_hybrid_prediction_goes_on_from_the_last_measured_sample() -> None:
     torch.testing.assert_close((low + high)[0], y[50:], rtol=0, atol=1e-12)
 
 
-def test_calibration_finds_gain_and_offset_on_the_training_samples() -> None:
-    r = record(ny=2)
-    off = replace(r, y=y_sim_of(r) * np.array([2.0, -0.5]) + np.array([3.0, 100.0]))
-    model = Residual(GRU(2, 3), calibrate=True)
-    model.adapt_to(off[:TRAIN])
-    known = model.normalised(off)
-    torch.testing.assert_close(model._calibrated(known), known.y, rtol=0, atol=1e-4)
-
-
 def test_the_residual_model_adds_its_network_to_the_simulator() -> None:
     r = record()
     script = torch.linspace(-1, 1, 60, dtype=torch.float64)[:, None]
@@ -249,17 +367,53 @@ def test_the_residual_model_adds_its_network_to_the_simulator() -> None:
         ),
         (lambda: Residual(GRU(1, 4)).simulate(np.zeros(5), 3), "y_sim must be given"),
         (
-            lambda: Split(GRU(1, 4), GRU(2, 4), ComplementaryPair.butterworth(1, 10)),
-            r"must agree in \(ny, nu\)",
+            lambda: Split([GRU(1, 4), GRU(2, 4)], ComplementaryPair.butterworth(1, 10)),
+            r"\(ny, nu\) must be \[\(1, 0\), \(1, 0\)\], got \[\(1, 0\), \(2, 0\)\]",
         ),
         (
-            lambda: Split(GRU(1, 4), GRU(1, 4), ComplementaryPair.butterworth(2, 10), 3),
+            lambda: Split([GRU(1, 4), GRU(1, 4)], ComplementaryPair.butterworth(2, 10), 3),
             "downsampling by 3",
         ),
         (
             lambda: Filtered(GRU(1, 4), ComplementaryPair.butterworth(2, 10)),
             "must filter one way",
         ),
+        (
+            lambda: Split([GRU(1, 4), GRU(1, 4, 1)], BANDS[0], conditioned=True),
+            r"must be \[\(1, 0\), \(1, 2\)\], with 2 ny inputs for the slower bands, "
+            r"got \[\(1, 0\), \(1, 1\)\]",
+        ),
+        (
+            lambda: Split([GRU(2, 4, 1), GRU(2, 4, 5), GRU(2, 4, 1)], BANDS, conditioned=True),
+            r"must be \[\(2, 1\), \(2, 5\), \(2, 5\)\].*got \[\(2, 1\), \(2, 5\), \(2, 1\)\]",
+        ),
+        (
+            lambda: Filtered(GRU(1, 4, 1), BANDS[0], conditioned=True),
+            "at least 2 ny = 2 inputs.*got nu = 1",
+        ),
+        (
+            lambda: Residual(GRU(2, 4, 3), conditioned=True),
+            "at least 2 ny = 4 inputs.*got nu = 3",
+        ),
+        (
+            lambda: Residual(GRU(1, 4, 3), conditioned=True).simulate(
+                np.zeros(5), 3, y_sim=np.zeros(8)
+            ),
+            "u must be given exactly where the model has inputs, nu = 1",
+        ),
+        (
+            lambda: Split([GRU(1, 4)] * 3, BANDS[::-1]),
+            r"cut-offs must rise from pair to pair, got \[0\.9, 0\.3\] Hz",
+        ),
+        (
+            lambda: Split([GRU(1, 4)] * 3, [BANDS[0]] * 2),
+            r"cut-offs must rise from pair to pair, got \[0\.3, 0\.3\] Hz",
+        ),
+        (lambda: Split([GRU(1, 4)] * 3, BANDS[0]), "3 networks need 2 .* got 1 and 2"),
+        (lambda: Split([GRU(1, 4)] * 3, BANDS, [2]), "3 networks need 2 .* got 2 and 1"),
+        (lambda: Split([GRU(1, 4)], []), "networks must be two at least, got 1"),
+        (lambda: Split([GRU(1, 4)] * 3, BANDS, [17, 2]), "downsampling by 17 .* of 0.3 Hz"),
+        (lambda: Split([GRU(1, 4)] * 3, BANDS, [4, 6]), "downsampling by 6 .* of 0.9 Hz"),
         (lambda: EulerMLP(ny=3, state_size=2), "state_size must be at least ny = 3, got 2"),
     ],
 )

@@ -355,7 +355,7 @@ def whole(cell: Cell) -> Model:
 def split(cell: Cell) -> Model:
     torch.manual_seed(7)
     pair = ComplementaryPair.butterworth(0.1, 1.0, order=1)
-    return Split(cell, LSTM(cell.ny, HIDDEN, cell.nu), pair, downsampling=2)
+    return Split([cell, LSTM(cell.ny, HIDDEN, cell.nu)], pair, downsampling=2)
 
 
 @pytest.mark.parametrize("make_model", [whole, split])

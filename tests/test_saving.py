@@ -40,23 +40,29 @@ PAIR = ComplementaryPair.butterworth(1.0, RATE, 2)
 ONE_WAY = ComplementaryPair.perfect(*butterworth(1.0, RATE, 2), RATE, cutoff=1.0)
 
 
-def gru() -> GRU:
-    return GRU(NY, 5, NU)
+def gru(told: int = 0) -> GRU:
+    return GRU(NY, 5, NU + told)
 
 
-def rnn(warmup: int = WARMUP) -> EulerMLP:
-    return EulerMLP(NY, warmup, 3, 6, 4, 0.1, NU)
+def rnn(warmup: int = WARMUP, told: int = 0) -> EulerMLP:
+    return EulerMLP(NY, warmup, 3, 6, 4, 0.1, NU + told)
 
 
 MODELS: dict[str, Callable[[], Model]] = {
     "gru": lambda: Recurrent(gru()),
     "rnn": lambda: Recurrent(rnn()),
-    "split-gru": lambda: Split(gru(), gru(), PAIR, 3),
-    "split-gru-hp": lambda: Split(gru(), gru(), PAIR, 2, filter_output=True),
-    "split-rnn": lambda: Split(rnn(7), rnn(), PAIR, 2),
+    "split-gru": lambda: Split([gru(), gru()], PAIR, 3),
+    "split-gru-hp": lambda: Split([gru(), gru()], PAIR, 2, filter_output=True),
+    "split-rnn": lambda: Split([rnn(7), rnn()], PAIR, 2),
     "filtered-gru": lambda: Filtered(gru(), ONE_WAY),
-    "filtered-rnn-calibrated": lambda: Filtered(rnn(), ONE_WAY, calibrate=True),
-    "residual-gru-calibrated": lambda: Residual(gru(), calibrate=True),
+    "filtered-rnn-conditioned": lambda: Filtered(rnn(told=2 * NY), ONE_WAY, conditioned=True),
+    "residual-gru-conditioned": lambda: Residual(gru(told=2 * NY), conditioned=True),
+    "three-bands-conditioned": lambda: Split(
+        [gru(), gru(told=2 * NY), gru(told=2 * NY)],
+        [ComplementaryPair.butterworth(0.4, RATE, 2), PAIR],
+        [4, 2],
+        conditioned=True,
+    ),
     "residual-rnn": lambda: Residual(rnn()),
 }
 
@@ -106,7 +112,9 @@ def test_a_loaded_model_simulates_as_before_to_the_bit(name: str, tmp_path: Path
     assert np.isfinite(before).all()
 
 
-@pytest.mark.parametrize("name", ["split-gru-hp", "residual-gru-calibrated"])
+@pytest.mark.parametrize(
+    "name", ["split-gru-hp", "residual-gru-conditioned", "three-bands-conditioned"]
+)
 def test_a_loaded_model_trains_on_as_before(name: str, tmp_path: Path) -> None:
     model = trained(name)
     save(model, tmp_path)
@@ -157,11 +165,11 @@ class Scaled(GRU):
     ids=["number", "list", "dict"],
 )
 def test_a_cell_of_ones_own_comes_back_through_cells(tmp_path: Path, scales: Any) -> None:
-    model = Split(gru(), Scaled(NY, 4, NU, scales), PAIR)
+    model = Split([gru(), Scaled(NY, 4, NU, scales)], PAIR)
     save(model, tmp_path)
     loaded, _ = load(tmp_path, {"Scaled": Scaled})
     assert isinstance(loaded, Split)
-    assert type(loaded.high) is Scaled
+    assert type(loaded.networks[1]) is Scaled
     np.testing.assert_array_equal(simulate(loaded), simulate(model))
 
 
@@ -217,10 +225,10 @@ def test_a_damaged_description_is_named(folder: Path, text: bytes) -> None:
         load(folder)
 
 
-@pytest.mark.parametrize("version", [0, 2, "1", None])
+@pytest.mark.parametrize("version", [0, 1, "2", None])
 def test_another_format_is_refused_with_both_numbers(folder: Path, version: object) -> None:
     edit(folder, lambda d: d.update(format=version))
-    with pytest.raises(ValueError, match=rf"model\.json has format {version!r}; this is for 1"):
+    with pytest.raises(ValueError, match=rf"model\.json has format {version!r}; this is for 2"):
         load(folder)
 
 

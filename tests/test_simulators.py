@@ -16,7 +16,7 @@ import scipy.integrate
 
 from splitband import Trajectory
 from splitband.metrics import rmse
-from splitband.simulators import Fmu, Function, Ode, Recorded, affine_fit, run
+from splitband.simulators import Fmu, Function, Ode, Recorded, run
 from splitband.systems import van_der_pol, van_der_pol_simulator
 
 Array = npt.NDArray[np.float64]
@@ -401,27 +401,6 @@ def test_an_fmu_that_raises_or_hangs_does_not_take_the_process_with_it(
     assert "DoStep failed" in raised
     assert "has not returned within 0.2 s" in gave_up
     assert (alive, found.returncode) == ("alive", 0)
-
-
-# ---------------------------------------------------------------- affine_fit
-
-
-def test_an_affine_fit_is_the_least_squares_of_each_channel() -> None:
-    rng = np.random.default_rng(1)
-    y_sim = rng.standard_normal((60, 3)) * [1, 10, 0.1] + [0, 5, -3]
-    y = 0.7 * y_sim + [1, 2, 3] + rng.standard_normal((60, 3))
-    gain, offset = affine_fit(y_sim, y)
-    for i in range(3):
-        basis = np.stack([y_sim[:, i], np.ones(60)], axis=1)
-        expected = np.linalg.lstsq(basis, y[:, i], rcond=None)[0]
-        np.testing.assert_allclose([gain[i], offset[i]], expected, rtol=1e-9)
-
-
-def test_a_constant_simulator_is_fitted_by_the_mean() -> None:
-    y = np.random.default_rng(2).standard_normal((40, 1))
-    gain, offset = affine_fit(np.full((40, 1), 7.0), y)
-    assert gain == [0.0]
-    np.testing.assert_allclose(offset, y.mean(axis=0))
 
 
 # ---------------------------------------------------------------- the driven Van der Pol system

@@ -7,22 +7,25 @@ after the warm-up. *Forecast*: warm up on the last R training samples, simulate 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Trajectory
-from splitband.methods import FIXED, Setup, build, check
+from splitband.methods import FIXED, Setup, build, check, prepared
 from splitband.metrics import rmse
 from splitband.models import Model
 from splitband.naive import Naive
 from splitband.processes import over
-from splitband.training import Progress, fit
+from splitband.training import Progress, Settings, fit
 
 Array = npt.NDArray[np.float64]
+
+HELD_OUT = 0.25
+"""Share of the training part by which the recommended method is chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +39,7 @@ class Run:
     from_start, forecast : The predictions `(time, ny)`, to the end of the record.
     components : What `from_start` is the sum of, for a model of several parts.
     unfiltered : What its filters were fed with, for a model that filters its output.
-    description : What a baseline settled on.
+    description : What a baseline or a calibration settled on.
     losses : Mean training loss of each epoch, by network.
     """
 
@@ -73,8 +76,9 @@ def run(
     """Fit one method on the first `setup.train` samples and predict under both protocols."""
     if method in FIXED:
         return run_baseline(method, FIXED[method], record, setup, seed)
+    record, calibration = prepared(method, record, setup.train)
     model = build(method, record, setup, seed)
-    reporter = _reporter(method, seed, model, progress)
+    reporter = _reporter(method, seed, progress)
     history = fit(model, record[: setup.train], setup.settings_of(method), seed, reporter)
     warmup = setup.settings.warmup
     components = predict(model, record, 0, warmup)
@@ -88,6 +92,7 @@ def run(
         from_start,
         forecast,
         components if len(components) > 1 else {},
+        "" if calibration is None else f"simulator: {calibration}",
         losses=history.losses,
         unfiltered=model.simulate_unfiltered(*_known(record, 0, warmup)),
     )
@@ -153,6 +158,29 @@ def compare(
     return {m: [found[m, s] for s in seeds] for m in methods}
 
 
+def hold_out(record: Trajectory, setup: Setup) -> tuple[Trajectory, Setup]:
+    """The training part as a record of its own, its last `HELD_OUT` to be predicted from the rest.
+
+    What a method does there can be known without a look at later samples. Training windows shrink
+    with the training part.
+    """
+    train = setup.train - max(1, round(HELD_OUT * setup.train))
+
+    def shorter(settings: Settings) -> Settings:
+        window = round(settings.window * (1 - HELD_OUT))
+        return replace(settings, window=min(max(window, settings.warmup + 1), settings.window))
+
+    overrides = {name: shorter(settings) for name, settings in setup.overrides.items()}
+    setup = replace(setup, settings=shorter(setup.settings), overrides=overrides)
+    part = replace(record[: setup.train], y_true=None)
+    return part, replace(setup, train=train)
+
+
+def recommended(held_out: Mapping[str, Run]) -> str:
+    """The method with the lowest error on the held-out part."""
+    return min(held_out, key=lambda method: held_out[method].forecast_rmse)
+
+
 def predict(model: Model, record: Trajectory, begin: int, start: int) -> dict[str, Array]:
     """Warm up on `begin`..`start - 1`, simulate to the end of the record; by component."""
     return model.simulate_components(*_known(record, begin, start))
@@ -167,20 +195,11 @@ def _known(
 
 
 def _reporter(
-    method: str, seed: int, model: Model, progress: Callable[[RunProgress], None] | None
+    method: str, seed: int, progress: Callable[[RunProgress], None] | None
 ) -> Callable[[Progress], None] | None:
     if progress is None:
         return None
-    networks = len([*model.children()])
-    finished: list[str] = []
-
-    def report(at: Progress) -> None:
-        if at.task not in finished:
-            finished.append(at.task)
-        share = (len(finished) - 1 + at.epoch / at.epochs) / networks
-        progress(RunProgress(method, seed, share, at.loss))
-
-    return report
+    return lambda at: progress(RunProgress(method, seed, at.share, at.loss))
 
 
 def _work(

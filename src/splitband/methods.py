@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
+from splitband.calibration import Calibration, affine_fit, calibrate
 from splitband.cells import GRU, Cell, EulerMLP
 from splitband.data import Trajectory
 from splitband.filters import ComplementaryPair, butterworth
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
 from splitband.naive import Given, HarmonicRegression, Naive, Persistence, SeasonalNaive
-from splitband.simulators import affine_fit
 from splitband.spectrum import default_cutoff
 from splitband.training import Settings
 
 Array = npt.NDArray[np.float64]
-CALIBRATED = "-calibrated"
-"""Suffix of a hybrid method whose simulator is calibrated first."""
+CALIBRATED, CONDITIONED = "-calibrated", "-conditioned"
+"""Suffixes: the simulator is calibrated first; faster networks are told what is slower."""
+
+Recipe = Literal["default", "paper"]
+STEPS = 1000
+"""Gradient steps of the default recipe, for each network."""
+
+Maker: TypeAlias = "Callable[[Trajectory, Setup, bool], Cell]"
 
 
 @dataclass(frozen=True)
@@ -58,33 +66,52 @@ class Setup:
 
     def settings_of(self, method: str) -> Settings:
         """How a method is trained."""
-        return self.overrides.get(method.removesuffix(CALIBRATED), self.settings)
+        return self.overrides.get(base(method), self.settings)
 
 
-def _gru(record: Trajectory, setup: Setup) -> Cell:
-    return GRU(record.ny, setup.hidden_high + setup.hidden_low, record.nu)
+def base(method: str) -> str:
+    """The method without its suffixes."""
+    return method.removesuffix(CONDITIONED).removesuffix(CALIBRATED)
 
 
-def _rnn(record: Trajectory, setup: Setup) -> Cell:
+def _told(record: Trajectory, conditioned: bool) -> int:
+    """Inputs of a network: the record's, and value and slope of what is slower."""
+    return record.nu + (2 * record.ny if conditioned else 0)
+
+
+def _gru(record: Trajectory, setup: Setup, conditioned: bool = False) -> Cell:
+    size = setup.hidden_high + setup.hidden_low
+    return GRU(record.ny, size, _told(record, conditioned))
+
+
+def _rnn(record: Trajectory, setup: Setup, conditioned: bool = False) -> Cell:
     return EulerMLP(
         record.ny,
         setup.settings.warmup,
         setup.state_size,
         step_size=setup.step_size,
-        nu=record.nu,
+        nu=_told(record, conditioned),
     )
 
 
-def _split(record: Trajectory, setup: Setup, filter_output: bool = False) -> Model:
+def _split(
+    record: Trajectory, setup: Setup, conditioned: bool, filter_output: bool = False
+) -> Model:
     pair = ComplementaryPair.butterworth(setup.cutoff, record.sampling_rate, setup.order)
-    low, high = (GRU(record.ny, n, record.nu) for n in (setup.hidden_low, setup.hidden_high))
-    return Split(low, high, pair, setup.downsampling, filter_output)
+    low = GRU(record.ny, setup.hidden_low, record.nu)
+    high = GRU(record.ny, setup.hidden_high, _told(record, conditioned))
+    return Split([low, high], pair, setup.downsampling, filter_output, conditioned)
 
 
-def _filtered(cell: Cell, record: Trajectory, setup: Setup, calibrate: bool) -> Model:
+def _filtered(make: Maker, record: Trajectory, setup: Setup, conditioned: bool) -> Model:
     rate = record.sampling_rate
     b, a = butterworth(setup.cutoff, rate, setup.order)
-    return Filtered(cell, ComplementaryPair.perfect(b, a, rate, cutoff=setup.cutoff), calibrate)
+    pair = ComplementaryPair.perfect(b, a, rate, cutoff=setup.cutoff)
+    return Filtered(make(record, setup, conditioned), pair, conditioned)
+
+
+def _residual(make: Maker, record: Trajectory, setup: Setup, conditioned: bool) -> Model:
+    return Residual(make(record, setup, conditioned), conditioned)
 
 
 def _affine(record: Trajectory, train: int) -> Naive:
@@ -94,17 +121,19 @@ def _affine(record: Trajectory, train: int) -> Naive:
     return Given(gain * y_sim + offset, description)
 
 
-LEARNED: dict[str, Callable[[Trajectory, Setup], Model]] = {
-    "gru": lambda record, setup: Recurrent(_gru(record, setup)),
-    "rnn": lambda record, setup: Recurrent(_rnn(record, setup)),
+WHOLE: dict[str, Callable[[Trajectory, Setup, bool], Model]] = {
+    "gru": lambda record, setup, _: Recurrent(_gru(record, setup)),
+    "rnn": lambda record, setup, _: Recurrent(_rnn(record, setup)),
+}
+SPLIT: dict[str, Callable[[Trajectory, Setup, bool], Model]] = {
     "split-gru": _split,
-    "split-gru-hp": lambda record, setup: _split(record, setup, filter_output=True),
+    "split-gru-hp": partial(_split, filter_output=True),
 }
 HYBRID: dict[str, Callable[[Trajectory, Setup, bool], Model]] = {
-    "filtered-gru": lambda record, setup, cal: _filtered(_gru(record, setup), record, setup, cal),
-    "filtered-rnn": lambda record, setup, cal: _filtered(_rnn(record, setup), record, setup, cal),
-    "residual-gru": lambda record, setup, cal: Residual(_gru(record, setup), cal),
-    "residual-rnn": lambda record, setup, cal: Residual(_rnn(record, setup), cal),
+    "filtered-gru": partial(_filtered, _gru),
+    "filtered-rnn": partial(_filtered, _rnn),
+    "residual-gru": partial(_residual, _gru),
+    "residual-rnn": partial(_residual, _rnn),
 }
 FIXED: dict[str, Callable[[Trajectory, int], Naive]] = {
     "simulator": lambda record, train: Given(_simulated(record), "as it comes"),
@@ -113,8 +142,37 @@ FIXED: dict[str, Callable[[Trajectory, int], Naive]] = {
     "seasonal-naive": lambda record, train: SeasonalNaive.fit(record.y[:train]),
     "harmonic": lambda record, train: HarmonicRegression.fit(record.y[:train]),
 }
-TRAINED = (*LEARNED, *HYBRID, *(name + CALIBRATED for name in HYBRID))
+TRAINED = (
+    *WHOLE,
+    *(name + suffix for name in SPLIT for suffix in ("", CONDITIONED)),
+    *(
+        name + suffix
+        for name in HYBRID
+        for suffix in ("", CALIBRATED, CONDITIONED, CALIBRATED + CONDITIONED)
+    ),
+)
 METHODS = (*TRAINED, *FIXED)
+
+
+def with_variants(methods: Sequence[str], calibrate: bool, conditioned: bool) -> list[str]:
+    """The methods and, after each, its calibrated and its conditioned variants, if asked for."""
+    found: dict[str, None] = {}
+    for method in methods:
+        found[method] = None
+        for told in (False, True)[: 1 + conditioned]:
+            for calibrated in (False, True)[: 1 + calibrate]:
+                name = base(method)
+                name += CALIBRATED if calibrated or CALIBRATED in method else ""
+                name += CONDITIONED if told or CONDITIONED in method else ""
+                found |= {name: None} if name in TRAINED else {}
+    for option, wanted, suffix in (
+        ("--calibrate", calibrate, CALIBRATED),
+        ("--conditioned", conditioned, CONDITIONED),
+    ):
+        if wanted and not any(suffix in method for method in found):
+            able = dict.fromkeys(base(name) for name in TRAINED if suffix in name)
+            raise ValueError(f"{option} needs one of {', '.join(able)}, got {', '.join(methods)}")
+    return [*found]
 
 
 def default_methods(with_simulator: bool) -> list[str]:
@@ -125,17 +183,48 @@ def default_methods(with_simulator: bool) -> list[str]:
 
 
 def default_setup(
-    record: Trajectory, train: int, downsampling: int = 2, cutoff: float | None = None
+    record: Trajectory,
+    train: int,
+    downsampling: int = 2,
+    cutoff: float | None = None,
+    recipe: Recipe = "default",
 ) -> Setup:
     """A setup for a record of which nothing is known but its first `train` samples.
 
-    Windows of up to 250 samples with up to 50 for the warm-up, and a cut-off with nine tenths of
-    the power below.
+    The cut-off has nine tenths of the power below it.
     """
     y, rate = record.y[:train], record.sampling_rate
-    window = min(250, max(2, train // 2))
     cutoff = default_cutoff(y, rate, downsampling) if cutoff is None else cutoff
-    return Setup(train, Settings(window, default_warmup(window)), cutoff, downsampling=downsampling)
+    settings = (default_settings if recipe == "default" else paper_settings)(train)
+    return Setup(train, settings, cutoff, downsampling=downsampling)
+
+
+def paper_settings(train: int) -> Settings:
+    """The paper's way of training, for a record of one's own: a constant rate, whole windows."""
+    window = min(250, max(2, train // 2))
+    return Settings(window, default_warmup(window))
+
+
+def default_settings(train: int) -> Settings:
+    """The default recipe for a training part of `train` samples.
+
+    Windows of three fifths of it, one cycle of the learning rate, clipped gradients and free runs
+    that grow: in as many steps as the paper's settings take on its system (i), the error of a
+    single run is half as large.
+    """
+    window = min(400, max(2, 3 * train // 5))
+    batch = 25
+    batches = -(-max(train - window + 1, 1) // batch)
+    return Settings(
+        window,
+        default_warmup(window),
+        epochs=max(1, round(STEPS / batches)),
+        batch_size=batch,
+        learning_rate=3e-3,
+        one_cycle=True,
+        clip=1.0,
+        growth=0.6,
+    )
 
 
 def default_warmup(window: int, most: int = 50) -> int:
@@ -147,10 +236,19 @@ def build(method: str, record: Trajectory, setup: Setup, seed: int) -> Model:
     """The untrained model of a method, its parameters drawn from `seed`."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        if method in LEARNED:
-            return LEARNED[method](record, setup)
-        base = method.removesuffix(CALIBRATED)
-        return HYBRID[base](record, setup, base != method)
+        make = (WHOLE | SPLIT | HYBRID)[base(method)]
+        return make(record, setup, method.endswith(CONDITIONED))
+
+
+def prepared(method: str, record: Trajectory, train: int) -> tuple[Trajectory, Calibration | None]:
+    """The record as a method sees it: with a calibrated simulator, where its name says so."""
+    if CALIBRATED not in method:
+        return record, None
+    found = calibrate(
+        _simulated_beyond(record), record.y[:train], record.sampling_time, len(record)
+    )
+    y_sim = found.apply(_simulated_beyond(record), len(record), record.sampling_time)
+    return replace(record, y_sim=y_sim, beyond=None), found
 
 
 def check_train(record: Trajectory, train: int, ahead: int = 1) -> None:
@@ -202,6 +300,12 @@ def _simulated(record: Trajectory, method: str = "this method") -> Array:
     if record.y_sim is None:
         raise ValueError(f"{method} needs a simulator (--simulator), the record has none")
     return record.y_sim
+
+
+def _simulated_beyond(record: Trajectory) -> Array:
+    """The simulator's output over the record and, where it is known, after it."""
+    y_sim = _simulated(record)
+    return y_sim if record.beyond is None else np.concatenate([y_sim, record.beyond])
 
 
 def _few(values: Array) -> str:

@@ -14,12 +14,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from splitband.comparison import Run
+from splitband.comparison import Run, recommended
 from splitband.data import Trajectory
 from splitband.methods import Setup
 
 
-def results(record: Trajectory, setup: Setup, runs: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
+def results(
+    record: Trajectory,
+    setup: Setup,
+    runs: Mapping[str, Sequence[Run]],
+    held_out: Mapping[str, Run],
+) -> dict[str, Any]:
     """What `compare` writes to results.json."""
     return {
         "record": {
@@ -31,7 +36,11 @@ def results(record: Trajectory, setup: Setup, runs: Mapping[str, Sequence[Run]])
             "truth": "measured" if record.y_true is None else "noise-free",
         },
         "settings": asdict(setup),
-        "methods": {name: _method(of_method) for name, of_method in runs.items()},
+        "recommended": recommended(held_out),
+        "methods": {
+            name: {"held_out_rmse": held_out[name].forecast_rmse} | _method(of_method)
+            for name, of_method in runs.items()
+        },
         "environment": environment(),
     }
 

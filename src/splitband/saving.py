@@ -21,7 +21,7 @@ from splitband.files import replacing, to_json
 from splitband.filters import ComplementaryPair
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
 
-FORMAT = 1
+FORMAT = 2
 _UNFIT = (
     RuntimeError, TypeError, KeyError, ValueError, AttributeError, safetensors.SafetensorError,
 )  # fmt: skip
@@ -37,9 +37,9 @@ _ARGUMENTS: dict[type, tuple[str, ...]] = {
         "b_low", "b_high", "a", "sampling_rate", "cutoff", "zero_phase", "start",
     ),
     Recurrent: ("cell",),
-    Split: ("low", "high", "pair", "downsampling", "filter_output"),
-    Filtered: ("cell", "pair", "calibrate"),
-    Residual: ("cell", "calibrate"),
+    Split: ("networks", "pairs", "downsampling", "filter_output", "conditioned"),
+    Filtered: ("cell", "pair", "conditioned"),
+    Residual: ("cell", "conditioned"),
 }  # fmt: skip
 
 
@@ -114,6 +114,8 @@ def load(
 
 
 def _describe(value: Any) -> Any:
+    if isinstance(value, list | nn.ModuleList):
+        return [_describe(item) for item in value]
     if type(value) in _ARGUMENTS:
         arguments = {name: getattr(value, name) for name in _ARGUMENTS[type(value)]}
     elif isinstance(value, nn.Module):
@@ -129,8 +131,11 @@ def _describe(value: Any) -> Any:
 
 
 def _build(value: Any, cells: dict[str, Callable[..., Any]]) -> Any:
+    if isinstance(value, list):
+        parts = [_build(item, cells) for item in value]
+        return parts if any(isinstance(item, dict) for item in value) else np.array(parts)
     if not isinstance(value, dict):
-        return np.array(value) if isinstance(value, list) else value
+        return value
     known = {c.__name__: c for c in _ARGUMENTS} | cells
     arguments = {k: _build(v, cells) for k, v in value.items() if k != "type"}
     if "type" not in value:

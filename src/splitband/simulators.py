@@ -290,18 +290,6 @@ def run(
     return y
 
 
-def affine_fit(y_sim: Array, y: Array) -> tuple[Array, Array]:
-    """Gain and offset of each channel, `(ny,)` each, that bring `y_sim` closest to `y`.
-
-    By least squares on `(time, ny)`; a constant channel of the simulator gets gain 0.
-    """
-    mean_sim, mean = y_sim.mean(axis=0), y.mean(axis=0)
-    centred = y_sim - mean_sim
-    power = (centred**2).sum(axis=0)
-    gain = (centred * (y - mean)).sum(axis=0) / np.where(power > 0, power, 1.0)
-    return gain, mean - gain * mean_sim
-
-
 def _within(timeout: float | None, call: Callable[[], Any]) -> Any:
     """Call in a thread of its own that can be given up on."""
     if timeout is None:

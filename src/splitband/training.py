@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from splitband.data import Trajectory
 from splitband.models import Model, Signals, Task
@@ -26,6 +27,10 @@ class Settings:
     batch_size : Windows to a step.
     learning_rate : Of Adam, at the beginning.
     milestones : `(epoch, learning rate)` pairs: the rate from that epoch on.
+    one_cycle : The rate rises to `learning_rate` over the first tenth of the steps and falls along
+        a cosine to a hundredth of it; in place of milestones.
+    clip : Largest norm of a gradient.
+    growth : Share of the epochs over which the free run grows from a tenth of its length to all.
     normalize : Scale each channel by mean and standard deviation of the training record.
     """
 
@@ -35,6 +40,9 @@ class Settings:
     batch_size: int = 50
     learning_rate: float = 1e-3
     milestones: tuple[tuple[int, float], ...] = ()
+    one_cycle: bool = False
+    clip: float | None = None
+    growth: float = 0.0
     normalize: bool = True
 
     def __post_init__(self) -> None:
@@ -53,6 +61,28 @@ class Settings:
         for rate in (self.learning_rate, *(rate for _, rate in self.milestones)):
             if not 0 < rate < float("inf"):
                 raise ValueError(f"learning rates must be positive, got {rate}")
+        if self.one_cycle and self.milestones:
+            raise ValueError(f"milestones need one_cycle=False, got {self.milestones}")
+        if self.clip is not None and not self.clip > 0:
+            raise ValueError(f"clip must be positive, got {self.clip}")
+        if not 0 <= self.growth <= 1:
+            raise ValueError(f"growth must be a share of the epochs, 0 to 1, got {self.growth}")
+
+    def rate(self, epoch: int, share: float) -> float:
+        """The learning rate in an epoch, when `share` (0 to 1) of all steps are done."""
+        if self.one_cycle:
+            rise = 0.1
+            if share < rise:
+                return self.learning_rate * (0.1 + 0.9 * share / rise)
+            fall = 0.5 * (1 + math.cos(math.pi * (share - rise) / (1 - rise)))
+            return self.learning_rate * (0.01 + 0.99 * fall)
+        reached = [rate for start, rate in sorted(self.milestones) if start <= epoch]
+        return reached[-1] if reached else self.learning_rate
+
+    def reach(self, epoch: int, steps: int) -> int:
+        """How many of a window's `steps` are simulated in an epoch."""
+        done = 1.0 if not self.growth else min(1.0, epoch / (self.growth * self.epochs))
+        return max(1, round(steps * (0.1 + 0.9 * done)))
 
 
 @dataclass(frozen=True)
@@ -63,6 +93,8 @@ class Progress:
     epoch: int
     epochs: int
     loss: float
+    share: float
+    """Of the whole training, 0 to 1."""
 
 
 @dataclass
@@ -103,13 +135,15 @@ def fit(
     began = time.perf_counter()
     history = History()
     record = model.normalised(trajectory)
-    for task in model.tasks(record):
+    tasks = model.tasks(record)
+    for done, task in enumerate(tasks):
         generator = torch.Generator().manual_seed(seed)  # a network does not depend on the others
         losses = history.losses.setdefault(task.name, [])
         for loss in _train(task, settings, generator):
             losses.append(loss)
             if progress is not None:
-                progress(Progress(task.name, len(losses), settings.epochs, loss))
+                share = (done + len(losses) / settings.epochs) / len(tasks)
+                progress(Progress(task.name, len(losses), settings.epochs, loss, share))
     history.seconds = time.perf_counter() - began
     return history
 
@@ -117,20 +151,23 @@ def fit(
 def _train(task: Task, settings: Settings, generator: torch.Generator) -> Iterator[float]:
     """Train one network; yield the mean loss of each epoch."""
     known, target = _windows(task, settings)
-    steps = target.shape[1]
     optimizer = torch.optim.Adam(task.network.parameters(), lr=settings.learning_rate)
-    rates = dict(settings.milestones)
     for epoch in range(settings.epochs):
-        for group in optimizer.param_groups:
-            group["lr"] = rates.get(epoch, group["lr"])
+        steps = settings.reach(epoch, target.shape[1])
         total = 0.0
-        for batch in torch.randperm(len(target), generator=generator).split(settings.batch_size):
+        batches = torch.randperm(len(target), generator=generator).split(settings.batch_size)
+        for i, batch in enumerate(batches):
+            share = (epoch + i / len(batches)) / settings.epochs
+            for group in optimizer.param_groups:
+                group["lr"] = settings.rate(epoch, share)
             with one_torch_thread():
-                seen, wanted = _select(known, batch), target[batch]
+                seen, wanted = _select(known, batch), target[batch, :steps]
             optimizer.zero_grad(set_to_none=True)
             loss = _rmse(task.simulate(seen, steps), wanted)
             loss.backward()
             with one_torch_thread():
+                if settings.clip is not None:
+                    nn.utils.clip_grad_norm_(task.network.parameters(), settings.clip)
                 optimizer.step()
             total += loss.item() * len(batch)
         mean = total / len(target)

@@ -10,10 +10,11 @@ import typer
 from splitband import plots, reporting
 from splitband.cli import options, showing
 from splitband.cli.simulating import with_simulator
+from splitband.comparison import HELD_OUT, hold_out, recommended
 from splitband.comparison import compare as run_comparison
 from splitband.data import Trajectory
 from splitband.files import output_folder, replacing, write_json
-from splitband.methods import CALIBRATED, HYBRID, METHODS, TRAINED, Setup, check, default_methods
+from splitband.methods import METHODS, TRAINED, Setup, check, default_methods, with_variants
 from splitband.paper.settings import RECORD_SETTINGS, SAMPLE_FREQUENCY
 from splitband.spectrum import periodogram
 from splitband.threads import available_cores
@@ -50,22 +51,16 @@ def compare(
     simulator_columns: options.SimulatorColumns = None,
     simulator_timeout: options.SimulatorTimeout = None,
     simulator_cache: options.SimulatorCache = None,
-    calibrate: Annotated[
-        bool,
-        typer.Option(
-            "--calibrate",
-            help="Beside each hybrid method, also run it with the simulator calibrated: a gain and "
-            "an offset fitted on the training samples.",
-            rich_help_panel="Simulator",
-        ),
-    ] = False,
+    calibrate: options.Calibrate = False,
+    conditioned: options.Conditioned = False,
     cutoff: options.Cutoff = None,
     order: options.Order = None,
     downsampling: options.Downsampling = None,
     warmup: options.Warmup = None,
     window: options.Window = None,
     epochs: options.Epochs = None,
-    learning_rate: options.LearningRate = 1e-3,
+    recipe: options.RecipeOption = "default",
+    learning_rate: options.LearningRate = None,
     lr_milestones: options.Milestones = None,
     hidden: options.Hidden = None,
 ) -> None:
@@ -74,16 +69,21 @@ def compare(
     Every method is fitted on the first --train samples only and predicts under two protocols:
     "from the start" warms up on the first samples and simulates to the end of the record;
     "forecast" warms up on the last training samples and simulates beyond them. The table shows the
-    RMSE of the free run over everything after the warm-up, in the record's unit.
+    RMSE of the free run over everything after the warm-up, in the record's unit. The recommended
+    method is chosen before all that: it forecasts the last quarter of the training samples best,
+    trained on the rest of them; the table shows that error as "held out".
+
+    --calibrate and --conditioned add rows: each method that can be is also run that way.
     """
     trajectory = options.load_record(record, columns, inputs, time_column, sampling_time)
     trajectory = with_simulator(
-        trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache
+        trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache, calibrate
     )
     setup = options.setup(
         record,
         trajectory,
         train,
+        recipe=recipe,
         cutoff=cutoff,
         order=order,
         downsampling=downsampling,
@@ -104,10 +104,7 @@ def compare(
     chosen = default_methods(trajectory.y_sim is not None)
     if methods is not None:
         chosen = options.names(methods)
-    if calibrate and not set(chosen) & set(HYBRID):
-        raise ValueError(f"--calibrate needs a hybrid method in --methods, got {methods}")
-    if calibrate:
-        chosen = [n for m in chosen for n in ((m, m + CALIBRATED) if m in HYBRID else (m,))]
+    chosen = with_variants(chosen, calibrate, conditioned)
     _compare(context, trajectory, chosen, setup, seeds, jobs, out)
 
 
@@ -137,15 +134,20 @@ def _compare(
     out: Path,
 ) -> None:
     check(record, methods, setup)
+    part, part_setup = hold_out(record, setup)
+    check(part, methods, part_setup)
     output_folder(out)
-    trainings = seeds * len(set(methods) & set(TRAINED))
-    jobs = min(jobs or available_cores(), max(trainings, 1))
-    with showing.progress(trainings, "training") as progress:
+    networks = len(set(methods) & set(TRAINED))
+    jobs = min(jobs or available_cores(), max(seeds * networks, 1))
+    with showing.progress(networks, "training on three quarters") as progress:
+        tried = run_comparison(part, methods, part_setup, (0,), jobs, progress)
+    held_out = {method: run for method, (run,) in tried.items()}
+    with showing.progress(seeds * networks, "training") as progress:
         runs = run_comparison(record, methods, setup, range(seeds), jobs, progress)
     found = periodogram(record.y[: setup.train], record.sampling_rate)
     arguments = {k: str(v) if isinstance(v, Path) else v for k, v in context.params.items()}
     facts = {"command": context.info_name, "arguments": arguments}
-    write_json(out / "results.json", facts | reporting.results(record, setup, runs))
+    write_json(out / "results.json", facts | reporting.results(record, setup, runs, held_out))
     with replacing(out / "predictions.csv") as temporary:
         reporting.predictions(record, runs).to_csv(temporary, index=False)
     plots.save(plots.rollouts(record, setup, runs), out / "rollouts.png")
@@ -153,7 +155,12 @@ def _compare(
     plots.save(plots.spectrum(record, found, setup.cutoff), out / "spectrum.png")
     if any(of_method[0].components for of_method in runs.values()):
         plots.save(plots.components(record, setup, runs), out / "components.png")
-    showing.console.print(showing.comparison(_title(record, setup), runs))
+    showing.console.print(showing.comparison(_title(record, setup), runs, held_out))
+    best = recommended(held_out)
+    showing.console.print(
+        f"recommended: {best}, which forecasts the last {HELD_OUT:.0%} of the training part best "
+        f"from the rest of it (RMSE {held_out[best].forecast_rmse:.3g})"
+    )
     showing.console.print(
         f"cut-off {setup.cutoff:g} Hz{_papers_cutoff(record, setup)}, order {setup.order}: "
         f"{found.share_below(setup.cutoff):.1%} of the training part's power in the low band, "

@@ -12,12 +12,20 @@ import pandas as pd
 import typer
 
 from splitband import reporting, saving
+from splitband.calibration import Calibration
 from splitband.cli import options, showing
 from splitband.cli.simulating import simulated, with_simulator
 from splitband.comparison import RunProgress
 from splitband.data import Trajectory, read
 from splitband.files import output_folder, replacing, write_json
-from splitband.methods import CALIBRATED, HYBRID, TRAINED, build, check_method
+from splitband.methods import (
+    CALIBRATED,
+    TRAINED,
+    build,
+    check_method,
+    prepared,
+    with_variants,
+)
 from splitband.metrics import rmse
 from splitband.models import Hybrid, Model
 from splitband.training import Progress
@@ -47,22 +55,16 @@ def fit(
     simulator_columns: options.SimulatorColumns = None,
     simulator_timeout: options.SimulatorTimeout = None,
     simulator_cache: options.SimulatorCache = None,
-    calibrate: Annotated[
-        bool,
-        typer.Option(
-            "--calibrate",
-            help="For a hybrid method: calibrate the simulator first, with a gain and an offset "
-            "fitted on the training samples.",
-            rich_help_panel="Simulator",
-        ),
-    ] = False,
+    calibrate: options.Calibrate = False,
+    conditioned: options.Conditioned = False,
     cutoff: options.Cutoff = None,
     order: options.Order = None,
     downsampling: options.Downsampling = None,
     warmup: options.Warmup = None,
     window: options.Window = None,
     epochs: options.Epochs = None,
-    learning_rate: options.LearningRate = 1e-3,
+    recipe: options.RecipeOption = "default",
+    learning_rate: options.LearningRate = None,
     lr_milestones: options.Milestones = None,
     hidden: options.Hidden = None,
 ) -> None:
@@ -70,18 +72,21 @@ def fit(
 
     MODEL_DIR gets the weights (safetensors), everything else (JSON) and results.json.
     """
-    method += CALIBRATED if calibrate and method in HYBRID else ""
+    if calibrate or conditioned:
+        method = with_variants([method], calibrate, conditioned)[-1]
     if method not in TRAINED:
         raise ValueError(f"--method must be one of {', '.join(TRAINED)}, got {method}")
     trajectory = options.load_record(record, columns, inputs, time_column, sampling_time)
     trajectory = with_simulator(
-        trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache
-    )
+        trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache,
+        beyond=CALIBRATED in method,
+    )  # fmt: skip
     setup = options.setup(
         record,
         trajectory,
         len(trajectory) if train is None else train,
         ahead=0,
+        recipe=recipe,
         cutoff=cutoff,
         order=order,
         downsampling=downsampling,
@@ -92,11 +97,11 @@ def fit(
         milestones=lr_milestones,
         hidden=hidden,
     )
-    training = trajectory[: setup.train]
-    check_method(method, training, setup)
+    check_method(method, trajectory[: setup.train], setup)
+    training, calibration = prepared(method, trajectory[: setup.train], setup.train)
     model = build(method, training, setup, seed)
     output_folder(out)
-    networks = len([*model.children()])
+    networks = len(model.tasks(model.normalised(training)))
     with showing.progress(networks, f"training {method}") as bar:
 
         def update(at: Progress) -> None:
@@ -112,6 +117,7 @@ def fit(
         "columns": list(training.columns),
         "inputs": options.names(inputs or ""),
         "setup": asdict(setup),
+        "calibration": None if calibration is None else asdict(calibration),
     }
     saving.save(model, out, facts)
     outcome = {
@@ -122,7 +128,9 @@ def fit(
     write_json(out / "results.json", facts | outcome | {"environment": reporting.environment()})
     showing.console.print(
         f"{method} trained on {len(training)} samples in {history.seconds:.1f} s; free run over "
-        f"them from the first {setup.settings.warmup}: RMSE {within:.4g}\nmodel: {out}/",
+        f"them from the first {setup.settings.warmup}: RMSE {within:.4g}\n"
+        + ("" if calibration is None else f"simulator calibrated: {calibration}\n")
+        + f"model: {out}/",
     )
 
 
@@ -202,8 +210,10 @@ def simulate(
             )
         total = len(past) + steps
         y_sim = simulated(
-            past, total, simulator, simulator_columns, simulator_timeout, simulator_cache
-        )
+            past, known.calibration.needs(total, past.sampling_time), simulator,
+            simulator_columns, simulator_timeout, simulator_cache,
+        )  # fmt: skip
+        y_sim = known.calibration.apply(y_sim, total, past.sampling_time)
         y_sim = y_sim[len(past) - known.warmup :]
     warmup = slice(len(past) - known.warmup, None)
     u = _all_inputs(None if past.u is None else past.u[warmup], future_inputs, steps, known)
@@ -227,6 +237,8 @@ class _Facts:
             self.inputs = [str(name) for name in facts["inputs"]]
             self.sampling_time = float(facts["sampling_time"])
             self.warmup = int(facts["setup"]["settings"]["warmup"])
+            self.calibration = Calibration(**(facts["calibration"] or {}))
+            self.calibration.check(model.ny)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{folder} was not written by `splitband fit`: {error!r}") from None
         if self.warmup < 1:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from splitband.data import Trajectory, read
-from splitband.methods import Setup, check_train, default_setup, default_warmup
+from splitband.methods import Recipe, Setup, check_train, default_setup, default_warmup
 from splitband.paper.settings import RECORD_SETTINGS
 from splitband.systems import RECORDS, SIMULATORS
 from splitband.training import Settings
@@ -126,6 +126,23 @@ SimulatorCache = Annotated[
         show_default="not kept",
     ),
 ]
+Calibrate = Annotated[
+    bool,
+    typer.Option(
+        "--calibrate",
+        help="Calibrate the simulator of hybrid methods on the training samples first: gain, "
+        "offset, delay and clock, each kept only where it pays on held-out ones.",
+        rich_help_panel=_SIMULATOR,
+    ),
+]
+Conditioned = Annotated[
+    bool,
+    typer.Option(
+        "--conditioned",
+        help="Tell the network what the slower band or the simulator predicts.",
+        rich_help_panel=_FILTER,
+    ),
+]
 Cutoff = Annotated[
     float | None,
     typer.Option(
@@ -165,7 +182,7 @@ Window = Annotated[
     typer.Option(
         help="Samples of a training window, warm-up included.",
         rich_help_panel=_TRAINING,
-        show_default="up to 250",
+        show_default="three fifths of the training part, up to 400",
     ),
 ]
 Epochs = Annotated[
@@ -173,17 +190,31 @@ Epochs = Annotated[
     typer.Option(
         help="Passes over all windows.",
         rich_help_panel=_TRAINING,
-        show_default="300, the paper's for a named record",
+        show_default="what makes about 1,000 steps",
+    ),
+]
+RecipeOption = Annotated[
+    Recipe,
+    typer.Option(
+        "--recipe",
+        help="How networks are trained where no other option says so: long windows, one cycle of "
+        "the learning rate and free runs that grow, or as in the paper.",
+        rich_help_panel=_TRAINING,
     ),
 ]
 LearningRate = Annotated[
-    float, typer.Option(help="Of Adam, at the beginning.", rich_help_panel=_TRAINING)
+    float | None,
+    typer.Option(
+        help="Of Adam: the highest, or the first one with --recipe paper.",
+        rich_help_panel=_TRAINING,
+        show_default="3e-3; with --recipe paper 1e-3",
+    ),
 ]
 Milestones = Annotated[
     str | None,
     typer.Option(
         "--lr-milestones",
-        help="Later learning rates as EPOCH:RATE,...: 20:1e-4,500:1e-5",
+        help="Later learning rates as EPOCH:RATE,...: 20:1e-4,500:1e-5. In place of one cycle.",
         rich_help_panel=_TRAINING,
         show_default=False,
     ),
@@ -241,27 +272,33 @@ def load_record(
 
 
 def setup(
-    record: str, trajectory: Trajectory, train: int | None, ahead: int = 1, **options: Any
+    record: str,
+    trajectory: Trajectory,
+    train: int | None,
+    ahead: int = 1,
+    recipe: Recipe = "default",
+    **options: Any,
 ) -> Setup:
-    """What the options say (`None`: nothing), the rest by default: the paper's for its records.
+    """What the options say (`None`: nothing), the rest by the recipe.
 
-    `record` is the argument that `trajectory` comes from; `ahead` samples at least must be left
-    to predict.
+    The paper's recipe for its own records is the settings of its tables. `record` is the argument
+    that `trajectory` comes from; `ahead` samples at least must be left to predict.
     """
     column = RECORD_SETTINGS.get(record)
     if train is None:
         train = column.train if column else int(0.75 * len(trajectory))
     check_train(trajectory, train, ahead)
     given = {name: value for name, value in options.items() if value is not None}
-    if column:
+    if column and recipe == "paper":
         defaults = column.setup(trajectory.sampling_rate)
     else:
         k, cutoff = given.get("downsampling", 2), given.get("cutoff")
-        defaults = default_setup(trajectory, train, k, cutoff)
+        defaults = default_setup(trajectory, train, k, cutoff, recipe)
     if "hidden" in given:
         given["hidden_high"], given["hidden_low"] = _sizes(given.pop("hidden"))
     if "milestones" in given:
         given["milestones"] = _milestones(given["milestones"])
+        given["one_cycle"] = False
     training = {f.name: given.pop(f.name) for f in fields(Settings) if f.name in given}
     if "window" in training:
         training.setdefault("warmup", default_warmup(training["window"], defaults.settings.warmup))

@@ -23,14 +23,16 @@ console = Console(
 )
 
 
-def comparison(title: str, runs: Mapping[str, Sequence[Run]], unit: str = "") -> Table:
-    """Both protocols by method, mean and standard deviation over seeds, best first marked."""
+def comparison(title: str, runs: Mapping[str, Sequence[Run]], held_out: Mapping[str, Run]) -> Table:
+    """Errors by method, mean and standard deviation over seeds; the lowest of each is bold."""
     table = Table(title=title, title_justify="left", title_style="bold")
     table.add_column("method")
+    table.add_column("held out", justify="right")
     table.add_column("from the start", justify="right")
     table.add_column("forecast", justify="right")
     table.add_column("fit (s)", justify="right")
     table.add_column("", style="dim")
+    first = min(run.forecast_rmse for run in held_out.values())
     best = [
         min(statistics.mean(values(r)) for r in runs.values()) for values in (_total, _forecast)
     ]
@@ -40,7 +42,10 @@ def comparison(title: str, runs: Mapping[str, Sequence[Run]], unit: str = "") ->
             for values, lowest in zip((_total, _forecast), best, strict=True)
         ]
         seconds = statistics.mean(r.seconds for r in of_method)
-        table.add_row(name, *cells, f"{seconds:.1f}", of_method[0].description)
+        tried = held_out[name].forecast_rmse
+        table.add_row(
+            name, _spread([tried], first), *cells, f"{seconds:.1f}", of_method[0].description
+        )
     return table
 
 

@@ -26,6 +26,7 @@ class Trajectory:
     u : known inputs, (time, nu): forces, set-points, or another model's prediction.
     y_true : the noise-free signal where it is known, (time, ny).
     y_sim : a simulator's trajectory, (time, ny).
+    beyond : what the simulator says after the record's end, (any time, ny), for its calibration.
     name : what plots and tables call the record.
     columns : names of the channels of y; without them "y", or "y0", "y1", ...
 
@@ -41,6 +42,7 @@ class Trajectory:
     u: FloatArray | None = None
     y_true: FloatArray | None = None
     y_sim: FloatArray | None = None
+    beyond: FloatArray | None = None
     name: str = ""
     columns: tuple[str, ...] = ()
 
@@ -64,6 +66,14 @@ class Trajectory:
             names = _numbered("u", signal.shape[1]) if field == "u" else columns
             require_finite(field, signal, names)
             object.__setattr__(self, field, signal)
+        if self.beyond is not None:
+            beyond = _signal("beyond", self.beyond)
+            if self.y_sim is None or beyond.shape[1] != ny:
+                raise ValueError(
+                    f"beyond must go on from y_sim, (any time, {ny}): its shape is {beyond.shape}"
+                )
+            require_finite("beyond", beyond, columns)
+            object.__setattr__(self, "beyond", beyond)
         object.__setattr__(self, "sampling_time", _positive_seconds(self.sampling_time))
 
     def __len__(self) -> int:
@@ -78,7 +88,12 @@ class Trajectory:
         u, y_true, y_sim = (
             None if s is None else s[key] for s in (self.u, self.y_true, self.y_sim)
         )
-        return replace(self, y=self.y[key], u=u, y_true=y_true, y_sim=y_sim)
+        beyond = self.beyond
+        if self.y_sim is not None:
+            end = key.indices(len(self))[1]
+            later = [self.y_sim[end:], *([] if beyond is None else [beyond])]
+            beyond = np.concatenate(later) if sum(map(len, later)) else None
+        return replace(self, y=self.y[key], u=u, y_true=y_true, y_sim=y_sim, beyond=beyond)
 
     @property
     def ny(self) -> int:

@@ -206,6 +206,34 @@ class Model(nn.Module, ABC):
         return ((values - mean) / std).to(next(self.parameters()).dtype)
 
 
+def conditioning(slow: Tensor, scale: Tensor, k: int = 1, offset: int = 0) -> Tensor:
+    """What a slower signal tells a faster network: its value and its slope, side by side.
+
+    The row that acts on a step holds those of the sample that the step leads to.
+
+    Parameters
+    ----------
+    slow : `(..., time, ny)`.
+    scale : Of each channel's slope, `(ny,)`, see `slope_scale`.
+    k, offset : The network sees every k-th sample from `offset` on.
+    """
+    values = torch.cat([slow, _slope(slow) / scale.to(slow)], dim=-1)[..., offset::k, :]
+    return torch.cat([values[..., 1:, :], values[..., -1:, :]], dim=-2)
+
+
+def slope_scale(slow: Tensor) -> Tensor:
+    """The standard deviation of each channel's slope in a record `(time, ny)`; 1 for a constant."""
+    spread = _slope(slow.double()).std(dim=0)
+    return torch.where(spread > 0, spread, torch.ones_like(spread))
+
+
+def _slope(x: Tensor) -> Tensor:
+    """By sample, from the neighbours on both sides."""
+    if x.shape[-2] < 2:
+        return torch.zeros_like(x)
+    return torch.gradient(x, dim=-2)[0]
+
+
 def as_module(cell: Cell) -> nn.Module:
     """The cell as what is trained; raises TypeError where it is none."""
     if not isinstance(cell, nn.Module):

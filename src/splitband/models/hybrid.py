@@ -10,44 +10,48 @@ from torch import Tensor
 from splitband.cells import Cell
 from splitband.data import Trajectory
 from splitband.filters import ComplementaryPair
-from splitband.models.base import Model, Signals, Task, as_module
+from splitband.models.base import Model, Signals, Task, as_module, conditioning, slope_scale
 from splitband.rollouts import rollout
-from splitband.simulators import affine_fit
 
 
 class Hybrid(Model):
-    """A network and a simulator; the simulator may be calibrated first.
+    """A network and a simulator.
 
     Parameters
     ----------
     cell : The network.
-    calibrate : Fit a gain and an offset for each channel of the simulator by least squares on the
-        training record, before anything is learned. Not in the paper.
+    conditioned : The network receives the simulator's output, value and slope of each channel, as
+        known inputs behind its own: it has 2 ny more of them. Not in the paper, which names it as
+        future work.
     """
 
-    gain: Tensor
-    offset: Tensor
+    slope_scale: Tensor
 
-    def __init__(self, cell: Cell, calibrate: bool = False) -> None:
-        super().__init__(cell.ny, cell.nu)
-        self.cell, self.calibrate = cell, calibrate
-        self.register_buffer("gain", torch.ones(cell.ny, dtype=torch.float64))
-        self.register_buffer("offset", torch.zeros(cell.ny, dtype=torch.float64))
+    def __init__(self, cell: Cell, conditioned: bool = False) -> None:
+        nu = cell.nu - 2 * cell.ny if conditioned else cell.nu
+        if nu < 0:
+            raise ValueError(
+                f"a conditioned network must have at least 2 ny = {2 * cell.ny} inputs, for the "
+                f"simulator's value and slope, got nu = {cell.nu}"
+            )
+        super().__init__(cell.ny, nu)
+        self.cell, self.conditioned = cell, conditioned
+        self.register_buffer("slope_scale", torch.ones(cell.ny, dtype=torch.float64))
 
     def adapt_to(self, trajectory: Trajectory, normalize: bool = True) -> None:
-        """Take the units and, if asked to, the calibration from a training record."""
+        """Take the units from a training record, those of the simulator's slope too."""
         super().adapt_to(trajectory, normalize)
-        if self.calibrate:
-            known = self.normalised(trajectory)
-            y_sim = _required(known)
-            gain, offset = affine_fit(y_sim.double().cpu().numpy(), known.y.double().cpu().numpy())
-            self.gain.copy_(torch.from_numpy(gain))
-            self.offset.copy_(torch.from_numpy(offset))
+        self.slope_scale.copy_(slope_scale(_required(self.normalised(trajectory))))
 
-    def _calibrated(self, known: Signals) -> Tensor:
-        """The simulator's output, `(..., time, ny)`, in normalised units."""
-        y_sim = _required(known)
-        return y_sim * self.gain.to(y_sim) + self.offset.to(y_sim)
+    def _conditioned(self, known: Signals) -> Signals:
+        """The simulator's output among the known inputs, where the network wants it."""
+        if not self.conditioned:
+            return known
+        u, given = known.u, conditioning(_required(known), self.slope_scale)
+        if u is not None:
+            samples = min(u.shape[-2], given.shape[-2])
+            given = torch.cat([u[..., :samples, :], given[..., :samples, :]], dim=-1)
+        return replace(known, u=given)
 
 
 class Filtered(Hybrid):
@@ -61,11 +65,12 @@ class Filtered(Hybrid):
     ----------
     cell : The network; its free run is that of the whole signal, of which the high band is used.
     pair : One-way filters, of which L + H = 1.
-    calibrate : See `Hybrid`.
+    conditioned : See `Hybrid`. What the high-pass filter takes from the network's output, it takes
+        here too: its low band cannot move the prediction.
     """
 
-    def __init__(self, cell: Cell, pair: ComplementaryPair, calibrate: bool = False) -> None:
-        super().__init__(cell, calibrate)
+    def __init__(self, cell: Cell, pair: ComplementaryPair, conditioned: bool = False) -> None:
+        super().__init__(cell, conditioned)
         if pair.zero_phase:
             raise ValueError("the hybrid model's pair must filter one way (zero_phase=False)")
         self.pair = pair
@@ -78,9 +83,9 @@ class Filtered(Hybrid):
 
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """The simulator's samples and the network's, before the filters."""
-        calibrated, warmup = self._calibrated(known), known.y.shape[1]
-        network = rollout(self.cell, known.y, steps, known.u)
-        return {"simulator": calibrated[:, warmup : warmup + steps], "network": network}
+        warmup = known.y.shape[1]
+        network = rollout(self.cell, known.y, steps, self._conditioned(known).u)
+        return {"simulator": _required(known)[:, warmup : warmup + steps], "network": network}
 
     def tasks(self, record: Signals) -> list[Task]:
         """Reproduce the record (paper, Eq. 14); L(simulator) is filtered once, as a whole."""
@@ -88,7 +93,8 @@ class Filtered(Hybrid):
         return [Task("network", as_module(self.cell), known, record.y, self._combined)]
 
     def _low_passed(self, known: Signals) -> Signals:
-        return replace(known, y_sim=self.pair.lowpass(self._calibrated(known)))
+        """L(simulator) in place of the simulator, once the network has been told of it."""
+        return replace(self._conditioned(known), y_sim=self.pair.lowpass(_required(known)))
 
     def _combined(self, filtered: Signals, steps: int) -> Tensor:
         warmup = filtered.y.shape[1]
@@ -114,16 +120,13 @@ class Residual(Hybrid):
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """The simulator's samples and the network's."""
-        calibrated = self._calibrated(known)
         warmup = known.y.shape[1]
-        residual = self._simulate(replace(known, y_sim=calibrated), steps)
-        return {"simulator": calibrated[:, warmup : warmup + steps], "network": residual}
+        residual = self._simulate(self._conditioned(known), steps)
+        return {"simulator": _required(known)[:, warmup : warmup + steps], "network": residual}
 
     def tasks(self, record: Signals) -> list[Task]:
         """Reproduce the simulator's residual."""
-        calibrated = self._calibrated(record)
-        known = replace(record, y_sim=calibrated)
-        target = record.y - calibrated
+        known, target = self._conditioned(record), record.y - _required(record)
         return [Task("network", as_module(self.cell), known, target, self._simulate)]
 
     def _simulate(self, known: Signals, steps: int) -> Tensor:

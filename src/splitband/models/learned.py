@@ -1,13 +1,18 @@
-"""Models learned from a record alone: one network, or two on their bands."""
+"""Models learned from a record alone: one network, or several on their bands."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 
 from splitband.cells import Cell
+from splitband.data import Trajectory
 from splitband.filters import ComplementaryPair
-from splitband.models.base import Model, Signals, Task, as_module
+from splitband.models.base import Model, Signals, Task, as_module, conditioning, slope_scale
 from splitband.resampling import check_downsampling, downsample, upsample
 from splitband.rollouts import rollout
 
@@ -32,10 +37,10 @@ class Recurrent(Model):
 
 
 class Split(Model):
-    """Two networks, each on its band (paper, Sec. 4.2): "split GRU" and "split GRU + HP".
+    """Networks, each on its band (paper, Sec. 4.2): "split GRU" and "split GRU + HP".
 
-    The low-band network lives on the low-passed, down-sampled signal; its free run is up-sampled
-    and added to that of the high-band network.
+    A network of a slower band lives on the low-passed, down-sampled signal; its free run is
+    up-sampled, and those of all bands are added. The paper has two bands and no conditioning.
 
     The warm-up is filtered by itself, in training as in simulation: a prediction cannot depend on
     later samples through the zero-phase filter, and the networks learn to start from a history
@@ -43,72 +48,161 @@ class Split(Model):
 
     Parameters
     ----------
-    low, high : The networks.
-    pair : The filters that part the bands.
-    downsampling : k: the low network sees every k-th sample.
-    filter_output : High-pass the high network's output too, the paper's "+HP".
+    networks : From the slowest band to the fastest, two at least.
+    pairs : Where one band ends and the next begins, by rising cut-off; for two bands just the pair.
+    downsampling : k of each band but the fastest: its network sees every k-th sample. One number
+        is for all of them.
+    filter_output : High-pass the fastest network's output too, the paper's "+HP".
+    conditioned : Each network but the slowest receives what the slower bands predict, value and
+        slope of each channel, as known inputs behind its own; it has 2 ny more of them.
 
     Raises
     ------
     ValueError
-        When the down-sampled signal cannot carry the low band (Nyquist).
+        When the numbers of networks, pairs and factors, the networks' channels or the order of
+        the cut-offs do not fit, and when a down-sampled signal cannot carry its band (Nyquist).
     """
+
+    slope_scale: Tensor
 
     def __init__(
         self,
-        low: Cell,
-        high: Cell,
-        pair: ComplementaryPair,
-        downsampling: int = 2,
+        networks: Sequence[Cell],
+        pairs: ComplementaryPair | Sequence[ComplementaryPair],
+        downsampling: int | Sequence[int] = 2,
         filter_output: bool = False,
+        conditioned: bool = False,
     ) -> None:
-        super().__init__(high.ny, high.nu)
-        if (low.ny, low.nu) != (high.ny, high.nu):
+        slower = len(networks) - 1
+        if slower < 1:
+            raise ValueError(f"networks must be two at least, got {len(networks)}")
+        super().__init__(networks[0].ny, networks[0].nu)
+        self.networks = nn.ModuleList(as_module(network) for network in networks)
+        self.pairs = [pairs] if isinstance(pairs, ComplementaryPair) else [*pairs]
+        factors = (
+            [downsampling] * slower
+            if isinstance(downsampling, int)
+            else [int(k) for k in downsampling]
+        )
+        self.downsampling = factors
+        self.filter_output, self.conditioned = filter_output, conditioned
+        self.register_buffer("slope_scale", torch.ones(slower, self.ny, dtype=torch.float64))
+        if not len(self.pairs) == len(factors) == slower:
             raise ValueError(
-                f"low and high must agree in (ny, nu), got {(low.ny, low.nu)} "
-                f"and {(high.ny, high.nu)}"
+                f"{len(networks)} networks need {slower} pair(s) and downsampling factor(s), "
+                f"got {len(self.pairs)} and {len(factors)}"
             )
-        if pair.cutoff is not None:
-            check_downsampling(downsampling, pair.cutoff, pair.sampling_rate)
-        self.low, self.high = low, high
-        self.pair, self.downsampling, self.filter_output = pair, downsampling, filter_output
+        self._check_channels(networks)
+        self._check_bands()
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """The low band, up-sampled, and the high band (paper, Eq. 13)."""
-        k = self.downsampling
-        slow = self._simulate_low(known, (steps - 2) // k + 2)
-        return {
-            "low band": upsample(slow, k, length=steps),
-            "high band": self._simulate_high(known, steps),
-        }
+        """The bands from slow to fast, each at the full rate (paper, Eq. 13)."""
+        return self._bands(len(self.networks), known, steps)
 
     def tasks(self, record: Signals) -> list[Task]:
-        """Reproduce each band of the record (paper, Eq. 12).
+        """Reproduce each band of the record, the slowest first (paper, Eq. 12).
 
-        The high band is what the low-pass filter leaves, so that the two add up to the record at
-        its ends too; away from them it is H(y).
+        A band is what the low-pass filters of its two ends leave, so that all bands add up to the
+        record at its ends too; away from them the fastest is H(y).
         """
-        low, k = self.pair.lowpass(record.y), self.downsampling
         return [
-            Task("low band", as_module(self.low), record, low, self._simulate_low, k),
-            Task("high band", as_module(self.high), record, record.y - low, self._simulate_high),
+            Task(
+                name,
+                as_module(self._network(band)),
+                record,
+                self._band_of(band, record.y),
+                partial(self._in_training, band),
+                self._factor(band),
+            )
+            for band, name in enumerate(self._names())
         ]
 
-    def _simulate_low(self, known: Signals, steps: int) -> Tensor:
-        """`steps` samples at the low rate, the first of them right after the warm-up."""
-        k, warmup = self.downsampling, known.y.shape[1]
-        offset = warmup % k
-        history = downsample(self.pair.lowpass(known.y), k, offset)
-        u = None
-        if known.u is not None:  # an input holds until the next low-rate sample
-            held = known.u[:, offset:].transpose(1, 2)
-            u = nn.functional.avg_pool1d(held, k, ceil_mode=True).transpose(1, 2)
-        return rollout(self.low, history, steps, u)
+    def adapt_to(self, trajectory: Trajectory, normalize: bool = True) -> None:
+        """Take the units from a training record, those of the slopes too."""
+        super().adapt_to(trajectory, normalize)
+        y = self.normalised(trajectory).y
+        for i, pair in enumerate(self.pairs):
+            self.slope_scale[i].copy_(slope_scale(pair.lowpass(y)))
 
-    def _simulate_high(self, known: Signals, steps: int) -> Tensor:
-        history = known.y - self.pair.lowpass(known.y)
-        y = rollout(self.high, history, steps, known.u)
-        if not self.filter_output:
+    def _in_training(self, band: int, known: Signals, steps: int) -> Tensor:
+        """`steps` samples of a band at its rate, the slower bands being as they are."""
+        slower = None
+        if self.conditioned and band:
+            with torch.no_grad():
+                samples = (steps - 1) * self._factor(band) + 1
+                slower = _sum(self._bands(band, known, samples))
+        return self._simulate(band, known, steps, slower)
+
+    def _bands(self, count: int, known: Signals, steps: int) -> dict[str, Tensor]:
+        """The `count` slowest bands, each at the full rate."""
+        found: dict[str, Tensor] = {}
+        for band, name in enumerate(self._names()[:count]):
+            found[name] = self._at_full_rate(band, known, steps, _sum(found))
+        return found
+
+    def _at_full_rate(self, band: int, known: Signals, steps: int, slower: Tensor | None) -> Tensor:
+        k = self._factor(band)
+        if k == 1:
+            return self._simulate(band, known, steps, slower)
+        # Interpolation needs a sample at or beyond the last one.
+        return upsample(self._simulate(band, known, (steps - 2) // k + 2, slower), k, length=steps)
+
+    def _simulate(self, band: int, known: Signals, steps: int, slower: Tensor | None) -> Tensor:
+        """`steps` samples of a band at its rate, the first of them right after the warm-up.
+
+        `slower` is what the slower bands predict from there on, at the full rate.
+        """
+        k, warmup = self._factor(band), known.y.shape[1]
+        offset = warmup % k
+        history = self._band_of(band, known.y)
+        u = known.u
+        if u is not None and k > 1:  # an input holds until the next sample of the band
+            held = u[:, offset:].transpose(1, 2)
+            u = nn.functional.avg_pool1d(held, k, ceil_mode=True).transpose(1, 2)
+        if self.conditioned and slower is not None:
+            whole = torch.cat([self.pairs[band - 1].lowpass(known.y), slower], dim=1)
+            given = conditioning(whole, self.slope_scale[band - 1], k, offset)
+            u = given if u is None else torch.cat([u[:, : given.shape[1]], given], dim=2)
+        y = rollout(self._network(band), downsample(history, k, offset), steps, u)
+        if not self.filter_output or band < len(self.pairs):
             return y
         # With its own history in front the filter has settled before the first prediction.
-        return self.pair.highpass(torch.cat([history, y], dim=1))[:, history.shape[1] :]
+        return self.pairs[-1].highpass(torch.cat([history, y], dim=1))[:, warmup:]
+
+    def _band_of(self, band: int, y: Tensor) -> Tensor:
+        """The share of a signal that is a band's."""
+        upper = self.pairs[band].lowpass(y) if band < len(self.pairs) else y
+        return upper - self.pairs[band - 1].lowpass(y) if band else upper
+
+    def _network(self, band: int) -> Cell:
+        return self.networks[band]  # type: ignore[return-value]
+
+    def _factor(self, band: int) -> int:
+        return self.downsampling[band] if band < len(self.downsampling) else 1
+
+    def _names(self) -> list[str]:
+        between = [f"band {i}" for i in range(2, len(self.networks))]
+        return ["low band", *between, "high band"]
+
+    def _check_channels(self, networks: Sequence[Cell]) -> None:
+        more = 2 * self.ny if self.conditioned else 0
+        wanted = [(self.ny, self.nu + (more if band else 0)) for band in range(len(networks))]
+        found = [(network.ny, network.nu) for network in networks]
+        if found != wanted:
+            raise ValueError(
+                f"the networks' (ny, nu) must be {wanted}"
+                f"{', with 2 ny inputs for the slower bands' if self.conditioned else ''}, "
+                f"got {found}"
+            )
+
+    def _check_bands(self) -> None:
+        cutoffs = [pair.cutoff for pair in self.pairs if pair.cutoff is not None]
+        if any(b <= a for a, b in pairwise(cutoffs)):
+            raise ValueError(f"cut-offs must rise from pair to pair, got {cutoffs} Hz")
+        for k, pair in zip(self.downsampling, self.pairs, strict=True):
+            if pair.cutoff is not None:
+                check_downsampling(k, pair.cutoff, pair.sampling_rate)
+
+
+def _sum(parts: dict[str, Tensor]) -> Tensor | None:
+    return torch.stack([*parts.values()]).sum(dim=0) if parts else None

@@ -1,0 +1,310 @@
+"""Calibration of a simulator: gain, offset, delay and clock, each kept only where it pays.
+
+Not in the paper. A simulator that runs a little too fast, or late, is far from the record after a
+while however good it is otherwise; the record's training part is enough to see that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from splitband.metrics import rmse
+
+Array = npt.NDArray[np.float64]
+Term = Literal["gain", "offset", "delay", "clock"]
+TERMS: tuple[Term, ...] = get_args(Term)
+
+MOST_DELAY = 0.1
+"""Of the training part's duration: how far a simulator may be early or late."""
+MOST_CLOCK = 0.05
+"""How much too fast or too slow it may run."""
+_STILL = {"delay": 0.0, "clock": 1.0}
+_WORTH = 0.98  # a set of terms replaces a smaller one below this share of its error
+_SETS: tuple[tuple[Term, ...], ...] = (
+    (),
+    ("offset",),
+    ("gain", "offset"),
+    ("gain", "offset", "delay"),
+    ("gain", "offset", "clock"),
+    ("gain", "offset", "delay", "clock"),
+)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """y(t) = offset + gain * simulator(clock * t - delay).
+
+    Attributes
+    ----------
+    gain, offset : By channel; none stands for 1 and 0.
+    delay : In s, positive for a simulator that comes too early.
+    clock : How much faster the simulator's time must run.
+    errors : What each set of terms left on held-out training samples, RMSE by set of terms.
+    untried : Terms that were left out, and why.
+    """
+
+    gain: tuple[float, ...] = ()
+    offset: tuple[float, ...] = ()
+    delay: float = 0.0
+    clock: float = 1.0
+    errors: dict[str, float] = field(default_factory=dict)
+    untried: str = ""
+
+    def apply(self, y_sim: Array, samples: int, sampling_time: float) -> Array:
+        """The calibrated trajectory, `(samples, ny)`.
+
+        Parameters
+        ----------
+        y_sim : `(time, ny)` from time 0 on. Before its first and after its last sample the
+            simulator stands still.
+        samples : How many to return.
+        sampling_time : In s, of both.
+        """
+        self.check(y_sim.shape[1])
+        if len(y_sim) < samples:
+            raise ValueError(f"y_sim must have {samples} samples at least, got {len(y_sim)}")
+        index = self.clock * np.arange(samples, dtype=np.float64) - self.delay / sampling_time
+        moved = y_sim[:samples] if self._stays() else _spline(y_sim)(index)
+        gain = np.array(self.gain or 1.0)
+        return np.asarray(gain * moved + np.array(self.offset or 0.0), dtype=np.float64)
+
+    def __post_init__(self) -> None:
+        """Check what may come from a file."""
+        numbers = [*self.gain, *self.offset, self.delay, self.clock]
+        for value in numbers:
+            if not isinstance(value, int | float) or not np.isfinite(value):
+                raise ValueError(f"a calibration must hold finite numbers, got {value!r}")
+        if not self.clock > 0:
+            raise ValueError(f"clock must be positive, got {self.clock}")
+
+    def check(self, ny: int) -> None:
+        """Raise ValueError where gain or offset are of another number of channels."""
+        for name in ("gain", "offset"):
+            if len(getattr(self, name)) not in (0, ny):
+                raise ValueError(f"{name} must have {ny} value(s), got {len(getattr(self, name))}")
+
+    def needs(self, samples: int, sampling_time: float) -> int:
+        """How many samples of the simulator `apply` looks at for so many of the record."""
+        last = self.clock * (samples - 1) - self.delay / sampling_time
+        return max(samples, int(np.ceil(last - 1e-6)) + 1)
+
+    def __str__(self) -> str:
+        """The terms that were kept, with their units."""
+        parts = []
+        if self.gain:
+            parts.append("gain " + ", ".join(f"{g:.3g}" for g in self.gain))
+        if self.offset:
+            parts.append("offset " + ", ".join(f"{o:.3g}" for o in self.offset))
+        if self.delay:
+            parts.append(f"delay {self.delay:.4g} s")
+        if self.clock != 1:
+            parts.append(f"clock {self.clock:.5g}")
+        return "; ".join(parts) or "as it comes"
+
+    def _stays(self) -> bool:
+        return self.delay == 0 and self.clock == 1
+
+
+def samples_needed(samples: int, train: int) -> int:
+    """How long a simulation must be for every term to be tried on a record of `samples`."""
+    return int(np.ceil(samples * (1 + MOST_CLOCK) + train * MOST_DELAY)) + 1
+
+
+def calibrate(
+    y_sim: Array,
+    y: Array,
+    sampling_time: float,
+    samples: int | None = None,
+    terms: Iterable[Term] | None = None,
+) -> Calibration:
+    """Fit a simulator to the training part of a record.
+
+    Parameters
+    ----------
+    y_sim : `(time, ny)`, aligned with the record; what reaches beyond it allows for a clock that
+        is too slow and for a simulator that comes too late.
+    y : The training part, `(train, ny)`.
+    sampling_time : In s, of both.
+    samples : Length of the record that the calibrated trajectory will have to cover; by default
+        that of `y`.
+    terms : Fit just these. By default sets of terms are fitted on the beginning of `y` and compared
+        on what follows it, over several cuts; a larger set has to pay for itself.
+
+    Raises
+    ------
+    ValueError
+        For an unknown term, or too few samples.
+    """
+    samples = len(y) if samples is None else samples
+    if len(y_sim) < samples or len(y) < 2 or y_sim.shape[1] != y.shape[1]:
+        raise ValueError(
+            f"y_sim must cover the record's {samples} samples in y's channels, and y have 2 "
+            f"samples at least, got {y_sim.shape} and {y.shape}"
+        )
+    spare = len(y_sim) - samples
+    if terms is not None:
+        wanted = tuple(terms)
+        unknown = [term for term in wanted if term not in TERMS]
+        if unknown:
+            raise ValueError(f"terms must be out of {', '.join(TERMS)}, got {', '.join(unknown)}")
+        return _fit(y_sim, y, sampling_time, wanted, samples)
+    untried = ""
+    if spare < samples_needed(samples, len(y)) - samples:
+        untried = "a clock or a delay beyond the simulation's end: it ends with the record"
+    errors = {kept: _held_out(y_sim, y, sampling_time, kept, samples) for kept in _SETS}
+    best = _SETS[0]
+    for kept in _SETS[1:]:
+        pays = errors[kept].mean() < _WORTH * errors[best].mean()
+        # Noise now and then looks better a little later or slower, but not from every beginning.
+        moves = set(kept) & set(_STILL)
+        if pays and (not moves or (errors[kept] < errors[best]).all()):
+            best = kept
+    found = _fit(y_sim, y, sampling_time, best, samples)
+    means = {_name(kept): float(left.mean()) for kept, left in errors.items()}
+    return replace(found, errors=means, untried=untried)
+
+
+def affine_fit(y_sim: Array, y: Array) -> tuple[Array, Array]:
+    """Gain and offset of each channel, `(ny,)` each, that bring `y_sim` closest to `y`.
+
+    By least squares on `(time, ny)`; a constant channel of the simulator gets gain 0.
+    """
+    mean_sim, mean = y_sim.mean(axis=0), y.mean(axis=0)
+    centred = y_sim - mean_sim
+    power = (centred**2).sum(axis=0)
+    gain = (centred * (y - mean)).sum(axis=0) / np.where(power > 0, power, 1.0)
+    return gain, mean - gain * mean_sim
+
+
+def _name(terms: Sequence[Term]) -> str:
+    return " + ".join(terms) or "none"
+
+
+def _held_out(
+    y_sim: Array, y: Array, sampling_time: float, terms: tuple[Term, ...], samples: int
+) -> Array:
+    """RMSE over what follows the samples that were fitted, for several cuts of `y`."""
+    errors = []
+    for share in (0.5, 0.6, 0.7, 0.8):
+        cut = min(max(int(share * len(y)), 1), len(y) - 1)
+        found = _fit(y_sim, y[:cut], sampling_time, terms, samples)
+        errors.append(rmse(y[cut:], found.apply(y_sim, len(y), sampling_time)[cut:]))
+    return np.array(errors)
+
+
+def _fit(
+    y_sim: Array, y: Array, sampling_time: float, terms: tuple[Term, ...], samples: int
+) -> Calibration:
+    """Least squares; gain and offset are eliminated, delay and clock searched for."""
+    moving = tuple(term for term in _STILL if term in terms)
+    index: Array = np.arange(len(y), dtype=np.float64)
+    spline = _spline(y_sim)
+
+    def moved(warp: Array) -> Array:
+        delay, clock = _warp(warp, moving)
+        return spline(clock * index - delay) if moving else y_sim[: len(y)]
+
+    def begun(warp: Array) -> npt.NDArray[np.bool_]:
+        """Where the simulator has samples to say something from."""
+        delay, clock = _warp(warp, moving)
+        found = clock * index >= delay
+        return found if found.any() else np.ones_like(found)
+
+    def residual(warp: Array) -> Array:
+        x, seen = moved(warp), begun(warp)
+        gain, offset = _affine(x[seen], y[seen], terms)
+        error = (gain * x + offset - y) * seen[:, None] / np.sqrt(seen.mean())
+        return np.asarray(error, dtype=np.float64).ravel()
+
+    warp = np.empty(0)
+    if moving:
+        low, high = _bounds(len(y_sim), len(y), samples, moving)
+        begin = [*_guesses(y, lambda clock: spline(clock * index), moving, low, high)]
+        found = [
+            scipy.optimize.least_squares(
+                residual, np.clip(point, low, high), bounds=(low, high), x_scale=(high - low) / 100
+            )
+            for point in begin
+        ]
+        warp = np.asarray(min(found, key=lambda result: result.cost).x)
+    delay, clock = _warp(warp, moving)
+    seen = begun(warp)
+    gain, offset = _affine(moved(warp)[seen], y[seen], terms)
+    return Calibration(
+        tuple(map(float, gain)) if "gain" in terms else (),
+        tuple(map(float, offset)) if "offset" in terms else (),
+        delay * sampling_time,
+        clock,
+    )
+
+
+def _affine(x: Array, y: Array, terms: Sequence[Term]) -> tuple[Array, Array]:
+    if "gain" in terms and "offset" in terms:
+        return affine_fit(x, y)
+    if "gain" in terms:
+        power = (x**2).sum(axis=0)
+        return (x * y).sum(axis=0) / np.where(power > 0, power, 1.0), np.zeros(y.shape[1])
+    ones = np.ones(y.shape[1])
+    return ones, (y - x).mean(axis=0) if "offset" in terms else 0 * ones
+
+
+def _warp(warp: Array, moving: Sequence[str]) -> tuple[float, float]:
+    """Delay in samples, and clock."""
+    found = _STILL | dict(zip(moving, map(float, warp), strict=True))
+    return found["delay"], found["clock"]
+
+
+def _bounds(simulated: int, train: int, samples: int, moving: Sequence[str]) -> tuple[Array, Array]:
+    """Of what moves, as far as the simulation reaches beyond the record."""
+    spare = (simulated - samples) / len(moving)
+    low = {"delay": -min(MOST_DELAY * train, spare), "clock": 1 - MOST_CLOCK}
+    high = {"delay": MOST_DELAY * train, "clock": 1 + min(MOST_CLOCK, spare / samples)}
+    room = 1e-9  # the solver wants some between them
+    return np.array([low[m] - room for m in moving]), np.array([high[m] + room for m in moving])
+
+
+def _guesses(
+    y: Array,
+    at_clock: Callable[[float], Array],
+    moving: Sequence[str],
+    low: Array,
+    high: Array,
+    count: int = 3,
+) -> Iterator[Array]:
+    """Where to search from: nothing moved, and where the correlation with the record is highest."""
+    yield np.array([_STILL[m] for m in moving])
+    limits = {m: (a, b) for m, a, b in zip(moving, low, high, strict=True)}
+    clocks = np.linspace(*limits["clock"], 41) if "clock" in moving else np.ones(1)
+    least, most = limits.get("delay", (0.0, 0.0))
+    ranked = []
+    for clock in clocks:
+        correlation = _correlation(at_clock(clock), y)
+        shifts = np.arange(int(np.ceil(least)), int(most) + 1)  # in samples of the record
+        best = shifts[np.argmax(correlation[shifts + len(y) - 1])]
+        ranked.append((correlation[best + len(y) - 1], {"delay": clock * best, "clock": clock}))
+    ranked.sort(key=lambda pair: -pair[0])
+    for _, point in ranked[:count]:
+        yield np.array([point[m] for m in moving])
+
+
+def _correlation(x: Array, y: Array) -> Array:
+    """Of y with x shifted by -(n - 1)..n - 1 samples, channels added."""
+    return np.sum(
+        [
+            scipy.signal.correlate(b - b.mean(), a - a.mean(), mode="full", method="fft")
+            for a, b in zip(x.T, y.T, strict=True)
+        ],
+        axis=0,
+    )
+
+
+def _spline(y: Array) -> Callable[[Array], Array]:
+    """Values between samples; the ends are held."""
+    spline = scipy.interpolate.CubicSpline(np.arange(len(y)), y)
+    return lambda index: np.asarray(spline(np.clip(index, 0, len(y) - 1)))
