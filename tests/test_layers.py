@@ -26,6 +26,7 @@ LAYERS = (
     "simulators",
     "data",
     "calibration",
+    "bands",
     "naive",
     "spectrum",
     "resampling",
@@ -36,7 +37,7 @@ LAYERS = (
     "kernels",
 )
 # These import nothing from the package but compiled code.
-LEAVES = ("filters", "resampling", "metrics", "naive", "files", "threads", "kernels")
+LEAVES = ("filters", "resampling", "metrics", "naive", "bands", "files", "threads", "kernels")
 ONLY_IN = {
     "matplotlib": {"plots"},
     "numba": {"kernels"},

@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from splitband.bands import Band
 from splitband.data import Trajectory
 from splitband.methods import FIXED, Setup, build, check, prepared
 from splitband.metrics import rmse
@@ -176,9 +177,50 @@ def hold_out(record: Trajectory, setup: Setup) -> tuple[Trajectory, Setup]:
     return part, replace(setup, train=train)
 
 
-def recommended(held_out: Mapping[str, Run]) -> str:
-    """The method with the lowest error on the held-out part."""
-    return min(held_out, key=lambda method: held_out[method].forecast_rmse)
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What the methods did on the held-out part of the training samples.
+
+    Attributes
+    ----------
+    runs : Of each method, fitted on the rest of the training part.
+    bands : Around each method's forecast of the record, from its errors there.
+    """
+
+    runs: Mapping[str, Run]
+    bands: Mapping[str, Band]
+
+    @property
+    def recommended(self) -> str:
+        """The method with the lowest error."""
+        return min(self.runs, key=lambda method: self.runs[method].forecast_rmse)
+
+
+def try_out(
+    record: Trajectory,
+    methods: Sequence[str],
+    setup: Setup,
+    jobs: int = 1,
+    progress: Callable[[RunProgress], None] | None = None,
+) -> Trial:
+    """Fit each method on the first part of the training samples and forecast the rest of them.
+
+    Arguments as for `compare`; samples after the training part are not looked at.
+    """
+    part, shorter = hold_out(record, setup)
+    runs = {m: r for m, (r,) in compare(part, methods, shorter, (0,), jobs, progress).items()}
+    held, training = part.y[shorter.train :], record.y[: setup.train]
+    return Trial(runs, {m: Band.fit(held - r.forecast, training) for m, r in runs.items()})
+
+
+def ensemble(runs: Sequence[Run], record: Trajectory, setup: Setup) -> Run:
+    """The mean of the predictions of several seeds, with its own errors."""
+    from_start, forecast = (
+        np.mean([getattr(run, name) for run in runs], axis=0) for name in ("from_start", "forecast")
+    )
+    errors = _errors(record, setup, from_start, forecast)
+    seconds = sum(run.seconds for run in runs)
+    return Run(runs[0].method, runs[0].seed, *errors, seconds, from_start, forecast)
 
 
 def predict(model: Model, record: Trajectory, begin: int, start: int) -> dict[str, Array]:

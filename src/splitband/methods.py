@@ -121,6 +121,11 @@ def _affine(record: Trajectory, train: int) -> Naive:
     return Given(gain * y_sim + offset, description)
 
 
+def _calibrated(record: Trajectory, train: int) -> Naive:
+    seen, found = prepared("simulator" + CALIBRATED, record, train)
+    return Given(_simulated(seen), str(found))
+
+
 WHOLE: dict[str, Callable[[Trajectory, Setup, bool], Model]] = {
     "gru": lambda record, setup, _: Recurrent(_gru(record, setup)),
     "rnn": lambda record, setup, _: Recurrent(_rnn(record, setup)),
@@ -138,6 +143,7 @@ HYBRID: dict[str, Callable[[Trajectory, Setup, bool], Model]] = {
 FIXED: dict[str, Callable[[Trajectory, int], Naive]] = {
     "simulator": lambda record, train: Given(_simulated(record), "as it comes"),
     "simulator-affine": _affine,
+    "simulator" + CALIBRATED: _calibrated,
     "persistence": lambda record, train: Persistence(),
     "seasonal-naive": lambda record, train: SeasonalNaive.fit(record.y[:train]),
     "harmonic": lambda record, train: HarmonicRegression.fit(record.y[:train]),
@@ -177,8 +183,11 @@ def with_variants(methods: Sequence[str], calibrate: bool, conditioned: bool) ->
 
 def default_methods(with_simulator: bool) -> list[str]:
     """What is worth comparing in a reasonable time."""
-    networks = ["filtered-gru", "residual-gru"] if with_simulator else ["split-gru", "split-gru-hp"]
-    simulator = ["simulator", "simulator-affine"] if with_simulator else []
+    both = CALIBRATED + CONDITIONED
+    networks, simulator = ["split-gru", "split-gru" + CONDITIONED], []
+    if with_simulator:
+        networks = ["filtered-gru" + both, "residual-gru" + both]
+        simulator = ["simulator", "simulator" + CALIBRATED]
     return ["gru", *networks, *simulator, "persistence", "seasonal-naive", "harmonic"]
 
 

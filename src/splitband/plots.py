@@ -11,6 +11,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from splitband.bands import Band
 from splitband.comparison import Run
 from splitband.data import Trajectory
 from splitband.files import replacing
@@ -35,8 +36,13 @@ def save(figure: Figure, path: str | Path) -> None:
         figure.savefig(temporary, format="png", dpi=110)
 
 
-def rollouts(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
-    """Every method's prediction over the record, one row each; a column for each protocol."""
+def rollouts(
+    record: Trajectory, setup: Setup, runs: Runs, bands: Mapping[str, Band] | None = None
+) -> Figure:
+    """Every method's prediction over the record, one row each; a column for each protocol.
+
+    With `bands`, each forecast has its own around it.
+    """
     rows = [(name, channel) for name in runs for channel in range(record.ny)]
     figure = Figure(figsize=(13, 1.1 + 1.25 * len(rows)), layout="constrained")
     grid = figure.subplots(len(rows), 2, sharex="col", sharey=True, squeeze=False)
@@ -54,6 +60,13 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
             ax.axvline(record.time[end], color="0.4", ls=":", lw=1)
             ax.set_title(f"{name}   RMSE {_spread(errors)}", fontsize=9, loc="left", pad=3)
             ax.margins(x=0.01)
+        if bands is not None:
+            middle = first.forecast[:, channel]
+            half = bands[name].half_widths(len(middle))[:, channel]
+            color = _color(runs, name)
+            axes[1].fill_between(
+                record.time[end:], middle - half, middle + half, color=color, alpha=0.18, lw=0
+            )
         axes[0].set_ylabel(_literal(record.columns[channel]))
     limits = _limits(record.y)
     grid[0, 0].set_ylim(*limits)
@@ -62,7 +75,9 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
     figure.suptitle(
         f"{_literal(record.name)}: free runs (colour, first seed) over the record (grey)\n"
         "left: from the start; right: forecast from the end of the training part "
-        "(dotted line); shaded: warm-up",
+        "(dotted line)"
+        + ("" if bands is None else ", in the band that should hold 90 % of what is measured")
+        + "; shaded grey: warm-up",
         fontsize=10,
     )
     return figure

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from splitband.comparison import Run, recommended
+from splitband.bands import Band
+from splitband.comparison import Run, Trial, ensemble
 from splitband.data import Trajectory
 from splitband.methods import Setup
 
@@ -23,7 +24,7 @@ def results(
     record: Trajectory,
     setup: Setup,
     runs: Mapping[str, Sequence[Run]],
-    held_out: Mapping[str, Run],
+    trial: Trial,
 ) -> dict[str, Any]:
     """What `compare` writes to results.json."""
     return {
@@ -36,26 +37,38 @@ def results(
             "truth": "measured" if record.y_true is None else "noise-free",
         },
         "settings": asdict(setup),
-        "recommended": recommended(held_out),
+        "recommended": trial.recommended,
         "methods": {
-            name: {"held_out_rmse": held_out[name].forecast_rmse} | _method(of_method)
+            name: _method(of_method)
+            | {
+                "held_out_rmse": trial.runs[name].forecast_rmse,
+                "band": _band(trial.bands[name], record, setup, of_method),
+                "mean_of_seeds": _mean(record, setup, of_method),
+            }
             for name, of_method in runs.items()
         },
         "environment": environment(),
     }
 
 
-def predictions(record: Trajectory, runs: Mapping[str, Sequence[Run]]) -> pd.DataFrame:
-    """What `compare` writes to predictions.csv: the record and the first seed's predictions.
+def predictions(
+    record: Trajectory, setup: Setup, runs: Mapping[str, Sequence[Run]], trial: Trial
+) -> pd.DataFrame:
+    """What `compare` writes to predictions.csv: the record and the predictions.
 
-    One column for each channel, method and protocol, empty before a prediction begins.
+    One column for each channel, method and protocol, empty before a prediction begins; of several
+    seeds their mean. The forecast of the recommended method has its band beside it.
     """
     table = {time_header(record.columns): record.time}
     for i, column in enumerate(record.columns):
         table[column] = record.y[:, i]
         for name, of_method in runs.items():
-            sides = (("from start", of_method[0].from_start), ("forecast", of_method[0].forecast))
-            for protocol, predicted in sides:
+            mean = ensemble(of_method, record, setup)
+            sides = {"from start": mean.from_start, "forecast": mean.forecast}
+            if name == trial.recommended:
+                half = trial.bands[name].half_widths(len(mean.forecast))
+                sides |= {"lower": mean.forecast - half, "upper": mean.forecast + half}
+            for protocol, predicted in sides.items():
                 values = np.full(len(record), np.nan)
                 values[len(record) - len(predicted) :] = predicted[:, i]
                 table[f"{column}, {name}, {protocol}"] = values
@@ -75,6 +88,22 @@ def environment() -> dict[str, Any]:
         "machine": f"{platform.system()} {platform.machine()}",
         "commit": _commit(),
     }
+
+
+def _band(band: Band, record: Trajectory, setup: Setup, runs: Sequence[Run]) -> dict[str, Any]:
+    """The forecast's band, and how many of the measured samples it really holds."""
+    forecast = ensemble(runs, record, setup).forecast
+    covers = band.coverage(record.y[setup.train :] - forecast)
+    half_width = band.half_widths(len(forecast)).mean(axis=0)
+    return asdict(band) | {"covers": covers, "mean_half_width": half_width.tolist()}
+
+
+def _mean(record: Trajectory, setup: Setup, runs: Sequence[Run]) -> dict[str, float] | None:
+    """The errors of the mean over seeds, where there are several."""
+    if len(runs) < 2:
+        return None
+    mean = ensemble(runs, record, setup)
+    return {"total_rmse": mean.total_rmse, "forecast_rmse": mean.forecast_rmse}
 
 
 def _method(runs: Sequence[Run]) -> dict[str, Any]:

@@ -10,11 +10,19 @@ import typer
 from splitband import plots, reporting
 from splitband.cli import options, showing
 from splitband.cli.simulating import with_simulator
-from splitband.comparison import HELD_OUT, hold_out, recommended
+from splitband.comparison import HELD_OUT, hold_out, try_out
 from splitband.comparison import compare as run_comparison
 from splitband.data import Trajectory
 from splitband.files import output_folder, replacing, write_json
-from splitband.methods import METHODS, TRAINED, Setup, check, default_methods, with_variants
+from splitband.methods import (
+    CALIBRATED,
+    METHODS,
+    TRAINED,
+    Setup,
+    check,
+    default_methods,
+    with_variants,
+)
 from splitband.paper.settings import RECORD_SETTINGS, SAMPLE_FREQUENCY
 from splitband.spectrum import periodogram
 from splitband.threads import available_cores
@@ -71,13 +79,24 @@ def compare(
     "forecast" warms up on the last training samples and simulates beyond them. The table shows the
     RMSE of the free run over everything after the warm-up, in the record's unit. The recommended
     method is chosen before all that: it forecasts the last quarter of the training samples best,
-    trained on the rest of them; the table shows that error as "held out".
+    trained on the rest of them; the table shows that error as "held out". Those errors also give
+    each forecast a band in which nine tenths of the measured samples should lie; the table says how
+    many do.
 
     --calibrate and --conditioned add rows: each method that can be is also run that way.
     """
     trajectory = options.load_record(record, columns, inputs, time_column, sampling_time)
+    chosen = default_methods(simulator is not None or trajectory.y_sim is not None)
+    if methods is not None:
+        chosen = options.names(methods)
+    chosen = with_variants(chosen, calibrate, conditioned)
     trajectory = with_simulator(
-        trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache, calibrate
+        trajectory,
+        simulator,
+        simulator_columns,
+        simulator_timeout,
+        simulator_cache,
+        beyond=any(CALIBRATED in method for method in chosen),
     )
     setup = options.setup(
         record,
@@ -101,10 +120,6 @@ def compare(
                 f"samples after the {setup.train} of --train, got {horizon}"
             )
         trajectory = trajectory[: setup.train + horizon]
-    chosen = default_methods(trajectory.y_sim is not None)
-    if methods is not None:
-        chosen = options.names(methods)
-    chosen = with_variants(chosen, calibrate, conditioned)
     _compare(context, trajectory, chosen, setup, seeds, jobs, out)
 
 
@@ -134,32 +149,31 @@ def _compare(
     out: Path,
 ) -> None:
     check(record, methods, setup)
-    part, part_setup = hold_out(record, setup)
-    check(part, methods, part_setup)
+    part, shorter = hold_out(record, setup)
+    check(part, methods, shorter)
     output_folder(out)
     networks = len(set(methods) & set(TRAINED))
     jobs = min(jobs or available_cores(), max(seeds * networks, 1))
     with showing.progress(networks, "training on three quarters") as progress:
-        tried = run_comparison(part, methods, part_setup, (0,), jobs, progress)
-    held_out = {method: run for method, (run,) in tried.items()}
+        trial = try_out(record, methods, setup, jobs, progress)
     with showing.progress(seeds * networks, "training") as progress:
         runs = run_comparison(record, methods, setup, range(seeds), jobs, progress)
     found = periodogram(record.y[: setup.train], record.sampling_rate)
     arguments = {k: str(v) if isinstance(v, Path) else v for k, v in context.params.items()}
     facts = {"command": context.info_name, "arguments": arguments}
-    write_json(out / "results.json", facts | reporting.results(record, setup, runs, held_out))
+    write_json(out / "results.json", facts | reporting.results(record, setup, runs, trial))
     with replacing(out / "predictions.csv") as temporary:
-        reporting.predictions(record, runs).to_csv(temporary, index=False)
-    plots.save(plots.rollouts(record, setup, runs), out / "rollouts.png")
+        reporting.predictions(record, setup, runs, trial).to_csv(temporary, index=False)
+    plots.save(plots.rollouts(record, setup, runs, trial.bands), out / "rollouts.png")
     plots.save(plots.errors(record, setup, runs), out / "error.png")
     plots.save(plots.spectrum(record, found, setup.cutoff), out / "spectrum.png")
     if any(of_method[0].components for of_method in runs.values()):
         plots.save(plots.components(record, setup, runs), out / "components.png")
-    showing.console.print(showing.comparison(_title(record, setup), runs, held_out))
-    best = recommended(held_out)
+    showing.console.print(showing.comparison(_title(record, setup), record, setup, runs, trial))
+    best = trial.recommended
     showing.console.print(
         f"recommended: {best}, which forecasts the last {HELD_OUT:.0%} of the training part best "
-        f"from the rest of it (RMSE {held_out[best].forecast_rmse:.3g})"
+        f"from the rest of it (RMSE {trial.runs[best].forecast_rmse:.3g})"
     )
     showing.console.print(
         f"cut-off {setup.cutoff:g} Hz{_papers_cutoff(record, setup)}, order {setup.order}: "

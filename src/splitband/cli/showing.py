@@ -12,7 +12,9 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from rich.table import Table
 from rich.text import Text
 
-from splitband.comparison import Run, RunProgress
+from splitband.comparison import Run, RunProgress, Trial, ensemble
+from splitband.data import Trajectory
+from splitband.methods import Setup
 
 console = Console(
     soft_wrap=not sys.stdout.isatty(),
@@ -23,16 +25,23 @@ console = Console(
 )
 
 
-def comparison(title: str, runs: Mapping[str, Sequence[Run]], held_out: Mapping[str, Run]) -> Table:
+def comparison(
+    title: str,
+    record: Trajectory,
+    setup: Setup,
+    runs: Mapping[str, Sequence[Run]],
+    trial: Trial,
+) -> Table:
     """Errors by method, mean and standard deviation over seeds; the lowest of each is bold."""
     table = Table(title=title, title_justify="left", title_style="bold")
-    table.add_column("method")
+    table.add_column("method", min_width=max(map(len, runs)))
     table.add_column("held out", justify="right")
     table.add_column("from the start", justify="right")
     table.add_column("forecast", justify="right")
+    table.add_column("in band", justify="right")
     table.add_column("fit (s)", justify="right")
     table.add_column("", style="dim")
-    first = min(run.forecast_rmse for run in held_out.values())
+    first = min(run.forecast_rmse for run in trial.runs.values())
     best = [
         min(statistics.mean(values(r)) for r in runs.values()) for values in (_total, _forecast)
     ]
@@ -42,9 +51,16 @@ def comparison(title: str, runs: Mapping[str, Sequence[Run]], held_out: Mapping[
             for values, lowest in zip((_total, _forecast), best, strict=True)
         ]
         seconds = statistics.mean(r.seconds for r in of_method)
-        tried = held_out[name].forecast_rmse
+        tried = trial.runs[name].forecast_rmse
+        mean = ensemble(of_method, record, setup)
+        covers = trial.bands[name].coverage(record.y[setup.train :] - mean.forecast)
+        said = of_method[0].description
+        if len(of_method) > 1 and of_method[0].losses:
+            said = "; ".join(
+                filter(None, [f"their mean {mean.total_rmse:.3f}, {mean.forecast_rmse:.3f}", said])
+            )
         table.add_row(
-            name, _spread([tried], first), *cells, f"{seconds:.1f}", of_method[0].description
+            name, _spread([tried], first), *cells, f"{covers:.0%}", f"{seconds:.1f}", said
         )
     return table
 

@@ -1,0 +1,98 @@
+"""How sure a prediction is: a band around it that widens with the horizon.
+
+Not in the paper. The band is fitted to what the same method left on a held-out part of the training
+record: its errors there, by horizon, say how large they are and how fast they grow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+Array = npt.NDArray[np.float64]
+
+
+EXPECTED_GROWTH = 2.0
+"""Of a band over a horizon as long as the training record, before any error has been seen."""
+_BEGIN = ((0.0, 0.0), (-1.0, 1.0), (0.0, -3.0))
+
+
+@dataclass(frozen=True)
+class Band:
+    """Half-widths of a band, by horizon: min(sqrt(base² + (growth * n)²), most) for each channel.
+
+    Attributes
+    ----------
+    base : At the first sample, by channel, in the record's unit.
+    growth : By sample of the horizon, in the long run.
+    most : What it cannot exceed: a prediction that knows nothing but the record's range.
+    share : Of the samples that lie inside, 0 to 1.
+    """
+
+    base: tuple[float, ...]
+    growth: tuple[float, ...]
+    most: tuple[float, ...]
+    share: float = 0.9
+
+    @classmethod
+    def fit(cls, errors: Array, y: Array, share: float = 0.9) -> Band:
+        """Fit to the errors of a forecast.
+
+        Parameters
+        ----------
+        errors : Of held-out samples by horizon, `(time, ny)`, from the first after the warm-up.
+        y : The training record, `(time, ny)`, whose spread limits the band.
+        share : Of the samples that shall lie inside.
+        """
+        if not 0 < share < 1:
+            raise ValueError(f"share must lie between 0 and 1, got {share}")
+        if len(errors) < 1:
+            raise ValueError("errors must have a sample at least")
+        fitted = [_fit_channel(channel, share, len(y)) for channel in errors.T]
+        # Two signals of one range that know nothing of each other differ by this much.
+        apart = float(np.sqrt(2) * scipy.stats.norm.ppf(0.5 + share / 2))
+        base, growth = zip(*fitted, strict=True)
+        most = np.maximum(apart * y.std(axis=0), base)
+        return cls(tuple(base), tuple(growth), tuple(map(float, most)), share)
+
+    def half_widths(self, steps: int) -> Array:
+        """For the first `steps` samples of a horizon, `(steps, ny)`."""
+        horizon = np.arange(steps)[:, None]
+        widths = np.hypot(np.array(self.base), np.array(self.growth) * horizon)
+        return np.asarray(np.minimum(widths, np.array(self.most)), dtype=np.float64)
+
+    def coverage(self, errors: Array) -> float:
+        """The share of errors `(time, ny)` by horizon that lie inside, 0 to 1."""
+        return float((abs(errors) <= self.half_widths(len(errors))).mean())
+
+
+def _fit_channel(errors: Array, share: float, train: int) -> tuple[float, float]:
+    """Base and growth of the half-width, by maximum likelihood and then scaled to the share.
+
+    Laplace's distribution, as a few large errors should not set the width. The growth is a factor
+    of the base over a horizon as long as the training record; a held-out part is short, so that it
+    is held to `EXPECTED_GROWTH` where the errors do not say otherwise.
+    """
+    size = float(np.mean(abs(errors)))
+    if size == 0:
+        return 0.0, 0.0
+    horizon = np.arange(len(errors)) / train
+
+    def widths(logarithms: Array) -> Array:
+        base, growth = np.exp(logarithms)
+        return np.asarray(size * base * np.hypot(1.0, growth * horizon))
+
+    def misfit(logarithms: Array) -> float:
+        scale = widths(logarithms)
+        doubt = (logarithms[1] - np.log(EXPECTED_GROWTH)) ** 2 / 2
+        return float(np.sum(np.log(scale) + abs(errors) / scale)) + float(doubt)
+
+    limits = [(-7.0, 3.0), (-7.0, 5.0)]
+    tried = [scipy.optimize.minimize(misfit, begin, bounds=limits) for begin in _BEGIN]
+    best = np.asarray(min(tried, key=lambda result: result.fun).x)
+    scale = float(np.quantile(abs(errors) / widths(best), share))
+    base = size * scale * float(np.exp(best[0]))
+    return base, base * float(np.exp(best[1])) / train
