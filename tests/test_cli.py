@@ -237,6 +237,19 @@ def test_compare_draws_its_pictures(compared: Path) -> None:
     assert_pictures(compared, "rollouts.png", "error.png", "spectrum.png", "components.png")
 
 
+def test_compare_recommends_a_method_and_says_how_sure_it_is(compared: Path) -> None:
+    found = results(compared)
+    held_out = {name: facts["held_out_rmse"] for name, facts in found["methods"].items()}
+    assert found["recommended"] == min(held_out, key=lambda name: held_out[name]) == "harmonic"
+    table = written(compared / "predictions.csv").iloc[TRAIN:]
+    lower, middle, upper = (table[f"a, harmonic, {s}"] for s in ("lower", "forecast", "upper"))
+    assert (lower <= middle).all()
+    assert (middle <= upper).all()
+    inside = table["a"].between(lower, upper).mean()
+    assert found["methods"]["harmonic"]["band"]["covers"] == pytest.approx(inside)
+    assert "a, gru, lower" not in table
+
+
 def test_compare_leaves_nothing_but_results_and_pictures(compared: Path) -> None:
     pictures = {path.name for path in compared.glob("*.png")}
     assert set(files(compared)) == {"results.json", "predictions.csv", *pictures}

@@ -11,8 +11,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from splitband.bands import Band
-from splitband.comparison import Run
+from splitband.comparison import Run, Trial
 from splitband.data import Trajectory
 from splitband.files import replacing
 from splitband.methods import Setup
@@ -36,12 +35,10 @@ def save(figure: Figure, path: str | Path) -> None:
         figure.savefig(temporary, format="png", dpi=110)
 
 
-def rollouts(
-    record: Trajectory, setup: Setup, runs: Runs, bands: Mapping[str, Band] | None = None
-) -> Figure:
+def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None = None) -> Figure:
     """Every method's prediction over the record, one row each; a column for each protocol.
 
-    With `bands`, each forecast has its own around it.
+    With a `trial`, each forecast has its band around it, and the recommended method is named.
     """
     rows = [(name, channel) for name in runs for channel in range(record.ny)]
     figure = Figure(figsize=(13, 1.1 + 1.25 * len(rows)), layout="constrained")
@@ -58,11 +55,13 @@ def rollouts(
             ax.plot(record.time[start:], prediction[:, channel], color=_color(runs, name), lw=1.1)
             ax.axvspan(record.time[begin], record.time[start - 1], color="0.93", zorder=0)
             ax.axvline(record.time[end], color="0.4", ls=":", lw=1)
-            ax.set_title(f"{name}   RMSE {_spread(errors)}", fontsize=9, loc="left", pad=3)
+            chosen = trial is not None and name == trial.recommended
+            title = f"{name}{' (recommended)' if chosen else ''}   RMSE {_spread(errors)}"
+            ax.set_title(title, fontsize=9, loc="left", pad=3)
             ax.margins(x=0.01)
-        if bands is not None:
+        if trial is not None:
             middle = first.forecast[:, channel]
-            half = bands[name].half_widths(len(middle))[:, channel]
+            half = trial.bands[name].half_widths(len(middle))[:, channel]
             color = _color(runs, name)
             axes[1].fill_between(
                 record.time[end:], middle - half, middle + half, color=color, alpha=0.18, lw=0
@@ -76,7 +75,7 @@ def rollouts(
         f"{_literal(record.name)}: free runs (colour, first seed) over the record (grey)\n"
         "left: from the start; right: forecast from the end of the training part "
         "(dotted line)"
-        + ("" if bands is None else ", in the band that should hold 90 % of what is measured")
+        + ("" if trial is None else ", in the band that should hold 90 % of what is measured")
         + "; shaded grey: warm-up",
         fontsize=10,
     )

@@ -164,7 +164,7 @@ def _compare(
     write_json(out / "results.json", facts | reporting.results(record, setup, runs, trial))
     with replacing(out / "predictions.csv") as temporary:
         reporting.predictions(record, setup, runs, trial).to_csv(temporary, index=False)
-    plots.save(plots.rollouts(record, setup, runs, trial.bands), out / "rollouts.png")
+    plots.save(plots.rollouts(record, setup, runs, trial), out / "rollouts.png")
     plots.save(plots.errors(record, setup, runs), out / "error.png")
     plots.save(plots.spectrum(record, found, setup.cutoff), out / "spectrum.png")
     if any(of_method[0].components for of_method in runs.values()):

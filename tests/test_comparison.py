@@ -1,0 +1,79 @@
+"""What is chosen and promised before any sample after the training part is looked at."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splitband import Settings, Trajectory
+from splitband.comparison import Trial, compare, ensemble, hold_out, try_out
+from splitband.methods import CALIBRATED, Setup, default_methods
+from splitband.metrics import rmse
+
+DT, TRAIN, LENGTH, WARMUP = 0.1, 120, 200, 10
+SETUP = Setup(TRAIN, Settings(40, WARMUP, 1, 16), cutoff=0.6, hidden_high=4, hidden_low=3)
+SINES = ("persistence", "seasonal-naive", "harmonic")
+
+
+def record(seed: int = 0, noise: float = 0.05) -> Trajectory:
+    rng = np.random.default_rng(seed)
+    t = DT * np.arange(LENGTH)[:, None]
+    y = np.sin(2 * np.pi * 0.2 * t) + 0.4 * np.sin(2 * np.pi * 1.13 * t)
+    y_sim = 0.5 * y + 0.3
+    return Trajectory(y + noise * rng.standard_normal(y.shape), DT, y_true=y, y_sim=y_sim)
+
+
+def test_the_held_out_part_is_the_end_of_the_training_part() -> None:
+    part, shorter = hold_out(record(), SETUP)
+    np.testing.assert_array_equal(part.y, record().y[:TRAIN])
+    assert part.y_true is None  # nobody has it
+    assert (shorter.train, shorter.settings.window) == (90, 30)
+    assert replace(shorter, train=TRAIN, settings=SETUP.settings) == SETUP
+
+
+def test_a_window_never_shrinks_below_its_warmup() -> None:
+    tight = replace(SETUP, settings=Settings(11, 10, 1), overrides={"rnn": Settings(24, 10, 1)})
+    shorter = hold_out(record(), tight)[1]
+    assert (shorter.settings.window, shorter.overrides["rnn"].window) == (11, 18)
+
+
+def test_the_trial_looks_at_nothing_after_the_training_part() -> None:
+    methods = [*default_methods(with_simulator=True), "split-gru-conditioned"]
+    y = record().y.copy()
+    y[TRAIN:] += 100
+    expected = try_out(record(), methods, SETUP)
+    found = try_out(replace(record(), y=y), methods, SETUP)
+    assert found.recommended == expected.recommended
+    assert found.bands == expected.bands
+    for method in methods:
+        np.testing.assert_array_equal(found.runs[method].forecast, expected.runs[method].forecast)
+
+
+def test_what_forecasts_the_held_out_part_best_is_recommended() -> None:
+    trial = try_out(record(), SINES, SETUP)
+    assert trial.recommended == "harmonic"
+    simulated = try_out(record(noise=0.3), [*SINES, "simulator", "simulator" + CALIBRATED], SETUP)
+    assert simulated.recommended == "simulator" + CALIBRATED
+    errors = {name: run.forecast_rmse for name, run in simulated.runs.items()}
+    assert errors[simulated.recommended] == min(errors.values())
+
+
+def test_bands_of_many_records_hold_nine_tenths_on_average() -> None:
+    covered = []
+    for seed in range(12):
+        r = record(seed, noise=0.2)
+        trial: Trial = try_out(r, ["harmonic"], SETUP)
+        forecast = compare(r, ["harmonic"], SETUP)["harmonic"][0].forecast
+        covered.append(trial.bands["harmonic"].coverage(r.y[TRAIN:] - forecast))
+    assert 0.85 <= np.mean(covered) <= 0.99
+
+
+def test_the_mean_of_several_seeds_is_no_worse_than_they_are_on_average() -> None:
+    r = record()
+    runs = compare(r, ["gru"], SETUP, seeds=range(3))["gru"]
+    mean = ensemble(runs, r, SETUP)
+    expected = np.mean([run.from_start for run in runs], axis=0)
+    np.testing.assert_allclose(mean.from_start, expected)
+    assert r.y_true is not None
+    assert mean.total_rmse == pytest.approx(rmse(r.y_true[WARMUP:], expected))
+    assert mean.total_rmse <= np.sqrt(np.mean([run.total_rmse**2 for run in runs]))
