@@ -18,15 +18,13 @@ from splitband.filters import ComplementaryPair, butterworth
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
 from splitband.naive import Given, HarmonicRegression, Naive, Persistence, SeasonalNaive
 from splitband.spectrum import default_cutoff
-from splitband.training import Settings
+from splitband.training import Settings, default_warmup
 
 Array = npt.NDArray[np.float64]
 CALIBRATED, CONDITIONED = "-calibrated", "-conditioned"
 """Suffixes: the simulator is calibrated first; faster networks are told what is slower."""
 
 Recipe = Literal["default", "paper"]
-STEPS = 1000
-"""Gradient steps of the default recipe, for each network."""
 
 Maker: TypeAlias = "Callable[[Trajectory, Setup, bool], Cell]"
 
@@ -204,7 +202,7 @@ def default_setup(
     """
     y, rate = record.y[:train], record.sampling_rate
     cutoff = default_cutoff(y, rate, downsampling) if cutoff is None else cutoff
-    settings = (default_settings if recipe == "default" else paper_settings)(train)
+    settings = Settings.of(train) if recipe == "default" else paper_settings(train)
     return Setup(train, settings, cutoff, downsampling=downsampling)
 
 
@@ -212,33 +210,6 @@ def paper_settings(train: int) -> Settings:
     """The paper's way of training, for a record of one's own: a constant rate, whole windows."""
     window = min(250, max(2, train // 2))
     return Settings(window, default_warmup(window))
-
-
-def default_settings(train: int) -> Settings:
-    """The default recipe for a training part of `train` samples.
-
-    Windows of three fifths of it, one cycle of the learning rate, clipped gradients and free runs
-    that grow: in as many steps as the paper's settings take on its system (i), the error of a
-    single run is half as large.
-    """
-    window = min(400, max(2, 3 * train // 5))
-    batch = 25
-    batches = -(-max(train - window + 1, 1) // batch)
-    return Settings(
-        window,
-        default_warmup(window),
-        epochs=max(1, round(STEPS / batches)),
-        batch_size=batch,
-        learning_rate=3e-3,
-        one_cycle=True,
-        clip=1.0,
-        growth=0.6,
-    )
-
-
-def default_warmup(window: int, most: int = 50) -> int:
-    """At most a third of the window, and no more than `most`."""
-    return min(most, max(1, window // 3))
 
 
 def build(method: str, record: Trajectory, setup: Setup, seed: int) -> Model:

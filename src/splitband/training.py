@@ -14,10 +14,13 @@ from splitband.data import Trajectory
 from splitband.models import Model, Signals, Task
 from splitband.threads import one_torch_thread
 
+STEPS = 1000
+"""Gradient steps of the default recipe, for each network."""
+
 
 @dataclass(frozen=True)
 class Settings:
-    """How to train.
+    """How to train; the defaults are the paper's for its system (i), `Settings.of` is our recipe.
 
     Attributes
     ----------
@@ -68,6 +71,27 @@ class Settings:
         if not 0 <= self.growth <= 1:
             raise ValueError(f"growth must be a share of the epochs, 0 to 1, got {self.growth}")
 
+    @classmethod
+    def of(cls, samples: int) -> Settings:
+        """The default recipe for a training record of so many samples; not in the paper.
+
+        Windows of three fifths of it, at most 400; one cycle of the learning rate, clipped
+        gradients, free runs that grow, and about `STEPS` steps for each network.
+        """
+        window = min(400, max(2, 3 * samples // 5))
+        batch = 25
+        batches = -(-max(samples - window + 1, 1) // batch)
+        return cls(
+            window,
+            default_warmup(window),
+            epochs=max(1, round(STEPS / batches)),
+            batch_size=batch,
+            learning_rate=3e-3,
+            one_cycle=True,
+            clip=1.0,
+            growth=0.6,
+        )
+
     def rate(self, epoch: int, share: float) -> float:
         """The learning rate in an epoch, when `share` (0 to 1) of all steps are done."""
         if self.one_cycle:
@@ -83,6 +107,11 @@ class Settings:
         """How many of a window's `steps` are simulated in an epoch."""
         done = 1.0 if not self.growth else min(1.0, epoch / (self.growth * self.epochs))
         return max(1, round(steps * (0.1 + 0.9 * done)))
+
+
+def default_warmup(window: int, most: int = 50) -> int:
+    """At most a third of the window, and no more than `most`."""
+    return min(most, max(1, window // 3))
 
 
 @dataclass(frozen=True)
@@ -118,7 +147,7 @@ def fit(
     ----------
     model : What to train; its initial parameters are the caller's.
     trajectory : The training record, and nothing else: cut it before.
-    settings : How.
+    settings : How; `Settings.of` the record by default.
     seed : For the order of the windows.
     progress : Called after each epoch.
 
@@ -129,7 +158,7 @@ def fit(
     FloatingPointError
         When the loss is no longer finite.
     """
-    settings = settings or Settings()
+    settings = settings or Settings.of(len(trajectory))
     _check_record(model, trajectory, settings)
     model.adapt_to(trajectory, settings.normalize)
     began = time.perf_counter()

@@ -9,10 +9,10 @@ from typing import Annotated, Any
 import typer
 
 from splitband.data import Trajectory, read
-from splitband.methods import Recipe, Setup, check_train, default_setup, default_warmup
+from splitband.methods import Recipe, Setup, check_train, default_setup
 from splitband.paper.settings import RECORD_SETTINGS
 from splitband.systems import RECORDS, SIMULATORS
-from splitband.training import Settings
+from splitband.training import Settings, default_warmup
 
 _RECORD, _SIMULATOR, _FILTER, _TRAINING = "Record", "Simulator", "Filter", "Training"
 
