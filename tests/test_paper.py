@@ -185,3 +185,25 @@ def test_the_simulated_pendulum_sticks_and_follows_its_drive() -> None:
     assert angle is not None
     speed = abs(np.diff(angle[:, 0])) * 100
     assert (speed < 0.02 * speed.max()).mean() > 0.1
+
+
+RESULTS = Path(__file__).parents[1] / "docs" / "results"
+COMMITTED = sorted((RESULTS / "tables").glob("*.json"))
+
+
+@pytest.mark.usefixtures("public_data")
+@pytest.mark.parametrize("path", COMMITTED, ids=[path.stem for path in COMMITTED])
+def test_the_committed_tables_are_those_of_the_committed_runs(path: Path) -> None:
+    asked = json.loads(path.read_text(encoding="utf-8"))["asked"]
+    chosen = [asked[name] and asked[name].split(",") for name in ("systems", "methods")]
+    rows = lines(path.stem, *chosen, asked["seeds"], asked["epochs"])
+    made = table(path.stem, rows, RESULTS / "runs").markdown()
+    assert made == path.with_suffix(".md").read_text(encoding="utf-8")
+
+
+@pytest.mark.usefixtures("public_data")
+def test_the_results_page_holds_the_committed_tables() -> None:
+    page = (RESULTS / "README.md").read_text(encoding="utf-8")
+    assert COMMITTED
+    for path in COMMITTED:
+        assert path.with_suffix(".md").read_text(encoding="utf-8").strip() in page

@@ -94,7 +94,9 @@ def make_table(
         output_folder(out / "tables")
         with replacing(out / "tables" / f"{each}.md") as temporary:
             temporary.write_text(made.markdown(), encoding="utf-8")
-        write_json(out / "tables" / f"{each}.json", {"title": made.title, "rows": made.facts})
+        asked = {"systems": systems, "methods": methods, "seeds": seeds, "epochs": epochs}
+        facts = {"title": made.title, "asked": asked, "rows": made.facts}
+        write_json(out / "tables" / f"{each}.json", facts)
         showing.console.print(_rich(made))
     showing.console.print(f"tables: {out / 'tables'}/")
 
