@@ -26,14 +26,25 @@ def test_a_band_holds_its_share_of_errors_like_those_it_was_fitted_to(
     growth: float, share: float
 ) -> None:
     found = [
-        Band.fit(errors(500, growth, seed), RECORD, share).coverage(errors(500, growth, 100 + seed))
+        Band.fit([errors(500, growth, seed)], RECORD, share).coverage(
+            errors(500, growth, 100 + seed)
+        )
         for seed in range(10)
     ]
     assert np.mean(found) == pytest.approx(share, abs=0.05)
 
 
+def test_several_forecasts_count_each_from_its_own_beginning() -> None:
+    """Errors that restart with each forecast: taken for one long forecast they would not grow."""
+    parts = [errors(170, 0.02, seed) for seed in range(12)]
+    band, glued = Band.fit(parts, RECORD), Band.fit([np.concatenate(parts)], RECORD)
+    expected = np.hypot(1, 0.02 * 1000)
+    assert band.half_widths(1001)[-1, 0] / band.base[0] == pytest.approx(expected, rel=0.3)
+    assert glued.half_widths(1001)[-1, 0] / glued.base[0] < 0.5 * expected
+
+
 def test_a_band_goes_on_growing_beyond_the_held_out_part() -> None:
-    held = [Band.fit(errors(500, 0.02, seed), RECORD) for seed in range(10)]
+    held = [Band.fit([errors(500, 0.02, seed)], RECORD) for seed in range(10)]
     beyond = [
         (abs(errors(1500, 0.02, 100 + i)) <= band.half_widths(1500))[500:].mean()
         for i, band in enumerate(held)
@@ -42,7 +53,7 @@ def test_a_band_goes_on_growing_beyond_the_held_out_part() -> None:
 
 
 def test_it_widens_and_never_beyond_what_the_records_range_says() -> None:
-    band = Band.fit(errors(400, 0.5, 1), RECORD)
+    band = Band.fit([errors(400, 0.5, 1)], RECORD)
     widths = band.half_widths(100_000)[:, 0]
     assert (np.diff(widths) >= 0).all()
     # Two independent Gaussians of the record's deviation: nine tenths of their differences.
@@ -54,7 +65,7 @@ def test_it_widens_and_never_beyond_what_the_records_range_says() -> None:
 
 def test_a_short_held_out_part_leaves_the_growth_as_expected() -> None:
     """One error says nothing about growth: a horizon as long as the record is what it is for."""
-    band = Band.fit(np.array([[1.0]]), RECORD)
+    band = Band.fit([np.array([[1.0]])], RECORD)
     widths = band.half_widths(len(RECORD) + 1)[:, 0]
     assert widths[0] == pytest.approx(1.0)
     assert widths[-1] == pytest.approx(np.hypot(1, 2), rel=0.02)
@@ -63,17 +74,17 @@ def test_a_short_held_out_part_leaves_the_growth_as_expected() -> None:
 def test_it_scales_with_the_unit_of_each_channel() -> None:
     e = np.hstack([errors(300, 0.01, 3), errors(300, 0.0, 4)])
     y = np.hstack([RECORD, RECORD])
-    one = Band.fit(e, y).half_widths(700)
-    other = Band.fit(e * [1000.0, 0.1], y * [1000.0, 0.1]).half_widths(700)
+    one = Band.fit([e], y).half_widths(700)
+    other = Band.fit([e * [1000.0, 0.1]], y * [1000.0, 0.1]).half_widths(700)
     np.testing.assert_allclose(other, one * [1000.0, 0.1], rtol=1e-3)
 
 
 def test_a_perfect_forecast_has_no_band() -> None:
-    assert not Band.fit(np.zeros((50, 1)), RECORD).half_widths(100).any()
+    assert not Band.fit([np.zeros((50, 1))], RECORD).half_widths(100).any()
 
 
 def test_it_survives_json() -> None:
-    band = Band.fit(errors(200, 0.01, 5), RECORD)
+    band = Band.fit([errors(200, 0.01, 5)], RECORD)
     facts: dict[str, Any] = {
         k: list(v) if isinstance(v, tuple) else v for k, v in asdict(band).items()
     }
@@ -83,9 +94,9 @@ def test_it_survives_json() -> None:
 @pytest.mark.parametrize("share", [0.0, 1.0, -1.0])
 def test_a_share_outside_is_named(share: float) -> None:
     with pytest.raises(ValueError, match=f"share must lie between 0 and 1, got {share}"):
-        Band.fit(np.ones((3, 1)), RECORD, share)
+        Band.fit([np.ones((3, 1))], RECORD, share)
 
 
 def test_no_errors_are_named() -> None:
     with pytest.raises(ValueError, match="errors must have a sample at least"):
-        Band.fit(np.empty((0, 1)), RECORD)
+        Band.fit([np.empty((0, 1))], RECORD)

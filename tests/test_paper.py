@@ -195,8 +195,8 @@ COMMITTED = sorted((RESULTS / "tables").glob("*.json"))
 @pytest.mark.parametrize("path", COMMITTED, ids=[path.stem for path in COMMITTED])
 def test_the_committed_tables_are_those_of_the_committed_runs(path: Path) -> None:
     asked = json.loads(path.read_text(encoding="utf-8"))["asked"]
-    chosen = [asked[name] and asked[name].split(",") for name in ("systems", "methods")]
-    rows = lines(path.stem, *chosen, asked["seeds"], asked["epochs"])
+    systems, methods = (asked[n] and asked[n].split(",") for n in ("systems", "methods"))
+    rows = lines(path.stem, systems, methods, asked["seeds"], asked["epochs"])
     made = table(path.stem, rows, RESULTS / "runs").markdown()
     assert made == path.with_suffix(".md").read_text(encoding="utf-8")
 

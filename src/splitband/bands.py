@@ -6,6 +6,7 @@ record: its errors there, by horizon, say how large they are and how fast they g
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,25 +39,29 @@ class Band:
     share: float = 0.9
 
     @classmethod
-    def fit(cls, errors: Array, y: Array, share: float = 0.9) -> Band:
-        """Fit to the errors of a forecast.
+    def fit(cls, errors: Sequence[Array], y: Array, share: float = 0.9) -> Band:
+        """Fit to the errors of forecasts.
 
         Parameters
         ----------
-        errors : Of held-out samples by horizon, `(time, ny)`, from the first after the warm-up.
+        errors : Of held-out samples by horizon, `(time, ny)` from the first after the warm-up, of
+            one forecast or more.
         y : The training record, `(time, ny)`, whose spread limits the band.
         share : Of the samples that shall lie inside.
         """
         if not 0 < share < 1:
             raise ValueError(f"share must lie between 0 and 1, got {share}")
-        if len(errors) < 1:
+        horizon = np.concatenate([np.arange(len(e)) for e in errors]) if errors else np.empty(0)
+        if not len(horizon):
             raise ValueError("errors must have a sample at least")
-        fitted = [_fit_channel(channel, share, len(y)) for channel in errors.T]
+        channels = np.concatenate(errors).T
+        fitted = [_fit_channel(channel, horizon / len(y), share) for channel in channels]
         # Two signals of one range that know nothing of each other differ by this much.
         apart = float(np.sqrt(2) * scipy.stats.norm.ppf(0.5 + share / 2))
-        base, growth = zip(*fitted, strict=True)
+        base = tuple(b for b, _ in fitted)
+        growth = tuple(g / len(y) for _, g in fitted)
         most = np.maximum(apart * y.std(axis=0), base)
-        return cls(tuple(base), tuple(growth), tuple(map(float, most)), share)
+        return cls(base, growth, tuple(map(float, most)), share)
 
     def half_widths(self, steps: int) -> Array:
         """For the first `steps` samples of a horizon, `(steps, ny)`."""
@@ -69,8 +74,10 @@ class Band:
         return float((abs(errors) <= self.half_widths(len(errors))).mean())
 
 
-def _fit_channel(errors: Array, share: float, train: int) -> tuple[float, float]:
+def _fit_channel(errors: Array, horizon: Array, share: float) -> tuple[float, float]:
     """Base and growth of the half-width, by maximum likelihood and then scaled to the share.
+
+    `horizon` is that of each error as a share of the training record, and so is the growth's unit.
 
     Laplace's distribution, as a few large errors should not set the width. The growth is a factor
     of the base over a horizon as long as the training record; a held-out part is short, so that it
@@ -79,7 +86,6 @@ def _fit_channel(errors: Array, share: float, train: int) -> tuple[float, float]
     size = float(np.mean(abs(errors)))
     if size == 0:
         return 0.0, 0.0
-    horizon = np.arange(len(errors)) / train
 
     def widths(logarithms: Array) -> Array:
         base, growth = np.exp(logarithms)
@@ -95,4 +101,4 @@ def _fit_channel(errors: Array, share: float, train: int) -> tuple[float, float]
     best = np.asarray(min(tried, key=lambda result: result.fun).x)
     scale = float(np.quantile(abs(errors) / widths(best), share))
     base = size * scale * float(np.exp(best[0]))
-    return base, base * float(np.exp(best[1])) / train
+    return base, base * float(np.exp(best[1]))

@@ -40,6 +40,7 @@ class Run:
     from_start, forecast : The predictions `(time, ny)`, to the end of the record.
     components : What `from_start` is the sum of, for a model of several parts.
     unfiltered : What its filters were fed with, for a model that filters its output.
+    later : Forecasts from later samples, by the index of the first one; see `run`.
     description : What a baseline or a calibration settled on.
     losses : Mean training loss of each epoch, by network.
     """
@@ -55,6 +56,7 @@ class Run:
     description: str = ""
     losses: dict[str, list[float]] = field(default_factory=dict)
     unfiltered: dict[str, Array] = field(default_factory=dict)
+    later: dict[int, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -73,10 +75,15 @@ def run(
     setup: Setup,
     seed: int,
     progress: Callable[[RunProgress], None] | None = None,
+    later: Sequence[int] = (),
 ) -> Run:
-    """Fit one method on the first `setup.train` samples and predict under both protocols."""
+    """Fit one method on the first `setup.train` samples and predict under both protocols.
+
+    From each of the indices in `later` it also forecasts the rest of the record, warmed up on the
+    samples before, but fitted to the same ones.
+    """
     if method in FIXED:
-        return run_baseline(method, FIXED[method], record, setup, seed)
+        return run_baseline(method, FIXED[method], record, setup, seed, later)
     record, calibration = prepared(method, record, setup.train)
     model = build(method, record, setup, seed)
     reporter = _reporter(method, seed, progress)
@@ -84,7 +91,7 @@ def run(
     warmup = setup.settings.warmup
     components = predict(model, record, 0, warmup)
     parts = predict(model, record, setup.train - warmup, setup.train)
-    from_start, forecast = (sum(p.values(), np.zeros(record.ny)) for p in (components, parts))
+    from_start, forecast = _total(components), _total(parts)
     return Run(
         method,
         seed,
@@ -96,6 +103,7 @@ def run(
         "" if calibration is None else f"simulator: {calibration}",
         losses=history.losses,
         unfiltered=model.simulate_unfiltered(*_known(record, 0, warmup)),
+        later={start: _total(predict(model, record, start - warmup, start)) for start in later},
     )
 
 
@@ -105,17 +113,31 @@ def run_baseline(
     record: Trajectory,
     setup: Setup,
     seed: int = 0,
+    later: Sequence[int] = (),
 ) -> Run:
-    """Fit a baseline on the first `setup.train` samples and predict under both protocols."""
+    """As `run`, for a baseline."""
     began = time.perf_counter()
     naive = baseline(record, setup.train)
     seconds = time.perf_counter() - began
-    from_start, forecast = (
+    from_start, forecast, *rest = (
         naive.predict(start, len(record) - start, record.y[start - 1])
-        for start in (setup.settings.warmup, setup.train)
+        for start in (setup.settings.warmup, setup.train, *later)
     )
     errors = _errors(record, setup, from_start, forecast)
-    return Run(method, seed, *errors, seconds, from_start, forecast, description=str(naive))
+    return Run(
+        method,
+        seed,
+        *errors,
+        seconds,
+        from_start,
+        forecast,
+        description=str(naive),
+        later=dict(zip(later, rest, strict=True)),
+    )
+
+
+def _total(parts: Mapping[str, Array]) -> Array:
+    return np.sum([*parts.values()], axis=0)
 
 
 def _errors(
@@ -134,6 +156,7 @@ def compare(
     seeds: Sequence[int] = (0,),
     jobs: int = 1,
     progress: Callable[[RunProgress], None] | None = None,
+    later: Sequence[int] = (),
 ) -> dict[str, list[Run]]:
     """Run every method with every seed; `jobs` changes the numbers by rounding at most.
 
@@ -145,6 +168,7 @@ def compare(
     seeds : Each gives one run of each method.
     jobs : Processes at once, each on one thread.
     progress : Called in this process after each epoch of each run.
+    later : See `run`.
 
     Returns
     -------
@@ -154,7 +178,7 @@ def compare(
     check(record, methods, setup)
     # The longest first, so that no process is left with one of them at the end.
     todo = sorted(((m, s) for m in methods for s in seeds), key=lambda job: job[0] in FIXED)
-    work = partial(_work, record, setup, progress is None)
+    work = partial(_work, record, setup, progress is None, later)
     found = {(r.method, r.seed): r for r in over(work, todo, jobs, progress)}
     return {m: [found[m, s] for s in seeds] for m in methods}
 
@@ -183,17 +207,18 @@ class Trial:
 
     Attributes
     ----------
-    runs : Of each method, fitted on the rest of the training part.
-    bands : Around each method's forecast of the record, from its errors there.
+    errors : RMSE of each method, fitted on the rest of the training part: of its forecasts to the
+        end of the part from its beginning, from a third and from two thirds of it, together.
+    bands : Around each method's forecast of the record, from those forecasts.
     """
 
-    runs: Mapping[str, Run]
+    errors: Mapping[str, float]
     bands: Mapping[str, Band]
 
     @property
     def recommended(self) -> str:
         """The method with the lowest error."""
-        return min(self.runs, key=lambda method: self.runs[method].forecast_rmse)
+        return min(self.errors, key=lambda method: self.errors[method])
 
 
 def try_out(
@@ -208,9 +233,21 @@ def try_out(
     Arguments as for `compare`; samples after the training part are not looked at.
     """
     part, shorter = hold_out(record, setup)
-    runs = {m: r for m, (r,) in compare(part, methods, shorter, (0,), jobs, progress).items()}
-    held, training = part.y[shorter.train :], record.y[: setup.train]
-    return Trial(runs, {m: Band.fit(held - r.forecast, training) for m, r in runs.items()})
+    held = len(part) - shorter.train
+    # One beginning may suit a method by chance: the last sample, held, is now and then the mean.
+    later = sorted({shorter.train + i * held // 3 for i in (1, 2)} - {shorter.train})
+    runs = compare(part, methods, shorter, (0,), jobs, progress, later)
+    left = {
+        method: [
+            part.y[start:] - forecast
+            for start, forecast in {shorter.train: r.forecast, **r.later}.items()
+        ]
+        for method, (r,) in runs.items()
+    }
+    return Trial(
+        {m: float(np.sqrt(np.mean(np.concatenate(e) ** 2 * record.ny))) for m, e in left.items()},
+        {m: Band.fit(e, record.y[: setup.train]) for m, e in left.items()},
+    )
 
 
 def ensemble(runs: Sequence[Run], record: Trajectory, setup: Setup) -> Run:
@@ -248,8 +285,9 @@ def _work(
     record: Trajectory,
     setup: Setup,
     silent: bool,
+    later: Sequence[int],
     job: tuple[str, int],
     report: Callable[[RunProgress], None],
 ) -> Run:
     method, seed = job
-    return run(method, record, setup, seed, None if silent else report)
+    return run(method, record, setup, seed, None if silent else report, later)

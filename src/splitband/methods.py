@@ -16,7 +16,7 @@ from splitband.cells import GRU, Cell, EulerMLP
 from splitband.data import Trajectory
 from splitband.filters import ComplementaryPair, butterworth
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
-from splitband.naive import Given, HarmonicRegression, Naive, Persistence, SeasonalNaive
+from splitband.naive import Given, HarmonicRegression, Mean, Naive, Persistence, SeasonalNaive
 from splitband.spectrum import default_cutoff
 from splitband.training import Settings, default_warmup
 
@@ -142,6 +142,7 @@ FIXED: dict[str, Callable[[Trajectory, int], Naive]] = {
     "simulator": lambda record, train: Given(_simulated(record), "as it comes"),
     "simulator-affine": _affine,
     "simulator" + CALIBRATED: _calibrated,
+    "mean": lambda record, train: Mean(record.y[:train].mean(axis=0)),
     "persistence": lambda record, train: Persistence(),
     "seasonal-naive": lambda record, train: SeasonalNaive.fit(record.y[:train]),
     "harmonic": lambda record, train: HarmonicRegression.fit(record.y[:train]),
@@ -186,7 +187,7 @@ def default_methods(with_simulator: bool) -> list[str]:
     if with_simulator:
         networks = ["filtered-gru" + both, "residual-gru" + both]
         simulator = ["simulator", "simulator" + CALIBRATED]
-    return ["gru", *networks, *simulator, "persistence", "seasonal-naive", "harmonic"]
+    return ["gru", *networks, *simulator, "mean", "persistence", "seasonal-naive", "harmonic"]
 
 
 def default_setup(

@@ -43,6 +43,25 @@ class Persistence:
 
 
 @dataclass(frozen=True, eq=False)
+class Mean:
+    """The mean of the training samples: what is left where nothing can be foreseen.
+
+    Attributes
+    ----------
+    y : By channel, `(ny,)`.
+    """
+
+    y: Array
+
+    def predict(self, start: int, steps: int, last: Array) -> Array:
+        """See `Naive`."""
+        return np.tile(self.y, (steps, 1))
+
+    def __str__(self) -> str:
+        return "the mean of the training samples"
+
+
+@dataclass(frozen=True, eq=False)
 class Given:
     """A trajectory that somebody else predicted: a simulator, taken as it is.
 

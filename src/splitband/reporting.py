@@ -41,7 +41,7 @@ def results(
         "methods": {
             name: _method(of_method)
             | {
-                "held_out_rmse": trial.runs[name].forecast_rmse,
+                "held_out_rmse": trial.errors[name],
                 "band": _band(trial.bands[name], record, setup, of_method),
                 "mean_of_seeds": _mean(record, setup, of_method),
             }

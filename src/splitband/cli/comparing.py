@@ -77,11 +77,12 @@ def compare(
     Every method is fitted on the first --train samples only and predicts under two protocols:
     "from the start" warms up on the first samples and simulates to the end of the record;
     "forecast" warms up on the last training samples and simulates beyond them. The table shows the
-    RMSE of the free run over everything after the warm-up, in the record's unit. The recommended
-    method is chosen before all that: it forecasts the last quarter of the training samples best,
-    trained on the rest of them; the table shows that error as "held out". Those errors also give
-    each forecast a band in which nine tenths of the measured samples should lie; the table says how
-    many do.
+    RMSE of the free run over everything after the warm-up, in the record's unit.
+
+    The recommended method is chosen before all that: trained on three quarters of the training
+    samples, it forecasts the rest best, from three beginnings; the table shows that error as "held
+    out". Those errors also give each forecast a band in which nine tenths of the measured samples
+    should lie; the table says how many do.
 
     --calibrate and --conditioned add rows: each method that can be is also run that way.
     """
@@ -173,7 +174,7 @@ def _compare(
     best = trial.recommended
     showing.console.print(
         f"recommended: {best}, which forecasts the last {HELD_OUT:.0%} of the training part best "
-        f"from the rest of it (RMSE {trial.runs[best].forecast_rmse:.3g})"
+        f"from the rest of it (RMSE {trial.errors[best]:.3g})"
     )
     showing.console.print(
         f"cut-off {setup.cutoff:g} Hz{_papers_cutoff(record, setup)}, order {setup.order}: "

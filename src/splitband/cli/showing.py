@@ -41,7 +41,7 @@ def comparison(
     table.add_column("in band", justify="right")
     table.add_column("fit (s)", justify="right")
     table.add_column("", style="dim")
-    first = min(run.forecast_rmse for run in trial.runs.values())
+    first = min(trial.errors.values())
     best = [
         min(statistics.mean(values(r)) for r in runs.values()) for values in (_total, _forecast)
     ]
@@ -51,7 +51,7 @@ def comparison(
             for values, lowest in zip((_total, _forecast), best, strict=True)
         ]
         seconds = statistics.mean(r.seconds for r in of_method)
-        tried = trial.runs[name].forecast_rmse
+        tried = trial.errors[name]
         mean = ensemble(of_method, record, setup)
         covers = trial.bands[name].coverage(record.y[setup.train :] - mean.forecast)
         said = of_method[0].description
