@@ -4,8 +4,10 @@ import json
 import os
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
+import time as clock
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -1036,3 +1038,31 @@ def test_a_slow_function_is_kept_by_its_content(tmp_path: Path) -> None:
     assert Path("calls").read_text() == "xx"
     Path("calls").unlink()
     Path("f.py").unlink()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends a signal to a group of processes")
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_ctrl_c_stops_at_once_and_leaves_nothing_half_written(
+    workspace: Path, tmp_path: Path, jobs: int
+) -> None:
+    line = (
+        f"compare {workspace}/record.csv --columns a --methods gru,split-gru --epochs 100000 "
+        f"--seeds 2 --jobs {jobs} --out {tmp_path / 'out'}"
+    )
+    running = subprocess.Popen(
+        [sys.executable, "-m", "splitband", *shlex.split(line)],
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        text=True,
+    )
+    deadline = clock.monotonic() + 60
+    while not (tmp_path / "out").exists() and clock.monotonic() < deadline:
+        clock.sleep(0.1)
+    clock.sleep(3.0 * jobs)  # in the middle of training
+    os.killpg(running.pid, signal.SIGINT)
+    _, said = running.communicate(timeout=30)
+    assert running.returncode == 130
+    assert [text for text in said.splitlines() if "compiling" not in text] == [
+        "error: stopped before the end; no file is half written"
+    ]
+    assert not any((tmp_path / "out").iterdir())

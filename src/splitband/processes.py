@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -64,6 +65,7 @@ _to_parent: Any = None
 def _start_worker(queue: Any) -> None:
     global _to_parent  # noqa: PLW0603  set once, when the process starts
     _to_parent = queue
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends them
     use_threads(1)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
@@ -90,12 +92,19 @@ def _in_processes(
     queue: SimpleQueue[Message | None] = context.SimpleQueue()
     listener = threading.Thread(target=_forward, args=(queue, progress or _ignore), daemon=True)
     listener.start()
+    others = multiprocessing.active_children()
     pool = ProcessPoolExecutor(processes, context, _start_worker, (queue,))
     try:
         for done in as_completed([pool.submit(_work, work, job) for job in jobs]):
             yield done.result()
     except BrokenProcessPool:
         raise OSError("a training process was ended from outside, perhaps for memory") from None
+    except BaseException:
+        # Interrupted, or a job failed: do not wait for what the others are doing.
+        for worker in multiprocessing.active_children():
+            if worker not in others:
+                worker.terminate()
+        raise
     finally:
         pool.shutdown(cancel_futures=True)
         queue.put(None)

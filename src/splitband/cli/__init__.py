@@ -29,6 +29,10 @@ app.add_typer(inspecting.data, name="data")
 app.add_typer(reproducing.paper, name="paper")
 
 
+INTERRUPTED = 130
+"""Status after Ctrl-C, as shells have it and typer returns it."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; bad input is one line on the error stream and exit status 2."""
     given = list(sys.argv[1:] if arguments is None else arguments)
@@ -42,6 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain((error.format_message().strip() or nothing) + _value(error, given))
     except (ValueError, OSError, FloatingPointError) as error:
         return _complain(_in_one_line(error))
+    if status == INTERRUPTED:
+        _complain("stopped before the end; no file is half written")
     return status if isinstance(status, int) else 0
 
 
