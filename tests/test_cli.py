@@ -854,6 +854,19 @@ MODELS = [
     bad(AHEAD + "history_holed.csv", "history_holed.csv", "'a'", "row 7", "nan"),
     bad(AHEAD + "history.csv --steps 0", "--steps"),
     bad(AHEAD + "history.csv --future-inputs future.csv", "--future-inputs", "none"),
+    bad("forecast record.csv --columns a --out out", "--steps"),
+    bad("forecast record.csv --columns a --out out --steps 0", "--steps", "got 0"),
+    bad(
+        "forecast record.csv --columns a --out out --steps 5 --method best", "--method", "got best"
+    ),
+    bad("forecast record.csv --columns a --out out --steps 5 --method simulator", "simulator"),
+    bad("forecast record.csv --columns a --inputs force --out out --steps 5", "--future-inputs"),
+    bad(
+        "forecast record.csv --columns a --out out --steps 5 --method filtered-gru "
+        "--simulator simulated.csv",
+        "205 samples",
+        "got 200",
+    ),
     bad(HYBRID_AHEAD, "--simulator", "filtered-gru"),
     bad(HYBRID_AHEAD + "--simulator functions.py:holed", "simulator", "1.7 s"),
     bad(HYBRID_AHEAD + "--steps 151 --simulator simulated.csv", "201 samples", "got 200"),
@@ -1038,6 +1051,40 @@ def test_a_slow_function_is_kept_by_its_content(tmp_path: Path) -> None:
     assert Path("calls").read_text() == "xx"
     Path("calls").unlink()
     Path("f.py").unlink()
+
+
+def test_forecast_goes_on_from_the_end_of_a_record(tmp_path: Path) -> None:
+    pd.read_csv("record.csv").iloc[:150].to_csv(tmp_path / "begun.csv", index=False)
+    call(f"forecast {tmp_path}/begun.csv --columns a --steps 50 --jobs 1", tmp_path / "out")
+    table, found = written(tmp_path / "out" / "forecast.csv"), results(tmp_path / "out")
+    assert list(table) == ["time", "a", "a, lower", "a, upper"]
+    np.testing.assert_allclose(table["time"], DT * np.arange(1, 51))
+    assert found["method"] == min(found["held_out_rmse"], key=found["held_out_rmse"].get)
+    assert found["method"] == "harmonic"
+    np.testing.assert_allclose(table["a"], A[150:], atol=1e-4)  # the record is two sinusoids
+    assert_pictures(tmp_path / "out", "forecast.png")
+
+
+def test_forecast_takes_known_inputs_and_several_seeds(tmp_path: Path) -> None:
+    pd.DataFrame({"force": [1.0] * 20}).to_csv(tmp_path / "coming.csv", index=False)
+    line = f"forecast record.csv --columns a,b --inputs force --steps 20 --future-inputs {tmp_path}"
+    call(f"{line}/coming.csv --method gru --seeds 2 --jobs 2", tmp_path / "out")
+    found = results(tmp_path / "out")
+    assert (found["method"], found["seeds"]) == ("gru", [0, 1])
+    table = written(tmp_path / "out" / "forecast.csv")
+    assert table.shape == (20, 7)
+    assert np.isfinite(table.to_numpy()).all()
+
+
+def test_forecast_asks_a_simulator_for_what_is_to_come(tmp_path: Path) -> None:
+    call("forecast record.csv --columns a --steps 30 --method simulator-calibrated "
+         "--simulator functions.py:good", tmp_path)  # fmt: skip
+    time = DT * np.arange(SAMPLES, SAMPLES + 30)
+    good = 0.8 * np.sin(2 * np.pi * 0.3 * time + 0.2) + 0.3
+    found = written(tmp_path / "forecast.csv")["a"]
+    assert rms(found - np.sin(2 * np.pi * SLOW * time)) < rms(
+        good - np.sin(2 * np.pi * SLOW * time)
+    )
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a signal to a group of processes")

@@ -250,6 +250,37 @@ def try_out(
     )
 
 
+def ahead_of(record: Trajectory, steps: int, u: Array | None = None) -> Trajectory:
+    """The record with `steps` samples to come, to be forecast with all of it as training part.
+
+    The last sample stands in for what will be measured; nothing looks at it there.
+
+    Parameters
+    ----------
+    record : Whose simulator, if any, reaches `steps` samples beyond it (`beyond`).
+    steps : How many.
+    u : Known inputs of the samples to come, `(steps, nu)`, where the record has any.
+    """
+    if (u is None) != (record.u is None):
+        raise ValueError(f"u must be given exactly for a record with inputs, nu = {record.nu}")
+    y_sim = rest = None
+    if record.y_sim is not None:
+        beyond = np.empty((0, record.ny)) if record.beyond is None else record.beyond
+        if len(beyond) < steps:
+            raise ValueError(
+                f"the simulator must reach {steps} samples beyond the record, got {len(beyond)}"
+            )
+        y_sim, rest = np.concatenate([record.y_sim, beyond[:steps]]), beyond[steps:]
+    return replace(
+        record,
+        y=np.concatenate([record.y, np.repeat(record.y[-1:], steps, axis=0)]),
+        u=None if record.u is None or u is None else np.concatenate([record.u, u]),
+        y_true=None,
+        y_sim=y_sim,
+        beyond=rest if rest is not None and len(rest) else None,
+    )
+
+
 def ensemble(runs: Sequence[Run], record: Trajectory, setup: Setup) -> Run:
     """The mean of the predictions of several seeds, with its own errors."""
     from_start, forecast = (

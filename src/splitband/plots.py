@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -79,6 +80,28 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None =
         + "; shaded grey: warm-up",
         fontsize=10,
     )
+    return figure
+
+
+def forecast(record: Trajectory, table: pd.DataFrame, method: str) -> Figure:
+    """The end of a record and what `reporting.forecast` says comes after it."""
+    figure = Figure(figsize=(11, 0.8 + 2.2 * record.ny), layout="constrained")
+    grid = figure.subplots(record.ny, 1, sharex=True, squeeze=False)[:, 0]
+    ahead = record.time[-1] + table.iloc[:, 0]
+    shown = max(len(record) - 2 * len(table), 0)
+    for i, (ax, column) in enumerate(zip(grid, record.columns, strict=True)):
+        ax.plot(record.time[shown:], record.y[shown:, i], color="0.35", lw=0.9, label="measured")
+        ax.plot(ahead, table[column], color=_PALETTE[0], lw=1.2, label=_literal(method))
+        edges = table[f"{column}, lower"], table[f"{column}, upper"]
+        ax.fill_between(
+            ahead, *edges, color=_PALETTE[0], alpha=0.18, lw=0, label="should hold 90 %"
+        )
+        ax.set_ylabel(_literal(column))
+        ax.margins(x=0.01)
+    grid[0].legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
+    title = f"{_literal(record.name)}: {len(table)} samples ahead"
+    grid[0].set_title(title, fontsize=10, loc="left")
+    grid[-1].set_xlabel("time (s)")
     return figure
 
 

@@ -75,6 +75,24 @@ def predictions(
     return pd.DataFrame(table)
 
 
+def forecast(record: Trajectory, runs: Sequence[Run], band: Band) -> pd.DataFrame:
+    """What `forecast` writes: the samples after the record's last, and their band.
+
+    A column of seconds after the last sample, and three for each channel; of several seeds the
+    mean.
+    """
+    mean = np.mean([run.forecast for run in runs], axis=0)
+    half = band.half_widths(len(mean))
+    table = {time_header(record.columns): record.sampling_time * np.arange(1, len(mean) + 1)}
+    for i, column in enumerate(record.columns):
+        table |= {
+            column: mean[:, i],
+            f"{column}, lower": (mean - half)[:, i],
+            f"{column}, upper": (mean + half)[:, i],
+        }
+    return pd.DataFrame(table)
+
+
 def time_header(columns: Sequence[str]) -> str:
     """The name of the time column beside `columns`."""
     return "time (s)" if "time" in columns else "time"

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from typer.exceptions import TyperException
 
-from splitband.cli import comparing, inspecting, modelling, reproducing
+from splitband.cli import comparing, forecasting, inspecting, modelling, reproducing
 
 app = typer.Typer(
     name="splitband",
@@ -22,6 +22,7 @@ app = typer.Typer(
 )
 app.command()(comparing.demo)
 app.command()(comparing.compare)
+app.command()(forecasting.forecast)
 app.command()(modelling.fit)
 app.command()(modelling.simulate)
 app.command()(inspecting.spectrum)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 import typer
 
@@ -161,14 +160,7 @@ def simulate(
         Path,
         typer.Option(metavar="FILE.csv", help="Where to write the samples.", show_default=False),
     ],
-    future_inputs: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Known inputs of the samples to come, for a model that has inputs.",
-            show_default=False,
-        ),
-    ] = None,
+    future_inputs: options.FutureInputs = None,
     time_column: options.TimeColumn = None,
     simulator: options.SimulatorOption = None,
     simulator_columns: options.SimulatorColumns = None,
@@ -216,7 +208,9 @@ def simulate(
         y_sim = known.calibration.apply(y_sim, total, past.sampling_time)
         y_sim = y_sim[len(past) - known.warmup :]
     warmup = slice(len(past) - known.warmup, None)
-    u = _all_inputs(None if past.u is None else past.u[warmup], future_inputs, steps, known)
+    u = options.inputs_ahead(future_inputs, known.inputs, steps, known.sampling_time)
+    if u is not None and past.u is not None:
+        u = np.concatenate([past.u[warmup], u])
     y = model.simulate(past.y[warmup], steps, u, y_sim)
     table = pd.DataFrame(y, columns=known.columns)
     time = known.sampling_time * np.arange(1, steps + 1)
@@ -248,22 +242,3 @@ class _Facts:
                 f"{folder} is damaged: its columns {self.columns} and inputs {self.inputs} are not "
                 f"the model's {model.ny} and {model.nu}"
             )
-
-
-def _all_inputs(
-    past: npt.NDArray[np.float64] | None, future: Path | None, steps: int, known: _Facts
-) -> npt.NDArray[np.float64] | None:
-    """Known inputs over warm-up and simulation, where the model has any."""
-    if (future is not None) != bool(known.inputs):
-        names = ", ".join(known.inputs) or "none"
-        raise ValueError(
-            f"--future-inputs must be given exactly for a model with inputs; it has {names}"
-        )
-    if future is None or past is None:
-        return None
-    ahead = read(future, columns=known.inputs, fallback_sampling_time=known.sampling_time).y
-    if len(ahead) < steps:
-        raise ValueError(
-            f"--future-inputs must cover the {steps} samples of --steps, got {len(ahead)}"
-        )
-    return np.concatenate([past, ahead[:steps]])

@@ -6,6 +6,8 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
+import numpy.typing as npt
 import typer
 
 from splitband.data import Trajectory, read
@@ -84,6 +86,15 @@ SamplingTime = Annotated[
     float | None,
     typer.Option(
         help="Seconds between samples, where the file has no time column.",
+        rich_help_panel=_RECORD,
+        show_default=False,
+    ),
+]
+FutureInputs = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Known inputs of the samples to come, where the record has any.",
         rich_help_panel=_RECORD,
         show_default=False,
     ),
@@ -269,6 +280,25 @@ def load_record(
         if value is not None:
             raise ValueError(f"{option} is for files; {record} is a named record, got {value}")
     return RECORDS[record]()
+
+
+def inputs_ahead(
+    file: Path | None, inputs: list[str], steps: int, sampling_time: float
+) -> npt.NDArray[np.float64] | None:
+    """Known inputs of the `steps` samples to come, `(steps, nu)`, where there are any."""
+    if (file is not None) != bool(inputs):
+        raise ValueError(
+            f"--future-inputs must be given exactly where there are known inputs; there are "
+            f"{', '.join(inputs) or 'none'}"
+        )
+    if file is None:
+        return None
+    found = read(file, columns=inputs, fallback_sampling_time=sampling_time).y
+    if len(found) < steps:
+        raise ValueError(
+            f"--future-inputs must cover the {steps} samples of --steps, got {len(found)}"
+        )
+    return found[:steps]
 
 
 def setup(

@@ -27,26 +27,28 @@ def with_simulator(
     columns: str | None,
     timeout: float | None,
     cache: Path | None,
+    ahead: int = 0,
     beyond: bool = False,
 ) -> Trajectory:
     """The record with the trajectory of the simulator that the options name.
 
-    `beyond` asks it for more than the record's length, for its calibration; one that cannot say
-    more is taken as it is.
+    It has to reach `ahead` samples beyond the record. `beyond` asks for more, for its calibration;
+    one that cannot say more is taken as it is.
     """
     if timeout is not None and not math.isfinite(timeout):
         raise ValueError(f"--simulator-timeout must be a number of seconds, got {timeout:g}")
-    if simulator is None and beyond and record.y_sim is not None:
+    if simulator is None and (beyond or ahead) and record.y_sim is not None:
         simulator = record.name  # a named record's own, for longer
     if simulator is None:
         return record
-    samples = samples_needed(len(record), len(record)) if beyond else len(record)
+    least = len(record) + ahead
+    samples = samples_needed(least, len(record)) if beyond else least
     try:
-        y_sim = simulated(record, samples, simulator, columns, timeout, cache, beyond)
+        y_sim = simulated(record, samples, simulator, columns, timeout, cache, least)
     except ValueError:
         if not beyond:
             raise
-        y_sim = simulated(record, len(record), simulator, columns, timeout, cache)
+        y_sim = simulated(record, least, simulator, columns, timeout, cache)
     rest = y_sim[len(record) :]
     return replace(record, y_sim=y_sim[: len(record)], beyond=rest if len(rest) else None)
 
@@ -58,15 +60,15 @@ def simulated(
     columns: str | None,
     timeout: float | None,
     cache: Path | None,
-    at_most: bool = False,
+    least: int | None = None,
 ) -> npt.NDArray[np.float64]:
     """The simulator's trajectory `(samples, ny)` from the record's first sample on.
 
-    With `at_most`, an exported trajectory that is shorter is taken as far as it goes.
+    With `least`, an exported trajectory of at least so many is taken as far as it goes.
     """
     with _open(simulator, record, names(columns or "")) as opened:
-        if at_most and isinstance(opened, Recorded):
-            samples = min(samples, max(len(record), len(np.asarray(opened.y))))
+        if least is not None and isinstance(opened, Recorded):
+            samples = min(samples, max(least, len(np.asarray(opened.y))))
         return run(opened, samples, record.sampling_time, record.ny, timeout, cache, name=simulator)
 
 

@@ -1,0 +1,205 @@
+"""What the default command reaches on the paper's systems, and what each ingredient is worth.
+
+    python -m benchmarks.beyond [--out docs/results/beyond] [--seeds 5] [--jobs 2] [SYSTEM ...]
+
+Each system is a JSON file that is made once; the page beside them, beyond.md, is made of all that
+are there. Every choice is made on training samples.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from splitband.calibration import samples_needed
+from splitband.comparison import compare, run_baseline, try_out
+from splitband.data import Trajectory, double_torsion, drill_string
+from splitband.files import write_json
+from splitband.methods import default_methods, default_setup, paper_settings, with_variants
+from splitband.reporting import results
+from splitband.simulators import run as simulate
+from splitband.systems import (
+    double_mass_spring,
+    double_mass_spring_oracle,
+    double_torsion_pendulum,
+    van_der_pol,
+    van_der_pol_simulator,
+)
+
+DRAWS = 20
+Facts = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class System:
+    """A record, its training part, and what the paper reached."""
+
+    record: Callable[[], Trajectory]
+    train: int
+    paper: str = ""
+
+
+def _van_der_pol() -> Trajectory:
+    """With more of its simulator than the record is long, for the clock."""
+    record = van_der_pol()
+    samples = samples_needed(len(record), len(record))
+    y_sim = simulate(van_der_pol_simulator(), samples, record.sampling_time)
+    return replace(record, y_sim=y_sim[: len(record)], beyond=y_sim[len(record) :])
+
+
+SYSTEMS = {
+    **{f"i, draw {d}": System(partial(double_mass_spring, seed=d), 250) for d in range(DRAWS)},
+    "double-torsion record": System(double_torsion, 600, "0.331"),
+    **{
+        f"pendulum {row}": System(partial(double_torsion_pendulum, row), 600)
+        for row in ("ii", "iii", "iv")
+    },
+    "v": System(_van_der_pol, 600, "0.347"),
+    "vi": System(drill_string, 2000, "0.487"),
+}
+
+
+def measured(name: str, seeds: int, jobs: int) -> Facts:
+    """Everything `compare` writes, with the variants that leave an ingredient out."""
+    system = SYSTEMS[name]
+    record = system.record()
+    hybrid = record.y_sim is not None
+    many = name.startswith("i,")
+    base = ["filtered-gru"] if hybrid else ["split-gru"]
+    methods = default_methods(hybrid)
+    if not many:
+        plain = ["residual-gru"] if hybrid else []
+        methods = [*dict.fromkeys([*methods, *with_variants(base, hybrid, True), *plain])]
+    setup = default_setup(record, system.train)
+    chosen = range(1 if many else seeds)
+    facts = results(
+        record,
+        setup,
+        compare(record, methods, setup, chosen, jobs),
+        try_out(record, methods, setup, jobs),
+    )
+    if many:
+        oracle = run_baseline("oracle", double_mass_spring_oracle, record, setup)
+        facts["oracle"] = {"total_rmse": oracle.total_rmse, "forecast_rmse": oracle.forecast_rmse}
+    else:
+        papers = replace(setup, settings=paper_settings(system.train))
+        best = default_methods(hybrid)[1:3]
+        facts["paper's recipe"] = {
+            method: [run.total_rmse for run in of_method]
+            for method, of_method in compare(record, best, papers, chosen[:2], jobs).items()
+        }
+    return facts
+
+
+OTHERS = (
+    "gru", "residual-gru", "simulator", "mean", "persistence", "seasonal-naive", "harmonic",
+)  # fmt: skip
+"""What the recommended method must not be worse than."""
+
+
+def page(found: dict[str, Facts]) -> str:
+    """All that was measured, in Markdown."""
+    parts = [__doc__.strip().splitlines()[0], _recommended(found), _draws(found), _shares(found)]
+    return "# Beyond the paper\n\n" + "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _recommended(found: dict[str, Facts]) -> str:
+    lines = [
+        "## The recommended method\n",
+        "Total RMSE from the start and of the forecast, mean over seeds; *best other* is the best "
+        f"of {', '.join(OTHERS)} on the test samples, which nobody knows before.\n",
+        "| system | recommended | from the start | forecast | the paper's best | best other "
+        "| ratio | in band |",
+        "|---|---|---:|---:|---:|---|---:|---:|",
+    ]
+    for name, facts in found.items():
+        if "oracle" in facts:
+            continue
+        methods = facts["methods"]
+        chosen = methods[facts["recommended"]]
+        other = min((m for m in OTHERS if m in methods), key=lambda m: _mean(methods[m]))
+        ratio = _mean(chosen) / _mean(methods[other])
+        lines.append(
+            f"| {name} | {facts['recommended']} | {_mean(chosen):.3f} "
+            f"| {chosen['forecast_rmse_mean']:.3f} | {SYSTEMS[name].paper} "
+            f"| {other} {_mean(methods[other]):.3f} | {ratio:.2f} "
+            f"| {chosen['band']['covers']:.0%} |"
+        )
+    return "\n".join(lines)
+
+
+def _draws(found: dict[str, Facts]) -> str:
+    draws = [facts for facts in found.values() if "oracle" in facts]
+    if not draws:
+        return ""
+    errors = [_mean(facts["methods"][facts["recommended"]]) for facts in draws]
+    oracle = [facts["oracle"]["total_rmse"] for facts in draws]
+    ratios = [error / best for error, best in zip(errors, oracle, strict=True)]
+    covers = [facts["methods"][facts["recommended"]]["band"]["covers"] for facts in draws]
+    return (
+        f"## System (i), {len(draws)} noise draws\n\n"
+        f"The recommended method's total RMSE has a median of {statistics.median(errors):.3f}, the "
+        f"oracle's (least squares on the true form) {statistics.median(oracle):.3f}: "
+        f"{statistics.median(errors) / statistics.median(oracle):.2f} times. Draw by draw the "
+        f"ratio is {statistics.median(ratios):.2f} in the median and {max(ratios):.2f} at worst. "
+        f"Bands hold {statistics.mean(covers):.0%} of what is measured."
+    )
+
+
+def _shares(found: dict[str, Facts]) -> str:
+    lines = [
+        "## Each ingredient\n",
+        "| system | method | total RMSE | seeds |",
+        "|---|---|---:|---:|",
+    ]
+    for name, facts in found.items():
+        if "oracle" in facts:
+            continue
+        rows = {m: f["total_rmse"] for m, f in facts["methods"].items() if f.get("final_loss")}
+        rows |= {f"{m}, paper's recipe": v for m, v in facts["paper's recipe"].items()}
+        lines += [
+            f"| {name} | {method} | {statistics.mean(values):.3f}"
+            f"{f' ({statistics.stdev(values):.2g})' if len(values) > 1 else ''} | {len(values)} |"
+            for method, values in rows.items()
+        ]
+    return "\n".join(lines)
+
+
+def _mean(facts: Facts) -> float:
+    return float(facts["total_rmse_mean"])
+
+
+def main() -> None:
+    """Measure what is missing, and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("systems", nargs="*", metavar="SYSTEM", help=f"out of {', '.join(SYSTEMS)}")
+    parser.add_argument("--out", type=Path, default=Path("docs/results/beyond"))
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--jobs", type=int, default=2)
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    for name in arguments.systems or SYSTEMS:
+        path = _path(arguments.out, name)
+        if not path.exists():
+            print(name, flush=True)
+            write_json(path, measured(name, arguments.seeds, arguments.jobs))
+    found = {
+        name: json.loads(_path(arguments.out, name).read_text(encoding="utf-8"))
+        for name in SYSTEMS
+        if _path(arguments.out, name).exists()
+    }
+    (arguments.out.parent / "beyond.md").write_text(page(found), encoding="utf-8")
+
+
+def _path(out: Path, name: str) -> Path:
+    return out / f"{name.replace(', ', '-').replace(' ', '-')}.json"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,104 @@
+"""`splitband forecast`: what comes after the end of a record."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from splitband import plots, reporting
+from splitband.cli import options, showing
+from splitband.cli.simulating import with_simulator
+from splitband.comparison import Trial, ahead_of, compare, hold_out, try_out
+from splitband.files import output_folder, replacing, write_json
+from splitband.methods import CALIBRATED, METHODS, TRAINED, check, default_methods
+from splitband.threads import available_cores
+
+
+def forecast(
+    record: options.Record,
+    steps: Annotated[int, typer.Option(min=1, help="Samples to forecast.", show_default=False)],
+    method: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Out of {', '.join(METHODS)}.",
+            show_default="the one that forecasts the record's own last quarter best",
+        ),
+    ] = None,
+    seeds: Annotated[
+        int, typer.Option(min=1, help="Trainings of a network; their mean is the forecast.")
+    ] = 2,
+    jobs: options.Jobs = None,
+    out: Annotated[Path, typer.Option(help="Folder for the forecast.")] = Path("forecast"),
+    columns: options.Columns = None,
+    inputs: options.Inputs = None,
+    future_inputs: options.FutureInputs = None,
+    time_column: options.TimeColumn = None,
+    sampling_time: options.SamplingTime = None,
+    simulator: options.SimulatorOption = None,
+    simulator_columns: options.SimulatorColumns = None,
+    simulator_timeout: options.SimulatorTimeout = None,
+    simulator_cache: options.SimulatorCache = None,
+) -> None:
+    """Forecast a record beyond its end, with a band that should hold nine tenths of what comes.
+
+    Without --method, several are tried as `compare` tries them: each forecasts the last quarter of
+    the record from the rest of it, and the best one is fitted again, on the whole record. A
+    simulator must reach --steps samples beyond the record; a record with known inputs needs
+    --future-inputs.
+    """
+    known = options.load_record(record, columns, inputs, time_column, sampling_time)
+    hybrid = simulator is not None or known.y_sim is not None
+    methods = default_methods(hybrid) if method is None else [method]
+    if methods[0] not in METHODS:
+        raise ValueError(f"--method must be one of {', '.join(METHODS)}, got {method}")
+    known = with_simulator(
+        known,
+        simulator,
+        simulator_columns,
+        simulator_timeout,
+        simulator_cache,
+        ahead=steps if hybrid else 0,
+        beyond=any(CALIBRATED in name for name in methods),
+    )
+    u = options.inputs_ahead(future_inputs, options.names(inputs or ""), steps, known.sampling_time)
+    longer = ahead_of(known, steps, u)
+    setup = options.setup("", longer, len(known))
+    check(longer, methods, setup)
+    part, shorter = hold_out(longer, setup)
+    check(part, methods, shorter)
+    output_folder(out)
+    jobs = jobs or available_cores()
+    tried = len(set(methods) & set(TRAINED))
+    with showing.progress(tried, "training on three quarters") as progress:
+        trial = try_out(longer, methods, setup, jobs, progress)
+    best = trial.recommended
+    with showing.progress(seeds * (best in TRAINED), f"training {best}") as progress:
+        chosen = range(seeds if best in TRAINED else 1)
+        runs = compare(longer, [best], setup, chosen, jobs, progress)[best]
+    table = reporting.forecast(known, runs, trial.bands[best])
+    with replacing(out / "forecast.csv") as temporary:
+        table.to_csv(temporary, index=False)
+    facts = {
+        "record": known.name,
+        "samples": len(known),
+        "steps": steps,
+        "method": best,
+        "description": runs[0].description,
+        "held_out_rmse": dict(trial.errors),
+        "band": asdict(trial.bands[best]),
+        "seeds": [run.seed for run in runs],
+        "environment": reporting.environment(),
+    }
+    write_json(out / "results.json", facts)
+    plots.save(plots.forecast(known, table, best), out / "forecast.png")
+    _say(trial, best, steps, out)
+
+
+def _say(trial: Trial, best: str, steps: int, out: Path) -> None:
+    others = sorted(trial.errors.items(), key=lambda pair: pair[1])
+    listed = ", ".join(f"{name} {error:.3g}" for name, error in others)
+    showing.console.print(f"RMSE on the record's last quarter, from the rest of it: {listed}")
+    showing.console.print(f"{steps} samples ahead by {best}: {out}/forecast.csv, forecast.png")
