@@ -41,6 +41,7 @@ def forecast(
     simulator_columns: options.SimulatorColumns = None,
     simulator_timeout: options.SimulatorTimeout = None,
     simulator_cache: options.SimulatorCache = None,
+    epochs: options.Epochs = None,
 ) -> None:
     """Forecast a record beyond its end, with a band that should hold nine tenths of what comes.
 
@@ -65,7 +66,7 @@ def forecast(
     )
     u = options.inputs_ahead(future_inputs, options.names(inputs or ""), steps, known.sampling_time)
     longer = ahead_of(known, steps, u)
-    setup = options.setup("", longer, len(known))
+    setup = options.setup("", longer, len(known), epochs=epochs)
     check(longer, methods, setup)
     part, shorter = hold_out(longer, setup)
     check(part, methods, shorter)
