@@ -1071,7 +1071,7 @@ def test_forecast_goes_on_from_the_end_of_a_record(tmp_path: Path) -> None:
 def test_forecast_takes_known_inputs_and_several_seeds(tmp_path: Path) -> None:
     pd.DataFrame({"force": [1.0] * 20}).to_csv(tmp_path / "coming.csv", index=False)
     line = f"forecast record.csv --columns a,b --inputs force --steps 20 --future-inputs {tmp_path}"
-    call(f"{line}/coming.csv --method gru --seeds 2 --jobs 2 --epochs 2", tmp_path / "out")
+    call(f"{line}/coming.csv --method gru --seeds 2 --jobs 1 --epochs 2", tmp_path / "out")
     found = results(tmp_path / "out")
     assert (found["method"], found["seeds"]) == ("gru", [0, 1])
     table = written(tmp_path / "out" / "forecast.csv")
