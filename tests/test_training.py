@@ -159,6 +159,14 @@ def test_the_free_run_grows_from_a_tenth_to_all_of_its_length(
     assert np.isfinite(history.losses["network"]).all()
 
 
+def test_a_single_epoch_grows_to_the_whole_window_too() -> None:
+    model = _Watched()
+    fit(model, record()[:TRAIN], Settings(42, QUICK.warmup, 1, batch_size=2, growth=0.5))
+    assert model.asked[0] == 3
+    assert model.asked[-1] == 42 - QUICK.warmup
+    assert model.asked == sorted(model.asked)
+
+
 @pytest.mark.parametrize("error", [0.0, 0.5])
 def test_a_short_free_run_is_compared_with_the_beginning_of_the_window(error: float) -> None:
     """So that a network that knows the only window has no loss at any length."""
@@ -213,9 +221,9 @@ def test_diverging_training_says_so() -> None:
         ({"clip": 0.0}, "clip must be positive, got 0.0"),
         ({"clip": -1.0}, "clip must be positive, got -1.0"),
         ({"clip": float("nan")}, "clip must be positive, got nan"),
-        ({"growth": -0.1}, "growth must be a share of the epochs, 0 to 1, got -0.1"),
-        ({"growth": 1.5}, "growth must be a share of the epochs, 0 to 1, got 1.5"),
-        ({"growth": float("nan")}, "growth must be a share of the epochs, 0 to 1, got nan"),
+        ({"growth": -0.1}, "growth must be a share of the training, 0 to 1, got -0.1"),
+        ({"growth": 1.5}, "growth must be a share of the training, 0 to 1, got 1.5"),
+        ({"growth": float("nan")}, "growth must be a share of the training, 0 to 1, got nan"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(change: Any, message: Any) -> None:

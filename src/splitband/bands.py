@@ -58,7 +58,9 @@ class Band:
         fitted = [_fit_channel(channel, horizon / len(y), share) for channel in channels]
         # Two signals of one range that know nothing of each other differ by this much.
         apart = float(np.sqrt(2) * scipy.stats.norm.ppf(0.5 + share / 2))
-        base = tuple(b for b, _ in fitted)
+        # Rounding is no less than this, however exact the forecast.
+        floor = 16 * np.finfo(np.float64).eps * abs(y).max(axis=0)
+        base = tuple(max(b, float(f)) for (b, _), f in zip(fitted, floor, strict=True))
         growth = tuple(g / len(y) for _, g in fitted)
         most = np.maximum(apart * y.std(axis=0), base)
         return cls(base, growth, tuple(map(float, most)), share)

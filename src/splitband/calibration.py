@@ -45,7 +45,8 @@ class Calibration:
     gain, offset : By channel; none stands for 1 and 0.
     delay : In s, positive for a simulator that comes too early.
     clock : How much faster the simulator's time must run.
-    errors : What each set of terms left on held-out training samples, RMSE by set of terms.
+    errors : What each set of terms left on held-out training samples: RMSE by set of terms, of
+        channels scaled to a deviation of 1.
     untried : Terms that were left out, and why.
     """
 
@@ -148,15 +149,18 @@ def calibrate(
             f"samples at least, got {y_sim.shape} and {y.shape}"
         )
     spare = len(y_sim) - samples
+    # Each channel counts the same, whatever its unit.
+    scale = np.where(np.ptp(y, axis=0) > 0, y.std(axis=0), 1.0)
+    y, y_sim = y / scale, y_sim / scale
     if terms is not None:
         wanted = tuple(terms)
         unknown = [term for term in wanted if term not in TERMS]
         if unknown:
             raise ValueError(f"terms must be out of {', '.join(TERMS)}, got {', '.join(unknown)}")
-        return _fit(y_sim, y, sampling_time, wanted, samples)
+        return _fit(y_sim, y, sampling_time, wanted, samples, scale)
     untried = ""
     if spare < samples_needed(samples, len(y)) - samples:
-        untried = "a clock or a delay beyond the simulation's end: it ends with the record"
+        untried = "no faster clock tried: the simulation ends with the record"
     errors = {kept: _held_out(y_sim, y, sampling_time, kept, samples) for kept in _SETS}
     best = _SETS[0]
     for kept in _SETS[1:]:
@@ -165,7 +169,7 @@ def calibrate(
         moves = set(kept) & set(_STILL)
         if pays and (not moves or (errors[kept] < errors[best]).all()):
             best = kept
-    found = _fit(y_sim, y, sampling_time, best, samples)
+    found = _fit(y_sim, y, sampling_time, best, samples, scale)
     means = {_name(kept): float(left.mean()) for kept, left in errors.items()}
     return replace(found, errors=means, untried=untried)
 
@@ -199,7 +203,12 @@ def _held_out(
 
 
 def _fit(
-    y_sim: Array, y: Array, sampling_time: float, terms: tuple[Term, ...], samples: int
+    y_sim: Array,
+    y: Array,
+    sampling_time: float,
+    terms: tuple[Term, ...],
+    samples: int,
+    scale: Array | float = 1.0,
 ) -> Calibration:
     """Least squares; gain and offset are eliminated, delay and clock searched for."""
     moving = tuple(term for term in _STILL if term in terms)
@@ -238,7 +247,7 @@ def _fit(
     gain, offset = _affine(moved(warp)[seen], y[seen], terms)
     return Calibration(
         tuple(map(float, gain)) if "gain" in terms else (),
-        tuple(map(float, offset)) if "offset" in terms else (),
+        tuple(map(float, offset * scale)) if "offset" in terms else (),
         delay * sampling_time,
         clock,
     )
@@ -294,14 +303,12 @@ def _guesses(
 
 
 def _correlation(x: Array, y: Array) -> Array:
-    """Of y with x shifted by -(n - 1)..n - 1 samples, channels added."""
-    return np.sum(
-        [
-            scipy.signal.correlate(b - b.mean(), a - a.mean(), mode="full", method="fft")
-            for a, b in zip(x.T, y.T, strict=True)
-        ],
-        axis=0,
-    )
+    """Of y with x shifted by -(n - 1)..n - 1 samples, squared: a gain may have either sign."""
+    found = np.zeros(2 * len(y) - 1)
+    for a, b in zip((x - x.mean(axis=0)).T, (y - y.mean(axis=0)).T, strict=True):
+        power = float((a**2).sum()) or 1.0
+        found += scipy.signal.correlate(b, a, mode="full", method="fft") ** 2 / power
+    return found
 
 
 def _spline(y: Array) -> Callable[[Array], Array]:

@@ -209,16 +209,20 @@ class Trial:
     ----------
     errors : RMSE of each method, fitted on the rest of the training part: of its forecasts to the
         end of the part from its beginning, from a third and from two thirds of it, together.
+    scores : The same of channels scaled to a deviation of 1, by which methods are compared.
     bands : Around each method's forecast of the record, from those forecasts.
+
+    All of it is of one training of each network, with seed 0.
     """
 
     errors: Mapping[str, float]
+    scores: Mapping[str, float]
     bands: Mapping[str, Band]
 
     @property
     def recommended(self) -> str:
-        """The method with the lowest error."""
-        return min(self.errors, key=lambda method: self.errors[method])
+        """The method with the lowest score."""
+        return min(self.scores, key=lambda method: self.scores[method])
 
 
 def try_out(
@@ -244,10 +248,29 @@ def try_out(
         ]
         for method, (r,) in runs.items()
     }
+    scale = np.where(np.ptp(part.y, axis=0) > 0, part.y.std(axis=0), 1.0)
+
+    def size(errors: Sequence[Array]) -> float:
+        every = np.concatenate(errors)
+        return rmse(every, np.zeros_like(every))
+
     return Trial(
-        {m: float(np.sqrt(np.mean(np.concatenate(e) ** 2 * record.ny))) for m, e in left.items()},
-        {m: Band.fit(e, record.y[: setup.train]) for m, e in left.items()},
+        {m: size(e) for m, e in left.items()},
+        {m: size([error / scale for error in e]) for m, e in left.items()},
+        {m: Band.fit(e, part.y) for m, e in left.items()},
     )
+
+
+def check_trial(record: Trajectory, methods: Sequence[str], setup: Setup) -> None:
+    """Find what is wrong with `try_out` before anything is computed."""
+    part, shorter = hold_out(record, setup)
+    try:
+        check(part, methods, shorter)
+    except ValueError as error:
+        raise ValueError(
+            f"{error} (a method is chosen on the last quarter of the {setup.train} training "
+            "samples, trained on the rest)"
+        ) from None
 
 
 def ahead_of(record: Trajectory, steps: int, u: Array | None = None) -> Trajectory:

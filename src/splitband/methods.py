@@ -121,7 +121,8 @@ def _affine(record: Trajectory, train: int) -> Naive:
 
 def _calibrated(record: Trajectory, train: int) -> Naive:
     seen, found = prepared("simulator" + CALIBRATED, record, train)
-    return Given(_simulated(seen), str(found))
+    untried = found.untried if found is not None else ""
+    return Given(_simulated(seen), "; ".join(filter(None, [str(found), untried])))
 
 
 WHOLE: dict[str, Callable[[Trajectory, Setup, bool], Model]] = {
@@ -169,13 +170,13 @@ def with_variants(methods: Sequence[str], calibrate: bool, conditioned: bool) ->
                 name = base(method)
                 name += CALIBRATED if calibrated or CALIBRATED in method else ""
                 name += CONDITIONED if told or CONDITIONED in method else ""
-                found |= {name: None} if name in TRAINED else {}
+                found |= {name: None} if name in METHODS else {}
     for option, wanted, suffix in (
         ("--calibrate", calibrate, CALIBRATED),
         ("--conditioned", conditioned, CONDITIONED),
     ):
         if wanted and not any(suffix in method for method in found):
-            able = dict.fromkeys(base(name) for name in TRAINED if suffix in name)
+            able = dict.fromkeys(base(name) for name in METHODS if suffix in name)
             raise ValueError(f"{option} needs one of {', '.join(able)}, got {', '.join(methods)}")
     return [*found]
 
@@ -247,6 +248,11 @@ def check(record: Trajectory, methods: Sequence[str], setup: Setup) -> None:
     if unknown or not methods:
         raise ValueError(f"methods must be out of {', '.join(METHODS)}, got {', '.join(unknown)}")
     check_train(record, setup.train)
+    if setup.settings.warmup >= setup.train:
+        raise ValueError(
+            f"warmup must be shorter than the {setup.train} training samples, "
+            f"got {setup.settings.warmup}"
+        )
     for method in methods:
         check_method(method, record, setup)
 

@@ -19,6 +19,8 @@ Array = npt.NDArray[np.float64]
 
 RESOLUTION = 0.1
 """Sinusoids too close to be told apart are fitted as one: singular values below this are cut."""
+LONGEST = 4000
+"""Samples that harmonic regression is fitted to at most: its time grows with them."""
 FASTEST_DECAY = 20.0
 """Over the whole record, as an exponent: what is gone faster is not worth a sinusoid."""
 
@@ -132,11 +134,13 @@ class HarmonicRegression:
     frequencies : In cycles per sample, one array for each channel.
     coefficients : Offset, then cosine and sine amplitudes, one array for each channel.
     dampings : Decay rates per sample, one array for each channel; zero for what goes on for ever.
+    begin : Index of the first sample that was fitted, from which they decay.
     """
 
     frequencies: tuple[Array, ...]
     coefficients: tuple[Array, ...]
     dampings: tuple[Array, ...]
+    begin: int = 0
 
     @classmethod
     def fit(cls, y: Array, sinusoids: int | None = None, damped: bool = True) -> HarmonicRegression:
@@ -146,15 +150,17 @@ class HarmonicRegression:
         together to the least squares. By default as many as the Bayesian information criterion
         is willing to pay for, at most 10. With `damped` each may decay where that pays too, as the
         free vibrations of a driven system do: without, two that beat against each other take the
-        place of one that decays, and grow again after the record.
+        place of one that decays, and grow again after the record. Of a long record the last
+        `LONGEST` samples are fitted.
         """
-        fitted = [_fit_channel(channel, sinusoids, damped) for channel in y.T]
+        begin = max(len(y) - LONGEST, 0)
+        fitted = [_fit_channel(channel, sinusoids, damped) for channel in y[begin:].T]
         frequencies, dampings, coefficients = (tuple(p) for p in zip(*fitted, strict=True))
-        return cls(frequencies, coefficients, dampings)
+        return cls(frequencies, coefficients, dampings, begin)
 
     def predict(self, start: int, steps: int, last: Array) -> Array:
         """See `Naive`."""
-        index = np.arange(start, start + steps)
+        index = np.arange(start, start + steps) - self.begin
         channels = zip(self.frequencies, self.dampings, self.coefficients, strict=True)
         return np.stack([_basis(f, d, index) @ c for f, d, c in channels], axis=1)
 
@@ -190,7 +196,7 @@ def _backward_error(y: Array, lag: int) -> float:
 
 def _basis(frequencies: Array, dampings: Array, index: npt.NDArray[np.int_]) -> Array:
     phase = 2 * np.pi * np.outer(index, frequencies)
-    size = np.exp(-np.outer(index, dampings))
+    size = np.exp(-np.outer(np.maximum(index, 0), dampings))  # no growth backwards
     return np.hstack([np.ones((len(index), 1)), size * np.cos(phase), size * np.sin(phase)])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -12,6 +12,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from splitband.bands import Band
 from splitband.comparison import Run, Trial
 from splitband.data import Trajectory
 from splitband.files import replacing
@@ -76,7 +77,7 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None =
         f"{_literal(record.name)}: free runs (colour, first seed) over the record (grey)\n"
         "left: from the start; right: forecast from the end of the training part "
         "(dotted line)"
-        + ("" if trial is None else ", in the band that should hold 90 % of what is measured")
+        + (f", in {_band(trial.bands.values())}" if trial is not None else "")
         + "; shaded grey: warm-up",
         fontsize=10,
     )
@@ -158,7 +159,8 @@ def errors(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
         ax.set_yscale("log")
         # The first samples after a warm-up say little, and would set the scale.
         settled = [line.get_ydata()[10:] for line in ax.lines if len(line.get_ydata()) > 20]
-        ax.set_ylim(bottom=0.7 * min((y.min() for y in settled), default=1e-3))
+        lowest = [float(y[y > 0].min()) for y in map(np.asarray, settled) if (y > 0).any()]
+        ax.set_ylim(bottom=0.7 * min(lowest, default=1e-3))
         ax.yaxis.set_major_formatter("{x:g}")
         ax.set_title(f"{_literal(record.name)}, {title}", fontsize=10)
         ax.set_xlabel("time (s)")
@@ -221,6 +223,11 @@ def _from_start(run: Run) -> Array:
 
 def _forecast(run: Run) -> Array:
     return run.forecast
+
+
+def _band(bands: Iterable[Band]) -> str:
+    share = next(iter(bands)).share
+    return f"the band that should hold {share:.0%} of what is measured"
 
 
 def _literal(name: str) -> str:

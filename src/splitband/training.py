@@ -33,7 +33,7 @@ class Settings:
     one_cycle : The rate rises to `learning_rate` over the first tenth of the steps and falls along
         a cosine to a hundredth of it; in place of milestones.
     clip : Largest norm of a gradient.
-    growth : Share of the epochs over which the free run grows from a tenth of its length to all.
+    growth : Share of the training over which the free run grows from a tenth of its length to all.
     normalize : Scale each channel by mean and standard deviation of the training record.
     """
 
@@ -69,14 +69,14 @@ class Settings:
         if self.clip is not None and not self.clip > 0:
             raise ValueError(f"clip must be positive, got {self.clip}")
         if not 0 <= self.growth <= 1:
-            raise ValueError(f"growth must be a share of the epochs, 0 to 1, got {self.growth}")
+            raise ValueError(f"growth must be a share of the training, 0 to 1, got {self.growth}")
 
     @classmethod
     def of(cls, samples: int) -> Settings:
         """The default recipe for a training record of so many samples; not in the paper.
 
         Windows of three fifths of it, at most 400; one cycle of the learning rate, clipped
-        gradients, free runs that grow, and about `STEPS` steps for each network.
+        gradients, free runs that grow, and about `STEPS` steps for each network, one pass at least.
         """
         window = min(400, max(2, 3 * samples // 5))
         batch = 25
@@ -103,9 +103,9 @@ class Settings:
         reached = [rate for start, rate in sorted(self.milestones) if start <= epoch]
         return reached[-1] if reached else self.learning_rate
 
-    def reach(self, epoch: int, steps: int) -> int:
-        """How many of a window's `steps` are simulated in an epoch."""
-        done = 1.0 if not self.growth else min(1.0, epoch / (self.growth * self.epochs))
+    def reach(self, share: float, steps: int) -> int:
+        """How many of a window's `steps` are simulated when `share` of all batches are done."""
+        done = min(1.0, share / self.growth) if self.growth else 1.0
         return max(1, round(steps * (0.1 + 0.9 * done)))
 
 
@@ -182,11 +182,11 @@ def _train(task: Task, settings: Settings, generator: torch.Generator) -> Iterat
     known, target = _windows(task, settings)
     optimizer = torch.optim.Adam(task.network.parameters(), lr=settings.learning_rate)
     for epoch in range(settings.epochs):
-        steps = settings.reach(epoch, target.shape[1])
         total = 0.0
         batches = torch.randperm(len(target), generator=generator).split(settings.batch_size)
         for i, batch in enumerate(batches):
             share = (epoch + i / len(batches)) / settings.epochs
+            steps = settings.reach(share, target.shape[1])
             for group in optimizer.param_groups:
                 group["lr"] = settings.rate(epoch, share)
             with one_torch_thread():

@@ -10,7 +10,7 @@ import typer
 from splitband import plots, reporting
 from splitband.cli import options, showing
 from splitband.cli.simulating import with_simulator
-from splitband.comparison import HELD_OUT, hold_out, try_out
+from splitband.comparison import HELD_OUT, check_trial, try_out
 from splitband.comparison import compare as run_comparison
 from splitband.data import Trajectory
 from splitband.files import output_folder, replacing, write_json
@@ -150,8 +150,7 @@ def _compare(
     out: Path,
 ) -> None:
     check(record, methods, setup)
-    part, shorter = hold_out(record, setup)
-    check(part, methods, shorter)
+    check_trial(record, methods, setup)
     output_folder(out)
     networks = len(set(methods) & set(TRAINED))
     jobs = min(jobs or available_cores(), max(seeds * networks, 1))
@@ -174,7 +173,7 @@ def _compare(
     best = trial.recommended
     showing.console.print(
         f"recommended: {best}, which forecasts the last {HELD_OUT:.0%} of the training part best "
-        f"from the rest of it (RMSE {trial.errors[best]:.3g})"
+        f"from the rest of it (RMSE {trial.errors[best]:.3g} against the measurement)"
     )
     showing.console.print(
         f"cut-off {setup.cutoff:g} Hz{_papers_cutoff(record, setup)}, order {setup.order}: "

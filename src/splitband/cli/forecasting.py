@@ -11,7 +11,7 @@ import typer
 from splitband import plots, reporting
 from splitband.cli import options, showing
 from splitband.cli.simulating import with_simulator
-from splitband.comparison import Trial, ahead_of, compare, hold_out, try_out
+from splitband.comparison import Trial, ahead_of, check_trial, compare, try_out
 from splitband.files import output_folder, replacing, write_json
 from splitband.methods import CALIBRATED, METHODS, TRAINED, check, default_methods
 from splitband.threads import available_cores
@@ -68,8 +68,7 @@ def forecast(
     longer = ahead_of(known, steps, u)
     setup = options.setup("", longer, len(known), epochs=epochs)
     check(longer, methods, setup)
-    part, shorter = hold_out(longer, setup)
-    check(part, methods, shorter)
+    check_trial(longer, methods, setup)
     output_folder(out)
     jobs = jobs or available_cores()
     tried = len(set(methods) & set(TRAINED))

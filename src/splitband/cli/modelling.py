@@ -170,8 +170,9 @@ def simulate(
     """Simulate a saved model beyond a measured history.
 
     A hybrid model also needs --simulator, whose trajectory begins with the history's first sample
-    and reaches --steps samples beyond its last. The CSV has a column `time`, in seconds after the
-    last sample of the history, and one column for each measured channel.
+    and reaches --steps samples beyond its last. If the model has a calibrated delay or clock, both
+    have to begin where the training record began, as time counts from there. The CSV has a column
+    `time`, in seconds after the last sample of the history, and one for each measured channel.
     """
     model, facts = saving.load(model_dir)
     known = _Facts(model_dir, model, facts)
