@@ -56,6 +56,22 @@ def test_what_forecasts_the_held_out_part_best_is_recommended() -> None:
     assert simulated.errors[simulated.recommended] == min(simulated.errors.values())
 
 
+@pytest.mark.parametrize(("network", "chosen"), [(0.95, "harmonic"), (0.85, "gru")])
+def test_a_network_has_to_be_a_tenth_better_than_what_needs_no_training(
+    network: float, chosen: str
+) -> None:
+    scores = {"gru": network, "harmonic": 1.0, "mean": 1.2}
+    assert Trial(scores, scores, {}).recommended == chosen
+
+
+def test_each_channel_counts_the_same_in_the_recommendation() -> None:
+    """In raw units the first channel would decide alone, for the mean."""
+    r = record()
+    noise = np.random.default_rng(0).standard_normal((LENGTH, 1))
+    both = replace(r, y=np.hstack([1e6 * noise, r.y]), y_true=None, y_sim=None, columns=())
+    assert try_out(both, ["mean", "harmonic"], SETUP).recommended == "harmonic"
+
+
 def test_the_held_out_error_is_that_of_forecasts_from_three_beginnings() -> None:
     r = record()
     begins = (90, 100, 110)

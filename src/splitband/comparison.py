@@ -27,6 +27,8 @@ Array = npt.NDArray[np.float64]
 
 HELD_OUT = 0.25
 """Share of the training part by which the recommended method is chosen."""
+WORTH_TRAINING = 0.1
+"""By how much a network's held-out error must be lower than that of what needs no training."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,8 +223,15 @@ class Trial:
 
     @property
     def recommended(self) -> str:
-        """The method with the lowest score."""
-        return min(self.scores, key=lambda method: self.scores[method])
+        """The method with the lowest score; a network has to be better by `WORTH_TRAINING`.
+
+        Held-out parts are short: of two methods that do equally well there, the simpler one is the
+        safer.
+        """
+        return min(
+            self.scores,
+            key=lambda m: self.scores[m] * (1 if m in FIXED else 1 + WORTH_TRAINING),
+        )
 
 
 def try_out(

@@ -21,6 +21,8 @@ RESOLUTION = 0.1
 """Sinusoids too close to be told apart are fitted as one: singular values below this are cut."""
 LONGEST = 4000
 """Samples that harmonic regression is fitted to at most: its time grows with them."""
+STRONG_EVIDENCE = 6.0
+"""Of decays, by the information criterion: noise taken for one is carried beyond the record."""
 FASTEST_DECAY = 20.0
 """Over the whole record, as an exponent: what is gone faster is not worth a sinusoid."""
 
@@ -234,7 +236,8 @@ def _fit_channel(y: Array, sinusoids: int | None, damped: bool) -> _Modes:
     best = _greedy(scaled, sinusoids, 0.0)
     if damped:
         decaying = _sustained(_greedy(scaled, sinusoids, 0.3 / len(y)), scaled)
-        best = min(best, decaying, key=lambda modes: modes.information(scaled))
+        if decaying.information(scaled) < best.information(scaled) - STRONG_EVIDENCE:
+            best = decaying
     coefficients = best.coefficients * scale
     coefficients[0] += offset
     return best._replace(coefficients=coefficients)
