@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from splitband.calibration import samples_needed
-from splitband.comparison import compare, run_baseline, try_out
+from splitband.comparison import compare, run_baseline
 from splitband.data import Trajectory, double_torsion, drill_string
 from splitband.files import write_json
 from splitband.methods import default_methods, default_setup, paper_settings, with_variants
@@ -31,6 +31,7 @@ from splitband.systems import (
     van_der_pol,
     van_der_pol_simulator,
 )
+from splitband.trial import try_out
 
 DRAWS = 20
 Facts = dict[str, Any]

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from splitband import Settings, Trajectory
-from splitband.comparison import Trial, compare, ensemble, hold_out, try_out
+from splitband.comparison import compare, ensemble
 from splitband.methods import CALIBRATED, Setup, default_methods
 from splitband.metrics import rmse
+from splitband.trial import Trial, hold_out, try_out
 
 DT, TRAIN, LENGTH, WARMUP = 0.1, 120, 200, 10
 SETUP = Setup(TRAIN, Settings(40, WARMUP, 1, 16), cutoff=0.6, hidden_high=4, hidden_low=3)

@@ -14,6 +14,7 @@ LAYERS = (
     "paper",
     "plots",
     "reporting",
+    "trial",
     "comparison",
     "processes",
     "methods",
@@ -27,6 +28,7 @@ LAYERS = (
     "data",
     "calibration",
     "bands",
+    "harmonic",
     "naive",
     "spectrum",
     "resampling",
@@ -37,7 +39,17 @@ LAYERS = (
     "kernels",
 )
 # These import nothing from the package but compiled code.
-LEAVES = ("filters", "resampling", "metrics", "naive", "bands", "files", "threads", "kernels")
+LEAVES = (
+    "filters",
+    "resampling",
+    "metrics",
+    "naive",
+    "bands",
+    "harmonic",
+    "files",
+    "threads",
+    "kernels",
+)
 ONLY_IN = {
     "matplotlib": {"plots"},
     "numba": {"kernels"},

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splitband.naive import HarmonicRegression, Naive, Persistence, SeasonalNaive
+from splitband.harmonic import HarmonicRegression
+from splitband.naive import Naive, Persistence, SeasonalNaive
 from splitband.systems import double_mass_spring
 
 Array = npt.NDArray[Any]

@@ -15,8 +15,9 @@ from splitband.calibration import Calibration, affine_fit, calibrate
 from splitband.cells import GRU, Cell, EulerMLP
 from splitband.data import Trajectory
 from splitband.filters import ComplementaryPair, butterworth
+from splitband.harmonic import HarmonicRegression
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
-from splitband.naive import Given, HarmonicRegression, Mean, Naive, Persistence, SeasonalNaive
+from splitband.naive import Given, Mean, Naive, Persistence, SeasonalNaive
 from splitband.spectrum import default_cutoff
 from splitband.training import Settings, default_warmup
 

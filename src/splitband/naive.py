@@ -8,23 +8,13 @@ measured sample before them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
 Array = npt.NDArray[np.float64]
-
-
-RESOLUTION = 0.1
-"""Sinusoids too close to be told apart are fitted as one: singular values below this are cut."""
-LONGEST = 4000
-"""Samples that harmonic regression is fitted to at most: its time grows with them."""
-STRONG_EVIDENCE = 6.0
-"""Of decays, by the information criterion: noise taken for one is carried beyond the record."""
-FASTEST_DECAY = 20.0
-"""Over the whole record, as an exponent: what is gone faster is not worth a sinusoid."""
 
 
 class Naive(Protocol):
@@ -127,52 +117,6 @@ class SeasonalNaive:
         return f"the last {self.lag} training samples, repeated"
 
 
-@dataclass(frozen=True, eq=False)
-class HarmonicRegression:
-    """A sum of sinusoids and an offset, by least squares; use `HarmonicRegression.fit`.
-
-    Attributes
-    ----------
-    frequencies : In cycles per sample, one array for each channel.
-    coefficients : Offset, then cosine and sine amplitudes, one array for each channel.
-    dampings : Decay rates per sample, one array for each channel; zero for what goes on for ever.
-    begin : Index of the first sample that was fitted, from which they decay.
-    """
-
-    frequencies: tuple[Array, ...]
-    coefficients: tuple[Array, ...]
-    dampings: tuple[Array, ...]
-    begin: int = 0
-
-    @classmethod
-    def fit(cls, y: Array, sinusoids: int | None = None, damped: bool = True) -> HarmonicRegression:
-        """Fit `y` `(time, ny)`, each channel by itself.
-
-        Sinusoids are added one by one at the peak of the residual's spectrum and then moved
-        together to the least squares. By default as many as the Bayesian information criterion
-        is willing to pay for, at most 10. With `damped` each may decay where that pays too, as the
-        free vibrations of a driven system do: without, two that beat against each other take the
-        place of one that decays, and grow again after the record. Of a long record the last
-        `LONGEST` samples are fitted.
-        """
-        begin = max(len(y) - LONGEST, 0)
-        fitted = [_fit_channel(channel, sinusoids, damped) for channel in y[begin:].T]
-        frequencies, dampings, coefficients = (tuple(p) for p in zip(*fitted, strict=True))
-        return cls(frequencies, coefficients, dampings, begin)
-
-    def predict(self, start: int, steps: int, last: Array) -> Array:
-        """See `Naive`."""
-        index = np.arange(start, start + steps) - self.begin
-        channels = zip(self.frequencies, self.dampings, self.coefficients, strict=True)
-        return np.stack([_basis(f, d, index) @ c for f, d, c in channels], axis=1)
-
-    def __str__(self) -> str:
-        counts = "+".join(str(len(f)) for f in self.frequencies)
-        decaying = sum(int((d > 0).sum()) for d in self.dampings)
-        some = f", {decaying} of them decaying," if decaying else ""
-        return f"{counts} sinusoid(s){some} and an offset"
-
-
 def _self_similar_lags(y: Array, most: int = 200) -> list[int]:
     """Lags up to half of `y` with the smallest local minima of mean (y_n - y_{n+lag})^2."""
     n = len(y)
@@ -194,137 +138,3 @@ def _backward_error(y: Array, lag: int) -> float:
     period, earlier = y[-lag:], y[:-lag]
     repeated = period[(np.arange(len(earlier)) - len(y)) % lag]
     return float(np.mean((earlier - repeated) ** 2))
-
-
-def _basis(frequencies: Array, dampings: Array, index: npt.NDArray[np.int_]) -> Array:
-    phase = 2 * np.pi * np.outer(index, frequencies)
-    size = np.exp(-np.outer(np.maximum(index, 0), dampings))  # no growth backwards
-    return np.hstack([np.ones((len(index), 1)), size * np.cos(phase), size * np.sin(phase)])
-
-
-def _solve(frequencies: Array, dampings: Array, y: Array) -> tuple[Array, Array]:
-    basis = _basis(frequencies, dampings, np.arange(len(y)))
-    coefficients = np.linalg.lstsq(basis, y, rcond=RESOLUTION)[0].astype(np.float64)
-    return coefficients, y - basis @ coefficients
-
-
-class _Modes(NamedTuple):
-    """Sinusoids of one channel: what `_basis` and its coefficients need."""
-
-    frequencies: Array
-    dampings: Array
-    coefficients: Array
-
-    @classmethod
-    def solved(cls, frequencies: Array, dampings: Array, y: Array) -> _Modes:
-        return cls(frequencies, dampings, _solve(frequencies, dampings, y)[0])
-
-    def residual(self, y: Array) -> Array:
-        return y - _basis(self.frequencies, self.dampings, np.arange(len(y))) @ self.coefficients
-
-    def information(self, y: Array) -> float:
-        """Bayesian information criterion of a Gaussian residual, taken as 1e-8 of y at least."""
-        variance = max(float(np.mean(self.residual(y) ** 2)), 1e-16 * float(np.mean(y**2)), 1e-300)
-        parameters = 1 + 3 * len(self.frequencies) + int((self.dampings > 0).sum())
-        return len(y) * float(np.log(variance)) + parameters * float(np.log(len(y)))
-
-
-def _fit_channel(y: Array, sinusoids: int | None, damped: bool) -> _Modes:
-    """What fits a channel best, in its units; found in units of its own range."""
-    offset, scale = float(y.mean()), float(np.ptp(y)) or 1.0
-    scaled = (y - offset) / scale
-    best = _greedy(scaled, sinusoids, 0.0)
-    if damped:
-        decaying = _sustained(_greedy(scaled, sinusoids, 0.3 / len(y)), scaled)
-        if decaying.information(scaled) < best.information(scaled) - STRONG_EVIDENCE:
-            best = decaying
-    coefficients = best.coefficients * scale
-    coefficients[0] += offset
-    return best._replace(coefficients=coefficients)
-
-
-def _greedy(y: Array, sinusoids: int | None, damping: float) -> _Modes:
-    """Add sinusoids one by one; each begins with `damping`, which stays if it is zero."""
-    n = len(y)
-    most = min(10 if sinusoids is None else sinusoids, max((n - 2) // (4 if damping else 3), 0))
-    modes = best = _Modes.solved(np.empty(0), np.empty(0), y)
-    for _ in range(most):
-        peak = scipy.signal.periodogram(modes.residual(y), nfft=8 * n, detrend=False)
-        found = peak[0][1:][np.argmax(peak[1][1:])]
-        moved = np.append(modes.frequencies, found), np.append(modes.dampings, damping)
-        modes = _Modes.solved(*_refine(*moved, y), y)
-        if sinusoids is not None or modes.information(y) < best.information(y):
-            best = modes
-    return best
-
-
-def _sustained(modes: _Modes, y: Array) -> _Modes:
-    """Drop each damping that does not pay for itself, the slowest decay first."""
-    for i in np.argsort(modes.dampings):
-        kept = np.where(np.arange(len(modes.dampings)) == i, 0.0, modes.dampings)
-        without = _Modes.solved(*_refine(modes.frequencies, kept, y), y)
-        if without.information(y) < modes.information(y):
-            modes = without
-    return modes
-
-
-def _refine(frequencies: Array, dampings: Array, y: Array) -> tuple[Array, Array]:
-    """Move frequencies and dampings to the least squares, the amplitudes being eliminated.
-
-    A damping of zero stays.
-    """
-    count, reach = len(frequencies), 1 / len(y)
-    decaying = dampings > 0
-    moving = np.append(np.full(count, True), decaying)
-    # A sinusoid of less than a cycle in the record would be a drift, and run away beyond it.
-    low = np.clip(frequencies - reach, reach, 0.5)
-    high = np.clip(frequencies + reach, 1.01 * reach, 0.5 + 1e-9)
-    begin = np.clip(frequencies, low, high)
-    fastest = FASTEST_DECAY * reach
-    low = np.append(low, np.zeros(decaying.sum()))
-    high = np.append(high, np.full(decaying.sum(), fastest))
-    begin = np.append(begin, np.clip(dampings[decaying], 1e-3 * reach, 0.99 * fastest))
-
-    def parts(moved: Array) -> tuple[Array, Array]:
-        rates = np.zeros(count)
-        rates[decaying] = moved[count:]
-        return moved[:count], rates
-
-    def residual(moved: Array) -> Array:
-        return _solve(*parts(moved), y)[1]
-
-    def slopes(moved: Array) -> Array:
-        return _slopes(*parts(moved), y)[:, moving]
-
-    found = scipy.optimize.least_squares(
-        residual,
-        begin,
-        jac=slopes,
-        bounds=(low, high),
-        x_scale=reach,
-        ftol=1e-12,
-        xtol=1e-12,
-        max_nfev=50,
-    )
-    return parts(np.asarray(found.x))
-
-
-def _slopes(frequencies: Array, dampings: Array, y: Array) -> Array:
-    """What the residual of `_solve` does when each frequency, then each damping moves.
-
-    The derivative of the basis, as far as the basis itself cannot make up for it (Kaufman's
-    approximation of variable projection).
-    """
-    index = np.arange(len(y))
-    basis = _basis(frequencies, dampings, index)
-    left, sizes, right = np.linalg.svd(basis, full_matrices=False)
-    kept = sizes > RESOLUTION * sizes[0]
-    left, sizes, right = left[:, kept], sizes[kept], right[kept]
-    coefficients = right.T @ ((left.T @ y) / sizes)
-    count = len(frequencies)
-    cosine, sine = basis[:, 1 : 1 + count], basis[:, 1 + count :]
-    a, b = coefficients[1 : 1 + count], coefficients[1 + count :]
-    turned = 2 * np.pi * index[:, None] * (b * cosine - a * sine)
-    shrunk = -index[:, None] * (a * cosine + b * sine)
-    moved = np.hstack([turned, shrunk])
-    return np.asarray(left @ (left.T @ moved) - moved)

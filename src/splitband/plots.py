@@ -13,12 +13,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splitband.bands import Band
-from splitband.comparison import Run, Trial
+from splitband.comparison import Run
 from splitband.data import Trajectory
 from splitband.files import replacing
 from splitband.methods import Setup
 from splitband.metrics import cumulative_rmse
 from splitband.spectrum import Spectrum, coherence, periodogram
+from splitband.trial import Trial
 
 Array = npt.NDArray[np.float64]
 Picture: TypeAlias = Figure

@@ -15,9 +15,10 @@ import numpy as np
 import pandas as pd
 
 from splitband.bands import Band
-from splitband.comparison import Run, Trial, ensemble
+from splitband.comparison import Run, ensemble
 from splitband.data import Trajectory
 from splitband.methods import Setup
+from splitband.trial import Trial
 
 
 def results(

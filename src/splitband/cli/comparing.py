@@ -10,7 +10,6 @@ import typer
 from splitband import plots, reporting
 from splitband.cli import options, showing
 from splitband.cli.simulating import with_simulator
-from splitband.comparison import HELD_OUT, check_trial, try_out
 from splitband.comparison import compare as run_comparison
 from splitband.data import Trajectory
 from splitband.files import output_folder, replacing, write_json
@@ -26,6 +25,7 @@ from splitband.methods import (
 from splitband.paper.settings import RECORD_SETTINGS, SAMPLE_FREQUENCY
 from splitband.spectrum import periodogram
 from splitband.threads import available_cores
+from splitband.trial import HELD_OUT, check_trial, try_out
 
 
 def compare(

@@ -11,10 +11,11 @@ import typer
 from splitband import plots, reporting
 from splitband.cli import options, showing
 from splitband.cli.simulating import with_simulator
-from splitband.comparison import Trial, ahead_of, check_trial, compare, try_out
+from splitband.comparison import ahead_of, compare
 from splitband.files import output_folder, replacing, write_json
 from splitband.methods import CALIBRATED, METHODS, TRAINED, check, default_methods
 from splitband.threads import available_cores
+from splitband.trial import Trial, check_trial, try_out
 
 
 def forecast(

@@ -12,9 +12,10 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from rich.table import Table
 from rich.text import Text
 
-from splitband.comparison import Run, RunProgress, Trial, ensemble
+from splitband.comparison import Run, RunProgress, ensemble
 from splitband.data import Trajectory
 from splitband.methods import Setup
+from splitband.trial import Trial
 
 console = Console(
     soft_wrap=not sys.stdout.isatty(),
