@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.metrics import rmse
+from splitband.metrics import rmse, spread
 
 Array = npt.NDArray[np.float64]
 Term = Literal["gain", "offset", "delay", "clock"]
@@ -150,7 +150,7 @@ def calibrate(
         )
     spare = len(y_sim) - samples
     # Each channel counts the same, whatever its unit.
-    scale = np.where(np.ptp(y, axis=0) > 0, y.std(axis=0), 1.0)
+    scale = spread(y)
     y, y_sim = y / scale, y_sim / scale
     if terms is not None:
         wanted = tuple(terms)

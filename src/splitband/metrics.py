@@ -36,6 +36,13 @@ def fit_percent(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
     return 100 * (1 - nrmse(y, prediction))
 
 
+def spread(y: npt.ArrayLike) -> Array:
+    """The standard deviation of each channel of `y` `(time, ny)`; 1 for a constant one, `(ny,)`."""
+    y = np.asarray(y, float)
+    # Rounding gives a constant a tiny deviation, so that its range decides.
+    return np.asarray(np.where(np.ptp(y, axis=0) > 0, y.std(axis=0), 1.0))
+
+
 def _squared_errors(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
     y, prediction = np.asarray(y, float), np.asarray(prediction, float)
     if y.shape != prediction.shape or y.ndim not in (1, 2) or not len(y):

@@ -15,7 +15,7 @@ from splitband.bands import Band
 from splitband.comparison import RunProgress, compare
 from splitband.data import Trajectory
 from splitband.methods import FIXED, Setup, check
-from splitband.metrics import rmse
+from splitband.metrics import rmse, spread
 from splitband.training import Settings
 
 Array = npt.NDArray[np.float64]
@@ -98,7 +98,7 @@ def try_out(
         ]
         for method, (r,) in runs.items()
     }
-    scale = np.where(np.ptp(part.y, axis=0) > 0, part.y.std(axis=0), 1.0)
+    scale = spread(part.y)
 
     def size(errors: Sequence[Array]) -> float:
         every = np.concatenate(errors)

@@ -25,7 +25,7 @@ from splitband.methods import (
 from splitband.paper.settings import RECORD_SETTINGS, SAMPLE_FREQUENCY
 from splitband.spectrum import periodogram
 from splitband.threads import available_cores
-from splitband.trial import HELD_OUT, check_trial, try_out
+from splitband.trial import HELD_OUT, WORTH_TRAINING, check_trial, try_out
 
 
 def compare(
@@ -172,8 +172,9 @@ def _compare(
     showing.console.print(showing.comparison(_title(record, setup), record, setup, runs, trial))
     best = trial.recommended
     showing.console.print(
-        f"recommended: {best}, which forecasts the last {HELD_OUT:.0%} of the training part best "
-        f"from the rest of it (RMSE {trial.errors[best]:.3g} against the measurement)"
+        f"recommended: {best}, by its forecast of the last {HELD_OUT:.0%} of the training part from "
+        f"the rest of it: RMSE {trial.errors[best]:.3g} against the measurement; a network has to "
+        f"be {WORTH_TRAINING:.0%} better than what needs no training"
     )
     showing.console.print(
         f"cut-off {setup.cutoff:g} Hz{_papers_cutoff(record, setup)}, order {setup.order}: "

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from splitband.cells import Cell
 from splitband.data import Trajectory
+from splitband.metrics import spread
 
 Signal = TypeVar("Signal", npt.NDArray[Any], Tensor)
 
@@ -158,10 +159,8 @@ class Model(nn.Module, ABC):
             return
         for name, values in (("y", trajectory.y), ("u", trajectory.u)):
             if values is not None:
-                # Rounding gives a constant a tiny deviation, so that its range decides.
-                spread = np.where(np.ptp(values, axis=0) > 0, values.std(axis=0), 1.0)
                 getattr(self, f"{name}_mean").copy_(torch.from_numpy(values.mean(axis=0)))
-                getattr(self, f"{name}_std").copy_(torch.from_numpy(spread))
+                getattr(self, f"{name}_std").copy_(torch.from_numpy(spread(values)))
 
     def normalised(self, trajectory: Trajectory) -> Signals:
         """The signals of a record as the networks see them, each `(time, n)`."""
