@@ -28,6 +28,7 @@ LAYERS = (
     "data",
     "calibration",
     "bands",
+    "periodic",
     "harmonic",
     "naive",
     "spectrum",

@@ -6,6 +6,7 @@ sum of such sinusoids.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -55,8 +56,17 @@ class HarmonicRegression:
         """
         begin = max(len(y) - LONGEST, 0)
         fitted = [_fit_channel(channel, sinusoids, damped) for channel in y[begin:].T]
-        frequencies, dampings, coefficients = (tuple(p) for p in zip(*fitted, strict=True))
-        return cls(frequencies, coefficients, dampings, begin)
+        return cls.of(fitted, begin)
+
+    @classmethod
+    def of(cls, channels: Sequence[Modes], begin: int) -> HarmonicRegression:
+        """From the sinusoids of each channel."""
+        return cls(
+            tuple(m.frequencies for m in channels),
+            tuple(m.coefficients for m in channels),
+            tuple(m.dampings for m in channels),
+            begin,
+        )
 
     def predict(self, start: int, steps: int, last: Array) -> Array:
         """See `Naive`."""
@@ -83,28 +93,65 @@ def _solve(frequencies: Array, dampings: Array, y: Array) -> tuple[Array, Array]
     return coefficients, y - basis @ coefficients
 
 
-class _Modes(NamedTuple):
-    """Sinusoids of one channel: what `_basis` and its coefficients need."""
+class Modes(NamedTuple):
+    """Sinusoids of one channel `y` `(time,)`, and their amplitudes.
+
+    Attributes
+    ----------
+    frequencies, dampings, coefficients : As those of a channel of `HarmonicRegression`.
+    harmonics : The first so many are multiples of the first one: 1, 2, 3... times its frequency.
+    """
 
     frequencies: Array
     dampings: Array
     coefficients: Array
+    harmonics: int = 1
 
     @classmethod
-    def solved(cls, frequencies: Array, dampings: Array, y: Array) -> _Modes:
-        return cls(frequencies, dampings, _solve(frequencies, dampings, y)[0])
+    def solved(cls, frequencies: Array, dampings: Array, y: Array, harmonics: int = 1) -> Modes:
+        """With the amplitudes that fit `y` best."""
+        return cls(frequencies, dampings, _solve(frequencies, dampings, y)[0], harmonics)
+
+    def refined(self, y: Array) -> Modes:
+        """With the frequencies and dampings nearby that fit `y` best, amplitudes as in `solved`."""
+        moved = _refine(self.frequencies, self.dampings, y, self.harmonics)
+        return Modes.solved(*moved, y, self.harmonics)
+
+    def with_another(self, y: Array, damping: float, weight: float = 0.0) -> Modes:
+        """With one more, at the peak of the residual's spectrum, and refined.
+
+        A damping of zero stays. A `weight` lets the beginning of the record count more.
+        """
+        seen = self.residual(y) * np.exp(-weight * np.arange(len(y)) / len(y))
+        frequencies, power = scipy.signal.periodogram(seen, nfft=8 * len(y), detrend=False)
+        found = frequencies[1:][np.argmax(power[1:])]
+        more = np.append(self.frequencies, found), np.append(self.dampings, damping)
+        return self._replace(frequencies=more[0], dampings=more[1]).refined(y)
+
+    def predict(self, index: npt.NDArray[np.int_]) -> Array:
+        """The samples of these indices, counted from the first that was fitted."""
+        return _basis(self.frequencies, self.dampings, index) @ self.coefficients
 
     def residual(self, y: Array) -> Array:
-        return y - _basis(self.frequencies, self.dampings, np.arange(len(y))) @ self.coefficients
+        """What they leave of `y`."""
+        return y - self.predict(np.arange(len(y)))
 
     def information(self, y: Array) -> float:
         """Bayesian information criterion of a Gaussian residual, taken as 1e-8 of y at least."""
         variance = max(float(np.mean(self.residual(y) ** 2)), 1e-16 * float(np.mean(y**2)), 1e-300)
-        parameters = 1 + 3 * len(self.frequencies) + int((self.dampings > 0).sum())
+        count = len(self.frequencies)
+        moving = count - max(min(self.harmonics, count) - 1, 0) + int((self.dampings > 0).sum())
+        parameters = 1 + 2 * count + moving
         return len(y) * float(np.log(variance)) + parameters * float(np.log(len(y)))
 
+    def in_units(self, offset: float, scale: float) -> Modes:
+        """Those of `offset + scale * y`."""
+        coefficients = self.coefficients * scale
+        coefficients[0] += offset
+        return self._replace(coefficients=coefficients)
 
-def _fit_channel(y: Array, sinusoids: int | None, damped: bool) -> _Modes:
+
+def _fit_channel(y: Array, sinusoids: int | None, damped: bool) -> Modes:
     """What fits a channel best, in its units; found in units of its own range."""
     offset, scale = float(y.mean()), float(np.ptp(y)) or 1.0
     scaled = (y - offset) / scale
@@ -113,48 +160,51 @@ def _fit_channel(y: Array, sinusoids: int | None, damped: bool) -> _Modes:
         decaying = _sustained(_greedy(scaled, sinusoids, 0.3 / len(y)), scaled)
         if decaying.information(scaled) < best.information(scaled) - STRONG_EVIDENCE:
             best = decaying
-    coefficients = best.coefficients * scale
-    coefficients[0] += offset
-    return best._replace(coefficients=coefficients)
+    return best.in_units(offset, scale)
 
 
-def _greedy(y: Array, sinusoids: int | None, damping: float) -> _Modes:
+def _greedy(y: Array, sinusoids: int | None, damping: float) -> Modes:
     """Add sinusoids one by one; each begins with `damping`, which stays if it is zero."""
     n = len(y)
     most = min(10 if sinusoids is None else sinusoids, max((n - 2) // (4 if damping else 3), 0))
-    modes = best = _Modes.solved(np.empty(0), np.empty(0), y)
+    modes = best = Modes.solved(np.empty(0), np.empty(0), y)
     for _ in range(most):
-        peak = scipy.signal.periodogram(modes.residual(y), nfft=8 * n, detrend=False)
-        found = peak[0][1:][np.argmax(peak[1][1:])]
-        moved = np.append(modes.frequencies, found), np.append(modes.dampings, damping)
-        modes = _Modes.solved(*_refine(*moved, y), y)
+        modes = modes.with_another(y, damping)
         if sinusoids is not None or modes.information(y) < best.information(y):
             best = modes
     return best
 
 
-def _sustained(modes: _Modes, y: Array) -> _Modes:
+def _sustained(modes: Modes, y: Array) -> Modes:
     """Drop each damping that does not pay for itself, the slowest decay first."""
     for i in np.argsort(modes.dampings):
         kept = np.where(np.arange(len(modes.dampings)) == i, 0.0, modes.dampings)
-        without = _Modes.solved(*_refine(modes.frequencies, kept, y), y)
+        without = modes._replace(dampings=kept).refined(y)
         if without.information(y) < modes.information(y):
             modes = without
     return modes
 
 
-def _refine(frequencies: Array, dampings: Array, y: Array) -> tuple[Array, Array]:
+def _refine(
+    frequencies: Array, dampings: Array, y: Array, harmonics: int = 1
+) -> tuple[Array, Array]:
     """Move frequencies and dampings to the least squares, the amplitudes being eliminated.
 
-    A damping of zero stays.
+    The first `harmonics` stay multiples of the first. A damping of zero stays.
     """
     count, reach = len(frequencies), 1 / len(y)
+    tied = min(harmonics, count)
+    multiples: Array = scipy.linalg.block_diag(
+        np.arange(1, tied + 1)[:, None], np.eye(count - tied)
+    )
+    free = np.delete(frequencies, np.arange(1, tied))
+    # What moves the fundamental moves its highest harmonic by a multiple of that.
+    around = reach / multiples.max(axis=0, initial=1)
     decaying = dampings > 0
-    moving = np.append(np.full(count, True), decaying)
     # A sinusoid of less than a cycle in the record would be a drift, and run away beyond it.
-    low = np.clip(frequencies - reach, reach, 0.5)
-    high = np.clip(frequencies + reach, 1.01 * reach, 0.5 + 1e-9)
-    begin = np.clip(frequencies, low, high)
+    low = np.clip(free - around, reach, 0.5)
+    high = np.clip(free + around, 1.01 * reach, 0.5 + 1e-9)
+    begin = np.clip(free, low, high)
     fastest = FASTEST_DECAY * reach
     low = np.append(low, np.zeros(decaying.sum()))
     high = np.append(high, np.full(decaying.sum(), fastest))
@@ -162,21 +212,22 @@ def _refine(frequencies: Array, dampings: Array, y: Array) -> tuple[Array, Array
 
     def parts(moved: Array) -> tuple[Array, Array]:
         rates = np.zeros(count)
-        rates[decaying] = moved[count:]
-        return moved[:count], rates
+        rates[decaying] = moved[len(free) :]
+        return np.asarray(multiples @ moved[: len(free)]), rates
 
     def residual(moved: Array) -> Array:
         return _solve(*parts(moved), y)[1]
 
     def slopes(moved: Array) -> Array:
-        return _slopes(*parts(moved), y)[:, moving]
+        by_each = _slopes(*parts(moved), y)
+        return np.hstack([by_each[:, :count] @ multiples, by_each[:, count:][:, decaying]])
 
     found = scipy.optimize.least_squares(
         residual,
         begin,
         jac=slopes,
         bounds=(low, high),
-        x_scale=reach,
+        x_scale=np.append(around, np.full(decaying.sum(), reach)),
         ftol=1e-12,
         xtol=1e-12,
         max_nfev=50,

@@ -18,6 +18,7 @@ from splitband.filters import ComplementaryPair, butterworth
 from splitband.harmonic import HarmonicRegression
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
 from splitband.naive import Given, Mean, Naive, Persistence, SeasonalNaive
+from splitband.periodic import fit_periodic
 from splitband.spectrum import default_cutoff
 from splitband.training import Settings, default_warmup
 
@@ -148,6 +149,7 @@ FIXED: dict[str, Callable[[Trajectory, int], Naive]] = {
     "persistence": lambda record, train: Persistence(),
     "seasonal-naive": lambda record, train: SeasonalNaive.fit(record.y[:train]),
     "harmonic": lambda record, train: HarmonicRegression.fit(record.y[:train]),
+    "periodic": lambda record, train: fit_periodic(record.y[:train]),
 }
 TRAINED = (
     *WHOLE,
@@ -189,7 +191,8 @@ def default_methods(with_simulator: bool) -> list[str]:
     if with_simulator:
         networks = ["filtered-gru" + both, "residual-gru" + both]
         simulator = ["simulator", "simulator" + CALIBRATED]
-    return ["gru", *networks, *simulator, "mean", "persistence", "seasonal-naive", "harmonic"]
+    naive = ["mean", "persistence", "seasonal-naive", "periodic", "harmonic"]
+    return ["gru", *networks, *simulator, *naive]
 
 
 def default_setup(

@@ -96,7 +96,7 @@ class SeasonalNaive:
         Compared are the lags up to half the record at which the record resembles itself: the
         local minima of its mean squared difference at a lag.
         """
-        errors = {lag: _backward_error(y, lag) for lag in sorted(_self_similar_lags(y))}
+        errors = {lag: _backward_error(y, lag) for lag in sorted(self_similar_lags(y))}
         # A period and its multiples tie up to rounding: the shortest one is meant.
         good_enough = min(errors.values()) * (1 + 1e-9) + 1e-24 * float(np.mean(y**2))
         lag = next(lag for lag, error in errors.items() if error <= good_enough)
@@ -117,7 +117,7 @@ class SeasonalNaive:
         return f"the last {self.lag} training samples, repeated"
 
 
-def _self_similar_lags(y: Array, most: int = 200) -> list[int]:
+def self_similar_lags(y: Array, most: int = 200) -> list[int]:
     """Lags up to half of `y` with the smallest local minima of mean (y_n - y_{n+lag})^2."""
     n = len(y)
     lags = np.arange(1, n // 2 + 1)

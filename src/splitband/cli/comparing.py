@@ -172,9 +172,9 @@ def _compare(
     showing.console.print(showing.comparison(_title(record, setup), record, setup, runs, trial))
     best = trial.recommended
     showing.console.print(
-        f"recommended: {best}, by its forecast of the last {HELD_OUT:.0%} of the training part from "
-        f"the rest of it: RMSE {trial.errors[best]:.3g} against the measurement; a network has "
-        f"to be {WORTH_TRAINING:.0%} better than what needs no training"
+        f"recommended: {best}, by its forecast of the last {HELD_OUT:.0%} of the training part "
+        f"from the rest of it: RMSE {trial.errors[best]:.3g} against the measurement; a network "
+        f"has to be {WORTH_TRAINING:.0%} better than what needs no training"
     )
     showing.console.print(
         f"cut-off {setup.cutoff:g} Hz{_papers_cutoff(record, setup)}, order {setup.order}: "
