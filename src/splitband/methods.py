@@ -42,7 +42,7 @@ class Setup:
     cutoff : Of the filter pair, in Hz.
     order : Of each Butterworth filter.
     downsampling : k of the low band.
-    hidden_high, hidden_low : Sizes of the two GRUs; a single one has their sum.
+    hidden_high, hidden_low : Sizes of the two GRUs, here the paper's; a single one has their sum.
     state_size, step_size : Of the "RNN", an `EulerMLP`.
     overrides : Other settings for some methods.
     """
@@ -208,8 +208,10 @@ def default_setup(
     """
     y, rate = record.y[:train], record.sampling_rate
     cutoff = default_cutoff(y, rate, downsampling) if cutoff is None else cutoff
-    settings = Settings.of(train) if recipe == "default" else paper_settings(train)
-    return Setup(train, settings, cutoff, downsampling=downsampling)
+    if recipe == "paper":
+        return Setup(train, paper_settings(train), cutoff, downsampling=downsampling)
+    settings = Settings.of(train)
+    return Setup(train, settings, cutoff, downsampling=downsampling, hidden_high=32, hidden_low=16)
 
 
 def paper_settings(train: int) -> Settings:
