@@ -1,0 +1,136 @@
+"""What the default recipe is chosen by: the free-run error on the end of the training part.
+
+    python -m benchmarks.recipe [--out docs/results/recipe] [--seeds 2] [--jobs 2] [VARIANT ...]
+
+Each variant changes one thing of the recipe. A network is trained on three quarters of a training
+part and forecasts the rest of it; no later sample is looked at. Each variant is a JSON file that is
+made once; the page beside them, recipe.md, is made of all that are there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import statistics
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from benchmarks.beyond import SYSTEMS
+from splitband.comparison import compare
+from splitband.files import write_json
+from splitband.metrics import spread
+from splitband.methods import CALIBRATED, CONDITIONED, Setup, default_setup, paper_settings
+from splitband.trial import hold_out
+
+STUDIED = ("i, draw 0", "i, draw 1", "double-torsion record", "pendulum ii", "v", "vi")
+HYBRID = ("gru", "filtered-gru" + CALIBRATED + CONDITIONED)
+LEARNED = ("gru", "split-gru" + CONDITIONED)
+SECONDS = "seconds"
+
+Found = dict[str, dict[str, list[float]]]
+"""Of one variant: by system and method, in standard deviations of the training part, one a seed."""
+
+
+def _training(setup: Setup, **changes: object) -> Setup:
+    return replace(setup, settings=replace(setup.settings, **changes))  # type: ignore[arg-type]
+
+
+def _window(setup: Setup, samples: int) -> Setup:
+    window = min(samples, setup.settings.window)
+    return _training(setup, window=window, warmup=min(setup.settings.warmup, max(1, window // 3)))
+
+
+def _steps(setup: Setup, factor: float) -> Setup:
+    return _training(setup, epochs=max(1, round(factor * setup.settings.epochs)))
+
+
+VARIANTS: dict[str, Callable[[Setup], Setup]] = {
+    "default": lambda setup: setup,
+    "hidden 16, 8": lambda setup: replace(setup, hidden_high=16, hidden_low=8),
+    "hidden 64, 32": lambda setup: replace(setup, hidden_high=64, hidden_low=32),
+    "windows of 150": partial(_window, samples=150),
+    "windows of 250": partial(_window, samples=250),
+    "half the steps": partial(_steps, factor=0.5),
+    "twice the steps": partial(_steps, factor=2.0),
+    "no growth": partial(_training, growth=0.0),
+    "no clipping": partial(_training, clip=None),
+    "rate 1e-3": partial(_training, learning_rate=1e-3),
+    "constant rate 1e-3": partial(_training, learning_rate=1e-3, one_cycle=False),
+    "paper's recipe": lambda setup: replace(setup, settings=paper_settings(setup.train)),
+}
+
+
+def measured(name: str, seeds: int, jobs: int) -> Found:
+    """Train one variant on all systems."""
+    found: Found = {}
+    for system in STUDIED:
+        record, train = SYSTEMS[system].record(), SYSTEMS[system].train
+        methods = LEARNED if record.y_sim is None else HYBRID
+        part, shorter = hold_out(record, VARIANTS[name](default_setup(record, train)))
+        runs = compare(part, methods, shorter, range(seeds), jobs)
+        scale = float(spread(part.y).mean())
+        found[system] = {m: [r.forecast_rmse / scale for r in of] for m, of in runs.items()}
+        found[system][SECONDS] = [r.seconds for of in runs.values() for r in of]
+    return found
+
+
+def page(found: dict[str, Found]) -> str:
+    """All that was measured, in Markdown."""
+    assert __doc__ is not None
+    mean = {
+        name: {system: _logarithm(of_system) for system, of_system in of_variant.items()}
+        for name, of_variant in found.items()
+    }
+    lines = [
+        f"# {__doc__.splitlines()[0]}\n",
+        "Free-run RMSE on the last quarter of the training part from the rest of it, in standard "
+        f"deviations of it: geometric mean over {' and '.join(LEARNED)}, where there is a "
+        f"simulator {' and '.join(HYBRID)}, and over seeds. Last, the geometric mean over systems "
+        "against the default's, and the time of a training.\n",
+        f"| variant | {' | '.join(STUDIED)} | to the default | fit (s) |",
+        "|---|" + "---:|" * (len(STUDIED) + 2),
+    ]
+    for name, of_variant in found.items():
+        seconds = [s for of_system in of_variant.values() for s in of_system[SECONDS]]
+        ratio = math.exp(statistics.mean(mean[name][s] - mean["default"][s] for s in STUDIED))
+        cells = " | ".join(f"{math.exp(mean[name][system]):.3f}" for system in STUDIED)
+        lines.append(f"| {name} | {cells} | {ratio:.2f} | {statistics.mean(seconds):.1f} |")
+    return "\n".join(lines) + "\n"
+
+
+def _logarithm(of_system: dict[str, list[float]]) -> float:
+    errors = [e for method, of in of_system.items() if method != SECONDS for e in of]
+    return statistics.mean(map(math.log, errors))
+
+
+def main() -> None:
+    """Measure what is missing, and write the page."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("variants", nargs="*", metavar="VARIANT", help=", ".join(VARIANTS))
+    parser.add_argument("--out", type=Path, default=Path("docs/results/recipe"))
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--jobs", type=int, default=2)
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    for name in arguments.variants or VARIANTS:
+        path = _path(arguments.out, name)
+        if not path.exists():
+            print(name, flush=True)
+            write_json(path, measured(name, arguments.seeds, arguments.jobs))
+    found = {
+        name: json.loads(_path(arguments.out, name).read_text(encoding="utf-8"))
+        for name in VARIANTS
+        if _path(arguments.out, name).exists()
+    }
+    arguments.out.with_suffix(".md").write_text(page(found), encoding="utf-8")
+
+
+def _path(out: Path, name: str) -> Path:
+    return out / f"{name.replace(', ', '-').replace(' ', '-').replace(chr(39), '')}.json"
+
+
+if __name__ == "__main__":
+    main()
