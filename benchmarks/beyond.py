@@ -79,12 +79,9 @@ def measured(name: str, seeds: int, jobs: int) -> Facts:
         methods = [*dict.fromkeys([*methods, *with_variants(base, hybrid, True), *plain])]
     setup = default_setup(record, system.train)
     chosen = range(1 if many else seeds)
-    facts = results(
-        record,
-        setup,
-        compare(record, methods, setup, chosen, jobs),
-        try_out(record, methods, setup, jobs),
-    )
+    trial = try_out(record, methods, setup, chosen, jobs)
+    runs = compare(record, methods, setup, chosen, jobs)
+    facts = results(record, setup, runs, trial.settled(runs))
     if many:
         oracle = run_baseline("oracle", double_mass_spring_oracle, record, setup)
         facts["oracle"] = {"total_rmse": oracle.total_rmse, "forecast_rmse": oracle.forecast_rmse}

@@ -21,8 +21,8 @@ from pathlib import Path
 from benchmarks.beyond import SYSTEMS
 from splitband.comparison import compare
 from splitband.files import write_json
-from splitband.metrics import spread
 from splitband.methods import CALIBRATED, CONDITIONED, Setup, default_setup, paper_settings
+from splitband.metrics import spread
 from splitband.trial import hold_out
 
 STUDIED = ("i, draw 0", "i, draw 1", "double-torsion record", "pendulum ii", "v", "vi")

@@ -183,7 +183,8 @@ def assert_pictures(folder: Path, *names: str) -> None:
 def compared(workspace: Path) -> Path:
     methods = "gru,split-gru-hp,persistence,seasonal-naive,harmonic"
     out = workspace / "compared"
-    call(f"compare {workspace}/record.csv --columns a --methods {methods} {QUICK} --jobs 1", out)
+    line = f"compare {workspace}/record.csv --columns a --methods {methods} {QUICK} --seeds 1"
+    call(f"{line} --jobs 1", out)
     return out
 
 
@@ -294,7 +295,8 @@ def test_the_horizon_ends_both_protocols(tmp_path: Path) -> None:
 
 def test_compare_takes_several_channels_and_known_inputs(tmp_path: Path) -> None:
     call(f"compare record.csv --columns a,b --inputs force --methods rnn,split-gru,persistence "
-         f"{QUICK} --jobs 1 --lr-milestones 1:1e-4 --order 2 --cutoff 1", tmp_path)  # fmt: skip
+         f"{QUICK} --seeds 1 --jobs 1 --lr-milestones 1:1e-4 --order 2 "
+         "--cutoff 1", tmp_path)  # fmt: skip
     found = results(tmp_path)
     assert (found["record"]["columns"], found["record"]["inputs"]) == (["a", "b"], 1)
     assert found["settings"]["settings"]["milestones"] == [[1, 1e-4]]
@@ -328,7 +330,7 @@ def hybrid(workspace: Path) -> Path:
     methods = "filtered-gru,residual-gru,gru,simulator,simulator-affine"
     out = workspace / "hybrid"
     call(f"compare {workspace}/record.csv --columns a --simulator {workspace}/simulated.csv "
-         f"--methods {methods} --calibrate {QUICK} --jobs 1", out)  # fmt: skip
+         f"--methods {methods} --calibrate {QUICK} --seeds 1 --jobs 1", out)  # fmt: skip
     return out
 
 
@@ -344,7 +346,7 @@ def test_calibration_adds_a_row_to_each_hybrid_method_only(hybrid: Path) -> None
 
 def test_calibrated_and_conditioned_variants_follow_the_method(tmp_path: Path) -> None:
     call("compare record.csv --columns a --simulator simulated.csv --methods filtered-gru "
-         f"--calibrate --conditioned {QUICK} --jobs 1", tmp_path)  # fmt: skip
+         f"--calibrate --conditioned {QUICK} --seeds 1 --jobs 1", tmp_path)  # fmt: skip
     found = results(tmp_path)["methods"]
     assert list(found) == [
         "filtered-gru", "filtered-gru-calibrated", "filtered-gru-conditioned",
@@ -702,7 +704,7 @@ def test_as_a_module_it_fails_with_one_line_too() -> None:
 # ---------------------------------------------------------------- bad input
 
 
-SPLIT = f"compare record.csv --columns a --methods split-gru {QUICK} --jobs 1 --out out "
+SPLIT = f"compare record.csv --columns a --methods split-gru {QUICK} --seeds 1 --jobs 1 --out out "
 GRU = SPLIT.replace("split-gru", "gru")
 SIMULATOR = "compare record.csv --columns a --methods simulator --warmup 10 --out out --simulator "
 FIT = f"fit record.csv --columns a --method gru {QUICK} --out out "

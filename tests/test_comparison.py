@@ -62,7 +62,47 @@ def test_a_network_has_to_be_a_tenth_better_than_what_needs_no_training(
     network: float, chosen: str
 ) -> None:
     scores = {"gru": network, "harmonic": 1.0, "mean": 1.2}
-    assert Trial(scores, scores, {}).recommended == chosen
+    early = {name: np.zeros((5, 1)) for name in scores}
+    trial = Trial(scores, scores, {}, early, np.ones(1))
+    assert trial.recommended == chosen
+    assert trial.best_network == "gru"
+
+
+def test_what_changes_its_mind_is_not_recommended() -> None:
+    scores = {"harmonic": 0.1, "mean": 1.0}
+    early = {name: np.zeros((5, 1)) for name in scores}
+    trial = Trial(scores, scores, {}, early, np.full(1, 2.0))
+    final = {"harmonic": np.full((5, 1), 4.0), "mean": np.full((5, 1), 0.1)}
+    changed = replace(trial, final=final)
+    assert (trial.recommended, changed.recommended) == ("harmonic", "mean")
+    assert changed.change("harmonic") == pytest.approx(4.0)
+    # What is not fitted in the end cannot be recommended.
+    assert replace(trial, final={"mean": final["mean"]}).recommended == "mean"
+
+
+def test_the_change_is_that_of_the_forecast_beyond_the_training_part() -> None:
+    r = record()
+    methods = ["persistence", "mean"]
+    trial = try_out(r, methods, SETUP).settled(compare(r, methods, SETUP))
+    assert trial.change("persistence") == pytest.approx(abs(r.y[TRAIN - 1, 0] - r.y[89, 0]))
+    assert trial.change("mean") == pytest.approx(abs(r.y[:TRAIN].mean() - r.y[:90].mean()))
+
+
+def test_what_draws_nothing_runs_once() -> None:
+    runs = compare(record(), ["gru", "mean"], SETUP, seeds=(3, 4))
+    assert [run.seed for run in runs["gru"]] == [3, 4]
+    assert len(runs["mean"]) == 1
+
+
+def test_several_seeds_are_tried_out_by_their_mean() -> None:
+    r = record()
+    trial = try_out(r, ["gru"], SETUP, seeds=(0, 1))
+    part, shorter = hold_out(r, SETUP)
+    found = compare(part, ["gru"], shorter, (0, 1), later=(100, 110))["gru"]
+    means = {90: np.mean([run.forecast for run in found], axis=0)}
+    means |= {start: np.mean([run.later[start] for run in found], axis=0) for start in (100, 110)}
+    left = np.concatenate([part.y[start:] - mean for start, mean in means.items()])
+    assert trial.errors["gru"] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-5)
 
 
 def test_each_channel_counts_the_same_in_the_recommendation() -> None:

@@ -169,14 +169,15 @@ def compare(
     Returns
     -------
     dict
-        The runs of each method, in the order of `seeds`.
+        The runs of each method, in the order of `seeds`; one of what draws nothing (`FIXED`).
     """
     check(record, methods, setup)
+    drawn = {method: seeds[:1] if method in FIXED else seeds for method in methods}
     # The longest first, so that no process is left with one of them at the end.
-    todo = sorted(((m, s) for m in methods for s in seeds), key=lambda job: job[0] in FIXED)
+    todo = sorted(((m, s) for m in methods for s in drawn[m]), key=lambda job: job[0] in FIXED)
     work = partial(_work, record, setup, progress is None, later)
     found = {(r.method, r.seed): r for r in over(work, todo, jobs, progress)}
-    return {m: [found[m, s] for s in seeds] for m in methods}
+    return {m: [found[m, s] for s in drawn[m]] for m in methods}
 
 
 def ahead_of(record: Trajectory, steps: int, u: Array | None = None) -> Trajectory:

@@ -195,7 +195,7 @@ def _refine(
     count, reach = len(frequencies), 1 / len(y)
     tied = min(harmonics, count)
     multiples: Array = scipy.linalg.block_diag(
-        np.arange(1, tied + 1)[:, None], np.eye(count - tied)
+        np.arange(1, tied + 1, dtype=np.float64)[:, None], np.eye(count - tied)
     )
     free = np.delete(frequencies, np.arange(1, tied))
     # What moves the fundamental moves its highest harmonic by a multiple of that.

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splitband.bands import Band
-from splitband.comparison import Run
+from splitband.comparison import Run, ensemble
 from splitband.data import Trajectory
 from splitband.files import replacing
 from splitband.methods import Setup
@@ -48,22 +48,22 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None =
     grid = figure.subplots(len(rows), 2, sharex="col", sharey=True, squeeze=False)
     warmup, end = setup.settings.warmup, setup.train
     for axes, (name, channel) in zip(grid, rows, strict=True):
-        first = runs[name][0]
+        mean = ensemble(runs[name], record, setup)
         sides = (
-            (axes[0], 0, warmup, first.from_start, [r.total_rmse for r in runs[name]]),
-            (axes[1], end - warmup, end, first.forecast, [r.forecast_rmse for r in runs[name]]),
+            (axes[0], 0, warmup, mean.from_start, mean.total_rmse),
+            (axes[1], end - warmup, end, mean.forecast, mean.forecast_rmse),
         )
-        for ax, begin, start, prediction, errors in sides:
+        for ax, begin, start, prediction, error in sides:
             _draw_record(ax, record, channel, begin)
             ax.plot(record.time[start:], prediction[:, channel], color=_color(runs, name), lw=1.1)
             ax.axvspan(record.time[begin], record.time[start - 1], color="0.93", zorder=0)
             ax.axvline(record.time[end], color="0.4", ls=":", lw=1)
             chosen = trial is not None and name == trial.recommended
-            title = f"{name}{' (recommended)' if chosen else ''}   RMSE {_spread(errors)}"
+            title = f"{name}{' (recommended)' if chosen else ''}   RMSE {_spread([error])}"
             ax.set_title(title, fontsize=9, loc="left", pad=3)
             ax.margins(x=0.01)
         if trial is not None:
-            middle = first.forecast[:, channel]
+            middle = mean.forecast[:, channel]
             half = trial.bands[name].half_widths(len(middle))[:, channel]
             color = _color(runs, name)
             axes[1].fill_between(
@@ -75,7 +75,7 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None =
     for ax in grid[-1]:
         ax.set_xlabel("time (s)")
     figure.suptitle(
-        f"{_literal(record.name)}: free runs (colour, first seed) over the record (grey)\n"
+        f"{_literal(record.name)}: free runs (colour, mean of the seeds) over the record (grey)\n"
         "left: from the start; right: forecast from the end of the training part "
         "(dotted line)"
         + (f", in {_band(trial.bands.values())}" if trial is not None else "")

@@ -43,6 +43,7 @@ def results(
             name: _method(of_method)
             | {
                 "held_out_rmse": trial.errors[name],
+                "change": trial.change(name),
                 "band": _band(trial.bands[name], record, setup, of_method),
                 "mean_of_seeds": _mean(record, setup, of_method),
             }

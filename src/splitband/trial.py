@@ -1,18 +1,18 @@
 """Trying methods out on the end of the training part: which to recommend, and how sure it is.
 
-Not in the paper. No sample after the training part is looked at.
+Not in the paper. No measured sample after the training part is looked at.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband.bands import Band
-from splitband.comparison import RunProgress, compare
+from splitband.comparison import Run, RunProgress, ahead_of, compare
 from splitband.data import Trajectory
 from splitband.methods import FIXED, Setup, check
 from splitband.metrics import rmse, spread
@@ -23,7 +23,10 @@ Array = npt.NDArray[np.float64]
 HELD_OUT = 0.25
 """Share of the training part by which the recommended method is chosen."""
 WORTH_TRAINING = 0.1
-"""By how much a network's held-out error must be lower than that of what needs no training."""
+"""By how much a network's score must be lower than that of what needs no training."""
+CHANGE_COUNTS = 0.5
+"""How much of a change of mind counts as an error, in squares: two forecasts that are equally far
+from the truth, in ways of their own, differ by twice the square of that."""
 
 
 def hold_out(record: Trajectory, setup: Setup) -> tuple[Trajectory, Setup]:
@@ -46,69 +49,108 @@ def hold_out(record: Trajectory, setup: Setup) -> tuple[Trajectory, Setup]:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """What the methods did on the held-out part of the training samples.
+    """What the methods did on the held-out part of the training samples; several seeds' mean did.
 
     Attributes
     ----------
     errors : RMSE of each method, fitted on the rest of the training part: of its forecasts to the
         end of the part from its beginning, from a third and from two thirds of it, together.
-    scores : The same of channels scaled to a deviation of 1, by which methods are compared.
+    scores : The same of channels scaled to a deviation of 1.
     bands : Around each method's forecast of the record, from those forecasts.
-
-    All of it is of one training of each network, with seed 0.
+    early : What each method forecast then of the samples after the training part, `(time, ny)`.
+    scale : By which the channels are scaled, `(ny,)`.
+    final : The same, once it is fitted on the whole training part; see `settled`.
     """
 
     errors: Mapping[str, float]
     scores: Mapping[str, float]
     bands: Mapping[str, Band]
+    early: Mapping[str, Array]
+    scale: Array
+    final: Mapping[str, Array] = field(default_factory=dict)
+
+    def settled(self, runs: Mapping[str, Sequence[Run]]) -> Trial:
+        """With what the methods forecast after all, out of which one is recommended.
+
+        The held-out part is short: a method may do well there and not know what comes much later.
+        Then it says something else as soon as it has seen a little more.
+        """
+        final = {m: np.mean([r.forecast for r in of_m], axis=0) for m, of_m in runs.items()}
+        return replace(self, final=final)
+
+    def change(self, method: str) -> float:
+        """RMSE between a method's early and final forecast, in the record's unit."""
+        return _size([self.final[method] - self.early[method]])
 
     @property
     def recommended(self) -> str:
-        """The method with the lowest score; a network has to be better by `WORTH_TRAINING`.
+        """The method with the lowest score and change; a network's by `WORTH_TRAINING`.
 
-        Held-out parts are short: of two methods that do equally well there, the simpler one is the
-        safer.
+        Of two methods that do equally well on short held-out parts, the simpler one is the safer.
         """
-        return min(
-            self.scores,
-            key=lambda m: self.scores[m] * (1 if m in FIXED else 1 + WORTH_TRAINING),
-        )
+        return min(self.final or self.scores, key=self._worth)
+
+    @property
+    def best_network(self) -> str | None:
+        """Of the networks, the one with the lowest score."""
+        networks = [method for method in self.scores if method not in FIXED]
+        return min(networks, key=lambda method: self.scores[method], default=None)
+
+    def _worth(self, method: str) -> float:
+        change = 0.0
+        if method in self.final:
+            change = _size([(self.final[method] - self.early[method]) / self.scale])
+        needed = 1.0 if method in FIXED else 1 + WORTH_TRAINING
+        return float(np.hypot(self.scores[method], np.sqrt(CHANGE_COUNTS) * change)) * needed
 
 
 def try_out(
     record: Trajectory,
     methods: Sequence[str],
     setup: Setup,
+    seeds: Sequence[int] = (0,),
     jobs: int = 1,
     progress: Callable[[RunProgress], None] | None = None,
 ) -> Trial:
     """Fit each method on the first part of the training samples and forecast the rest of them.
 
-    Arguments as for `compare`; samples after the training part are not looked at.
+    Arguments as for `compare`; no measured sample after the training part is looked at.
     """
     part, shorter = hold_out(record, setup)
     held = len(part) - shorter.train
+    u = None if record.u is None else record.u[setup.train :]
+    longer = ahead_of(part, len(record) - setup.train, u)
     # One beginning may suit a method by chance: the last sample, held, is now and then the mean.
     later = sorted({shorter.train + i * held // 3 for i in (1, 2)} - {shorter.train})
-    runs = compare(part, methods, shorter, (0,), jobs, progress, later)
+    runs = compare(longer, methods, shorter, seeds, jobs, progress, later)
+    forecasts = {method: _forecasts(of_method, shorter.train) for method, of_method in runs.items()}
     left = {
         method: [
-            part.y[start:] - forecast
-            for start, forecast in {shorter.train: r.forecast, **r.later}.items()
+            part.y[start:] - forecast[: len(part) - start] for start, forecast in of_method.items()
         ]
-        for method, (r,) in runs.items()
+        for method, of_method in forecasts.items()
     }
     scale = spread(part.y)
-
-    def size(errors: Sequence[Array]) -> float:
-        every = np.concatenate(errors)
-        return rmse(every, np.zeros_like(every))
-
     return Trial(
-        {m: size(e) for m, e in left.items()},
-        {m: size([error / scale for error in e]) for m, e in left.items()},
+        {m: _size(e) for m, e in left.items()},
+        {m: _size([error / scale for error in e]) for m, e in left.items()},
         {m: Band.fit(e, part.y) for m, e in left.items()},
+        {m: of_method[shorter.train][held:] for m, of_method in forecasts.items()},
+        scale,
     )
+
+
+def _forecasts(runs: Sequence[Run], begin: int) -> dict[int, Array]:
+    """The mean over seeds, by the index of the first sample."""
+    found = {begin: np.mean([r.forecast for r in runs], axis=0)}
+    for start in runs[0].later:
+        found[start] = np.mean([r.later[start] for r in runs], axis=0)
+    return found
+
+
+def _size(errors: Sequence[Array]) -> float:
+    every = np.concatenate(errors)
+    return rmse(every, np.zeros_like(every))
 
 
 def check_trial(record: Trajectory, methods: Sequence[str], setup: Setup) -> None:

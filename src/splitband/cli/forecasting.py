@@ -13,7 +13,7 @@ from splitband.cli import options, showing
 from splitband.cli.simulating import with_simulator
 from splitband.comparison import ahead_of, compare
 from splitband.files import output_folder, replacing, write_json
-from splitband.methods import CALIBRATED, METHODS, TRAINED, check, default_methods
+from splitband.methods import CALIBRATED, FIXED, METHODS, TRAINED, check, default_methods
 from splitband.threads import available_cores
 from splitband.trial import Trial, check_trial, try_out
 
@@ -30,7 +30,7 @@ def forecast(
     ] = None,
     seeds: Annotated[
         int, typer.Option(min=1, help="Trainings of a network; their mean is the forecast.")
-    ] = 2,
+    ] = 3,
     jobs: options.Jobs = None,
     out: Annotated[Path, typer.Option(help="Folder for the forecast.")] = Path("forecast"),
     columns: options.Columns = None,
@@ -47,9 +47,9 @@ def forecast(
     """Forecast a record beyond its end, with a band that should hold nine tenths of what comes.
 
     Without --method, several are tried as `compare` tries them: each forecasts the last quarter of
-    the record from the rest of it, and the best one is fitted again, on the whole record. A
-    simulator must reach --steps samples beyond the record; a record with known inputs needs
-    --future-inputs.
+    the record from the rest of it. What did well is fitted again, on the whole record, and should
+    then still forecast the same. A simulator must reach --steps samples beyond the record; a
+    record with known inputs needs --future-inputs.
     """
     known = options.load_record(record, columns, inputs, time_column, sampling_time)
     hybrid = simulator is not None or known.y_sim is not None
@@ -73,12 +73,15 @@ def forecast(
     output_folder(out)
     jobs = jobs or available_cores()
     tried = len(set(methods) & set(TRAINED))
-    with showing.progress(tried, "training on three quarters") as progress:
-        trial = try_out(longer, methods, setup, jobs, progress)
+    with showing.progress(seeds * tried, "training on three quarters") as progress:
+        trial = try_out(longer, methods, setup, range(seeds), jobs, progress)
+    # Of the networks just the best one is worth its training on all of the record.
+    fitted = [name for name in methods if name in FIXED or name == trial.best_network]
+    with showing.progress(seeds * bool(trial.best_network), "training") as progress:
+        found = compare(longer, fitted, setup, range(seeds), jobs, progress)
+    trial = trial.settled(found)
     best = trial.recommended
-    with showing.progress(seeds * (best in TRAINED), f"training {best}") as progress:
-        chosen = range(seeds if best in TRAINED else 1)
-        runs = compare(longer, [best], setup, chosen, jobs, progress)[best]
+    runs = found[best]
     table = reporting.forecast(known, runs, trial.bands[best])
     with replacing(out / "forecast.csv") as temporary:
         table.to_csv(temporary, index=False)
@@ -89,6 +92,7 @@ def forecast(
         "method": best,
         "description": runs[0].description,
         "held_out_rmse": dict(trial.errors),
+        "change": {name: trial.change(name) for name in trial.final},
         "band": asdict(trial.bands[best]),
         "seeds": [run.seed for run in runs],
         "environment": reporting.environment(),

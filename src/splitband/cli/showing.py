@@ -37,12 +37,14 @@ def comparison(
     table = Table(title=title, title_justify="left", title_style="bold")
     table.add_column("method", min_width=max(map(len, runs)))
     table.add_column("held out", justify="right")
+    table.add_column("changed", justify="right")
     table.add_column("from the start", justify="right")
     table.add_column("forecast", justify="right")
     table.add_column("in band", justify="right")
     table.add_column("fit (s)", justify="right")
     table.add_column("", style="dim")
     first = min(trial.errors.values())
+    steadiest = min(trial.change(name) for name in runs)
     best = [
         min(statistics.mean(values(r)) for r in runs.values()) for values in (_total, _forecast)
     ]
@@ -61,7 +63,13 @@ def comparison(
                 filter(None, [f"their mean {mean.total_rmse:.3f}, {mean.forecast_rmse:.3f}", said])
             )
         table.add_row(
-            name, _spread([tried], first), *cells, f"{covers:.0%}", f"{seconds:.1f}", said
+            name,
+            _spread([tried], first),
+            _spread([trial.change(name)], steadiest),
+            *cells,
+            f"{covers:.0%}",
+            f"{seconds:.1f}",
+            said,
         )
     return table
 
