@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from splitband.bands import Band
+from splitband.bands import EXPECTED_GROWTH, Band
 
 Array = npt.NDArray[np.float64]
 RECORD = np.random.default_rng(0).standard_normal((2000, 1)) * 50
@@ -68,7 +68,7 @@ def test_a_short_held_out_part_leaves_the_growth_as_expected() -> None:
     band = Band.fit([np.array([[1.0]])], RECORD)
     widths = band.half_widths(len(RECORD) + 1)[:, 0]
     assert widths[0] == pytest.approx(1.0)
-    assert widths[-1] == pytest.approx(np.hypot(1, 2), rel=0.02)
+    assert widths[-1] == pytest.approx(np.hypot(1, EXPECTED_GROWTH), rel=0.02)
 
 
 def test_it_scales_with_the_unit_of_each_channel() -> None:
@@ -100,3 +100,18 @@ def test_a_share_outside_is_named(share: float) -> None:
 def test_no_errors_are_named() -> None:
     with pytest.raises(ValueError, match="errors must have a sample at least"):
         Band.fit([np.empty((0, 1))], RECORD)
+
+
+def test_a_change_of_mind_widens_a_band_in_the_long_run() -> None:
+    band = Band((1.0, 2.0), (0.01, 0.02), (100.0, 100.0))
+    horizon = np.arange(50, 250)[:, None]
+    wider = band.widened(horizon * np.array([0.1, 0.0]), begin=50)
+    np.testing.assert_allclose(wider.growth, [np.hypot(0.01, 0.1), 0.02])
+    assert (wider.base, wider.most) == (band.base, band.most)
+    assert band.widened(np.zeros((0, 2)), begin=50) == band
+
+
+def test_a_few_large_changes_do_not_widen_a_band() -> None:
+    change = np.zeros((100, 1))
+    change[3:8] = 1e3
+    assert Band((1.0,), (0.5,), (9.0,)).widened(change, begin=10).growth == (0.5,)

@@ -63,7 +63,7 @@ def test_a_network_has_to_be_a_tenth_better_than_what_needs_no_training(
 ) -> None:
     scores = {"gru": network, "harmonic": 1.0, "mean": 1.2}
     early = {name: np.zeros((5, 1)) for name in scores}
-    trial = Trial(scores, scores, {}, early, np.ones(1))
+    trial = Trial(scores, scores, {}, early, np.ones(1), 5)
     assert trial.recommended == chosen
     assert trial.best_network == "gru"
 
@@ -71,7 +71,7 @@ def test_a_network_has_to_be_a_tenth_better_than_what_needs_no_training(
 def test_what_changes_its_mind_is_not_recommended() -> None:
     scores = {"harmonic": 0.1, "mean": 1.0}
     early = {name: np.zeros((5, 1)) for name in scores}
-    trial = Trial(scores, scores, {}, early, np.full(1, 2.0))
+    trial = Trial(scores, scores, {}, early, np.full(1, 2.0), 5)
     final = {"harmonic": np.full((5, 1), 4.0), "mean": np.full((5, 1), 0.1)}
     changed = replace(trial, final=final)
     assert (trial.recommended, changed.recommended) == ("harmonic", "mean")

@@ -7,7 +7,7 @@ record: its errors there, by horizon, say how large they are and how fast they g
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,7 @@ import scipy
 Array = npt.NDArray[np.float64]
 
 
-EXPECTED_GROWTH = 2.0
+EXPECTED_GROWTH = 4.0
 """Of a band over a horizon as long as the training record, before any error has been seen."""
 _BEGIN = ((0.0, 0.0), (-1.0, 1.0), (0.0, -3.0))
 
@@ -64,6 +64,17 @@ class Band:
         growth = tuple(g / len(y) for _, g in fitted)
         most = np.maximum(apart * y.std(axis=0), base)
         return cls(base, growth, tuple(map(float, most)), share)
+
+    def widened(self, change: Array, begin: int) -> Band:
+        """For a method whose forecast changed since: it can be as wrong as that by now.
+
+        `change` `(time, ny)` is by horizon, from `begin` on.
+        """
+        if not len(change):
+            return self
+        horizon = np.arange(begin, begin + len(change))[:, None]
+        more = np.quantile(abs(change) / np.maximum(horizon, 1), self.share, axis=0)
+        return replace(self, growth=tuple(map(float, np.hypot(self.growth, more))))
 
     def half_widths(self, steps: int) -> Array:
         """For the first `steps` samples of a horizon, `(steps, ny)`."""

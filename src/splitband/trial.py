@@ -59,6 +59,7 @@ class Trial:
     bands : Around each method's forecast of the record, from those forecasts.
     early : What each method forecast then of the samples after the training part, `(time, ny)`.
     scale : By which the channels are scaled, `(ny,)`.
+    held : Samples of the held-out part.
     final : The same, once it is fitted on the whole training part; see `settled`.
     """
 
@@ -67,16 +68,18 @@ class Trial:
     bands: Mapping[str, Band]
     early: Mapping[str, Array]
     scale: Array
+    held: int
     final: Mapping[str, Array] = field(default_factory=dict)
 
     def settled(self, runs: Mapping[str, Sequence[Run]]) -> Trial:
         """With what the methods forecast after all, out of which one is recommended.
 
         The held-out part is short: a method may do well there and not know what comes much later.
-        Then it says something else as soon as it has seen a little more.
+        Then it says something else as soon as it has seen a little more, and its band is wider.
         """
         final = {m: np.mean([r.forecast for r in of_m], axis=0) for m, of_m in runs.items()}
-        return replace(self, final=final)
+        bands = {m: self.bands[m].widened(final[m] - self.early[m], self.held) for m in final}
+        return replace(self, final=final, bands=bands)
 
     def change(self, method: str) -> float:
         """RMSE between a method's early and final forecast, in the record's unit."""
@@ -137,6 +140,7 @@ def try_out(
         {m: Band.fit(e, part.y) for m, e in left.items()},
         {m: of_method[shorter.train][held:] for m, of_method in forecasts.items()},
         scale,
+        held,
     )
 
 
