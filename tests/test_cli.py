@@ -10,6 +10,7 @@ import sys
 import time as clock
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -207,7 +208,11 @@ def test_compare_writes_what_is_needed_to_run_it_again(compared: Path) -> None:
         "columns": ["a"], "inputs": 0, "truth": "measured",
     }  # fmt: skip
     settings = found["settings"]
-    assert (settings["train"], settings["order"], settings["downsampling"]) == (TRAIN, 1, 2)
+    choice = settings["choice"]
+    for name in ("cutoff", "order", "downsampling"):
+        assert settings[name] == choice[name]
+    assert [c["cutoff"] for c in choice["candidates"] if not c["rejected"]] == [choice["cutoff"]]
+    assert settings["train"] == TRAIN
     assert (settings["hidden_high"], settings["hidden_low"]) == (4, 3)
     training = settings["settings"]
     assert (training["window"], training["warmup"], training["epochs"]) == (30, WARMUP, 2)
@@ -220,8 +225,10 @@ def test_compare_writes_what_is_needed_to_run_it_again(compared: Path) -> None:
 
 def test_compare_gives_the_numbers_of_the_library(compared: Path) -> None:
     facts = results(compared)
-    setup = Setup(TRAIN, Settings(30, WARMUP, 2), facts["settings"]["cutoff"], hidden_high=4,
-                  hidden_low=3)  # fmt: skip
+    chosen = {name: facts["settings"][name] for name in ("cutoff", "order", "downsampling")}
+    setup = replace(
+        Setup(TRAIN, Settings(30, WARMUP, 2), 1.0, hidden_high=4, hidden_low=3), **chosen
+    )
     record = read("record.csv", columns="a")
     for name, (run,) in compare(record, ["gru", "split-gru-hp"], setup).items():
         assert facts["methods"][name]["total_rmse"] == [run.total_rmse]

@@ -27,6 +27,7 @@ LAYERS = (
     "simulators",
     "data",
     "calibration",
+    "cutoff",
     "bands",
     "periodic",
     "harmonic",

@@ -5,12 +5,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 
-from splitband.resampling import check_downsampling
-from splitband.spectrum import default_cutoff, periodogram
+from splitband.spectrum import periodogram
 
 Array = npt.NDArray[Any]
 
@@ -78,51 +74,6 @@ def test_peaks_are_the_sinusoids_by_strength() -> None:
 def test_peaks_are_found_at_both_ends(frequency: float) -> None:
     y = np.cos(2 * np.pi * frequency * np.arange(SAMPLES) / RATE)[:, None]
     assert periodogram(y, RATE).peaks(1)[0][0] == pytest.approx(frequency)
-
-
-@settings(max_examples=100, deadline=None)
-@given(
-    y=hnp.arrays(
-        np.float64,
-        st.tuples(st.integers(20, 200), st.integers(1, 3)),
-        elements=st.integers(-50, 50).map(float),
-    ),
-    downsampling=st.integers(1, 20),
-    share=st.floats(0.05, 0.99),
-)
-def test_the_default_cutoff_stays_in_its_limits(y: Array, downsampling: int, share: float) -> None:
-    y[0], y[1] = 99.0, -99.0
-    cutoff = default_cutoff(y, RATE, downsampling, share)
-    highest = 0.8 * RATE / 2 / downsampling
-    lowest = min(3 * RATE / len(y), highest)
-    assert lowest <= cutoff <= highest
-    check_downsampling(downsampling, cutoff, RATE)
-    if lowest < cutoff < highest:
-        spectrum = periodogram(y, RATE)
-        assert spectrum.share_below(cutoff) >= share - 1e-9
-        assert spectrum.share_below(cutoff - RATE / len(y) / 2) < share + 1e-9
-
-
-@pytest.mark.parametrize("offset", [0.0, -300.0])
-def test_the_default_cutoff_parts_a_strong_slow_from_a_weak_fast_sinusoid(offset: float) -> None:
-    y = offset + sinusoid(0.5, 1.0) + sinusoid(4.0, 0.2)
-    for downsampling in (1, 2, 5):
-        assert 0.5 <= default_cutoff(y, RATE, downsampling) < 1.0
-
-
-def test_the_default_cutoff_rises_with_the_share_of_the_power() -> None:
-    y = sinusoid(0.5, 2.0) + sinusoid(2.0, 1.0) + sinusoid(4.0, 1.0)
-    cutoffs = [default_cutoff(y, RATE, 1, share) for share in (0.5, 0.75, 0.95)]
-    np.testing.assert_allclose(cutoffs, [0.5, 2.0, 4.0], atol=1.01 * RATE / SAMPLES)
-
-
-@pytest.mark.parametrize(
-    "constant",
-    [0.0, 2.0, 0.1, 1 / 3],
-)
-def test_a_constant_record_has_no_cutoff(constant: float) -> None:
-    with pytest.raises(ValueError, match="the record is constant"):
-        default_cutoff(np.full((SAMPLES, 2), constant), RATE, 2)
 
 
 @pytest.mark.parametrize("constant", [0.0, 2.0])

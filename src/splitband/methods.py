@@ -13,13 +13,13 @@ import torch
 
 from splitband.calibration import Calibration, affine_fit, calibrate
 from splitband.cells import GRU, Cell, EulerMLP
+from splitband.cutoff import Choice, choose, choose_with_simulator
 from splitband.data import Trajectory
 from splitband.filters import ComplementaryPair, butterworth
 from splitband.harmonic import HarmonicRegression
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
 from splitband.naive import Given, Mean, Naive, Persistence, SeasonalNaive
 from splitband.periodic import fit_periodic
-from splitband.spectrum import default_cutoff
 from splitband.training import Settings, default_warmup
 
 Array = npt.NDArray[np.float64]
@@ -45,6 +45,7 @@ class Setup:
     hidden_high, hidden_low : Sizes of the two GRUs, here the paper's; a single one has their sum.
     state_size, step_size : Of the "RNN", an `EulerMLP`.
     overrides : Other settings for some methods.
+    choice : Why cut-off, order and down-sampling are what they are, where they were chosen.
     """
 
     train: int
@@ -57,6 +58,7 @@ class Setup:
     state_size: int = 4
     step_size: float = 0.1
     overrides: Mapping[str, Settings] = field(default_factory=dict)
+    choice: Choice | None = None
 
     def __post_init__(self) -> None:
         """Check sizes."""
@@ -185,7 +187,7 @@ def with_variants(methods: Sequence[str], calibrate: bool, conditioned: bool) ->
 
 
 def default_methods(with_simulator: bool) -> list[str]:
-    """What is worth comparing in a reasonable time."""
+    """What is worth comparing in a reasonable time, with a simulator that helps or without."""
     both = CALIBRATED + CONDITIONED
     networks, simulator = ["split-gru", "split-gru" + CONDITIONED], []
     if with_simulator:
@@ -195,23 +197,60 @@ def default_methods(with_simulator: bool) -> list[str]:
     return ["gru", *networks, *simulator, *naive]
 
 
+def usual_methods(record: Trajectory, setup: Setup) -> list[str]:
+    """`default_methods`, with the learned models where the record's simulator does not help."""
+    methods = default_methods(record.y_sim is not None)
+    if setup.choice is None or setup.choice.simulator_helps is not False:
+        return methods
+    kept = [method for method in methods if method.startswith("simulator")]
+    learned = default_methods(False)
+    return [*learned[:3], *kept, *learned[3:]]
+
+
 def default_setup(
     record: Trajectory,
     train: int,
-    downsampling: int = 2,
-    cutoff: float | None = None,
     recipe: Recipe = "default",
+    settings: Settings | None = None,
+    cutoff: float | None = None,
+    order: int | None = None,
+    downsampling: int | None = None,
+    calibrated: bool = True,
 ) -> Setup:
     """A setup for a record of which nothing is known but its first `train` samples.
 
-    The cut-off has nine tenths of the power below it.
+    Parameters
+    ----------
+    record, train : No measured sample after the first `train` is looked at.
+    recipe, settings : How to train; by default as the recipe says.
+    cutoff, order, downsampling : Already decided; the rest is chosen, see `cutoff.choose`.
+    calibrated : Whether a simulator will be.
     """
-    y, rate = record.y[:train], record.sampling_rate
-    cutoff = default_cutoff(y, rate, downsampling) if cutoff is None else cutoff
-    if recipe == "paper":
-        return Setup(train, paper_settings(train), cutoff, downsampling=downsampling)
-    settings = Settings.of(train)
-    return Setup(train, settings, cutoff, downsampling=downsampling, hidden_high=32, hidden_low=16)
+    if settings is None:
+        settings = Settings.of(train) if recipe == "default" else paper_settings(train)
+    found = _choice(record, train, settings.warmup, cutoff, order, downsampling, calibrated)
+    setup = Setup(train, settings, found.cutoff, found.order, found.downsampling, choice=found)
+    return setup if recipe == "paper" else replace(setup, hidden_high=32, hidden_low=16)
+
+
+def _choice(
+    record: Trajectory,
+    train: int,
+    warmup: int,
+    cutoff: float | None,
+    order: int | None,
+    downsampling: int | None,
+    calibrated: bool,
+) -> Choice:
+    y, rate, decided = record.y[:train], record.sampling_rate, (cutoff, order, downsampling)
+    if record.y_sim is None:
+        return choose(y, rate, warmup, *decided)
+    seen = prepared("simulator" + CALIBRATED, record, train)[0] if calibrated else record
+    hybrid = choose_with_simulator(y, _simulated(seen)[:train], rate, *decided)
+    if hybrid.simulator_helps:
+        return hybrid
+    learned = choose(y, rate, warmup, *decided)
+    return replace(learned, reason=f"{hybrid.reason}. {learned.reason}", simulator_helps=False)
 
 
 def paper_settings(train: int) -> Settings:

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from splitband.bands import Band
 from splitband.comparison import Run, ensemble
+from splitband.cutoff import LEAST_BELOW, Choice
 from splitband.data import Trajectory
 from splitband.files import replacing
 from splitband.methods import Setup
@@ -171,15 +172,17 @@ def errors(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
     return figure
 
 
-def spectrum(record: Trajectory, found: Spectrum, cutoff: float | None) -> Figure:
+def spectrum(
+    record: Trajectory, found: Spectrum, cutoff: float | None, choice: Choice | None = None
+) -> Figure:
     """The power spectral density of every channel with the cut-off marked.
 
-    With a simulator, its spectrum beside them and the coherence of both below.
+    With a simulator, its spectrum beside them and the coherence of both below; with a `choice`,
+    what each cut-off that was looked at would lose.
     """
-    with_simulator = record.y_sim is not None
-    figure = Figure(figsize=(8, 6.2 if with_simulator else 4.2), layout="constrained")
-    ratios = [2.2, 1] if with_simulator else [1]
-    axes = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
+    heights = [2.2, *[1] * (record.y_sim is not None), *[1] * (choice is not None)]
+    figure = Figure(figsize=(8, 2 + 2 * len(heights)), layout="constrained")
+    axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     _draw_spectrum(axes[0], record, found)
     if record.y_sim is not None:
         simulated = periodogram(record.y_sim, record.sampling_rate)
@@ -199,11 +202,33 @@ def spectrum(record: Trajectory, found: Spectrum, cutoff: float | None) -> Figur
         label = f"cut-off {cutoff:.4g} Hz: {share:.1%} of the power below"
         for ax in axes:
             ax.axvline(cutoff, color="#D55E00", ls="--", lw=1.2, label=label)
+    if choice is not None:
+        _draw_choice(axes[-1], choice)
     axes[0].set_title(f"{_literal(record.name)}: spectrum", fontsize=10)
     axes[0].legend(fontsize=8, loc="lower left")
     axes[-1].set_xlabel("frequency (Hz)")
     axes[-1].xaxis.set_major_formatter("{x:g}")
     return figure
+
+
+def _draw_choice(ax: Axes, choice: Choice) -> None:
+    """What each candidate would lose, and where the low band would not hold enough."""
+    for order in sorted({c.order for c in choice.candidates}):
+        of_order = [c for c in choice.candidates if c.order == order]
+        enough = [c.below >= LEAST_BELOW or choice.simulator_helps is True for c in of_order]
+        color = _PALETTE[order % len(_PALETTE)]
+        x, loss = [c.cutoff for c in of_order], [c.loss for c in of_order]
+        ax.semilogx(x, loss, "o-", ms=3, lw=0.8, color=color, label=f"order {order}")
+        few = [(c.cutoff, c.loss) for c, ok in zip(of_order, enough, strict=True) if not ok]
+        if few:
+            label = "little below" if order == choice.order else None
+            ax.semilogx(*zip(*few, strict=True), "x", color="0.4", ms=5, label=label)
+    best = next(c for c in choice.candidates if not c.rejected)
+    ax.semilogx([best.cutoff], [best.loss], "D", color="#D55E00", ms=6, label="chosen")
+    ax.set_ylim(bottom=0)
+    ax.set_ylabel(choice.loss, fontsize=8)
+    ax.grid(True, which="both", color="0.93", lw=0.6)
+    ax.legend(fontsize=8, loc="upper right")
 
 
 def _draw_spectrum(ax: Axes, record: Trajectory, found: Spectrum) -> None:

@@ -46,6 +46,11 @@ class Spectrum:
         found_peaks = [(float(self.frequencies[i]), float(power[i] / total)) for i in strongest]
         return [(frequency, share) for frequency, share in found_peaks if share >= least]
 
+    def shares(self) -> Array:
+        """The share of the power, mean excluded, in each bin, `(bins,)`; zeros for a constant."""
+        power = self._power()
+        return np.asarray(power / (power.sum() or 1.0))
+
     def _power(self) -> Array:
         """Power by bin, each channel weighing the same."""
         totals = self.density[1:].sum(axis=0)
@@ -105,20 +110,3 @@ def oracle_cutoffs(samples: int, sampling_rate: float, count: int = 12) -> list[
     """Cut-offs worth an oracle check, in Hz: from two cycles of the record to Nyquist / 2."""
     lowest, highest = 2 * sampling_rate / samples, sampling_rate / 4
     return [float(f"{f:.2g}") for f in np.geomspace(min(lowest, highest / 2), highest, count)]
-
-
-def default_cutoff(y: Array, sampling_rate: float, downsampling: int, share: float = 0.9) -> float:
-    """A cut-off in Hz for a record nobody has looked at: `share` of the power lies below.
-
-    It is kept under 0.8 of the Nyquist frequency after down-sampling, and above three cycles of
-    the record, below which nothing could be learned.
-    """
-    if downsampling < 1:
-        raise ValueError(f"downsampling must be at least 1, got {downsampling}")
-    spectrum = periodogram(y, sampling_rate)
-    power = spectrum._power()
-    if not power.any():
-        raise ValueError("the record is constant: there is no band to split off")
-    below = np.searchsorted(np.cumsum(power), share * power.sum())
-    lowest, highest = 3 * sampling_rate / len(y), 0.8 * sampling_rate / downsampling / 2
-    return float(np.clip(spectrum.frequencies[below], min(lowest, highest), highest))

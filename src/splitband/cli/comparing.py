@@ -20,6 +20,7 @@ from splitband.methods import (
     Setup,
     check,
     default_methods,
+    usual_methods,
     with_variants,
 )
 from splitband.paper.settings import RECORD_SETTINGS, SAMPLE_FREQUENCY
@@ -93,23 +94,24 @@ def compare(
     --calibrate and --conditioned add rows: each method that can be is also run that way.
     """
     trajectory = options.load_record(record, columns, inputs, time_column, sampling_time)
-    chosen = default_methods(simulator is not None or trajectory.y_sim is not None)
-    if methods is not None:
-        chosen = options.names(methods)
-    chosen = with_variants(chosen, calibrate, conditioned)
+    hybrid = simulator is not None or trajectory.y_sim is not None
+    given = default_methods(hybrid) if methods is None else options.names(methods)
+    chosen = with_variants(given, calibrate, conditioned)
+    calibrated = any(CALIBRATED in method for method in chosen)
     trajectory = with_simulator(
         trajectory,
         simulator,
         simulator_columns,
         simulator_timeout,
         simulator_cache,
-        beyond=any(CALIBRATED in method for method in chosen),
+        beyond=calibrated,
     )
     setup = options.setup(
         record,
         trajectory,
         train,
         recipe=recipe,
+        calibrated=calibrated,
         cutoff=cutoff,
         order=order,
         downsampling=downsampling,
@@ -120,6 +122,8 @@ def compare(
         milestones=lr_milestones,
         hidden=hidden,
     )
+    if methods is None:
+        chosen = with_variants(usual_methods(trajectory, setup), calibrate, conditioned)
     if horizon is not None:
         if setup.train + horizon > len(trajectory):
             raise ValueError(
@@ -173,7 +177,7 @@ def _compare(
         reporting.predictions(record, setup, runs, trial).to_csv(temporary, index=False)
     plots.save(plots.rollouts(record, setup, runs, trial), out / "rollouts.png")
     plots.save(plots.errors(record, setup, runs), out / "error.png")
-    plots.save(plots.spectrum(record, found, setup.cutoff), out / "spectrum.png")
+    plots.save(plots.spectrum(record, found, setup.cutoff, setup.choice), out / "spectrum.png")
     if any(of_method[0].components for of_method in runs.values()):
         plots.save(plots.components(record, setup, runs), out / "components.png")
     showing.console.print(showing.comparison(_title(record, setup), record, setup, runs, trial))
@@ -186,9 +190,11 @@ def _compare(
     )
     showing.console.print(
         f"cut-off {setup.cutoff:g} Hz{_papers_cutoff(record, setup)}, order {setup.order}: "
-        f"{found.share_below(setup.cutoff):.1%} of the training part's power in the low band, "
-        f"kept at every {_ordinal(setup.downsampling)} sample",
+        f"{found.share_below(setup.cutoff):.1%} of the training part's power below, the low band "
+        f"kept at every {_ordinal(setup.downsampling)} sample"
     )
+    if setup.choice is not None:
+        showing.console.print(f"chosen as {setup.choice.reason}")
     showing.console.print(f"results and pictures: {out}/")
 
 

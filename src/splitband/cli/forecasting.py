@@ -13,7 +13,15 @@ from splitband.cli import options, showing
 from splitband.cli.simulating import with_simulator
 from splitband.comparison import ahead_of, compare
 from splitband.files import output_folder, replacing, write_json
-from splitband.methods import CALIBRATED, FIXED, METHODS, TRAINED, check, default_methods
+from splitband.methods import (
+    CALIBRATED,
+    FIXED,
+    METHODS,
+    TRAINED,
+    check,
+    default_methods,
+    usual_methods,
+)
 from splitband.threads import available_cores
 from splitband.trial import Trial, check_trial, try_out
 
@@ -56,6 +64,7 @@ def forecast(
     methods = default_methods(hybrid) if method is None else [method]
     if methods[0] not in METHODS:
         raise ValueError(f"--method must be one of {', '.join(METHODS)}, got {method}")
+    calibrated = any(CALIBRATED in name for name in methods)
     known = with_simulator(
         known,
         simulator,
@@ -63,11 +72,12 @@ def forecast(
         simulator_timeout,
         simulator_cache,
         ahead=steps if hybrid else 0,
-        beyond=any(CALIBRATED in name for name in methods),
+        beyond=calibrated,
     )
     u = options.inputs_ahead(future_inputs, options.names(inputs or ""), steps, known.sampling_time)
     longer = ahead_of(known, steps, u)
-    setup = options.setup("", longer, len(known), epochs=epochs)
+    setup = options.setup("", longer, len(known), calibrated=calibrated, epochs=epochs)
+    methods = usual_methods(longer, setup) if method is None else methods
     check(longer, methods, setup)
     check_trial(longer, methods, setup)
     output_folder(out)

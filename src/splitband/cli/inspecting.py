@@ -14,13 +14,15 @@ from rich.table import Table
 from splitband import plots
 from splitband.cli import options, showing
 from splitband.cli.simulating import with_simulator
+from splitband.cutoff import Choice, choose, choose_with_simulator
 from splitband.data import PUBLIC, Trajectory, fetch
 from splitband.files import output_folder, write_json
 from splitband.filters import ComplementaryPair
 from splitband.metrics import rmse
 from splitband.paper.settings import RECORD_SETTINGS
-from splitband.spectrum import coherence, default_cutoff, oracle, oracle_cutoffs, periodogram
+from splitband.spectrum import coherence, oracle, oracle_cutoffs, periodogram
 from splitband.systems import RECORDS
+from splitband.training import default_warmup
 
 data = typer.Typer(help="The public records of the paper.", no_args_is_help=True)
 
@@ -50,8 +52,9 @@ def spectrum(
     )
     rate = trajectory.sampling_rate
     found = periodogram(trajectory.y, rate)
-    chosen = _cutoff(record, trajectory) if cutoff is None else cutoff
-    pair = ComplementaryPair.butterworth(chosen, rate, 1 if order is None else order)
+    choice = _choice(record, trajectory, cutoff, order)
+    chosen = choice.cutoff
+    pair = ComplementaryPair.butterworth(chosen, rate, choice.order)
     low, high = pair.split(trajectory.y)
     output_folder(out)
     facts: dict[str, Any] = {
@@ -60,6 +63,7 @@ def spectrum(
         "cutoff": chosen,
         "order": pair.order,
         "share_below": found.share_below(chosen),
+        "choice": asdict(choice),
         "reconstruction_rmse": rmse(trajectory.y, low + high),
         "peaks": [{"frequency": f, "share": s} for f, s in found.peaks()],
     }
@@ -67,15 +71,21 @@ def spectrum(
     if trajectory.y_sim is not None:
         facts["simulator"] = _show_simulator(trajectory, trajectory.y_sim, chosen, pair.order)
     write_json(out / "results.json", facts)
-    plots.save(plots.spectrum(trajectory, found, chosen), out / "spectrum.png")
+    showing.console.print(f"cut-off chosen as {choice.reason}" if cutoff is None else "")
+    plots.save(plots.spectrum(trajectory, found, chosen, choice), out / "spectrum.png")
     showing.console.print(f"picture: {out / 'spectrum.png'}")
 
 
-def _cutoff(record: str, trajectory: Trajectory) -> float:
-    """The paper's cut-off for its records, the default of `compare` otherwise."""
-    if record in RECORD_SETTINGS:
-        return RECORD_SETTINGS[record].setup(trajectory.sampling_rate).cutoff
-    return default_cutoff(trajectory.y, trajectory.sampling_rate, 1)
+def _choice(record: str, trajectory: Trajectory, cutoff: float | None, order: int | None) -> Choice:
+    """Of the filter pair: the paper's cut-off for its records, as in `compare` otherwise."""
+    rate = trajectory.sampling_rate
+    if record in RECORD_SETTINGS and cutoff is None:
+        column = RECORD_SETTINGS[record].setup(rate)
+        cutoff, order = column.cutoff, order or column.order
+    if trajectory.y_sim is not None:
+        return choose_with_simulator(trajectory.y, trajectory.y_sim, rate, cutoff, order)
+    warmup = default_warmup(len(trajectory))
+    return choose(trajectory.y, rate, warmup, cutoff, order)
 
 
 def _show_peaks(record: Trajectory, facts: dict[str, Any]) -> None:

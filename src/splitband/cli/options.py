@@ -11,7 +11,7 @@ import numpy.typing as npt
 import typer
 
 from splitband.data import Trajectory, read
-from splitband.methods import Recipe, Setup, check_train, default_setup
+from splitband.methods import Recipe, Setup, check_train, default_setup, paper_settings
 from splitband.paper.settings import RECORD_SETTINGS
 from splitband.systems import RECORDS, SIMULATORS
 from splitband.training import Settings, default_warmup
@@ -154,12 +154,27 @@ Conditioned = Annotated[
         rich_help_panel=_FILTER,
     ),
 ]
+
+
+def _hertz(value: str) -> float | None:
+    """A cut-off, if it is given."""
+    if value == "auto":
+        return None
+    try:
+        return float(value)
+    except ValueError:
+        raise typer.BadParameter(f"must be a frequency in Hz or auto, got {value}") from None
+
+
 Cutoff = Annotated[
     float | None,
     typer.Option(
-        help="Frequency that parts the two bands, in Hz.",
+        parser=_hertz,
+        metavar="HZ|auto",
+        help="Frequency that parts the two bands. auto: by the training samples, from the spectrum "
+        "or from where simulator and record agree.",
         rich_help_panel=_FILTER,
-        show_default="90 % of the power below",
+        show_default="auto",
     ),
 ]
 Order = Annotated[
@@ -167,7 +182,7 @@ Order = Annotated[
     typer.Option(
         help="Order of each Butterworth filter.",
         rich_help_panel=_FILTER,
-        show_default="1",
+        show_default="1 or 2, with the cut-off",
     ),
 ]
 Downsampling = Annotated[
@@ -176,7 +191,7 @@ Downsampling = Annotated[
         help="The low band keeps every K-th sample.",
         metavar="K",
         rich_help_panel=_FILTER,
-        show_default="2",
+        show_default="as large as the low band allows, up to 10",
     ),
 ]
 Warmup = Annotated[
@@ -307,31 +322,39 @@ def setup(
     train: int | None,
     ahead: int = 1,
     recipe: Recipe = "default",
+    calibrated: bool = True,
     **options: Any,
 ) -> Setup:
     """What the options say (`None`: nothing), the rest by the recipe.
 
     The paper's recipe for its own records is the settings of its tables. `record` is the argument
-    that `trajectory` comes from; `ahead` samples at least must be left to predict.
+    that `trajectory` comes from, whose simulator will be `calibrated` or not; `ahead` samples at
+    least must be left to predict.
     """
     column = RECORD_SETTINGS.get(record)
     if train is None:
         train = column.train if column else int(0.75 * len(trajectory))
     check_train(trajectory, train, ahead)
     given = {name: value for name, value in options.items() if value is not None}
-    if column and recipe == "paper":
-        defaults = column.setup(trajectory.sampling_rate)
-    else:
-        k, cutoff = given.get("downsampling", 2), given.get("cutoff")
-        defaults = default_setup(trajectory, train, k, cutoff, recipe)
     if "hidden" in given:
         given["hidden_high"], given["hidden_low"] = _sizes(given.pop("hidden"))
     if "milestones" in given:
         given["milestones"] = _milestones(given["milestones"])
         given["one_cycle"] = False
     training = {f.name: given.pop(f.name) for f in fields(Settings) if f.name in given}
-    if "window" in training:
-        training.setdefault("warmup", default_warmup(training["window"], defaults.settings.warmup))
-    settings = replace(defaults.settings, **training)
-    overrides = {name: replace(s, **training) for name, s in defaults.overrides.items()}
-    return replace(defaults, train=train, settings=settings, overrides=overrides, **given)
+
+    def trained(settings: Settings) -> Settings:
+        more = dict(training)
+        if "window" in more:
+            more.setdefault("warmup", default_warmup(more["window"], settings.warmup))
+        return replace(settings, **more)
+
+    if column and recipe == "paper":
+        defaults = column.setup(trajectory.sampling_rate)
+        overrides = {name: trained(s) for name, s in defaults.overrides.items()}
+        settings = trained(defaults.settings)
+        return replace(defaults, train=train, settings=settings, overrides=overrides, **given)
+    settings = trained(Settings.of(train) if recipe == "default" else paper_settings(train))
+    decided = {name: given.pop(name, None) for name in ("cutoff", "order", "downsampling")}
+    defaults = default_setup(trajectory, train, recipe, settings, **decided, calibrated=calibrated)
+    return replace(defaults, **given)
