@@ -120,8 +120,8 @@ def page(found: dict[str, Facts]) -> str:
 def _recommended(found: dict[str, Facts]) -> str:
     lines = [
         "## The recommended method\n",
-        "Total RMSE from the start and of the forecast, mean over seeds, and from the start that of "
-        "the mean of their predictions, which is what a user gets; *best other* is the best "
+        "Total RMSE from the start and of the forecast, mean over seeds, and from the start that "
+        "of the mean of their predictions, which is what a user gets; *best other* is the best "
         f"of {', '.join(OTHERS)} on the test samples, which nobody knows before.\n",
         "| system | recommended | from the start | forecast | mean of seeds | the paper's best "
         "| best other | ratio | in band |",
