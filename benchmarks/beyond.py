@@ -17,11 +17,21 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from splitband.calibration import samples_needed
 from splitband.comparison import compare, run_baseline
 from splitband.data import Trajectory, double_torsion, drill_string
 from splitband.files import write_json
-from splitband.methods import default_methods, default_setup, paper_settings, with_variants
+from splitband.methods import (
+    Setup,
+    default_methods,
+    default_setup,
+    paper_settings,
+    with_variants,
+)
+from splitband.metrics import rmse
 from splitband.paper.settings import HYBRID, LEARNING_BASED
 from splitband.reporting import results
 from splitband.simulators import run as simulate
@@ -35,6 +45,7 @@ from splitband.systems import (
 from splitband.trial import try_out
 
 DRAWS = 20
+Array = npt.NDArray[np.float64]
 Facts = dict[str, Any]
 
 
@@ -84,6 +95,14 @@ def measured(name: str, seeds: int, jobs: int) -> Facts:
     trial = try_out(record, methods, setup, chosen, jobs)
     runs = compare(record, methods, setup, chosen, jobs)
     facts = results(record, setup, runs, trial.settled(runs))
+    facts["same samples"] = {
+        method: {
+            "from_start": statistics.mean(_after(record, setup, r.from_start) for r in of_method),
+            "forecast": statistics.mean(_after(record, setup, r.forecast) for r in of_method),
+        }
+        for method, of_method in runs.items()
+        if of_method[0].losses
+    }
     if many:
         oracle = run_baseline("oracle", double_mass_spring_oracle, record, setup)
         facts["oracle"] = {"total_rmse": oracle.total_rmse, "forecast_rmse": oracle.forecast_rmse}
@@ -104,6 +123,13 @@ def measured(name: str, seeds: int, jobs: int) -> Facts:
     return facts
 
 
+def _after(record: Trajectory, setup: Setup, predicted: Array) -> float:
+    """RMSE over the samples after the training part, whenever the prediction began."""
+    truth = record.y if record.y_true is None else record.y_true
+    steps = len(record) - setup.train
+    return rmse(truth[-steps:], predicted[-steps:])
+
+
 OTHERS = (
     "gru", "residual-gru", "simulator", "mean", "persistence", "seasonal-naive", "periodic",
     "harmonic",
@@ -113,7 +139,13 @@ OTHERS = (
 
 def page(found: dict[str, Facts]) -> str:
     """All that was measured, in Markdown."""
-    parts = [__doc__.strip().splitlines()[0], _recommended(found), _draws(found), _shares(found)]
+    parts = [
+        __doc__.strip().splitlines()[0],
+        _recommended(found),
+        _draws(found),
+        _shares(found),
+        _right_edge(found),
+    ]
     return "# Beyond the paper\n\n" + "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -183,6 +215,29 @@ def _shares(found: dict[str, Facts]) -> str:
             f"{f' ({statistics.stdev(values):.2g})' if len(values) > 1 else ''} | {len(values)} |"
             for method, values in rows.items()
         ]
+    return "\n".join(lines)
+
+
+def _right_edge(found: dict[str, Facts]) -> str:
+    lines = [
+        "## Warm-ups at the right edge\n",
+        "RMSE over the samples after the training part: of the run that began at the start of the "
+        "record, and of the one that warmed up on the last training samples, whose filtered end is "
+        "the distorted one. Mean over seeds.\n",
+        "| system | method | from the start | forecast | ratio |",
+        "|---|---|---:|---:|---:|",
+    ]
+    ratios = []
+    for name, facts in found.items():
+        for method, sides in facts["same samples"].items():
+            ratios.append(sides["forecast"] / sides["from_start"])
+            if "oracle" not in facts:
+                lines.append(
+                    f"| {name} | {method} | {sides['from_start']:.3f} | {sides['forecast']:.3f} "
+                    f"| {ratios[-1]:.2f} |"
+                )
+    geometric = statistics.geometric_mean(ratios)
+    lines.append(f"\nOver all of these and the draws of (i), {geometric:.2f} on geometric average.")
     return "\n".join(lines)
 
 
