@@ -251,7 +251,7 @@ Hidden = Annotated[
         help="Hidden units of the high- and the low-band network.",
         metavar="HIGH,LOW",
         rich_help_panel=_TRAINING,
-        show_default="64,32; a single network has their sum",
+        show_default="32,16, with --recipe paper 64,32; a single network has their sum",
     ),
 ]
 
