@@ -59,7 +59,7 @@ VARIANTS: dict[str, Callable[[Setup], Setup]] = {
     "no clipping": partial(_training, clip=None),
     "rate 1e-3": partial(_training, learning_rate=1e-3),
     "constant rate 1e-3": partial(_training, learning_rate=1e-3, one_cycle=False),
-    "paper's recipe": lambda setup: replace(setup, settings=paper_settings(setup.train)),
+    "trained as in the paper": lambda setup: replace(setup, settings=paper_settings(setup.train)),
 }
 
 
@@ -115,7 +115,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    for name in arguments.variants or VARIANTS:
+    for name in [*dict.fromkeys(["default", *(arguments.variants or VARIANTS)])]:
         path = _path(arguments.out, name)
         if not path.exists():
             print(name, flush=True)
@@ -129,7 +129,7 @@ def main() -> None:
 
 
 def _path(out: Path, name: str) -> Path:
-    return out / f"{name.replace(', ', '-').replace(' ', '-').replace(chr(39), '')}.json"
+    return out / f"{name.replace(', ', '-').replace(' ', '-')}.json"
 
 
 if __name__ == "__main__":

@@ -7,7 +7,14 @@ import pytest
 
 from splitband import Settings, Trajectory
 from splitband.comparison import compare, ensemble
-from splitband.methods import CALIBRATED, Setup, default_methods
+from splitband.methods import (
+    CALIBRATED,
+    HYBRIDS,
+    Setup,
+    default_methods,
+    default_setup,
+    usual_methods,
+)
 from splitband.metrics import rmse
 from splitband.trial import Trial, hold_out, try_out
 
@@ -47,6 +54,35 @@ def test_the_trial_looks_at_nothing_after_the_training_part() -> None:
     assert found.recommended == expected.recommended
     assert found.bands == expected.bands
     assert found.errors == expected.errors
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_the_setup_looks_at_nothing_after_the_training_part(simulated: bool) -> None:
+    r = record() if simulated else replace(record(), y_sim=None)
+    y = r.y.copy()
+    y[TRAIN:] += 100
+    assert default_setup(replace(r, y=y), TRAIN) == default_setup(r, TRAIN)
+
+
+def test_a_simulator_that_does_not_help_leaves_the_learned_models() -> None:
+    useless = np.random.default_rng(1).standard_normal((LENGTH, 1))
+    r = replace(record(), y_sim=useless)
+    setup = default_setup(r, TRAIN)
+    assert setup.choice is not None
+    assert setup.choice.simulator_helps is False
+    assert setup.cutoff == default_setup(replace(r, y_sim=None), TRAIN).cutoff
+    methods = usual_methods(r, setup)
+    assert "split-gru-conditioned" in methods
+    assert "simulator" in methods
+    assert not set(methods) & set(HYBRIDS)
+    good = default_setup(record(), TRAIN)
+    assert usual_methods(record(), good) == default_methods(with_simulator=True)
+
+
+def test_methods_without_a_simulator_get_the_pair_they_would_get_without_one() -> None:
+    alone = default_setup(replace(record(), y_sim=None), TRAIN)
+    assert default_setup(record(), TRAIN, methods=["split-gru", "mean"]) == alone
+    assert default_setup(record(), TRAIN, methods=["filtered-gru"]) != alone
 
 
 def test_what_forecasts_the_held_out_part_best_is_recommended() -> None:

@@ -58,7 +58,7 @@ def test_whatever_the_record_a_pair_is_chosen_that_can_be_used(
     check_downsampling(choice.downsampling, choice.cutoff, RATE)
     assert choice.order == order if order else choice.order in ORDERS
     assert choice.downsampling == (downsampling or min(choice.downsampling, MOST_DOWNSAMPLING))
-    hybrid = choose_with_simulator(y, y[::-1], RATE, None, order, downsampling)
+    hybrid = choose_with_simulator(y, y[::-1], RATE, 20, None, order, downsampling)
     check_downsampling(hybrid.downsampling, hybrid.cutoff, RATE)
 
 
@@ -93,7 +93,7 @@ def test_what_is_already_decided_stays() -> None:
     assert choose(y, RATE, WARMUP, cutoff=1.23).cutoff == 1.23
     assert choose(y, RATE, WARMUP, order=1).order == 1
     assert choose(y, RATE, WARMUP, downsampling=3).downsampling == 3
-    assert choose_with_simulator(y, y, RATE, 1.23, 2, 3).cutoff == 1.23
+    assert choose_with_simulator(y, y, RATE, WARMUP, 1.23, 2, 3).cutoff == 1.23
 
 
 def test_a_short_warmup_leaves_order_one() -> None:
@@ -116,16 +116,55 @@ def test_what_cannot_be_used_is_refused(decided: dict[str, Any], message: str) -
     with pytest.raises(ValueError, match=message):
         choose(sine(0.2), RATE, WARMUP, **decided)
     with pytest.raises(ValueError, match=message):
-        choose_with_simulator(sine(0.2), sine(0.2), RATE, **decided)
+        choose_with_simulator(sine(0.2), sine(0.2), RATE, WARMUP, **decided)
 
 
 @pytest.mark.parametrize("constant", [0.0, 2.0, 0.1, 1 / 3])
 def test_a_constant_record_has_no_cutoff(constant: float) -> None:
     y = np.full((SAMPLES, 2), constant)
-    with pytest.raises(ValueError, match="the record is constant"):
+    with pytest.raises(ValueError, match="the training samples are constant"):
         choose(y, RATE, WARMUP)
-    with pytest.raises(ValueError, match="the record is constant"):
-        choose_with_simulator(y, y, RATE)
+    with pytest.raises(ValueError, match="the training samples are constant"):
+        choose_with_simulator(y, y, RATE, WARMUP)
+    assert choose(y, RATE, WARMUP, cutoff=1.0).cutoff == 1.0  # for baselines beside it
+    assert choose_with_simulator(y, y, RATE, WARMUP, cutoff=1.0).cutoff == 1.0
+
+
+@pytest.mark.parametrize("constants", [1, 9])
+def test_constant_channels_do_not_count(constants: int) -> None:
+    y = sine(0.2) + sine(2.0, 0.3) + 0.05 * noise()
+    more = np.hstack([y, np.full((SAMPLES, constants), 1013.0)])
+    assert choose(more, RATE, WARMUP) == choose(y, RATE, WARMUP)
+    y_sim = sine(0.2)
+    wrong = np.hstack([y_sim, np.full((SAMPLES, constants), 1010.0)])
+    assert choose_with_simulator(more, wrong, RATE, WARMUP) == choose_with_simulator(
+        y, y_sim, RATE, WARMUP
+    )
+
+
+def test_a_record_without_a_low_band_gets_the_most_of_it_that_there_is() -> None:
+    choice = choose(sine(4.5) + 0.3 * sine(0.2), RATE, WARMUP)
+    best = next(c for c in choice.candidates if not c.rejected)
+    assert best.below == max(c.below for c in choice.candidates)
+    assert "no low band holds half of the power" in choice.reason
+
+
+def test_what_an_order_cannot_be_designed_for_is_left_out() -> None:
+    y = np.random.default_rng(0).standard_normal((8000, 1))
+    choice = choose(y, RATE, WARMUP, order=4)
+    assert choice.order == 4
+    assert 0 < len(choice.candidates) < 24
+
+
+def test_each_rejection_says_why() -> None:
+    choice = choose(sine(0.2) + sine(1.5, 0.5), RATE, WARMUP)
+    for c in choice.candidates:
+        if c.below < LEAST_BELOW:
+            assert "below" in c.rejected
+        elif c.loss > MOST_LOST:
+            assert "lost" in c.rejected
+        elif c.rejected:
+            assert c.cutoff >= choice.cutoff
 
 
 def test_a_simulator_has_the_say_up_to_where_it_agrees() -> None:
@@ -133,7 +172,7 @@ def test_a_simulator_has_the_say_up_to_where_it_agrees() -> None:
     cutoffs = []
     for wrong in (0.5, 1.0, 2.0):
         y = sine(0.2) + sine(wrong, 0.5) + sine(4.0, 0.2)
-        choice = choose_with_simulator(y, sine(0.2) + sine(wrong, 0.5, 2.0), RATE)
+        choice = choose_with_simulator(y, sine(0.2) + sine(wrong, 0.5, 2.0), RATE, WARMUP)
         assert choice.simulator_helps
         cutoffs.append(choice.cutoff)
     assert cutoffs == sorted(cutoffs)
@@ -142,15 +181,15 @@ def test_a_simulator_has_the_say_up_to_where_it_agrees() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_simulator_that_knows_nothing_is_said_to_be_no_help(seed: int) -> None:
-    choice = choose_with_simulator(sine(0.2) + sine(1.5, 0.5), noise(seed), RATE)
+    choice = choose_with_simulator(sine(0.2) + sine(1.5, 0.5), noise(seed), RATE, WARMUP)
     assert choice.simulator_helps is False
     assert "no band of the simulator is worth using" in choice.reason
 
 
 def test_an_offset_of_the_simulator_counts() -> None:
     y = sine(0.2) + sine(1.5, 0.5)
-    assert choose_with_simulator(y, y + 0.1, RATE).simulator_helps
-    assert not choose_with_simulator(y, y + 2.0, RATE).simulator_helps
+    assert choose_with_simulator(y, y + 0.1, RATE, WARMUP).simulator_helps
+    assert not choose_with_simulator(y, y + 2.0, RATE, WARMUP).simulator_helps
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1e6])
@@ -160,8 +199,8 @@ def test_the_choice_does_not_depend_on_the_unit(unit: float) -> None:
     for one, other in (
         (choose(y, RATE, WARMUP), choose(unit * y, RATE, WARMUP)),
         (
-            choose_with_simulator(y, y_sim, RATE),
-            choose_with_simulator(unit * y, unit * y_sim, RATE),
+            choose_with_simulator(y, y_sim, RATE, WARMUP),
+            choose_with_simulator(unit * y, unit * y_sim, RATE, WARMUP),
         ),
     ):
         assert (one.cutoff, one.order) == (other.cutoff, other.order)

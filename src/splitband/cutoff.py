@@ -6,8 +6,8 @@ the rules were tried on.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -96,7 +96,7 @@ def choose(
 
     Parameters
     ----------
-    y : The training samples, `(time, ny)`.
+    y : The training samples, `(time, ny)`; constant channels do not count.
     sampling_rate : In Hz.
     warmup : R, in samples.
     cutoff, order, downsampling : Already decided.
@@ -104,35 +104,51 @@ def choose(
     Raises
     ------
     ValueError
-        For a constant record, and for a decision that breaks the Nyquist condition.
+        For constant samples, where the cut-off is not decided, and for a decision that breaks the
+        Nyquist condition.
     """
+    y = y[:, _varying(y)]
     spectrum = periodogram(y, sampling_rate)
     power = spectrum.shares()
     found = []
-    for candidate in _grid(y, sampling_rate, cutoff, order, downsampling, warmup):
+    for candidate in _grid(y, sampling_rate, warmup, cutoff, order, downsampling):
         gain = _gain(spectrum.frequencies, sampling_rate, *candidate) ** 2  # forward and backward
         k = downsampling or _downsampling(power * gain**2, spectrum.frequencies, candidate[0])
         both = float(np.sum(2 * power * gain * (1 - gain)))
         lost = both + _distortion(y, warmup, sampling_rate, *candidate)
         found.append(Candidate(*candidate, k, float(np.sum(power * gain**2)), lost))
-    able = [c for c in found if c.below >= LEAST_BELOW] or found
+    able = [c for c in found if c.below >= LEAST_BELOW]
     good = [c for c in able if c.loss <= MOST_LOST]
     if good:
-        best = min(good, key=lambda c: (c.cutoff, c.loss))
-        reason = (
-            f"the lowest one with {best.below:.0%} of the power below it and {best.loss:.0%} "
-            "lost to both bands at once and to the ends of warm-ups"
-        )
+        best, rule = min(good, key=lambda c: (c.cutoff, c.loss)), "the lowest one that will do"
+    elif able:
+        best, rule = min(able, key=lambda c: c.loss), "none loses little, this one the least"
     else:
-        best = min(able, key=lambda c: c.loss)
-        reason = f"the one with the least power in both bands at once, {best.loss:.0%}"
-    return _chosen(best, found, reason, "share of the power in both bands, or lost at ends")
+        best, rule = max(found, key=lambda c: c.below), "no low band holds half of the power"
+
+    def why_not(candidate: Candidate) -> str:
+        if candidate.below < LEAST_BELOW:
+            return f"just {candidate.below:.0%} of the power below"
+        if candidate.loss > MOST_LOST:
+            return f"{candidate.loss:.0%} of the power lost"
+        return (
+            "a lower one will do" if candidate.cutoff > best.cutoff else "the other order is better"
+        )
+
+    facts = (
+        f"{best.below:.0%} of the power below, {best.loss:.0%} lost to both bands at once and to "
+        "the ends of warm-ups"
+    )
+    reason = f"{'as given' if cutoff is not None else rule}: {facts}"
+    loss = "share of the power in both bands, or lost at ends"
+    return _chosen(best, found, reason, loss, why_not)
 
 
 def choose_with_simulator(
     y: Array,
     y_sim: Array,
     sampling_rate: float,
+    warmup: int,
     cutoff: float | None = None,
     order: int | None = None,
     downsampling: int | None = None,
@@ -146,38 +162,40 @@ def choose_with_simulator(
 
     Parameters as for `choose`; `y_sim` is aligned with `y`, and calibrated if that is what is used.
     """
-    grid = _grid(y, sampling_rate, cutoff, order, downsampling)
-    spectrum = periodogram(y, sampling_rate)
-    power = spectrum.shares()
-    scale = spread(y)
-    wrong = periodogram((y - y_sim) / scale, sampling_rate).density
-    weight = (spectrum.density / scale**2)[1:].sum()
-    wrong = wrong.sum(axis=1) / weight
-    wrong[0] = 0.0
-    offset = float(np.mean(((y - y_sim).mean(axis=0) / scale) ** 2))
+    varying = _varying(y)
+    scale = spread(y)[varying]
+    y, wrong = y[:, varying], (y - y_sim)[:, varying] / scale
+    spectrum, errors = periodogram(y / scale, sampling_rate), periodogram(wrong, sampling_rate)
+    total = float(spectrum.density[1:].sum()) or 1.0
+    power, error = (s.density.sum(axis=1) / total for s in (spectrum, errors))
+    power[0] = error[0] = 0.0
+    offset = float(np.mean(wrong.mean(axis=0) ** 2))
     found, wrongness = [], {}
-    for candidate in grid:
+    for candidate in _grid(y, sampling_rate, warmup, cutoff, order, downsampling):
         b, a = butterworth(candidate[0], sampling_rate, candidate[1])
         response = scipy.signal.freqz(b, a, spectrum.frequencies, fs=sampling_rate)[1]
         low, high = abs(response) ** 2, abs(1 - response) ** 2
         k = downsampling or _downsampling(power * low, spectrum.frequencies, candidate[0])
-        below, wrong_below = float(np.sum(low * power)), float(np.sum(low * wrong)) + offset
+        below, wrong_below = float(np.sum(low * power)), float(np.sum(low * error)) + offset
         left = wrong_below + LEFT_BY_NETWORK * float(np.sum(high * power))
         found.append(Candidate(*candidate, k, below, left))
-        wrongness[candidate] = wrong_below / below
+        wrongness[candidate] = wrong_below / (below or 1.0)
     best = min(found, key=lambda c: c.loss)
     share = wrongness[best.cutoff, best.order]
     helps = share < WORTH_USING
-    reason = (
-        "where simulator and record agree best: the simulator is wrong by "
-        f"{share:.0%} of the power below, a network is to leave {LEFT_BY_NETWORK:.0%} above"
-    )
+    rule = "as given" if cutoff is not None else "where record and simulator agree"
+    reason = f"{rule}: the simulator is wrong by {share:.0%} of the power below"
     if not helps:
         reason = (
-            f"no band of the simulator is worth using, even here it is wrong by {share:.0%} of "
-            "the power: rather use a model that is learned from the record alone"
+            f"no band of the simulator is worth using: up to {best.cutoff:g} Hz it is wrong by "
+            f"{share:.0%} of the power"
         )
-    return _chosen(best, found, reason, "expected error, as a share of the power", helps)
+
+    def why_not(candidate: Candidate) -> str:
+        return f"expected error {candidate.loss:.2g}, against {best.loss:.2g}"
+
+    loss = "expected error, as a share of the power"
+    return _chosen(best, found, reason, loss, why_not, helps)
 
 
 def _chosen(
@@ -185,48 +203,53 @@ def _chosen(
     found: Iterable[Candidate],
     reason: str,
     loss: str,
+    why_not: Callable[[Candidate], str],
     simulator_helps: bool | None = None,
 ) -> Choice:
-    """The choice, and of each other candidate why it is not."""
-    listed = tuple(
-        c if c is best else Candidate(**{**vars(c), "rejected": _why_not(c, best)}) for c in found
-    )
+    """The choice, with the reason why each other candidate is not."""
+    listed = tuple(c if c is best else replace(c, rejected=why_not(c)) for c in found)
     return Choice(best.cutoff, best.order, best.downsampling, reason, loss, listed, simulator_helps)
 
 
-def _why_not(candidate: Candidate, best: Candidate) -> str:
-    if candidate.loss > best.loss:
-        return f"loses {candidate.loss:.2g}, the chosen one {best.loss:.2g}"
-    if candidate.below < LEAST_BELOW:
-        return f"just {candidate.below:.0%} of the power below"
-    return "a lower one will do"
+def _varying(y: Array) -> npt.NDArray[np.bool_]:
+    """The channels that vary; all of them where none does."""
+    found = np.ptp(y, axis=0) > 0
+    return found if found.any() else ~found
 
 
 def _grid(
     y: Array,
     sampling_rate: float,
+    warmup: int,
     cutoff: float | None,
     order: int | None,
     downsampling: int | None,
-    warmup: int | None = None,
 ) -> list[tuple[float, int]]:
     """Cut-offs and orders to look at, from three cycles of the record on."""
-    if not np.ptp(y, axis=0).any():
-        raise ValueError("the record is constant: there is no band to split off")
+    orders = [order] if order is not None else [n for n in ORDERS if _shortest(n) <= warmup] or [1]
     if cutoff is not None:
-        butterworth(cutoff, sampling_rate, 1 if order is None else order)
+        butterworth(cutoff, sampling_rate, orders[0])
     check_downsampling(1 if downsampling is None else downsampling, cutoff or 0.0, sampling_rate)
+    if cutoff is not None:
+        return [(cutoff, n) for n in orders]
+    if not np.ptp(y, axis=0).any():
+        raise ValueError("the training samples are constant: there is no band to split off")
     highest = _NYQUIST_MARGIN * sampling_rate / 2 / (downsampling or 2)
     lowest = min(3 * sampling_rate / len(y), highest / 2)
-    cutoffs = [cutoff] if cutoff is not None else _round(np.geomspace(lowest, highest, _CUTOFFS))
-    orders = [order] if order is not None else [*ORDERS]
-    if order is None and warmup is not None:
-        orders = [n for n in orders if _shortest(n) <= warmup] or [1]
-    return [(c, n) for c in cutoffs for n in orders]
+    cutoffs = [float(f"{value:.3g}") for value in np.geomspace(lowest, highest, _CUTOFFS)]
+    # A high order is not stable in floating point at a low cut-off.
+    found = [(c, n) for c in cutoffs for n in orders if _exists(c, sampling_rate, n)]
+    if not found:
+        butterworth(cutoffs[-1], sampling_rate, orders[0])
+    return found
 
 
-def _round(values: Array) -> list[float]:
-    return [float(f"{value:.3g}") for value in values]
+def _exists(cutoff: float, sampling_rate: float, order: int) -> bool:
+    try:
+        butterworth(cutoff, sampling_rate, order)
+    except ValueError:
+        return False
+    return True
 
 
 def _gain(frequencies: Array, sampling_rate: float, cutoff: float, order: int) -> Array:

@@ -99,7 +99,7 @@ class Modes(NamedTuple):
     Attributes
     ----------
     frequencies, dampings, coefficients : As those of a channel of `HarmonicRegression`.
-    harmonics : The first so many are multiples of the first one: 1, 2, 3... times its frequency.
+    harmonics : The first so many are multiples of the first one, and move with it.
     """
 
     frequencies: Array
@@ -195,7 +195,7 @@ def _refine(
     count, reach = len(frequencies), 1 / len(y)
     tied = min(harmonics, count)
     multiples: Array = scipy.linalg.block_diag(
-        np.arange(1, tied + 1, dtype=np.float64)[:, None], np.eye(count - tied)
+        (frequencies[:tied] / frequencies[0])[:, None], np.eye(count - tied)
     )
     free = np.delete(frequencies, np.arange(1, tied))
     # What moves the fundamental moves its highest harmonic by a multiple of that.

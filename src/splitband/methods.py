@@ -19,7 +19,7 @@ from splitband.filters import ComplementaryPair, butterworth
 from splitband.harmonic import HarmonicRegression
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
 from splitband.naive import Given, Mean, Naive, Persistence, SeasonalNaive
-from splitband.periodic import fit_periodic
+from splitband.periodic import PeriodicRegression
 from splitband.training import Settings, default_warmup
 
 Array = npt.NDArray[np.float64]
@@ -151,7 +151,7 @@ FIXED: dict[str, Callable[[Trajectory, int], Naive]] = {
     "persistence": lambda record, train: Persistence(),
     "seasonal-naive": lambda record, train: SeasonalNaive.fit(record.y[:train]),
     "harmonic": lambda record, train: HarmonicRegression.fit(record.y[:train]),
-    "periodic": lambda record, train: fit_periodic(record.y[:train]),
+    "periodic": lambda record, train: PeriodicRegression.fit(record.y[:train]),
 }
 TRAINED = (
     *WHOLE,
@@ -163,6 +163,7 @@ TRAINED = (
     ),
 )
 METHODS = (*TRAINED, *FIXED)
+HYBRIDS = tuple(method for method in TRAINED if method.startswith((*HYBRID,)))
 
 
 def with_variants(methods: Sequence[str], calibrate: bool, conditioned: bool) -> list[str]:
@@ -215,7 +216,7 @@ def default_setup(
     cutoff: float | None = None,
     order: int | None = None,
     downsampling: int | None = None,
-    calibrated: bool = True,
+    methods: Sequence[str] | None = None,
 ) -> Setup:
     """A setup for a record of which nothing is known but its first `train` samples.
 
@@ -224,11 +225,12 @@ def default_setup(
     record, train : No measured sample after the first `train` is looked at.
     recipe, settings : How to train; by default as the recipe says.
     cutoff, order, downsampling : Already decided; the rest is chosen, see `cutoff.choose`.
-    calibrated : Whether a simulator will be.
+    methods : What the setup is for; by default `default_methods`.
     """
     if settings is None:
-        settings = Settings.of(train) if recipe == "default" else paper_settings(train)
-    found = _choice(record, train, settings.warmup, cutoff, order, downsampling, calibrated)
+        settings = recipe_settings(recipe, train)
+    methods = default_methods(record.y_sim is not None) if methods is None else methods
+    found = _choice(record, train, settings.warmup, (cutoff, order, downsampling), methods)
     setup = Setup(train, settings, found.cutoff, found.order, found.downsampling, choice=found)
     return setup if recipe == "paper" else replace(setup, hidden_high=32, hidden_low=16)
 
@@ -237,20 +239,27 @@ def _choice(
     record: Trajectory,
     train: int,
     warmup: int,
-    cutoff: float | None,
-    order: int | None,
-    downsampling: int | None,
-    calibrated: bool,
+    decided: tuple[float | None, int | None, int | None],
+    methods: Sequence[str],
 ) -> Choice:
-    y, rate, decided = record.y[:train], record.sampling_rate, (cutoff, order, downsampling)
-    if record.y_sim is None:
-        return choose(y, rate, warmup, *decided)
-    seen = prepared("simulator" + CALIBRATED, record, train)[0] if calibrated else record
-    hybrid = choose_with_simulator(y, _simulated(seen)[:train], rate, *decided)
-    if hybrid.simulator_helps:
-        return hybrid
+    """Of the filter pair: for hybrid models, if there are any and the simulator helps."""
+    y, rate = record.y[:train], record.sampling_rate
     learned = choose(y, rate, warmup, *decided)
-    return replace(learned, reason=f"{hybrid.reason}. {learned.reason}", simulator_helps=False)
+    hybrid = any(method in HYBRIDS for method in methods)
+    if record.y_sim is None or not hybrid:
+        return learned
+    calibrated = any(CALIBRATED in method for method in methods)
+    seen = prepared("simulator" + CALIBRATED, record, train)[0] if calibrated else record
+    found = choose_with_simulator(y, _simulated(seen)[:train], rate, warmup, *decided)
+    if found.simulator_helps:
+        return found
+    reason = f"{found.reason}; chosen for networks alone: {learned.reason}"
+    return replace(learned, reason=reason, simulator_helps=False)
+
+
+def recipe_settings(recipe: Recipe, train: int) -> Settings:
+    """How a recipe trains on `train` samples."""
+    return Settings.of(train) if recipe == "default" else paper_settings(train)
 
 
 def paper_settings(train: int) -> Settings:

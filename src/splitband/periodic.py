@@ -7,7 +7,6 @@ noise; this takes the mean of all, and a period that is no whole number of sampl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,74 +28,94 @@ _CUTS = (0.75, 0.8, 0.85, 0.9)
 
 
 @dataclass(frozen=True, eq=False)
-class PeriodicRegression(HarmonicRegression):
-    """A Fourier series for each channel, and vibrations that die out; use `fit_periodic`.
+class PeriodicRegression:
+    """A Fourier series for each channel, and vibrations that die out; use `fit`.
 
     Attributes
     ----------
-    periods : In samples, by channel.
-    vibrations : How many die out, by channel; they are the last of the sinusoids.
+    sinusoids : All of them; those of a series come first.
+    periods : In samples, by channel; 0 for a channel that has none and is constant here.
+    vibrations : How many die out, by channel.
     """
 
-    periods: tuple[float, ...] = ()
-    vibrations: tuple[int, ...] = ()
+    sinusoids: HarmonicRegression
+    periods: tuple[float, ...]
+    vibrations: tuple[int, ...]
+
+    @classmethod
+    def fit(cls, y: Array) -> PeriodicRegression:
+        """Fit `y` `(time, ny)`, each channel by itself.
+
+        A lag at which the channel resembles itself, or a whole fraction of it, is the period, and
+        as many harmonics are taken as the Bayesian information criterion pays for. The period may
+        then move, and vibrations that die out may be added, where that pays on what follows the
+        samples that were fitted, for several cuts of `y`. Of a long record the last
+        `harmonic.LONGEST` samples are used.
+        """
+        begin = max(len(y) - LONGEST, 0)
+        channels = [_fit_channel(channel) for channel in y[begin:].T]
+        return cls(
+            HarmonicRegression.of(channels, begin),
+            tuple(1 / m.frequencies[0] if len(m.frequencies) else 0.0 for m in channels),
+            tuple(max(len(m.frequencies) - m.harmonics, 0) for m in channels),
+        )
+
+    def predict(self, start: int, steps: int, last: Array) -> Array:
+        """See `Naive`."""
+        return self.sinusoids.predict(start, steps, last)
 
     def __str__(self) -> str:
+        if not any(self.periods):
+            return "no period found, a constant"
         periods = ", ".join(f"{period:.6g}" for period in self.periods)
         counts = "+".join(
-            str(len(f) - v) for f, v in zip(self.frequencies, self.vibrations, strict=True)
+            str(len(f) - v)
+            for f, v in zip(self.sinusoids.frequencies, self.vibrations, strict=True)
         )
         dying = sum(self.vibrations)
         some = f", and {dying} vibration(s) that die out" if dying else ""
         return f"{counts} harmonic(s) of a period of {periods} samples{some}"
 
 
-def fit_periodic(y: Array) -> PeriodicRegression:
-    """Fit `y` `(time, ny)`, each channel by itself.
-
-    A lag at which the channel resembles itself is the period, and as many harmonics are taken as
-    the Bayesian information criterion pays for. The period may become a fraction of a sample, and
-    vibrations that die out may be added, where that pays on what follows the samples that were
-    fitted, for several cuts of `y`. Of a long record the last `harmonic.LONGEST` samples are used.
-    """
-    begin = max(len(y) - LONGEST, 0)
-    channels = [_fit_channel(channel) for channel in y[begin:].T]
-    found = HarmonicRegression.of(channels, begin)
-    return PeriodicRegression(
-        found.frequencies,
-        found.coefficients,
-        found.dampings,
-        begin,
-        tuple(1 / m.frequencies[0] if len(m.frequencies) else float(len(y)) for m in channels),
-        tuple(len(m.frequencies) - m.harmonics if len(m.frequencies) else 0 for m in channels),
-    )
-
-
 def _fit_channel(y: Array) -> Modes:
     """In its units; found in units of its own range."""
     offset, scale = float(y.mean()), float(np.ptp(y)) or 1.0
     scaled = (y - offset) / scale
-    best, *freer = _CANDIDATES
-    least = _held_out(scaled, best)
-    for candidate in freer:
-        error = _held_out(scaled, candidate)
+    stiffest, *freer = zip(_candidates(scaled), _held_out(scaled), strict=True)
+    best, least = stiffest
+    for candidate, error in freer:
         if error < _WORTH * least:
             best, least = candidate, error
-    return best(scaled).in_units(offset, scale)
+    return best.in_units(offset, scale)
 
 
-def _held_out(y: Array, fit: Callable[[Array], Modes]) -> float:
-    """RMSE of what follows the samples that were fitted."""
+def _held_out(y: Array) -> list[float]:
+    """Of each candidate, the mean RMSE of what follows the samples that were fitted."""
     errors = []
     for share in _CUTS:
         cut = max(int(share * len(y)), 1)
-        error = y[cut:] - fit(y[:cut]).predict(np.arange(cut, len(y)))
-        errors.append(np.sqrt(np.mean(error**2)) if len(error) else 0.0)
-    return float(np.mean(errors))
+        index = np.arange(cut, len(y))
+        left = [y[cut:] - candidate.predict(index) for candidate in _candidates(y[:cut])]
+        errors.append([np.sqrt(np.mean(error**2)) if len(error) else 0.0 for error in left])
+    return [float(error) for error in np.mean(errors, axis=0)]
 
 
-def _whole_samples(y: Array, lags: int = 4) -> Modes:
-    """A period of a whole number of samples."""
+def _candidates(y: Array) -> tuple[Modes, Modes, Modes]:
+    """From the stiffest to the freest: any period nearby, and vibrations as long as they pay."""
+    series = _best_series(y)
+    if not len(series.frequencies):
+        return series, series, series
+    refined = dying = modes = series.refined(y)
+    for _ in range(VIBRATIONS):
+        # The early samples show best what dies out.
+        modes = modes.with_another(y, damping=3 / len(y), weight=3)
+        if modes.information(y) < dying.information(y):
+            dying = modes
+    return series, refined, dying
+
+
+def _best_series(y: Array, lags: int = 4) -> Modes:
+    """The Fourier series of a lag at which the record resembles itself, or of a part of it."""
     if len(y) < 2:
         return _series(y, 1)
     channel = y[:, None]
@@ -106,37 +125,26 @@ def _whole_samples(y: Array, lags: int = 4) -> Modes:
     return min(found, key=lambda modes: modes.information(y))
 
 
-def _any_period(y: Array) -> Modes:
-    found = _whole_samples(y)
-    return found.refined(y) if len(found.frequencies) else found
-
-
-def _dying_out(y: Array) -> Modes:
-    """With vibrations as long as they pay; the early samples show them best."""
-    best = modes = _any_period(y)
-    for _ in range(VIBRATIONS if len(best.frequencies) else 0):
-        modes = modes.with_another(y, damping=3 / len(y), weight=3)
-        if modes.information(y) < best.information(y):
-            best = modes
-    return best
-
-
-_CANDIDATES: Sequence[Callable[[Array], Modes]] = (_whole_samples, _any_period, _dying_out)
-
-
 def _series(y: Array, lag: int) -> Modes:
-    """The Fourier series of a period, of as many harmonics as pay."""
-    most = min((lag - 1) // 2, MOST_HARMONICS, max((len(y) - 2) // 4, 0))
-    best = Modes.solved(np.empty(0), np.empty(0), y)
+    """The Fourier series of a period, of as many harmonics as pay, the strongest first."""
+    none = Modes.solved(np.empty(0), np.empty(0), y)
+    most = min(MOST_HARMONICS, (lag - 1) // 2, (len(y) - 2) // 4)
     if most < 1:
-        return best
-    index, order = np.arange(len(y)), np.arange(1, most + 1)
-    phase = 2 * np.pi * np.outer(index, order) / lag
-    pairs = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(y), 2 * most)
+        return none
+    mean_period = y[len(y) % lag :].reshape(-1, lag).mean(axis=0)
+    strength = abs(np.fft.rfft(mean_period)[1 : (lag - 1) // 2 + 1])
+    strongest = 1 + np.argsort(-strength, kind="stable")[:most]
+    phase = 2 * np.pi * np.outer(np.arange(len(y)), strongest) / lag
+    pairs = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(y), -1)
     directions = np.linalg.qr(np.hstack([np.ones((len(y), 1)), pairs]))[0]
     # What is left after each harmonic more.
-    left = np.sum(y**2) - np.cumsum((directions.T @ y) ** 2)[2::2]
+    left = np.sum(y**2) - np.cumsum((directions.T @ y) ** 2)[::2]
     left = np.maximum(left, 1e-16 * np.sum(y**2) + 1e-300)
-    information = len(y) * np.log(left) + 2 * order * np.log(len(y))
-    count = int(order[np.argmin(information)])
-    return Modes.solved(order[:count] / lag, np.zeros(count), y, harmonics=count)
+    information = len(y) * np.log(left) + 2 * np.arange(len(left)) * np.log(len(y))
+    kept = strongest[: int(np.argmin(information))]
+    if not len(kept):
+        return none
+    # Those of a whole fraction of the lag: then that is the period. Weak ones between count too.
+    whole = int(np.gcd.reduce(kept))
+    order = np.arange(1, min(kept.max() // whole, MOST_HARMONICS) + 1)
+    return Modes.solved(order * whole / lag, np.zeros(len(order)), y, harmonics=len(order))

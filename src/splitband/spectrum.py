@@ -1,4 +1,4 @@
-"""Spectra of records: where the power lies, and a cut-off to begin with."""
+"""Spectra of records: where the power lies, and where a simulator agrees."""
 
 from __future__ import annotations
 

@@ -15,6 +15,7 @@ from splitband.data import Trajectory
 from splitband.files import output_folder, replacing, write_json
 from splitband.methods import (
     CALIBRATED,
+    HYBRIDS,
     METHODS,
     TRAINED,
     Setup,
@@ -111,7 +112,7 @@ def compare(
         trajectory,
         train,
         recipe=recipe,
-        calibrated=calibrated,
+        methods=chosen,
         cutoff=cutoff,
         order=order,
         downsampling=downsampling,
@@ -189,12 +190,12 @@ def _compare(
         f"{WORTH_TRAINING:.0%} better than what needs no training"
     )
     showing.console.print(
-        f"cut-off {setup.cutoff:g} Hz{_papers_cutoff(record, setup)}, order {setup.order}: "
-        f"{found.share_below(setup.cutoff):.1%} of the training part's power below, the low band "
-        f"kept at every {_ordinal(setup.downsampling)} sample"
+        f"cut-off {setup.cutoff:g} Hz{_papers_cutoff(record, setup)}, order {setup.order}, the low "
+        f"band kept at every {showing.ordinal(setup.downsampling)} sample: "
+        + (setup.choice.reason if setup.choice else f"{found.share_below(setup.cutoff):.0%} below")
     )
-    if setup.choice is not None:
-        showing.console.print(f"chosen as {setup.choice.reason}")
+    if setup.choice and setup.choice.simulator_helps is False and not set(methods) & set(HYBRIDS):
+        showing.console.print("hybrid models are left out; --methods brings them back")
     showing.console.print(f"results and pictures: {out}/")
 
 
@@ -212,8 +213,3 @@ def _papers_cutoff(record: Trajectory, setup: Setup) -> str:
     if column is None or column.setup(record.sampling_rate).cutoff != setup.cutoff:
         return ""
     return f" (the paper's w = {column.cutoff:g} at f = {SAMPLE_FREQUENCY:g})"
-
-
-def _ordinal(k: int) -> str:
-    suffix = {1: "st", 2: "nd", 3: "rd"}.get(k % 10 if k % 100 not in (11, 12, 13) else 0, "th")
-    return f"{k}{suffix}"

@@ -76,7 +76,7 @@ def forecast(
     )
     u = options.inputs_ahead(future_inputs, options.names(inputs or ""), steps, known.sampling_time)
     longer = ahead_of(known, steps, u)
-    setup = options.setup("", longer, len(known), calibrated=calibrated, epochs=epochs)
+    setup = options.setup("", longer, len(known), methods=methods, epochs=epochs)
     methods = usual_methods(longer, setup) if method is None else methods
     check(longer, methods, setup)
     check_trial(longer, methods, setup)

@@ -14,21 +14,24 @@ from rich.table import Table
 from splitband import plots
 from splitband.cli import options, showing
 from splitband.cli.simulating import with_simulator
-from splitband.cutoff import Choice, choose, choose_with_simulator
 from splitband.data import PUBLIC, Trajectory, fetch
 from splitband.files import output_folder, write_json
 from splitband.filters import ComplementaryPair
+from splitband.methods import Recipe, check_train
 from splitband.metrics import rmse
 from splitband.paper.settings import RECORD_SETTINGS
 from splitband.spectrum import coherence, oracle, oracle_cutoffs, periodogram
 from splitband.systems import RECORDS
-from splitband.training import default_warmup
 
 data = typer.Typer(help="The public records of the paper.", no_args_is_help=True)
 
 
 def spectrum(
     record: options.Record,
+    train: Annotated[
+        int | None,
+        typer.Option(help="Samples at the beginning to look at.", show_default="all"),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for results and picture.")] = Path("out"),
     columns: options.Columns = None,
     time_column: options.TimeColumn = None,
@@ -45,16 +48,25 @@ def spectrum(
     Prints the strongest peaks, the share of the power in either band and how well the filter pair
     puts the record together again. With a simulator, also how far it is off, where it is coherent
     with the record, and the oracle check: the RMSE a hybrid model could reach at each cut-off.
+
+    The cut-off is that of `compare` on the same samples, for the paper's records that of its tables
+    where --cutoff does not say auto.
     """
     trajectory = options.load_record(record, columns, None, time_column, sampling_time)
     trajectory = with_simulator(
-        trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache
+        trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache, beyond=True
     )
+    if train is not None:
+        check_train(trajectory, train, ahead=0)
+        trajectory = trajectory[:train]
     rate = trajectory.sampling_rate
     found = periodogram(trajectory.y, rate)
-    choice = _choice(record, trajectory, cutoff, order)
-    chosen = choice.cutoff
-    pair = ComplementaryPair.butterworth(chosen, rate, choice.order)
+    recipe: Recipe = "paper" if record in RECORD_SETTINGS and cutoff is None else "default"
+    setup = options.setup(
+        record, trajectory, len(trajectory), 0, recipe, cutoff=cutoff, order=order
+    )
+    chosen = setup.cutoff
+    pair = ComplementaryPair.butterworth(chosen, rate, setup.order)
     low, high = pair.split(trajectory.y)
     output_folder(out)
     facts: dict[str, Any] = {
@@ -63,7 +75,7 @@ def spectrum(
         "cutoff": chosen,
         "order": pair.order,
         "share_below": found.share_below(chosen),
-        "choice": asdict(choice),
+        "choice": None if setup.choice is None else asdict(setup.choice),
         "reconstruction_rmse": rmse(trajectory.y, low + high),
         "peaks": [{"frequency": f, "share": s} for f, s in found.peaks()],
     }
@@ -71,21 +83,11 @@ def spectrum(
     if trajectory.y_sim is not None:
         facts["simulator"] = _show_simulator(trajectory, trajectory.y_sim, chosen, pair.order)
     write_json(out / "results.json", facts)
-    showing.console.print(f"cut-off chosen as {choice.reason}" if cutoff is None else "")
-    plots.save(plots.spectrum(trajectory, found, chosen, choice), out / "spectrum.png")
+    if setup.choice is not None:
+        kept = f"the low band kept at every {showing.ordinal(setup.downsampling)} sample"
+        showing.console.print(f"{kept}: {setup.choice.reason}")
+    plots.save(plots.spectrum(trajectory, found, chosen, setup.choice), out / "spectrum.png")
     showing.console.print(f"picture: {out / 'spectrum.png'}")
-
-
-def _choice(record: str, trajectory: Trajectory, cutoff: float | None, order: int | None) -> Choice:
-    """Of the filter pair: the paper's cut-off for its records, as in `compare` otherwise."""
-    rate = trajectory.sampling_rate
-    if record in RECORD_SETTINGS and cutoff is None:
-        column = RECORD_SETTINGS[record].setup(rate)
-        cutoff, order = column.cutoff, order or column.order
-    if trajectory.y_sim is not None:
-        return choose_with_simulator(trajectory.y, trajectory.y_sim, rate, cutoff, order)
-    warmup = default_warmup(len(trajectory))
-    return choose(trajectory.y, rate, warmup, cutoff, order)
 
 
 def _show_peaks(record: Trajectory, facts: dict[str, Any]) -> None:

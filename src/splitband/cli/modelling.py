@@ -86,7 +86,7 @@ def fit(
         len(trajectory) if train is None else train,
         ahead=0,
         recipe=recipe,
-        calibrated=CALIBRATED in method,
+        methods=[method],
         cutoff=cutoff,
         order=order,
         downsampling=downsampling,

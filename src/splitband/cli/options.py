@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +13,7 @@ import numpy.typing as npt
 import typer
 
 from splitband.data import Trajectory, read
-from splitband.methods import Recipe, Setup, check_train, default_setup, paper_settings
+from splitband.methods import Recipe, Setup, check_train, default_setup, recipe_settings
 from splitband.paper.settings import RECORD_SETTINGS
 from splitband.systems import RECORDS, SIMULATORS
 from splitband.training import Settings, default_warmup
@@ -156,14 +158,21 @@ Conditioned = Annotated[
 ]
 
 
-def _hertz(value: str) -> float | None:
-    """A cut-off, if it is given."""
+AUTO = -math.inf
+"""A cut-off that is to be chosen, in place of the paper's for one of its records."""
+
+
+def _hertz(value: str) -> float:
+    """A cut-off, or `AUTO`."""
     if value == "auto":
-        return None
+        return AUTO
     try:
-        return float(value)
+        hertz = float(value)
     except ValueError:
-        raise typer.BadParameter(f"must be a frequency in Hz or auto, got {value}") from None
+        hertz = math.nan
+    if not math.isfinite(hertz):
+        raise typer.BadParameter("must be a frequency in Hz or auto")
+    return hertz
 
 
 Cutoff = Annotated[
@@ -322,20 +331,24 @@ def setup(
     train: int | None,
     ahead: int = 1,
     recipe: Recipe = "default",
-    calibrated: bool = True,
+    methods: Sequence[str] | None = None,
     **options: Any,
 ) -> Setup:
     """What the options say (`None`: nothing), the rest by the recipe.
 
     The paper's recipe for its own records is the settings of its tables. `record` is the argument
-    that `trajectory` comes from, whose simulator will be `calibrated` or not; `ahead` samples at
-    least must be left to predict.
+    that `trajectory` comes from, `methods` what the setup is for; `ahead` samples at least must be
+    left to predict.
     """
     column = RECORD_SETTINGS.get(record)
     if train is None:
         train = column.train if column else int(0.75 * len(trajectory))
     check_train(trajectory, train, ahead)
     given = {name: value for name, value in options.items() if value is not None}
+    decided = {name: given.pop(name, None) for name in ("cutoff", "order", "downsampling")}
+    papers = column is not None and recipe == "paper" and decided["cutoff"] != AUTO
+    if decided["cutoff"] == AUTO:
+        decided["cutoff"] = None
     if "hidden" in given:
         given["hidden_high"], given["hidden_low"] = _sizes(given.pop("hidden"))
     if "milestones" in given:
@@ -351,10 +364,15 @@ def setup(
 
     if column and recipe == "paper":
         defaults = column.setup(trajectory.sampling_rate)
-        overrides = {name: trained(s) for name, s in defaults.overrides.items()}
         settings = trained(defaults.settings)
-        return replace(defaults, train=train, settings=settings, overrides=overrides, **given)
-    settings = trained(Settings.of(train) if recipe == "default" else paper_settings(train))
-    decided = {name: given.pop(name, None) for name in ("cutoff", "order", "downsampling")}
-    defaults = default_setup(trajectory, train, recipe, settings, **decided, calibrated=calibrated)
+        overrides = {name: trained(s) for name, s in defaults.overrides.items()}
+        defaults = replace(defaults, train=train, settings=settings, overrides=overrides)
+        if papers:
+            given |= {name: value for name, value in decided.items() if value is not None}
+            return replace(defaults, **given)
+        found = default_setup(trajectory, train, recipe, settings, **decided, methods=methods)
+        chosen = {name: getattr(found, name) for name in (*decided, "choice")}
+        return replace(defaults, **chosen, **given)
+    settings = trained(recipe_settings(recipe, train))
+    defaults = default_setup(trajectory, train, recipe, settings, **decided, methods=methods)
     return replace(defaults, **given)

@@ -118,3 +118,9 @@ def _spread(values: Sequence[float], lowest: float) -> Text:
     if len(set(values)) > 1:
         text += f" ± {statistics.stdev(values):.2g}"
     return Text(text, style="bold" if mean == lowest else "")
+
+
+def ordinal(k: int) -> str:
+    """1st, 2nd..."""
+    suffix = {1: "st", 2: "nd", 3: "rd"}.get(k % 10 if k % 100 not in (11, 12, 13) else 0, "th")
+    return f"{k}{suffix}"
