@@ -39,7 +39,7 @@ def _training(setup: Setup, **changes: object) -> Setup:
 
 
 def _window(setup: Setup, samples: int) -> Setup:
-    window = min(samples, setup.settings.window)
+    window = min(samples, 3 * setup.train // 5)
     return _training(setup, window=window, warmup=min(setup.settings.warmup, max(1, window // 3)))
 
 
@@ -52,7 +52,7 @@ VARIANTS: dict[str, Callable[[Setup], Setup]] = {
     "hidden 16, 8": lambda setup: replace(setup, hidden_high=16, hidden_low=8),
     "hidden 64, 32": lambda setup: replace(setup, hidden_high=64, hidden_low=32),
     "windows of 150": partial(_window, samples=150),
-    "windows of 250": partial(_window, samples=250),
+    "windows of 400": partial(_window, samples=400),
     "half the steps": partial(_steps, factor=0.5),
     "twice the steps": partial(_steps, factor=2.0),
     "no growth": partial(_training, growth=0.0),

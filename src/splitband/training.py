@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import torch
 from torch import Tensor, nn
 
+from splitband.checkpoints import Checkpoint, State, key_of
 from splitband.data import Trajectory
 from splitband.models import Model, Signals, Task
 from splitband.threads import one_torch_thread
 
 STEPS = 1000
 """Gradient steps of the default recipe, for each network."""
+EXPLODED = 100.0
+"""A loss of so many times the signal itself is taken for lost."""
+RETREATS = 3
+"""Times that a network's step is halved before its training is given up."""
 
 
 @dataclass(frozen=True)
@@ -75,10 +81,10 @@ class Settings:
     def of(cls, samples: int) -> Settings:
         """The default recipe for a training record of so many samples; not in the paper.
 
-        Windows of three fifths of it, at most 400; one cycle of the learning rate, clipped
+        Windows of three fifths of it, at most 250; one cycle of the learning rate, clipped
         gradients, free runs that grow, and about `STEPS` steps for each network, one pass at least.
         """
-        window = min(400, max(2, 3 * samples // 5))
+        window = min(250, max(2, 3 * samples // 5))
         batch = 25
         batches = -(-max(samples - window + 1, 1) // batch)
         return cls(
@@ -132,6 +138,8 @@ class History:
 
     losses: dict[str, list[float]] = field(default_factory=dict)
     seconds: float = 0.0
+    notes: list[str] = field(default_factory=list)
+    """What went wrong and was mended."""
 
 
 def fit(
@@ -140,8 +148,12 @@ def fit(
     settings: Settings | None = None,
     seed: int = 0,
     progress: Callable[[Progress], None] | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> History:
     """Train a model in place (paper, Eqs. 12 and 14).
+
+    A loss that is no longer finite, or explodes, takes the network back to its last good epoch,
+    with half the step from there on; the history says so.
 
     Parameters
     ----------
@@ -150,13 +162,15 @@ def fit(
     settings : How; `Settings.of` the record by default.
     seed : For the order of the windows.
     progress : Called after each epoch.
+    checkpoint : Where the same training goes on if it was cut off, with the same numbers to the
+        bit; nothing is trained again if it was not.
 
     Raises
     ------
     ValueError
         For a record shorter than a window, or of other channels than the model's.
     FloatingPointError
-        When the loss is no longer finite.
+        When the loss does so for the fourth time.
     """
     settings = settings or Settings.of(len(trajectory))
     _check_record(model, trajectory, settings)
@@ -164,48 +178,128 @@ def fit(
     began = time.perf_counter()
     history = History()
     record = model.normalised(trajectory)
+    key = key_of(torch.__version__, settings, seed, *model.state_dict().values(),
+                 *(s for s in vars(record).values() if s is not None))  # fmt: skip
+    saved = (checkpoint.load(key) if checkpoint else None) or {}
     tasks = model.tasks(record)
+    states: State = {}
     for done, task in enumerate(tasks):
-        generator = torch.Generator().manual_seed(seed)  # a network does not depend on the others
-        losses = history.losses.setdefault(task.name, [])
-        for loss in _train(task, settings, generator):
-            losses.append(loss)
+        # The seed is for each: a network does not depend on the others.
+        training = _Training(task, settings, seed)
+        prefix = f"{done}."
+        if f"{prefix}losses" in saved:
+            training.restore({k.removeprefix(prefix): v for k, v in saved.items()
+                              if k.startswith(prefix)})  # fmt: skip
+        losses = history.losses[task.name] = training.losses
+        while len(losses) < settings.epochs:
+            training.epoch()
             if progress is not None:
                 share = (done + len(losses) / settings.epochs) / len(tasks)
-                progress(Progress(task.name, len(losses), settings.epochs, loss, share))
+                progress(Progress(task.name, len(losses), settings.epochs, losses[-1], share))
+            if checkpoint is not None:
+                last = done + 1 == len(tasks) and len(losses) == settings.epochs
+                now = partial(_prefixed, states, prefix, training)
+                checkpoint.offer(key, now, last)
+        states = _prefixed(states, prefix, training)
+        history.notes += [f"{task.name}: {note}" for note in training.notes]
     history.seconds = time.perf_counter() - began
     return history
 
 
-def _train(task: Task, settings: Settings, generator: torch.Generator) -> Iterator[float]:
-    """Train one network; yield the mean loss of each epoch."""
-    known, target = _windows(task, settings)
-    optimizer = torch.optim.Adam(task.network.parameters(), lr=settings.learning_rate)
-    for epoch in range(settings.epochs):
-        total = 0.0
-        batches = torch.randperm(len(target), generator=generator).split(settings.batch_size)
+def _prefixed(before: State, prefix: str, training: _Training) -> State:
+    """The states of earlier networks, and of this one as it is now."""
+    return before | {prefix + name: value for name, value in training.state().items()}
+
+
+class _Training:
+    """One network's training, epoch by epoch; an epoch depends on `state` and on nothing else."""
+
+    def __init__(self, task: Task, settings: Settings, seed: int) -> None:
+        self.task, self.settings = task, settings
+        self.known, self.target = _windows(task, settings)
+        parameters = task.network.parameters()
+        self.optimizer = torch.optim.Adam(parameters, lr=settings.learning_rate)
+        self.generator = torch.Generator().manual_seed(seed)
+        size = float(torch.linalg.vector_norm(task.target)) / task.target.numel() ** 0.5
+        self.most = EXPLODED * (size or 1.0)
+        self.losses: list[float] = []
+        self.retreats: list[int] = []
+        """Epochs that went wrong and were gone back from."""
+
+    @property
+    def notes(self) -> list[str]:
+        """What a user should know."""
+        return [
+            f"the loss exploded in epoch {epoch}, gone back with half the step"
+            for epoch in self.retreats
+        ]
+
+    def state(self) -> State:
+        """All that the next epoch depends on, and the losses so far."""
+        moments = self.optimizer.state_dict()["state"]
+        return {
+            **{f"network.{k}": v.clone() for k, v in self.task.network.state_dict().items()},
+            **{f"adam.{i}.{k}": v.clone() for i, m in moments.items() for k, v in m.items()},
+            "generator": self.generator.get_state(),
+            "losses": torch.tensor(self.losses, dtype=torch.float64),
+            "retreats": torch.tensor(self.retreats, dtype=torch.int64),
+        }
+
+    def restore(self, state: State) -> None:
+        """Go on where `state` was taken."""
+        network = {k.removeprefix("network."): v for k, v in state.items() if k[:8] == "network."}
+        self.task.network.load_state_dict(network)
+        moments: dict[int, dict[str, Tensor]] = {}
+        for name, value in state.items():
+            if name.startswith("adam."):
+                _, i, moment = name.split(".")
+                moments.setdefault(int(i), {})[moment] = value.clone()
+        groups = self.optimizer.state_dict()["param_groups"]
+        self.optimizer.load_state_dict({"state": moments, "param_groups": groups})
+        self.generator.set_state(state["generator"])
+        self.losses[:] = state["losses"].tolist()
+        self.retreats[:] = state["retreats"].tolist()
+
+    def epoch(self) -> None:
+        """Train an epoch; go back and try with a smaller step where it goes wrong."""
+        good = self.state()
+        while True:
+            loss = self._pass()
+            if loss <= self.most:
+                self.losses.append(loss)
+                return
+            epoch, retreats = len(self.losses) + 1, [*self.retreats, len(self.losses) + 1]
+            if len(retreats) > RETREATS:
+                raise FloatingPointError(
+                    f"training of the {self.task.name} diverged in epoch {epoch}: the loss is "
+                    f"{loss}, after {RETREATS} times with half the step; lower the learning "
+                    f"rate ({self.settings.learning_rate:g})"
+                )
+            self.restore(good)
+            self.retreats[:] = retreats
+
+    def _pass(self) -> float:
+        """One pass over all windows; the mean loss."""
+        settings, epoch = self.settings, len(self.losses)
+        total, slower = 0.0, 0.5 ** len(self.retreats)
+        order = torch.randperm(len(self.target), generator=self.generator)
+        batches = order.split(settings.batch_size)
         for i, batch in enumerate(batches):
             share = (epoch + i / len(batches)) / settings.epochs
-            steps = settings.reach(share, target.shape[1])
-            for group in optimizer.param_groups:
-                group["lr"] = settings.rate(epoch, share)
+            steps = settings.reach(share, self.target.shape[1])
+            for group in self.optimizer.param_groups:
+                group["lr"] = settings.rate(epoch, share) * slower
             with one_torch_thread():
-                seen, wanted = _select(known, batch), target[batch, :steps]
-            optimizer.zero_grad(set_to_none=True)
-            loss = _rmse(task.simulate(seen, steps), wanted)
+                seen, wanted = _select(self.known, batch), self.target[batch, :steps]
+            self.optimizer.zero_grad(set_to_none=True)
+            loss = _rmse(self.task.simulate(seen, steps), wanted)
             loss.backward()
             with one_torch_thread():
                 if settings.clip is not None:
-                    nn.utils.clip_grad_norm_(task.network.parameters(), settings.clip)
-                optimizer.step()
+                    nn.utils.clip_grad_norm_(self.task.network.parameters(), settings.clip)
+                self.optimizer.step()
             total += loss.item() * len(batch)
-        mean = total / len(target)
-        if not mean < float("inf"):
-            raise FloatingPointError(
-                f"training of the {task.name} diverged in epoch {epoch + 1}: the loss is {mean}; "
-                f"lower the learning rate ({settings.learning_rate:g})"
-            )
-        yield mean
+        return total / len(self.target)
 
 
 def _windows(task: Task, settings: Settings) -> tuple[Signals, Tensor]:

@@ -217,7 +217,7 @@ Window = Annotated[
     typer.Option(
         help="Samples of a training window, warm-up included.",
         rich_help_panel=_TRAINING,
-        show_default="three fifths of the training part, up to 400",
+        show_default="three fifths of the training part, up to 250",
     ),
 ]
 Epochs = Annotated[
