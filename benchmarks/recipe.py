@@ -39,8 +39,12 @@ def _training(setup: Setup, **changes: object) -> Setup:
 
 
 def _window(setup: Setup, samples: int) -> Setup:
+    """Windows of so many samples, and as many steps as before."""
     window = min(samples, 3 * setup.train // 5)
-    return _training(setup, window=window, warmup=min(setup.settings.warmup, max(1, window // 3)))
+    old, new = (setup.train - w + 1 for w in (setup.settings.window, window))
+    epochs = max(1, round(setup.settings.epochs * old / new))
+    warmup = min(setup.settings.warmup, max(1, window // 3))
+    return _training(setup, window=window, warmup=warmup, epochs=epochs)
 
 
 def _steps(setup: Setup, factor: float) -> Setup:

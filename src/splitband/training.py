@@ -16,7 +16,7 @@ from splitband.data import Trajectory
 from splitband.models import Model, Signals, Task
 from splitband.threads import one_torch_thread
 
-STEPS = 1000
+STEPS = 1500
 """Gradient steps of the default recipe, for each network."""
 EXPLODED = 100.0
 """A loss of so many times the signal itself is taken for lost."""

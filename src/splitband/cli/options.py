@@ -225,7 +225,7 @@ Epochs = Annotated[
     typer.Option(
         help="Passes over all windows.",
         rich_help_panel=_TRAINING,
-        show_default="what makes about 1,000 steps",
+        show_default="what makes about 1,500 steps",
     ),
 ]
 RecipeOption = Annotated[
