@@ -20,6 +20,7 @@ LAYERS = (
     "methods",
     "saving",
     "training",
+    "checkpoints",
     "models",
     "rollouts",
     "cells",

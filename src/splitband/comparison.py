@@ -10,10 +10,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from splitband.checkpoints import Checkpoint
 from splitband.data import Trajectory
 from splitband.methods import FIXED, Setup, build, check, prepared
 from splitband.metrics import rmse
@@ -72,18 +74,23 @@ def run(
     seed: int,
     progress: Callable[[RunProgress], None] | None = None,
     later: Sequence[int] = (),
+    checkpoints: Path | None = None,
 ) -> Run:
     """Fit one method on the first `setup.train` samples and predict under both protocols.
 
     From each of the indices in `later` it also forecasts the rest of the record, warmed up on the
-    samples before, but fitted to the same ones.
+    samples before, but fitted to the same ones. A training that was cut off goes on from its file
+    in the folder `checkpoints`.
     """
     if method in FIXED:
         return run_baseline(method, FIXED[method], record, setup, seed, later)
     record, calibration = prepared(method, record, setup.train)
     model = build(method, record, setup, seed)
     reporter = _reporter(method, seed, progress)
-    history = fit(model, record[: setup.train], setup.settings_of(method), seed, reporter)
+    checkpoint = Checkpoint(checkpoints / f"{method}-{seed}.safetensors") if checkpoints else None
+    training = record[: setup.train]
+    history = fit(model, training, setup.settings_of(method), seed, reporter, checkpoint)
+    notes = [] if calibration is None else [f"simulator: {calibration}"]
     warmup = setup.settings.warmup
     components = predict(model, record, 0, warmup)
     parts = predict(model, record, setup.train - warmup, setup.train)
@@ -96,7 +103,7 @@ def run(
         from_start,
         forecast,
         components if len(components) > 1 else {},
-        "" if calibration is None else f"simulator: {calibration}",
+        "; ".join([*notes, *history.notes]),
         losses=history.losses,
         unfiltered=model.simulate_unfiltered(*_known(record, 0, warmup)),
         later={start: _total(predict(model, record, start - warmup, start)) for start in later},
@@ -153,6 +160,7 @@ def compare(
     jobs: int = 1,
     progress: Callable[[RunProgress], None] | None = None,
     later: Sequence[int] = (),
+    checkpoints: Path | None = None,
 ) -> dict[str, list[Run]]:
     """Run every method with every seed; `jobs` changes the numbers by rounding at most.
 
@@ -165,6 +173,7 @@ def compare(
     jobs : Processes at once, each on one thread.
     progress : Called in this process after each epoch of each run.
     later : See `run`.
+    checkpoints : Folder, created if need be, from which trainings that were cut off go on.
 
     Returns
     -------
@@ -175,7 +184,9 @@ def compare(
     drawn = {method: seeds[:1] if method in FIXED else seeds for method in methods}
     # The longest first, so that no process is left with one of them at the end.
     todo = sorted(((m, s) for m in methods for s in drawn[m]), key=lambda job: job[0] in FIXED)
-    work = partial(_work, record, setup, progress is None, later)
+    if checkpoints is not None:
+        checkpoints.mkdir(parents=True, exist_ok=True)
+    work = partial(_work, record, setup, progress is None, later, checkpoints)
     found = {(r.method, r.seed): r for r in over(work, todo, jobs, progress)}
     return {m: [found[m, s] for s in drawn[m]] for m in methods}
 
@@ -247,8 +258,9 @@ def _work(
     setup: Setup,
     silent: bool,
     later: Sequence[int],
+    checkpoints: Path | None,
     job: tuple[str, int],
     report: Callable[[RunProgress], None],
 ) -> Run:
     method, seed = job
-    return run(method, record, setup, seed, None if silent else report, later)
+    return run(method, record, setup, seed, None if silent else report, later, checkpoints)

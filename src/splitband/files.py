@@ -10,6 +10,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+CHECKPOINTS = "checkpoints"
+"""Folder beside results that are not there yet; gone when they are."""
+
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:

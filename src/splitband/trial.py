@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -114,6 +115,7 @@ def try_out(
     seeds: Sequence[int] = (0,),
     jobs: int = 1,
     progress: Callable[[RunProgress], None] | None = None,
+    checkpoints: Path | None = None,
 ) -> Trial:
     """Fit each method on the first part of the training samples and forecast the rest of them.
 
@@ -125,7 +127,7 @@ def try_out(
     longer = ahead_of(part, len(record) - setup.train, u)
     # One beginning may suit a method by chance: the last sample, held, is now and then the mean.
     later = sorted({shorter.train + i * held // 3 for i in (1, 2)} - {shorter.train})
-    runs = compare(longer, methods, shorter, seeds, jobs, progress, later)
+    runs = compare(longer, methods, shorter, seeds, jobs, progress, later, checkpoints)
     forecasts = {method: _forecasts(of_method, shorter.train) for method, of_method in runs.items()}
     left = {
         method: [

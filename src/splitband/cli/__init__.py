@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ValueError, OSError, FloatingPointError) as error:
         return _complain(_in_one_line(error))
     if status == INTERRUPTED:
-        _complain("stopped before the end; no file is half written")
+        _complain("stopped; no file is half written, and the same command goes on from here")
     return status if isinstance(status, int) else 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +13,7 @@ from splitband.cli import options, showing
 from splitband.cli.simulating import with_simulator
 from splitband.comparison import compare as run_comparison
 from splitband.data import Trajectory
-from splitband.files import output_folder, replacing, write_json
+from splitband.files import CHECKPOINTS, output_folder, replacing, write_json
 from splitband.methods import (
     CALIBRATED,
     HYBRIDS,
@@ -165,10 +166,13 @@ def _compare(
     output_folder(out)
     networks = len(set(methods) & set(TRAINED))
     jobs = min(jobs or available_cores(), max(seeds * networks, 1))
+    chosen = range(seeds)
     with showing.progress(seeds * networks, "training on three quarters") as progress:
-        trial = try_out(record, methods, setup, range(seeds), jobs, progress)
+        folder = out / CHECKPOINTS / "three quarters"
+        trial = try_out(record, methods, setup, chosen, jobs, progress, folder)
     with showing.progress(seeds * networks, "training") as progress:
-        runs = run_comparison(record, methods, setup, range(seeds), jobs, progress)
+        folder = out / CHECKPOINTS / "whole"
+        runs = run_comparison(record, methods, setup, chosen, jobs, progress, checkpoints=folder)
     trial = trial.settled(runs)
     found = periodogram(record.y[: setup.train], record.sampling_rate)
     arguments = {k: str(v) if isinstance(v, Path) else v for k, v in context.params.items()}
@@ -181,6 +185,7 @@ def _compare(
     plots.save(plots.spectrum(record, found, setup.cutoff, setup.choice), out / "spectrum.png")
     if any(of_method[0].components for of_method in runs.values()):
         plots.save(plots.components(record, setup, runs), out / "components.png")
+    shutil.rmtree(out / CHECKPOINTS)
     showing.console.print(showing.comparison(_title(record, setup), record, setup, runs, trial))
     best = trial.recommended
     showing.console.print(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +13,7 @@ from splitband import plots, reporting
 from splitband.cli import options, showing
 from splitband.cli.simulating import with_simulator
 from splitband.comparison import ahead_of, compare
-from splitband.files import output_folder, replacing, write_json
+from splitband.files import CHECKPOINTS, output_folder, replacing, write_json
 from splitband.methods import (
     CALIBRATED,
     FIXED,
@@ -84,11 +85,13 @@ def forecast(
     jobs = jobs or available_cores()
     tried = len(set(methods) & set(TRAINED))
     with showing.progress(seeds * tried, "training on three quarters") as progress:
-        trial = try_out(longer, methods, setup, range(seeds), jobs, progress)
+        folder = out / CHECKPOINTS / "three quarters"
+        trial = try_out(longer, methods, setup, range(seeds), jobs, progress, folder)
     # Of the networks just the best one is worth its training on all of the record.
     fitted = [name for name in methods if name in FIXED or name == trial.best_network]
     with showing.progress(seeds * bool(trial.best_network), "training") as progress:
-        found = compare(longer, fitted, setup, range(seeds), jobs, progress)
+        folder = out / CHECKPOINTS / "whole"
+        found = compare(longer, fitted, setup, range(seeds), jobs, progress, checkpoints=folder)
     trial = trial.settled(found)
     best = trial.recommended
     runs = found[best]
@@ -109,6 +112,7 @@ def forecast(
     }
     write_json(out / "results.json", facts)
     plots.save(plots.forecast(known, table, best), out / "forecast.png")
+    shutil.rmtree(out / CHECKPOINTS)
     _say(trial, best, steps, out)
 
 

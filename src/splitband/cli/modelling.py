@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,11 +13,12 @@ import typer
 
 from splitband import reporting, saving
 from splitband.calibration import Calibration
+from splitband.checkpoints import Checkpoint
 from splitband.cli import options, showing
 from splitband.cli.simulating import simulated, with_simulator
 from splitband.comparison import RunProgress
 from splitband.data import Trajectory, read
-from splitband.files import output_folder, replacing, write_json
+from splitband.files import CHECKPOINTS, output_folder, replacing, write_json
 from splitband.methods import (
     CALIBRATED,
     TRAINED,
@@ -107,7 +109,10 @@ def fit(
         def update(at: Progress) -> None:
             bar(RunProgress(at.task, seed, at.epoch / at.epochs, at.loss))
 
-        history = train_model(model, training, setup.settings_of(method), seed, update)
+        (out / CHECKPOINTS).mkdir(exist_ok=True)
+        checkpoint = Checkpoint(out / CHECKPOINTS / f"{method}-{seed}.safetensors")
+        settings = setup.settings_of(method)
+        history = train_model(model, training, settings, seed, update, checkpoint)
     within = _training_error(model, training, setup.settings.warmup)
     facts = {
         "method": method,
@@ -123,9 +128,13 @@ def fit(
     outcome = {
         "final_loss": {name: losses[-1] for name, losses in history.losses.items()},
         "seconds": history.seconds,
+        "notes": history.notes,
         "training_rmse": within,
     }
     write_json(out / "results.json", facts | outcome | {"environment": reporting.environment()})
+    shutil.rmtree(out / CHECKPOINTS)
+    for note in history.notes:
+        showing.console.print(note)
     showing.console.print(
         f"{method} trained on {len(training)} samples in {history.seconds:.1f} s; free run over "
         f"them from the first {setup.settings.warmup}: RMSE {within:.4g}\n"

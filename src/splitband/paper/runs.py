@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
@@ -16,7 +17,7 @@ import numpy.typing as npt
 
 from splitband.comparison import Run, RunProgress, run, run_baseline
 from splitband.data import Trajectory, double_torsion, drill_string, read
-from splitband.files import write_json_lines
+from splitband.files import CHECKPOINTS, write_json_lines
 from splitband.methods import FIXED, METHODS, Setup
 from splitband.paper.settings import HYBRID, LEARNING_BASED, Hybrid, LearningBased, in_hz
 from splitband.processes import over
@@ -244,17 +245,20 @@ def as_run(facts: dict[str, Any]) -> Run:
 def _work(folder: Path, silent: bool, job: Job, report: Callable[[RunProgress], None]) -> None:
     record = job.record
     setup = job.setup(record)
+    path = folder / job.path
+    checkpoints = path.parent / f"{path.stem}-{CHECKPOINTS}"
+    checkpoints.mkdir(parents=True, exist_ok=True)
     try:
         if job.method == ORACLE:
             done = run_baseline(ORACLE, double_mass_spring_oracle, record, setup)
         else:
-            done = run(job.method, record, setup, job.seed, None if silent else report)
+            watch = None if silent else report
+            done = run(job.method, record, setup, job.seed, watch, checkpoints=checkpoints)
         facts = _results(job, done)
     except FloatingPointError as error:
         facts = {"diverged": str(error)}
-    path = folder / job.path
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_json_lines(path, _identity(job, record, setup) | facts | {"environment": environment()})
+    shutil.rmtree(checkpoints)
 
 
 def _results(job: Job, done: Run) -> dict[str, Any]:
