@@ -1014,8 +1014,8 @@ def test_an_interrupt_says_so_and_leaves_no_file(capsys: pytest.CaptureFixture[s
     before = files(Path())
     assert main(shlex.split(SIMULATOR + "functions.py:interrupted")) == 130
     said = capsys.readouterr().err
-    assert (
-        said == "error: stopped; no file is half written, and the same command goes on from here\n"
+    assert said == (
+        "error: stopped; no file is half written, and the same command goes on from here\n"
     )
     assert files(Path()) == before
 
