@@ -16,7 +16,7 @@ from splitband.data import Trajectory
 from splitband.models import Model, Signals, Task
 from splitband.threads import one_torch_thread
 
-STEPS = 1500
+STEPS = 1000
 """Gradient steps of the default recipe, for each network."""
 EXPLODED = 100.0
 """A loss of so many times the signal itself is taken for lost."""
@@ -81,10 +81,10 @@ class Settings:
     def of(cls, samples: int) -> Settings:
         """The default recipe for a training record of so many samples; not in the paper.
 
-        Windows of three fifths of it, at most 250; one cycle of the learning rate, clipped
+        Windows of two fifths of it, 150 to 400 samples; one cycle of the learning rate, clipped
         gradients, free runs that grow, and about `STEPS` steps for each network, one pass at least.
         """
-        window = min(250, max(2, 3 * samples // 5))
+        window = max(2, min(400, max(150, 2 * samples // 5), 3 * samples // 5))
         batch = 25
         batches = -(-max(samples - window + 1, 1) // batch)
         return cls(

@@ -217,7 +217,7 @@ Window = Annotated[
     typer.Option(
         help="Samples of a training window, warm-up included.",
         rich_help_panel=_TRAINING,
-        show_default="three fifths of the training part, up to 250",
+        show_default="two fifths of the training part, 150 to 400",
     ),
 ]
 Epochs = Annotated[
@@ -225,7 +225,7 @@ Epochs = Annotated[
     typer.Option(
         help="Passes over all windows.",
         rich_help_panel=_TRAINING,
-        show_default="what makes about 1,500 steps",
+        show_default="what makes about 1,000 steps",
     ),
 ]
 RecipeOption = Annotated[
