@@ -83,7 +83,9 @@ def test_no_lower_cutoff_would_have_done() -> None:
 
 
 def test_a_low_band_that_would_be_aliased_is_not_thinned_out() -> None:
-    assert choose(sine(0.1), RATE, WARMUP).downsampling == MOST_DOWNSAMPLING
+    assert choose(sine(0.1), RATE, 200).downsampling == MOST_DOWNSAMPLING
+    assert choose(sine(0.1), RATE, 40).downsampling == 4  # of which a warm-up keeps ten
+    assert choose(sine(0.1), RATE, 15).downsampling == 2
     k = choose(sine(0.1) + sine(0.9), RATE, WARMUP, cutoff=0.95).downsampling
     assert 1 < k < RATE / 2 / 0.9  # Nyquist stays above the faster one
 

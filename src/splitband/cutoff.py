@@ -22,6 +22,8 @@ Array = npt.NDArray[np.float64]
 
 ORDERS = (1, 2)
 MOST_DOWNSAMPLING = 10
+LEAST_WARMUP = 10
+"""Samples that a warm-up must leave to the down-sampled low band."""
 LEAST_BELOW = 0.5
 """Of the power: the low band is to hold the long term."""
 MOST_LOST = 0.15
@@ -44,7 +46,7 @@ class Candidate:
     ----------
     cutoff : In Hz.
     order : Of each Butterworth filter.
-    downsampling : The largest k that keeps the low band.
+    downsampling : The largest k that keeps the low band, and enough samples of a warm-up.
     below : Share of the power in the low band.
     loss : What is compared: shares of the power, see `choose` and `choose_with_simulator`.
     rejected : Why it is not used; empty for the one that is.
@@ -113,7 +115,9 @@ def choose(
     found = []
     for candidate in _grid(y, sampling_rate, warmup, cutoff, order, downsampling):
         gain = _gain(spectrum.frequencies, sampling_rate, *candidate) ** 2  # forward and backward
-        k = downsampling or _downsampling(power * gain**2, spectrum.frequencies, candidate[0])
+        k = downsampling or _downsampling(
+            power * gain**2, spectrum.frequencies, candidate[0], warmup
+        )
         both = float(np.sum(2 * power * gain * (1 - gain)))
         lost = both + _distortion(y, warmup, sampling_rate, *candidate)
         found.append(Candidate(*candidate, k, float(np.sum(power * gain**2)), lost))
@@ -175,7 +179,7 @@ def choose_with_simulator(
         b, a = butterworth(candidate[0], sampling_rate, candidate[1])
         response = scipy.signal.freqz(b, a, spectrum.frequencies, fs=sampling_rate)[1]
         low, high = abs(response) ** 2, abs(1 - response) ** 2
-        k = downsampling or _downsampling(power * low, spectrum.frequencies, candidate[0])
+        k = downsampling or _downsampling(power * low, spectrum.frequencies, candidate[0], warmup)
         below, wrong_below = float(np.sum(low * power)), float(np.sum(low * error)) + offset
         left = wrong_below + LEFT_BY_NETWORK * float(np.sum(high * power))
         found.append(Candidate(*candidate, k, below, left))
@@ -183,8 +187,11 @@ def choose_with_simulator(
     best = min(found, key=lambda c: c.loss)
     share = wrongness[best.cutoff, best.order]
     helps = share < WORTH_USING
-    rule = "as given" if cutoff is not None else "where record and simulator agree"
-    reason = f"{rule}: the simulator is wrong by {share:.0%} of the power below"
+    rule = "as given" if cutoff is not None else "where the least error is expected"
+    reason = (
+        f"{rule}: the simulator is wrong by {share:.0%} of the power below, a network that is told "
+        f"of it by {LEFT_BY_NETWORK:.0%} above"
+    )
     if not helps:
         reason = (
             f"no band of the simulator is worth using: up to {best.cutoff:g} Hz it is wrong by "
@@ -257,10 +264,10 @@ def _gain(frequencies: Array, sampling_rate: float, cutoff: float, order: int) -
     return np.asarray(abs(scipy.signal.freqz(b, a, frequencies, fs=sampling_rate)[1]))
 
 
-def _downsampling(low: Array, frequencies: Array, cutoff: float) -> int:
+def _downsampling(low: Array, frequencies: Array, cutoff: float, warmup: int) -> int:
     """The largest k whose Nyquist frequency is above the cut-off and nearly all that is left."""
     nyquist = frequencies[-1]
-    for k in range(MOST_DOWNSAMPLING, 1, -1):
+    for k in range(max(2, min(MOST_DOWNSAMPLING, warmup // LEAST_WARMUP)), 1, -1):
         aliased = float(np.sum(low[frequencies > nyquist / k]))
         if cutoff <= _NYQUIST_MARGIN * nyquist / k and aliased < MOST_ALIASED:
             return k

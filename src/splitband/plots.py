@@ -199,9 +199,10 @@ def spectrum(
         axes[1].grid(True, which="both", color="0.93", lw=0.6)
     if cutoff is not None:
         share = found.share_below(cutoff)
-        label = f"cut-off {cutoff:.4g} Hz: {share:.1%} of the power below"
+        said = f"cut-off {cutoff:.4g} Hz: {share:.1%} of the power below"
         for ax in axes:
-            ax.axvline(cutoff, color="#D55E00", ls="--", lw=1.2, label=label)
+            first = ax is axes[0]
+            ax.axvline(cutoff, color="#D55E00", ls="--", lw=1.2, label=said if first else None)
     if choice is not None:
         _draw_choice(axes[-1], choice)
     axes[0].set_title(f"{_literal(record.name)}: spectrum", fontsize=10)
@@ -226,7 +227,8 @@ def _draw_choice(ax: Axes, choice: Choice) -> None:
     best = next(c for c in choice.candidates if not c.rejected)
     ax.semilogx([best.cutoff], [best.loss], "D", color="#D55E00", ms=6, label="chosen")
     ax.set_ylim(bottom=0)
-    ax.set_ylabel(choice.loss, fontsize=8)
+    ax.set_title(choice.loss, fontsize=8, loc="left", pad=3)
+    ax.set_ylabel("of a cut-off")
     ax.grid(True, which="both", color="0.93", lw=0.6)
     ax.legend(fontsize=8, loc="upper right")
 
