@@ -21,6 +21,8 @@ from splitband.spectrum import periodogram
 Array = npt.NDArray[np.float64]
 
 ORDERS = (1, 2)
+"""The second only where the first does not do: on held-out samples it is no better, on the
+simulated pendulum (iii) and on (vi) it is worse (0.31 and 0.17, 0.35 and 0.30)."""
 MOST_DOWNSAMPLING = 10
 LEAST_WARMUP = 10
 """Samples that a warm-up must leave to the down-sampled low band."""
@@ -124,7 +126,7 @@ def choose(
     able = [c for c in found if c.below >= LEAST_BELOW]
     good = [c for c in able if c.loss <= MOST_LOST]
     if good:
-        best, rule = min(good, key=lambda c: (c.cutoff, c.loss)), "the lowest one that will do"
+        best, rule = min(good, key=lambda c: (c.order, c.cutoff)), "the lowest one that will do"
     elif able:
         best, rule = min(able, key=lambda c: c.loss), "none loses little, this one the least"
     else:
@@ -184,7 +186,10 @@ def choose_with_simulator(
         left = wrong_below + LEFT_BY_NETWORK * float(np.sum(high * power))
         found.append(Candidate(*candidate, k, below, left))
         wrongness[candidate] = wrong_below / (below or 1.0)
-    best = min(found, key=lambda c: c.loss)
+    lowest = min(c.order for c in found)
+    best = min((c for c in found if c.order == lowest), key=lambda c: c.loss)
+    other = min(found, key=lambda c: c.loss)
+    best = other if other.loss < best.loss / 2 else best
     share = wrongness[best.cutoff, best.order]
     helps = share < WORTH_USING
     rule = "as given" if cutoff is not None else "where the least error is expected"
