@@ -1,5 +1,6 @@
 """Trainings that are cut off and go on, and trainings that go wrong and are gone back from."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from test_models import QUICK, SETUP, TRAIN, record
 
 from splitband import Settings, Trajectory, fit
 from splitband.checkpoints import Checkpoint, key_of
-from splitband.methods import build
+from splitband.methods import Setup, build
 from splitband.models import Model
 from splitband.training import RETREATS, History, Progress, _Training
 
@@ -26,9 +27,10 @@ def trained(
     seed: int = 3,
     training: Trajectory | None = None,
     settings: Settings = RECIPE,
+    setup: Setup = SETUP,
 ) -> tuple[Model, History, list[Progress]]:
     training = record()[:TRAIN] if training is None else training
-    model = build("split-gru-conditioned", training, SETUP, seed)
+    model = build("split-gru-conditioned", training, setup, seed)
     seen: list[Progress] = []
 
     def watch(at: Progress) -> None:
@@ -77,8 +79,20 @@ def test_the_checkpoint_of_another_training_is_none(tmp_path: Path) -> None:
         trained(Checkpoint(file), seed=4),
         trained(Checkpoint(file), training=other),
         trained(Checkpoint(file), settings=changed),
+        trained(Checkpoint(file), setup=replace(SETUP, downsampling=3)),
+        trained(Checkpoint(file), setup=replace(SETUP, cutoff=0.5)),
     ):
         assert len(seen) == 8
+
+
+def test_a_checkpoint_knows_the_filter_of_a_hybrid_model(tmp_path: Path) -> None:
+    """It is in no weight."""
+    checkpoint = Checkpoint(tmp_path / "training.safetensors")
+    for cutoff, epochs in ((0.6, 4), (0.6, 0), (0.5, 4)):
+        model = build("filtered-gru", record(), replace(SETUP, cutoff=cutoff), 0)
+        seen: list[Progress] = []
+        fit(model, record()[:TRAIN], RECIPE, 0, seen.append, checkpoint)
+        assert len(seen) == epochs
 
 
 @pytest.mark.parametrize("damage", ["empty", "cut", "noise", "text"])

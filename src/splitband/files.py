@@ -23,6 +23,8 @@ def replacing(path: str | Path) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
+        with temporary.open("rb") as written:
+            os.fsync(written.fileno())  # a power cut must not leave the name without the content
         temporary.chmod(0o666 & ~_umask())
         temporary.replace(path)
     finally:

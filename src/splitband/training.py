@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -178,8 +179,10 @@ def fit(
     began = time.perf_counter()
     history = History()
     record = model.normalised(trajectory)
-    key = key_of(torch.__version__, settings, seed, *model.state_dict().values(),
-                 *(s for s in vars(record).values() if s is not None))  # fmt: skip
+    signals = (signal for signal in vars(record).values() if signal is not None)
+    key = key_of(
+        torch.__version__, settings, seed, _built(model), *model.state_dict().values(), *signals
+    )
     saved = (checkpoint.load(key) if checkpoint else None) or {}
     tasks = model.tasks(record)
     states: State = {}
@@ -204,6 +207,14 @@ def fit(
         history.notes += [f"{task.name}: {note}" for note in training.notes]
     history.seconds = time.perf_counter() - began
     return history
+
+
+def _built(model: Model) -> list[tuple[str, dict[str, Any]]]:
+    """What a model is besides its weights: filters, down-sampling, step sizes."""
+    return [
+        (type(m).__name__, {k: v for k, v in vars(m).items() if k[0] != "_" and k != "training"})
+        for m in model.modules()
+    ]
 
 
 def _prefixed(before: State, prefix: str, training: _Training) -> State:
