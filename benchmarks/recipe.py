@@ -51,6 +51,12 @@ def _steps(setup: Setup, factor: float) -> Setup:
     return _training(setup, epochs=max(1, round(factor * setup.settings.epochs)))
 
 
+def _cutoff(setup: Setup, factor: float) -> Setup:
+    """Another cut-off; above the old one with less down-sampling, as that one just allowed it."""
+    downsampling = max(1, round(setup.downsampling / max(1, factor)))
+    return replace(setup, cutoff=factor * setup.cutoff, downsampling=downsampling)
+
+
 VARIANTS: dict[str, Callable[[Setup], Setup]] = {
     "default": lambda setup: setup,
     "hidden 16, 8": lambda setup: replace(setup, hidden_high=16, hidden_low=8),
@@ -63,6 +69,9 @@ VARIANTS: dict[str, Callable[[Setup], Setup]] = {
     "no clipping": partial(_training, clip=None),
     "rate 1e-3": partial(_training, learning_rate=1e-3),
     "constant rate 1e-3": partial(_training, learning_rate=1e-3, one_cycle=False),
+    "third of the cut-off": partial(_cutoff, factor=1 / 3),
+    "3 times the cut-off": partial(_cutoff, factor=3.0),
+    "filters of order 2": lambda setup: replace(setup, order=2),
     "trained as in the paper": lambda setup: replace(setup, settings=paper_settings(setup.train)),
 }
 
