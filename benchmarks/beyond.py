@@ -125,9 +125,8 @@ def measured(name: str, seeds: int, jobs: int) -> Facts:
 
 def _after(record: Trajectory, setup: Setup, predicted: Array) -> float:
     """RMSE over the samples after the training part, whenever the prediction began."""
-    truth = record.y if record.y_true is None else record.y_true
     steps = len(record) - setup.train
-    return rmse(truth[-steps:], predicted[-steps:])
+    return rmse(record.truth[-steps:], predicted[-steps:])
 
 
 OTHERS = (

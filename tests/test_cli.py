@@ -205,7 +205,7 @@ def test_compare_writes_what_is_needed_to_run_it_again(compared: Path) -> None:
     found = results(compared)
     assert found["record"] == {
         "name": "record", "samples": SAMPLES, "sampling_time": pytest.approx(DT),
-        "columns": ["a"], "inputs": 0, "truth": "measured",
+        "columns": ["a"], "inputs": 0, "gaps": 0, "truth": "measured",
     }  # fmt: skip
     settings = found["settings"]
     choice = settings["choice"]

@@ -21,6 +21,7 @@ LAYERS = (
     "saving",
     "training",
     "checkpoints",
+    "windows",
     "models",
     "rollouts",
     "cells",

@@ -290,7 +290,7 @@ def test_the_network_of_a_conditioned_hybrid_is_told_of_the_simulator_behind_its
 def test_slopes_have_unit_deviation_over_the_training_record(name: Any) -> None:
     r = record(ny=2)
     model = build(name, r, SETUP, seed=0)
-    model.adapt_to(r[:TRAIN])
+    model.adapt_to([r[:TRAIN]])
     slow = y_sim_of(r)[:TRAIN] if "residual" in name else r.y[:TRAIN]
     slow = (slow - r.y[:TRAIN].mean(axis=0)) / r.y[:TRAIN].std(axis=0)
     if "split" in name:

@@ -15,7 +15,7 @@ from splitband import GRU, History, Model, Progress, Recurrent, Settings, Trajec
 from splitband.comparison import compare
 from splitband.methods import build
 from splitband.models import Signals, Task
-from splitband.training import _windows
+from splitband.windows import windows
 
 
 def parameters(model: Model) -> torch.Tensor:
@@ -52,13 +52,13 @@ def test_training_reduces_the_loss(method: Any) -> None:
 def test_windows_start_at_every_sample_and_are_views() -> None:
     model = build("split-gru", record(), SETUP, seed=0)
     low, high = model.tasks(model.normalised(record()[:TRAIN]))
-    known, target = _windows(high, QUICK)
+    known, target = windows(high, QUICK.window, QUICK.warmup)
     assert len(target) == TRAIN - QUICK.window + 1
     assert known.y.shape[1:] == (QUICK.warmup, 1)
     assert target.shape[1:] == (QUICK.window - QUICK.warmup, 1)
     assert known.y.data_ptr() == high.known.y.data_ptr()
     torch.testing.assert_close(target[7], high.target[7 + QUICK.warmup : 7 + QUICK.window])
-    _, slow = _windows(low, QUICK)
+    _, slow = windows(low, QUICK.window, QUICK.warmup)
     torch.testing.assert_close(slow[7], low.target[7 + QUICK.warmup : 7 + QUICK.window : 2])
 
 

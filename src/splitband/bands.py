@@ -45,17 +45,21 @@ class Band:
         Parameters
         ----------
         errors : Of held-out samples by horizon, `(time, ny)` from the first after the warm-up, of
-            one forecast or more.
+            one forecast or more; NaN where nothing was measured.
         y : The training record, `(time, ny)`, whose spread limits the band.
         share : Of the samples that shall lie inside.
         """
         if not 0 < share < 1:
             raise ValueError(f"share must lie between 0 and 1, got {share}")
         horizon = np.concatenate([np.arange(len(e)) for e in errors]) if errors else np.empty(0)
-        if not len(horizon):
-            raise ValueError("errors must have a sample at least")
-        channels = np.concatenate(errors).T
-        fitted = [_fit_channel(channel, horizon / len(y), share) for channel in channels]
+        channels = np.concatenate(errors).T if errors else np.empty((1, 0))
+        known = ~np.isnan(channels)
+        if not known.any(axis=1).all():
+            raise ValueError("errors must have a sample at least, in every channel")
+        fitted = [
+            _fit_channel(channel[seen], horizon[seen] / len(y), share)
+            for channel, seen in zip(channels, known, strict=True)
+        ]
         # Two signals of one range that know nothing of each other differ by this much.
         apart = float(np.sqrt(2) * scipy.stats.norm.ppf(0.5 + share / 2))
         # Rounding is no less than this, however exact the forecast.
@@ -83,8 +87,9 @@ class Band:
         return np.asarray(np.minimum(widths, np.array(self.most)), dtype=np.float64)
 
     def coverage(self, errors: Array) -> float:
-        """The share of errors `(time, ny)` by horizon that lie inside, 0 to 1."""
-        return float((abs(errors) <= self.half_widths(len(errors))).mean())
+        """The share of errors `(time, ny)` by horizon that lie inside, 0 to 1; NaN is none."""
+        inside = abs(errors) <= self.half_widths(len(errors))
+        return float(inside[~np.isnan(errors)].mean())
 
 
 def _fit_channel(errors: Array, horizon: Array, share: float) -> tuple[float, float]:

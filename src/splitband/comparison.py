@@ -17,8 +17,9 @@ import numpy.typing as npt
 
 from splitband.checkpoints import Checkpoint
 from splitband.data import Trajectory
-from splitband.methods import FIXED, Setup, build, check, prepared
-from splitband.metrics import rmse
+from splitband.data.gaps import first_after, last_before
+from splitband.methods import FIXED, Setup, as_seen, build, check, prepared
+from splitband.metrics import leaves_range, rmse
 from splitband.models import Model
 from splitband.naive import Naive
 from splitband.processes import over
@@ -36,6 +37,8 @@ class Run:
     total_rmse, forecast_rmse : Of the two protocols, in the record's unit.
     seconds : Of the fit.
     from_start, forecast : The predictions `(time, ny)`, to the end of the record.
+    leaves : Samples of the forecast before it leaves the range of the training part, see
+        `leaves_range`; None where it does not.
     components : What `from_start` is the sum of, for a model of several parts.
     unfiltered : What its filters were fed with, for a model that filters its output.
     later : Forecasts from later samples, by the index of the first one; see `run`.
@@ -50,6 +53,7 @@ class Run:
     seconds: float
     from_start: Array
     forecast: Array
+    leaves: int | None = None
     components: dict[str, Array] = field(default_factory=dict)
     description: str = ""
     losses: dict[str, list[float]] = field(default_factory=dict)
@@ -75,26 +79,31 @@ def run(
     progress: Callable[[RunProgress], None] | None = None,
     later: Sequence[int] = (),
     checkpoints: Path | None = None,
+    more: Sequence[Trajectory] = (),
 ) -> Run:
     """Fit one method on the first `setup.train` samples and predict under both protocols.
 
     From each of the indices in `later` it also forecasts the rest of the record, warmed up on the
     samples before, but fitted to the same ones. A training that was cut off goes on from its file
-    in the folder `checkpoints`.
+    in the folder `checkpoints`. Networks train on the records `more`, too.
+
+    Where there is a gap in what a simulation would warm up on, it begins before it, or, from the
+    start, after it.
     """
     if method in FIXED:
         return run_baseline(method, FIXED[method], record, setup, seed, later)
     record, calibration = prepared(method, record, setup.train)
+    more = [as_seen(other, calibration) for other in more]
     model = build(method, record, setup, seed)
     reporter = _reporter(method, seed, progress)
     checkpoint = Checkpoint(checkpoints / f"{method}-{seed}.safetensors") if checkpoints else None
-    training = record[: setup.train]
+    training = [record[: setup.train], *more]
     history = fit(model, training, setup.settings_of(method), seed, reporter, checkpoint)
     notes = [] if calibration is None else [f"simulator: {calibration}"]
     warmup = setup.settings.warmup
-    components = predict(model, record, 0, warmup)
-    parts = predict(model, record, setup.train - warmup, setup.train)
-    from_start, forecast = _total(components), _total(parts)
+    first = first_start(record, warmup)
+    components = predict(model, record, first - warmup, first)
+    from_start, forecast = _total(components), _forecast(model, record, warmup, setup.train)
     return Run(
         method,
         seed,
@@ -102,12 +111,37 @@ def run(
         history.seconds,
         from_start,
         forecast,
+        leaves_range(training[0].seen, forecast),
         components if len(components) > 1 else {},
         "; ".join([*notes, *history.notes]),
         losses=history.losses,
-        unfiltered=model.simulate_unfiltered(*_known(record, 0, warmup)),
-        later={start: _total(predict(model, record, start - warmup, start)) for start in later},
+        unfiltered=model.simulate_unfiltered(*_known(record, first - warmup, first)),
+        later={start: _forecast(model, record, warmup, start) for start in later},
     )
+
+
+def _forecast(model: Model, record: Trajectory, warmup: int, at: int) -> Array:
+    """From index `at` to the end of the record."""
+    start = last_start(record, warmup, at)
+    return _total(predict(model, record, start - warmup, start))[at - start :]
+
+
+def first_start(record: Trajectory, warmup: int) -> int:
+    """The first index with `warmup` measured samples right before it."""
+    found = first_after(record.complete, warmup)
+    if found is None:
+        raise ValueError(f"warmup must fit between the gaps of the record, got {warmup} samples")
+    return found
+
+
+def last_start(record: Trajectory, warmup: int, at: int) -> int:
+    """The last index up to `at` with `warmup` measured samples right before it."""
+    found = last_before(record.complete, warmup, at)
+    if found is None:
+        raise ValueError(
+            f"warmup must fit between the gaps of the first {at} samples, got {warmup} samples"
+        )
+    return found
 
 
 def run_baseline(
@@ -122,9 +156,10 @@ def run_baseline(
     began = time.perf_counter()
     naive = baseline(record, setup.train)
     seconds = time.perf_counter() - began
+    warmup = setup.settings.warmup
+    first = first_start(record, warmup)
     from_start, forecast, *rest = (
-        naive.predict(start, len(record) - start, record.y[start - 1])
-        for start in (setup.settings.warmup, setup.train, *later)
+        _continued(naive, record, warmup, at) for at in (first, setup.train, *later)
     )
     errors = _errors(record, setup, from_start, forecast)
     return Run(
@@ -134,9 +169,16 @@ def run_baseline(
         seconds,
         from_start,
         forecast,
+        leaves_range(record.seen[: setup.train], forecast),
         description=str(naive),
         later=dict(zip(later, rest, strict=True)),
     )
+
+
+def _continued(naive: Naive, record: Trajectory, warmup: int, at: int) -> Array:
+    """From index `at` to the end of the record."""
+    start = last_start(record, warmup, at)
+    return naive.predict(start, len(record) - start, record.y[start - 1])[at - start :]
 
 
 def _total(parts: Mapping[str, Array]) -> Array:
@@ -147,9 +189,8 @@ def _errors(
     record: Trajectory, setup: Setup, from_start: Array, forecast: Array
 ) -> tuple[float, float]:
     """The RMSE of both protocols against the truth where it is known."""
-    truth = record.y if record.y_true is None else record.y_true
-    start = setup.settings.warmup
-    return rmse(truth[start:], from_start), rmse(truth[setup.train :], forecast)
+    truth = record.truth
+    return rmse(truth[-len(from_start) :], from_start), rmse(truth[setup.train :], forecast)
 
 
 def compare(
@@ -161,6 +202,7 @@ def compare(
     progress: Callable[[RunProgress], None] | None = None,
     later: Sequence[int] = (),
     checkpoints: Path | None = None,
+    more: Sequence[Trajectory] = (),
 ) -> dict[str, list[Run]]:
     """Run every method with every seed; `jobs` changes the numbers by rounding at most.
 
@@ -174,19 +216,20 @@ def compare(
     progress : Called in this process after each epoch of each run.
     later : See `run`.
     checkpoints : Folder, created if need be, from which trainings that were cut off go on.
+    more : Other records of the same system that networks train on too.
 
     Returns
     -------
     dict
         The runs of each method, in the order of `seeds`; one of what draws nothing (`FIXED`).
     """
-    check(record, methods, setup)
+    check(record, methods, setup, more)
     drawn = {method: seeds[:1] if method in FIXED else seeds for method in methods}
     # The longest first, so that no process is left with one of them at the end.
     todo = sorted(((m, s) for m in methods for s in drawn[m]), key=lambda job: job[0] in FIXED)
     if checkpoints is not None:
         checkpoints.mkdir(parents=True, exist_ok=True)
-    work = partial(_work, record, setup, progress is None, later, checkpoints)
+    work = partial(_work, record, setup, progress is None, later, checkpoints, more)
     found = {(r.method, r.seed): r for r in over(work, todo, jobs, progress)}
     return {m: [found[m, s] for s in drawn[m]] for m in methods}
 
@@ -219,6 +262,9 @@ def ahead_of(record: Trajectory, steps: int, u: Array | None = None) -> Trajecto
         y_true=None,
         y_sim=y_sim,
         beyond=rest if rest is not None and len(rest) else None,
+        measured=None
+        if record.measured is None
+        else np.concatenate([record.measured, np.ones((steps, record.ny), dtype=np.bool_)]),
     )
 
 
@@ -259,8 +305,9 @@ def _work(
     silent: bool,
     later: Sequence[int],
     checkpoints: Path | None,
+    more: Sequence[Trajectory],
     job: tuple[str, int],
     report: Callable[[RunProgress], None],
 ) -> Run:
     method, seed = job
-    return run(method, record, setup, seed, None if silent else report, later, checkpoints)
+    return run(method, record, setup, seed, None if silent else report, later, checkpoints, more)

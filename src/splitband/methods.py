@@ -18,9 +18,10 @@ from splitband.data import Trajectory
 from splitband.filters import ComplementaryPair, butterworth
 from splitband.harmonic import HarmonicRegression
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
-from splitband.naive import Given, Mean, Naive, Persistence, SeasonalNaive
+from splitband.naive import Given, Mean, Naive, Persistence, SeasonalNaive, around_gaps
 from splitband.periodic import PeriodicRegression
 from splitband.training import Settings, default_warmup
+from splitband.windows import places_in
 
 Array = npt.NDArray[np.float64]
 CALIBRATED, CONDITIONED = "-calibrated", "-conditioned"
@@ -118,9 +119,25 @@ def _residual(make: Maker, record: Trajectory, setup: Setup, conditioned: bool) 
 
 def _affine(record: Trajectory, train: int) -> Naive:
     y_sim = _simulated(record)
-    gain, offset = affine_fit(y_sim[:train], record.y[:train])
-    description = f"gain {_few(gain)}, offset {_few(offset)} from the training samples"
-    return Given(gain * y_sim + offset, description)
+
+    def fitted(y: Array) -> Given:
+        gain, offset = affine_fit(y_sim[:train], y)
+        description = f"gain {_few(gain)}, offset {_few(offset)} from the training samples"
+        return Given(gain * y_sim + offset, description)
+
+    return _baseline(fitted)(record, train)
+
+
+def _baseline(fit: Callable[[Array], Naive]) -> Callable[[Trajectory, int], Naive]:
+    """A baseline that is fitted to the training samples, around their gaps."""
+
+    def fitted(record: Trajectory, train: int) -> Naive:
+        part = record[:train]
+        return around_gaps(
+            fit, lambda naive: naive.predict(0, train, part.y[-1]), part.y, part.measured
+        )
+
+    return fitted
 
 
 def _calibrated(record: Trajectory, train: int) -> Naive:
@@ -147,11 +164,11 @@ FIXED: dict[str, Callable[[Trajectory, int], Naive]] = {
     "simulator": lambda record, train: Given(_simulated(record), "as it comes"),
     "simulator-affine": _affine,
     "simulator" + CALIBRATED: _calibrated,
-    "mean": lambda record, train: Mean(record.y[:train].mean(axis=0)),
+    "mean": _baseline(lambda y: Mean(y.mean(axis=0))),
     "persistence": lambda record, train: Persistence(),
-    "seasonal-naive": lambda record, train: SeasonalNaive.fit(record.y[:train]),
-    "harmonic": lambda record, train: HarmonicRegression.fit(record.y[:train]),
-    "periodic": lambda record, train: PeriodicRegression.fit(record.y[:train]),
+    "seasonal-naive": _baseline(SeasonalNaive.fit),
+    "harmonic": _baseline(HarmonicRegression.fit),
+    "periodic": _baseline(PeriodicRegression.fit),
 }
 TRAINED = (
     *WHOLE,
@@ -280,11 +297,22 @@ def prepared(method: str, record: Trajectory, train: int) -> tuple[Trajectory, C
     """The record as a method sees it: with a calibrated simulator, where its name says so."""
     if CALIBRATED not in method:
         return record, None
-    found = calibrate(
-        _simulated_beyond(record), record.y[:train], record.sampling_time, len(record)
+    y_sim, step, part = _simulated_beyond(record), record.sampling_time, record[:train]
+    found = around_gaps(
+        lambda y: calibrate(y_sim, y, step, len(record)),
+        lambda calibration: calibration.apply(y_sim, len(record), step)[:train],
+        part.y,
+        part.measured,
     )
-    y_sim = found.apply(_simulated_beyond(record), len(record), record.sampling_time)
-    return replace(record, y_sim=y_sim, beyond=None), found
+    return as_seen(record, found), found
+
+
+def as_seen(record: Trajectory, calibration: Calibration | None) -> Trajectory:
+    """The record with its simulator calibrated."""
+    if calibration is None:
+        return record
+    y_sim = calibration.apply(_simulated_beyond(record), len(record), record.sampling_time)
+    return replace(record, y_sim=y_sim, beyond=None)
 
 
 def check_train(record: Trajectory, train: int, ahead: int = 1) -> None:
@@ -296,7 +324,12 @@ def check_train(record: Trajectory, train: int, ahead: int = 1) -> None:
         )
 
 
-def check(record: Trajectory, methods: Sequence[str], setup: Setup) -> None:
+def check(
+    record: Trajectory,
+    methods: Sequence[str],
+    setup: Setup,
+    more: Sequence[Trajectory] = (),
+) -> None:
     """Find what is wrong with a comparison before anything is computed."""
     unknown = [m for m in methods if m not in METHODS]
     if unknown or not methods:
@@ -307,11 +340,16 @@ def check(record: Trajectory, methods: Sequence[str], setup: Setup) -> None:
             f"warmup must be shorter than the {setup.train} training samples, "
             f"got {setup.settings.warmup}"
         )
+    for name, part in (("training", slice(setup.train)), ("predicted", slice(setup.train, None))):
+        if np.isnan(record.truth[part]).all(axis=0).any():
+            raise ValueError(f"the {name} part must have a measured sample in every channel")
     for method in methods:
-        check_method(method, record, setup)
+        check_method(method, record, setup, more)
 
 
-def check_method(method: str, record: Trajectory, setup: Setup) -> None:
+def check_method(
+    method: str, record: Trajectory, setup: Setup, more: Sequence[Trajectory] = ()
+) -> None:
     """Find what is wrong with one method's setup."""
     butterworth(setup.cutoff, record.sampling_rate, setup.order)
     check_simulator(method, record)
@@ -322,6 +360,19 @@ def check_method(method: str, record: Trajectory, setup: Setup) -> None:
         raise ValueError(
             f"window must fit into the {setup.train} training samples, got {settings.window}"
         )
+    for other in more:
+        check_simulator(method, other)
+        if (other.ny, other.nu) != (record.ny, record.nu):
+            raise ValueError(
+                f"{other.name} must have the record's {record.ny} channel(s) and {record.nu} "
+                f"input(s), got {other.ny} and {other.nu}"
+            )
+        if abs(other.sampling_time - record.sampling_time) > 0.01 * record.sampling_time:
+            raise ValueError(
+                f"{other.name} must be sampled like the record, every {record.sampling_time:g} s, "
+                f"got every {other.sampling_time:g} s"
+            )
+    places_in([record[: setup.train], *more], settings.window, settings.warmup)
     build(method, record, setup, seed=0)
     shortest = 3 * (setup.order + 1) if method.startswith("split") else setup.order - 1
     if settings.warmup <= shortest:

@@ -1,7 +1,7 @@
 """How far a prediction is from the truth. Arrays are `(time,)` or `(time, ny)`, NumPy.
 
 Errors of several channels add up as a Euclidean norm, as in the paper's e_n; normalise channels
-of different units first.
+of different units first. Where y is NaN, nothing was measured, and nothing counts.
 """
 
 from __future__ import annotations
@@ -14,21 +14,23 @@ Array = npt.NDArray[np.float64]
 
 def rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
     """Root of the mean squared error, in the unit of y: the last value of `cumulative_rmse`."""
-    return float(np.sqrt(np.mean(_squared_errors(y, prediction))))
+    squared = _squared_errors(y, prediction)
+    if np.isnan(squared).any():
+        return float(_cumulative(squared, np.asarray(y, float))[-1])
+    return float(np.sqrt(np.mean(squared.sum(axis=1))))
 
 
 def cumulative_rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
     """e_n = sqrt(sum_{k<=n} ||y_k - prediction_k||^2 / (n + 1)), `(time,)` (paper, Sec. 5)."""
-    squared = _squared_errors(y, prediction)
-    return np.sqrt(np.cumsum(squared) / np.arange(1, len(squared) + 1))
+    return _cumulative(_squared_errors(y, prediction), np.asarray(y, float))
 
 
 def nrmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
     """RMSE over the standard deviation of y: 1 is as good as the mean."""
     error, y = rmse(y, prediction), np.asarray(y, float)
-    if not np.ptp(y, axis=0).any():
+    if not _range(y).any():
         raise ValueError("y must not be constant: its standard deviation is 0")
-    return error / rmse(y, np.broadcast_to(y.mean(axis=0), y.shape))
+    return error / rmse(y, np.broadcast_to(np.nanmean(y, axis=0), y.shape))
 
 
 def fit_percent(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
@@ -40,15 +42,47 @@ def spread(y: npt.ArrayLike) -> Array:
     """The standard deviation of each channel of `y` `(time, ny)`; 1 for a constant one, `(ny,)`."""
     y = np.asarray(y, float)
     # Rounding gives a constant a tiny deviation, so that its range decides.
-    return np.asarray(np.where(np.ptp(y, axis=0) > 0, y.std(axis=0), 1.0))
+    return np.asarray(np.where(_range(y) > 0, np.nanstd(y, axis=0), 1.0))
+
+
+FARTHEST = 3.0
+"""How far from the middle of the training samples a prediction may go, in their own reach."""
+
+
+def leaves_range(training: Array, prediction: Array) -> int | None:
+    """Samples of a prediction `(time, ny)` before it leaves the range of the training samples.
+
+    That is `FARTHEST` times as wide as theirs, channel by channel, about the middle of it. What is
+    beyond was never seen in training. None where it stays inside.
+    """
+    low, high = np.nanmin(training, axis=0), np.nanmax(training, axis=0)
+    reach = np.maximum((high - low) / 2, 1e-9 * np.maximum(abs(low), abs(high)))
+    outside = ~(abs(prediction - (low + high) / 2) <= FARTHEST * reach)
+    found = np.flatnonzero(outside.any(axis=1))
+    return int(found[0]) if len(found) else None
+
+
+def _range(y: Array) -> Array:
+    return np.asarray(np.nanmax(y, axis=0) - np.nanmin(y, axis=0))
 
 
 def _squared_errors(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
+    """`(time, ny)`."""
     y, prediction = np.asarray(y, float), np.asarray(prediction, float)
     if y.shape != prediction.shape or y.ndim not in (1, 2) or not len(y):
         raise ValueError(
             f"y and prediction must have one shape, (time,) or (time, ny), "
             f"got {y.shape} and {prediction.shape}"
         )
-    squared: Array = (y - prediction) ** 2
-    return squared if y.ndim == 1 else squared.sum(axis=1)
+    return ((y - prediction) ** 2).reshape(len(y), -1)
+
+
+def _cumulative(squared: Array, y: Array) -> Array:
+    """Each channel's mean over what was measured of it, added up."""
+    missing = np.isnan(y).reshape(squared.shape)
+    if not missing.any():
+        return np.asarray(np.sqrt(np.cumsum(squared.sum(axis=1)) / np.arange(1, len(y) + 1)))
+    total = np.cumsum(np.where(missing, 0.0, squared), axis=0)
+    with np.errstate(invalid="ignore"):
+        means = total / np.cumsum(~missing, axis=0)
+    return np.asarray(np.sqrt(means.sum(axis=1)))

@@ -7,14 +7,16 @@ measured sample before them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
 Array = npt.NDArray[np.float64]
+Fitted = TypeVar("Fitted")
 
 
 class Naive(Protocol):
@@ -115,6 +117,31 @@ class SeasonalNaive:
 
     def __str__(self) -> str:
         return f"the last {self.lag} training samples, repeated"
+
+
+def around_gaps(
+    fit: Callable[[Array], Fitted],
+    says: Callable[[Fitted], Array],
+    y: Array,
+    measured: npt.NDArray[np.bool_] | None,
+    rounds: int = 5,
+) -> Fitted:
+    """What is fitted to a record with gaps, these being filled by what it says itself.
+
+    Repeated, least squares come to what they would be of the measured samples alone.
+
+    Parameters
+    ----------
+    fit : Of `(time, ny)`.
+    says : What has been fitted says of the same samples, `(time, ny)`.
+    y, measured : `(time, ny)` each: the record, and where it was measured; None for everywhere.
+    rounds : How often it is fitted again.
+    """
+    found = fit(y)
+    if measured is not None:
+        for _ in range(rounds):
+            found = fit(np.where(measured, y, says(found)))
+    return found
 
 
 def self_similar_lags(y: Array, most: int = 200) -> list[int]:

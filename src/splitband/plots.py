@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splitband.bands import Band
-from splitband.comparison import Run, ensemble
+from splitband.comparison import Run, ensemble, first_start, last_start
 from splitband.cutoff import LEAST_BELOW, Choice
 from splitband.data import Trajectory
 from splitband.files import replacing
@@ -48,16 +48,19 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None =
     figure = Figure(figsize=(13, 1.1 + 1.25 * len(rows)), layout="constrained")
     grid = figure.subplots(len(rows), 2, sharex="col", sharey=True, squeeze=False)
     warmup, end = setup.settings.warmup, setup.train
+    starts = first_start(record, warmup), last_start(record, warmup, end)
     for axes, (name, channel) in zip(grid, rows, strict=True):
         mean = ensemble(runs[name], record, setup)
         sides = (
-            (axes[0], 0, warmup, mean.from_start, mean.total_rmse),
-            (axes[1], end - warmup, end, mean.forecast, mean.forecast_rmse),
+            (axes[0], starts[0], mean.from_start, mean.total_rmse),
+            (axes[1], starts[1], mean.forecast, mean.forecast_rmse),
         )
-        for ax, begin, start, prediction, error in sides:
-            _draw_record(ax, record, channel, begin)
-            ax.plot(record.time[start:], prediction[:, channel], color=_color(runs, name), lw=1.1)
-            ax.axvspan(record.time[begin], record.time[start - 1], color="0.93", zorder=0)
+        for ax, start, prediction, error in sides:
+            _draw_record(ax, record, channel, start - warmup)
+            time = record.time[-len(prediction) :]
+            ax.plot(time, prediction[:, channel], color=_color(runs, name), lw=1.1)
+            shaded = record.time[start - warmup], record.time[start - 1]
+            ax.axvspan(*shaded, color="0.93", zorder=0)
             ax.axvline(record.time[end], color="0.4", ls=":", lw=1)
             chosen = trial is not None and name == trial.recommended
             title = f"{name}{' (recommended)' if chosen else ''}   RMSE {_spread([error])}"
@@ -71,7 +74,7 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None =
                 record.time[end:], middle - half, middle + half, color=color, alpha=0.18, lw=0
             )
         axes[0].set_ylabel(_literal(record.columns[channel]))
-    limits = _limits(record.y)
+    limits = _limits(record.seen)
     grid[0, 0].set_ylim(*limits)
     for ax in grid[-1]:
         ax.set_xlabel("time (s)")
@@ -93,7 +96,7 @@ def forecast(record: Trajectory, table: pd.DataFrame, method: str) -> Figure:
     ahead = record.time[-1] + table.iloc[:, 0]
     shown = max(len(record) - 2 * len(table), 0)
     for i, (ax, column) in enumerate(zip(grid, record.columns, strict=True)):
-        ax.plot(record.time[shown:], record.y[shown:, i], color="0.35", lw=0.9, label="measured")
+        ax.plot(record.time[shown:], record.seen[shown:, i], color="0.35", lw=0.9, label="measured")
         ax.plot(ahead, table[column], color=_PALETTE[0], lw=1.2, label=_literal(method))
         edges = table[f"{column}, lower"], table[f"{column}, upper"]
         ax.fill_between(
@@ -126,13 +129,18 @@ def components(
         raise ValueError(f"none of {', '.join(runs)} has {what} to draw")
     figure = Figure(figsize=(13, 0.9 + 1.7 * len(rows)), layout="constrained")
     grid = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
-    start = setup.settings.warmup
+    start = first_start(record, setup.settings.warmup)
     says = "components before they are added" if what == "components" else "before the filters"
     for ax, (name, channel) in zip(grid, rows, strict=True):
         _draw_record(ax, record, channel, 0)
         for color, (part, values) in zip(_PALETTE, parts[name].items(), strict=False):
             ax.plot(record.time[start:], values[:, channel], color=color, lw=1, label=part)
-        ax.axvspan(record.time[0], record.time[start - 1], color="0.93", zorder=0)
+        ax.axvspan(
+            record.time[start - setup.settings.warmup],
+            record.time[start - 1],
+            color="0.93",
+            zorder=0,
+        )
         ax.axvline(record.time[setup.train], color="0.4", ls=":", lw=1)
         ax.set_title(f"{name}: {says}", fontsize=9, loc="left", pad=3)
         ax.set_ylabel(_literal(record.columns[channel]))
@@ -145,15 +153,13 @@ def components(
 def errors(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
     """The cumulative RMSE e_n over time under both protocols, mean and range over seeds."""
     figure = Figure(figsize=(13, 4.6), layout="constrained")
-    truth = record.y if record.y_true is None else record.y_true
-    protocols = (
-        ("from the start", setup.settings.warmup, _from_start),
-        ("forecast", setup.train, _forecast),
-    )
-    for ax, (title, start, prediction) in zip(figure.subplots(1, 2), protocols, strict=True):
+    protocols = (("from the start", _from_start), ("forecast", _forecast))
+    for ax, (title, prediction) in zip(figure.subplots(1, 2), protocols, strict=True):
         for name, of_method in runs.items():
-            curves = np.stack([cumulative_rmse(truth[start:], prediction(r)) for r in of_method])
-            time, color = record.time[start:], _color(runs, name)
+            steps = len(prediction(of_method[0]))
+            truth, time = record.truth[-steps:], record.time[-steps:]
+            curves = np.stack([cumulative_rmse(truth, prediction(r)) for r in of_method])
+            color = _color(runs, name)
             ax.plot(time, curves.mean(axis=0), color=color, lw=1.4, label=name)
             if len(curves) > 1:
                 ax.fill_between(time, curves.min(0), curves.max(0), color=color, alpha=0.15, lw=0)
@@ -265,7 +271,7 @@ def _literal(name: str) -> str:
 
 def _draw_record(ax: Axes, record: Trajectory, channel: int, begin: int) -> None:
     time = record.time[begin:]
-    ax.plot(time, record.y[begin:, channel], color=_MEASURED, lw=0.9)
+    ax.plot(time, record.seen[begin:, channel], color=_MEASURED, lw=0.9)
     if record.y_true is not None:
         ax.plot(time, record.y_true[begin:, channel], color=_TRUTH, lw=0.7)
 
@@ -281,6 +287,6 @@ def _spread(values: Sequence[float]) -> str:
 
 
 def _limits(y: Array) -> tuple[float, float]:
-    low, high = float(y.min()), float(y.max())
+    low, high = float(np.nanmin(y)), float(np.nanmax(y))
     margin = 0.25 * (high - low or 1.0)
     return low - margin, high + margin

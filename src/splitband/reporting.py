@@ -35,6 +35,7 @@ def results(
             "sampling_time": record.sampling_time,
             "columns": list(record.columns),
             "inputs": record.nu,
+            "gaps": 0 if record.measured is None else int((~record.complete).sum()),
             "truth": "measured" if record.y_true is None else "noise-free",
         },
         "settings": asdict(setup),
@@ -63,7 +64,7 @@ def predictions(
     """
     table = {time_header(record.columns): record.time}
     for i, column in enumerate(record.columns):
-        table[column] = record.y[:, i]
+        table[column] = record.seen[:, i]
         for name, of_method in runs.items():
             mean = ensemble(of_method, record, setup)
             sides = {"from start": mean.from_start, "forecast": mean.forecast}
@@ -113,7 +114,7 @@ def environment() -> dict[str, Any]:
 def _band(band: Band, record: Trajectory, setup: Setup, runs: Sequence[Run]) -> dict[str, Any]:
     """The forecast's band, and how many of the measured samples it really holds."""
     forecast = ensemble(runs, record, setup).forecast
-    covers = band.coverage(record.y[setup.train :] - forecast)
+    covers = band.coverage(record.seen[setup.train :] - forecast)
     half_width = band.half_widths(len(forecast)).mean(axis=0)
     return asdict(band) | {"covers": covers, "mean_half_width": half_width.tolist()}
 
@@ -137,6 +138,8 @@ def _method(runs: Sequence[Run]) -> dict[str, Any]:
         values = facts[name]
         spread = statistics.stdev(values) if len(values) > 1 else None
         facts[f"{name}_mean"], facts[f"{name}_std"] = statistics.mean(values), spread
+    if any(r.leaves is not None for r in runs):
+        facts["leaves_training_range_after"] = [r.leaves for r in runs]
     if runs[0].description:
         facts["description"] = runs[0].description
     if runs[0].losses:

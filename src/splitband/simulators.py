@@ -299,7 +299,7 @@ def _within(timeout: float | None, call: Callable[[], Any]) -> Any:
     def work() -> None:
         try:
             outcome.extend((True, call()))
-        except (Exception, SystemExit) as error:
+        except BaseException as error:  # Ctrl-C too is for the caller
             outcome.extend((False, error))
 
     thread = threading.Thread(target=work, daemon=True)

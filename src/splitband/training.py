@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -14,11 +14,14 @@ from torch import Tensor, nn
 
 from splitband.checkpoints import Checkpoint, State, key_of
 from splitband.data import Trajectory
-from splitband.models import Model, Signals, Task
+from splitband.models import Model, Task
 from splitband.threads import one_torch_thread
+from splitband.windows import Places, joined, places_in, select, targets, windows
 
 STEPS = 1000
 """Gradient steps of the default recipe, for each network."""
+MOST_BATCHES = 100
+"""Steps of an epoch in the default recipe: of a long record it does not take every window."""
 EXPLODED = 100.0
 """A loss of so many times the signal itself is taken for lost."""
 RETREATS = 3
@@ -42,6 +45,7 @@ class Settings:
     clip : Largest norm of a gradient.
     growth : Share of the training over which the free run grows from a tenth of its length to all.
     normalize : Scale each channel by mean and standard deviation of the training record.
+    most_batches : Steps of an epoch: of a long record it takes some windows, drawn anew each time.
     """
 
     window: int = 150
@@ -54,6 +58,7 @@ class Settings:
     clip: float | None = None
     growth: float = 0.0
     normalize: bool = True
+    most_batches: int | None = None
 
     def __post_init__(self) -> None:
         """Check ranges."""
@@ -73,6 +78,8 @@ class Settings:
                 raise ValueError(f"learning rates must be positive, got {rate}")
         if self.one_cycle and self.milestones:
             raise ValueError(f"milestones need one_cycle=False, got {self.milestones}")
+        if self.most_batches is not None and self.most_batches < 1:
+            raise ValueError(f"most_batches must be at least 1, got {self.most_batches}")
         if self.clip is not None and not self.clip > 0:
             raise ValueError(f"clip must be positive, got {self.clip}")
         if not 0 <= self.growth <= 1:
@@ -83,11 +90,12 @@ class Settings:
         """The default recipe for a training record of so many samples; not in the paper.
 
         Windows of two fifths of it, 150 to 400 samples; one cycle of the learning rate, clipped
-        gradients, free runs that grow, and about `STEPS` steps for each network, one pass at least.
+        gradients, free runs that grow, and about `STEPS` steps for each network, at most
+        `MOST_BATCHES` of them from one pass over the windows to the next.
         """
         window = max(2, min(400, max(150, 2 * samples // 5), 3 * samples // 5))
         batch = 25
-        batches = -(-max(samples - window + 1, 1) // batch)
+        batches = min(-(-max(samples - window + 1, 1) // batch), MOST_BATCHES)
         return cls(
             window,
             default_warmup(window),
@@ -97,6 +105,7 @@ class Settings:
             one_cycle=True,
             clip=1.0,
             growth=0.6,
+            most_batches=MOST_BATCHES,
         )
 
     def rate(self, epoch: int, share: float) -> float:
@@ -145,7 +154,7 @@ class History:
 
 def fit(
     model: Model,
-    trajectory: Trajectory,
+    trajectory: Trajectory | Sequence[Trajectory],
     settings: Settings | None = None,
     seed: int = 0,
     progress: Callable[[Progress], None] | None = None,
@@ -153,14 +162,16 @@ def fit(
 ) -> History:
     """Train a model in place (paper, Eqs. 12 and 14).
 
-    A loss that is no longer finite, or explodes, takes the network back to its last good epoch,
-    with half the step from there on; the history says so.
+    A window lies in one record, its warm-up in measured samples, and its loss counts what was
+    measured. A loss that is no longer finite, or explodes, takes the network back to its last good
+    epoch, with half the step from there on; the history says so.
 
     Parameters
     ----------
     model : What to train; its initial parameters are the caller's.
-    trajectory : The training record, and nothing else: cut it before.
-    settings : How; `Settings.of` the record by default.
+    trajectory : The training record, and nothing else: cut it before. Several of the same system
+        train one model.
+    settings : How; by default `Settings.of` the longest record's samples.
     seed : For the order of the windows.
     progress : Called after each epoch.
     checkpoint : Where the same training goes on if it was cut off, with the same numbers to the
@@ -169,26 +180,30 @@ def fit(
     Raises
     ------
     ValueError
-        For a record shorter than a window, or of other channels than the model's.
+        For records of other channels than the model's, or in which no window has its place.
     FloatingPointError
         When the loss does so for the fourth time.
     """
-    settings = settings or Settings.of(len(trajectory))
-    _check_record(model, trajectory, settings)
-    model.adapt_to(trajectory, settings.normalize)
+    records = [trajectory] if isinstance(trajectory, Trajectory) else [*trajectory]
+    settings = settings or Settings.of(max(map(len, records)))
+    for record in records:
+        _check_channels(model, record)
+    places = places_in(records, settings.window, settings.warmup)
+    model.adapt_to(records, settings.normalize)
     began = time.perf_counter()
     history = History()
-    record = model.normalised(trajectory)
-    signals = (signal for signal in vars(record).values() if signal is not None)
+    seen = [model.normalised(record) for record in records]
     key = key_of(
-        torch.__version__, settings, seed, _built(model), *model.state_dict().values(), *signals
-    )
+        torch.__version__, settings, seed, _built(model), *model.state_dict().values(),
+        *(signal for record in seen for signal in vars(record).values() if signal is not None),
+        places.starts, *([] if places.measured is None else [places.measured]),
+    )  # fmt: skip
     saved = (checkpoint.load(key) if checkpoint else None) or {}
-    tasks = model.tasks(record)
+    tasks = [joined(of_records) for of_records in zip(*map(model.tasks, seen), strict=True)]
     states: State = {}
     for done, task in enumerate(tasks):
         # The seed is for each: a network does not depend on the others.
-        training = _Training(task, settings, seed)
+        training = _Training(task, places, settings, seed)
         prefix = f"{done}."
         if f"{prefix}losses" in saved:
             training.restore({k.removeprefix(prefix): v for k, v in saved.items()
@@ -225,9 +240,12 @@ def _prefixed(before: State, prefix: str, training: _Training) -> State:
 class _Training:
     """One network's training, epoch by epoch; an epoch depends on `state` and on nothing else."""
 
-    def __init__(self, task: Task, settings: Settings, seed: int) -> None:
-        self.task, self.settings = task, settings
-        self.known, self.target = _windows(task, settings)
+    def __init__(self, task: Task, places: Places, settings: Settings, seed: int) -> None:
+        self.task, self.settings, self.starts = task, settings, places.starts
+        self.known, self.target = windows(task, settings.window, settings.warmup)
+        self.measured: Tensor | None = None
+        if places.measured is not None:
+            self.measured = targets(places.measured, task, settings.window, settings.warmup)
         parameters = task.network.parameters()
         self.optimizer = torch.optim.Adam(parameters, lr=settings.learning_rate)
         self.generator = torch.Generator().manual_seed(seed)
@@ -293,55 +311,41 @@ class _Training:
         """One pass over all windows; the mean loss."""
         settings, epoch = self.settings, len(self.losses)
         total, slower = 0.0, 0.5 ** len(self.retreats)
-        order = torch.randperm(len(self.target), generator=self.generator)
+        order = torch.randperm(len(self.starts), generator=self.generator)
+        if settings.most_batches is not None:
+            order = order[: settings.most_batches * settings.batch_size]
         batches = order.split(settings.batch_size)
-        for i, batch in enumerate(batches):
+        for i, chosen in enumerate(batches):
+            batch = self.starts[chosen]
             share = (epoch + i / len(batches)) / settings.epochs
             steps = settings.reach(share, self.target.shape[1])
             for group in self.optimizer.param_groups:
                 group["lr"] = settings.rate(epoch, share) * slower
             with one_torch_thread():
-                seen, wanted = _select(self.known, batch), self.target[batch, :steps]
+                seen, wanted = select(self.known, batch), self.target[batch, :steps]
+                counted = None if self.measured is None else self.measured[batch, :steps]
             self.optimizer.zero_grad(set_to_none=True)
-            loss = _rmse(self.task.simulate(seen, steps), wanted)
+            loss = _rmse(self.task.simulate(seen, steps), wanted, counted)
             loss.backward()
             with one_torch_thread():
                 if settings.clip is not None:
                     nn.utils.clip_grad_norm_(self.task.network.parameters(), settings.clip)
                 self.optimizer.step()
             total += loss.item() * len(batch)
-        return total / len(self.target)
+        return total / len(order)
 
 
-def _windows(task: Task, settings: Settings) -> tuple[Signals, Tensor]:
-    """All windows of stride 1 as views: what is known of each, and what is to be reproduced."""
-
-    def views(x: Tensor) -> Tensor:
-        return x.unfold(0, settings.window, 1).transpose(1, 2)
-
-    u, y_sim = (None if s is None else views(s) for s in (task.known.u, task.known.y_sim))
-    known = Signals(views(task.known.y)[:, : settings.warmup], u, y_sim)
-    return known, views(task.target)[:, settings.warmup :: task.stride]
-
-
-def _select(known: Signals, batch: Tensor) -> Signals:
-    u, y_sim = (None if s is None else s[batch] for s in (known.u, known.y_sim))
-    return Signals(known.y[batch], u, y_sim)
-
-
-def _rmse(prediction: Tensor, target: Tensor) -> Tensor:
+def _rmse(prediction: Tensor, target: Tensor, counted: Tensor | None = None) -> Tensor:
     # A norm, not the root of a mean: its gradient at zero error is zero, not NaN.
-    return torch.linalg.vector_norm(prediction - target) / target.numel() ** 0.5
+    if counted is None:
+        return torch.linalg.vector_norm(prediction - target) / target.numel() ** 0.5
+    left = torch.linalg.vector_norm((prediction - target) * counted)
+    return left / max(int(counted.sum()), 1) ** 0.5
 
 
-def _check_record(model: Model, trajectory: Trajectory, settings: Settings) -> None:
-    if (trajectory.ny, trajectory.nu) != (model.ny, model.nu):
+def _check_channels(model: Model, record: Trajectory) -> None:
+    if (record.ny, record.nu) != (model.ny, model.nu):
         raise ValueError(
             f"the record must have the model's {model.ny} channel(s) and {model.nu} input(s), "
-            f"got {trajectory.ny} and {trajectory.nu}"
-        )
-    if len(trajectory) < settings.window:
-        raise ValueError(
-            f"window must fit into the training record of {len(trajectory)} samples, "
-            f"got {settings.window}"
+            f"got {record.ny} and {record.nu}"
         )

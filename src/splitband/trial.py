@@ -116,6 +116,7 @@ def try_out(
     jobs: int = 1,
     progress: Callable[[RunProgress], None] | None = None,
     checkpoints: Path | None = None,
+    more: Sequence[Trajectory] = (),
 ) -> Trial:
     """Fit each method on the first part of the training samples and forecast the rest of them.
 
@@ -127,15 +128,16 @@ def try_out(
     longer = ahead_of(part, len(record) - setup.train, u)
     # One beginning may suit a method by chance: the last sample, held, is now and then the mean.
     later = sorted({shorter.train + i * held // 3 for i in (1, 2)} - {shorter.train})
-    runs = compare(longer, methods, shorter, seeds, jobs, progress, later, checkpoints)
+    runs = compare(longer, methods, shorter, seeds, jobs, progress, later, checkpoints, more)
     forecasts = {method: _forecasts(of_method, shorter.train) for method, of_method in runs.items()}
     left = {
         method: [
-            part.y[start:] - forecast[: len(part) - start] for start, forecast in of_method.items()
+            part.seen[start:] - forecast[: len(part) - start]
+            for start, forecast in of_method.items()
         ]
         for method, of_method in forecasts.items()
     }
-    scale = spread(part.y)
+    scale = spread(part.seen)
     return Trial(
         {m: _size(e) for m, e in left.items()},
         {m: _size([error / scale for error in e]) for m, e in left.items()},
@@ -159,11 +161,13 @@ def _size(errors: Sequence[Array]) -> float:
     return rmse(every, np.zeros_like(every))
 
 
-def check_trial(record: Trajectory, methods: Sequence[str], setup: Setup) -> None:
+def check_trial(
+    record: Trajectory, methods: Sequence[str], setup: Setup, more: Sequence[Trajectory] = ()
+) -> None:
     """Find what is wrong with `try_out` before anything is computed."""
     part, shorter = hold_out(record, setup)
     try:
-        check(part, methods, shorter)
+        check(part, methods, shorter, more)
     except ValueError as error:
         raise ValueError(
             f"{error} (a method is chosen on the last quarter of the {setup.train} training "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,7 @@ import typer
 
 from splitband import plots, reporting
 from splitband.cli import options, showing
-from splitband.cli.simulating import with_simulator
+from splitband.cli.simulating import each_with_simulator, with_simulator
 from splitband.comparison import compare as run_comparison
 from splitband.data import Trajectory
 from splitband.files import CHECKPOINTS, output_folder, replacing, write_json
@@ -63,10 +64,13 @@ def compare(
     inputs: options.Inputs = None,
     time_column: options.TimeColumn = None,
     sampling_time: options.SamplingTime = None,
+    gaps: options.GapsOption = "refuse",
+    more: options.More = None,
     simulator: options.SimulatorOption = None,
     simulator_columns: options.SimulatorColumns = None,
-    simulator_timeout: options.SimulatorTimeout = None,
+    simulator_timeout: options.SimulatorTimeout = options.PATIENCE,
     simulator_cache: options.SimulatorCache = None,
+    more_simulator: options.MoreSimulators = None,
     calibrate: options.Calibrate = False,
     conditioned: options.Conditioned = False,
     cutoff: options.Cutoff = None,
@@ -95,7 +99,7 @@ def compare(
 
     --calibrate and --conditioned add rows: each method that can be is also run that way.
     """
-    trajectory = options.load_record(record, columns, inputs, time_column, sampling_time)
+    trajectory = options.load_record(record, columns, inputs, time_column, sampling_time, gaps)
     hybrid = simulator is not None or trajectory.y_sim is not None
     given = default_methods(hybrid) if methods is None else options.names(methods)
     chosen = with_variants(given, calibrate, conditioned)
@@ -133,7 +137,15 @@ def compare(
                 f"samples after the {setup.train} of --train, got {horizon}"
             )
         trajectory = trajectory[: setup.train + horizon]
-    _compare(context, trajectory, chosen, setup, seeds, jobs, out)
+    further = each_with_simulator(
+        options.load_further(more, trajectory, inputs, time_column, gaps),
+        more_simulator,
+        simulator_columns,
+        simulator_timeout,
+        simulator_cache,
+        hybrid=any(method in HYBRIDS for method in chosen),
+    )
+    _compare(context, trajectory, chosen, setup, seeds, jobs, out, further)
 
 
 def demo(
@@ -160,19 +172,22 @@ def _compare(
     seeds: int,
     jobs: int | None,
     out: Path,
+    more: Sequence[Trajectory] = (),
 ) -> None:
-    check(record, methods, setup)
-    check_trial(record, methods, setup)
+    check(record, methods, setup, more)
+    check_trial(record, methods, setup, more)
     output_folder(out)
     networks = len(set(methods) & set(TRAINED))
     jobs = min(jobs or available_cores(), max(seeds * networks, 1))
     chosen = range(seeds)
     with showing.progress(seeds * networks, "training on three quarters") as progress:
         folder = out / CHECKPOINTS / "three quarters"
-        trial = try_out(record, methods, setup, chosen, jobs, progress, folder)
+        trial = try_out(record, methods, setup, chosen, jobs, progress, folder, more)
     with showing.progress(seeds * networks, "training") as progress:
         folder = out / CHECKPOINTS / "whole"
-        runs = run_comparison(record, methods, setup, chosen, jobs, progress, checkpoints=folder)
+        runs = run_comparison(
+            record, methods, setup, chosen, jobs, progress, checkpoints=folder, more=more
+        )
     trial = trial.settled(runs)
     found = periodogram(record.y[: setup.train], record.sampling_rate)
     arguments = {k: str(v) if isinstance(v, Path) else v for k, v in context.params.items()}

@@ -11,18 +11,20 @@ import typer
 
 from splitband import plots, reporting
 from splitband.cli import options, showing
-from splitband.cli.simulating import with_simulator
-from splitband.comparison import ahead_of, compare
+from splitband.cli.simulating import each_with_simulator, with_simulator
+from splitband.comparison import ahead_of, compare, ensemble
 from splitband.files import CHECKPOINTS, output_folder, replacing, write_json
 from splitband.methods import (
     CALIBRATED,
     FIXED,
+    HYBRIDS,
     METHODS,
     TRAINED,
     check,
     default_methods,
     usual_methods,
 )
+from splitband.metrics import leaves_range
 from splitband.threads import available_cores
 from splitband.trial import Trial, check_trial, try_out
 
@@ -47,10 +49,13 @@ def forecast(
     future_inputs: options.FutureInputs = None,
     time_column: options.TimeColumn = None,
     sampling_time: options.SamplingTime = None,
+    gaps: options.GapsOption = "refuse",
+    more: options.More = None,
     simulator: options.SimulatorOption = None,
     simulator_columns: options.SimulatorColumns = None,
-    simulator_timeout: options.SimulatorTimeout = None,
+    simulator_timeout: options.SimulatorTimeout = options.PATIENCE,
     simulator_cache: options.SimulatorCache = None,
+    more_simulator: options.MoreSimulators = None,
     epochs: options.Epochs = None,
 ) -> None:
     """Forecast a record beyond its end, with a band that should hold nine tenths of what comes.
@@ -60,7 +65,7 @@ def forecast(
     then still forecast the same. A simulator must reach --steps samples beyond the record; a
     record with known inputs needs --future-inputs.
     """
-    known = options.load_record(record, columns, inputs, time_column, sampling_time)
+    known = options.load_record(record, columns, inputs, time_column, sampling_time, gaps)
     hybrid = simulator is not None or known.y_sim is not None
     methods = default_methods(hybrid) if method is None else [method]
     if methods[0] not in METHODS:
@@ -79,19 +84,29 @@ def forecast(
     longer = ahead_of(known, steps, u)
     setup = options.setup("", longer, len(known), methods=methods, epochs=epochs)
     methods = usual_methods(longer, setup) if method is None else methods
-    check(longer, methods, setup)
-    check_trial(longer, methods, setup)
+    further = each_with_simulator(
+        options.load_further(more, known, inputs, time_column, gaps),
+        more_simulator,
+        simulator_columns,
+        simulator_timeout,
+        simulator_cache,
+        hybrid=any(name in HYBRIDS for name in methods),
+    )
+    check(longer, methods, setup, further)
+    check_trial(longer, methods, setup, further)
     output_folder(out)
     jobs = jobs or available_cores()
     tried = len(set(methods) & set(TRAINED))
     with showing.progress(seeds * tried, "training on three quarters") as progress:
         folder = out / CHECKPOINTS / "three quarters"
-        trial = try_out(longer, methods, setup, range(seeds), jobs, progress, folder)
+        trial = try_out(longer, methods, setup, range(seeds), jobs, progress, folder, further)
     # Of the networks just the best one is worth its training on all of the record.
     fitted = [name for name in methods if name in FIXED or name == trial.best_network]
     with showing.progress(seeds * bool(trial.best_network), "training") as progress:
         folder = out / CHECKPOINTS / "whole"
-        found = compare(longer, fitted, setup, range(seeds), jobs, progress, checkpoints=folder)
+        found = compare(
+            longer, fitted, setup, range(seeds), jobs, progress, checkpoints=folder, more=further
+        )
     trial = trial.settled(found)
     best = trial.recommended
     runs = found[best]
@@ -101,6 +116,7 @@ def forecast(
     facts = {
         "record": known.name,
         "samples": len(known),
+        "gaps": int((~known.complete).sum()),
         "steps": steps,
         "method": best,
         "description": runs[0].description,
@@ -114,6 +130,8 @@ def forecast(
     plots.save(plots.forecast(known, table, best), out / "forecast.png")
     shutil.rmtree(out / CHECKPOINTS)
     _say(trial, best, steps, out)
+    if (left := leaves_range(known.seen, ensemble(runs, longer, setup).forecast)) is not None:
+        showing.console.print(showing.leaving(left))
 
 
 def _say(trial: Trial, best: str, steps: int, out: Path) -> None:

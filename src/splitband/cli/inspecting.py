@@ -36,9 +36,10 @@ def spectrum(
     columns: options.Columns = None,
     time_column: options.TimeColumn = None,
     sampling_time: options.SamplingTime = None,
+    gaps: options.GapsOption = "refuse",
     simulator: options.SimulatorOption = None,
     simulator_columns: options.SimulatorColumns = None,
-    simulator_timeout: options.SimulatorTimeout = None,
+    simulator_timeout: options.SimulatorTimeout = options.PATIENCE,
     simulator_cache: options.SimulatorCache = None,
     cutoff: options.Cutoff = None,
     order: options.Order = None,
@@ -52,7 +53,7 @@ def spectrum(
     The cut-off is that of `compare` on the same samples, for the paper's records that of its tables
     where --cutoff does not say auto.
     """
-    trajectory = options.load_record(record, columns, None, time_column, sampling_time)
+    trajectory = options.load_record(record, columns, None, time_column, sampling_time, gaps)
     trajectory = with_simulator(
         trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache, beyond=True
     )

@@ -15,19 +15,21 @@ from splitband import reporting, saving
 from splitband.calibration import Calibration
 from splitband.checkpoints import Checkpoint
 from splitband.cli import options, showing
-from splitband.cli.simulating import simulated, with_simulator
-from splitband.comparison import RunProgress
+from splitband.cli.simulating import each_with_simulator, simulated, with_simulator
+from splitband.comparison import RunProgress, first_start, last_start, predict
 from splitband.data import Trajectory, read
 from splitband.files import CHECKPOINTS, output_folder, replacing, write_json
 from splitband.methods import (
     CALIBRATED,
+    HYBRIDS,
     TRAINED,
+    as_seen,
     build,
     check_method,
     prepared,
     with_variants,
 )
-from splitband.metrics import rmse
+from splitband.metrics import leaves_range, rmse
 from splitband.models import Hybrid, Model
 from splitband.training import Progress
 from splitband.training import fit as train_model
@@ -52,10 +54,13 @@ def fit(
     inputs: options.Inputs = None,
     time_column: options.TimeColumn = None,
     sampling_time: options.SamplingTime = None,
+    gaps: options.GapsOption = "refuse",
+    more: options.More = None,
     simulator: options.SimulatorOption = None,
     simulator_columns: options.SimulatorColumns = None,
-    simulator_timeout: options.SimulatorTimeout = None,
+    simulator_timeout: options.SimulatorTimeout = options.PATIENCE,
     simulator_cache: options.SimulatorCache = None,
+    more_simulator: options.MoreSimulators = None,
     calibrate: options.Calibrate = False,
     conditioned: options.Conditioned = False,
     cutoff: options.Cutoff = None,
@@ -77,7 +82,7 @@ def fit(
         method = with_variants([method], calibrate, conditioned)[-1]
     if method not in TRAINED:
         raise ValueError(f"--method must be one of {', '.join(TRAINED)}, got {method}")
-    trajectory = options.load_record(record, columns, inputs, time_column, sampling_time)
+    trajectory = options.load_record(record, columns, inputs, time_column, sampling_time, gaps)
     trajectory = with_simulator(
         trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache,
         beyond=CALIBRATED in method,
@@ -99,8 +104,17 @@ def fit(
         milestones=lr_milestones,
         hidden=hidden,
     )
-    check_method(method, trajectory[: setup.train], setup)
+    further = each_with_simulator(
+        options.load_further(more, trajectory, inputs, time_column, gaps),
+        more_simulator,
+        simulator_columns,
+        simulator_timeout,
+        simulator_cache,
+        hybrid=method in HYBRIDS,
+    )
+    check_method(method, trajectory[: setup.train], setup, further)
     training, calibration = prepared(method, trajectory[: setup.train], setup.train)
+    records = [training, *(as_seen(other, calibration) for other in further)]
     model = build(method, training, setup, seed)
     output_folder(out)
     networks = len(model.tasks(model.normalised(training)))
@@ -112,12 +126,14 @@ def fit(
         (out / CHECKPOINTS).mkdir(exist_ok=True)
         checkpoint = Checkpoint(out / CHECKPOINTS / f"{method}-{seed}.safetensors")
         settings = setup.settings_of(method)
-        history = train_model(model, training, settings, seed, update, checkpoint)
+        history = train_model(model, records, settings, seed, update, checkpoint)
     within = _training_error(model, training, setup.settings.warmup)
     facts = {
         "method": method,
         "seed": seed,
         "record": training.name,
+        "more": [other.name for other in further],
+        "range": [training.y.min(axis=0).tolist(), training.y.max(axis=0).tolist()],
         "sampling_time": training.sampling_time,
         "columns": list(training.columns),
         "inputs": options.names(inputs or ""),
@@ -145,9 +161,9 @@ def fit(
 
 def _training_error(model: Model, training: Trajectory, warmup: int) -> float:
     """RMSE of a free run over the training record from its first samples."""
-    steps = len(training) - warmup
-    y = model.simulate(training.y[:warmup], steps, training.u, training.y_sim)
-    return rmse(training.y[warmup:], y)
+    start = first_start(training, warmup)
+    y = np.sum([*predict(model, training, start - warmup, start).values()], axis=0)
+    return rmse(training.seen[start:], y)
 
 
 def simulate(
@@ -171,10 +187,11 @@ def simulate(
         typer.Option(metavar="FILE.csv", help="Where to write the samples.", show_default=False),
     ],
     future_inputs: options.FutureInputs = None,
+    gaps: options.GapsOption = "refuse",
     time_column: options.TimeColumn = None,
     simulator: options.SimulatorOption = None,
     simulator_columns: options.SimulatorColumns = None,
-    simulator_timeout: options.SimulatorTimeout = None,
+    simulator_timeout: options.SimulatorTimeout = options.PATIENCE,
     simulator_cache: options.SimulatorCache = None,
 ) -> None:
     """Simulate a saved model beyond a measured history.
@@ -194,6 +211,7 @@ def simulate(
         inputs=known.inputs,
         time_column=time_column,
         fallback_sampling_time=known.sampling_time,
+        gaps=gaps,
     )
     if abs(past.sampling_time - known.sampling_time) > 0.01 * known.sampling_time:
         raise ValueError(
@@ -205,6 +223,7 @@ def simulate(
             f"--history must have at least the {known.warmup} samples of the model's warm-up, "
             f"got {len(past)}"
         )
+    start = last_start(past, known.warmup, len(past))
     y_sim = None
     if isinstance(model, Hybrid):
         if simulator is None:
@@ -217,12 +236,12 @@ def simulate(
             simulator_columns, simulator_timeout, simulator_cache,
         )  # fmt: skip
         y_sim = known.calibration.apply(y_sim, total, past.sampling_time)
-        y_sim = y_sim[len(past) - known.warmup :]
-    warmup = slice(len(past) - known.warmup, None)
+        y_sim = y_sim[start - known.warmup :]
     u = options.inputs_ahead(future_inputs, known.inputs, steps, known.sampling_time)
     if u is not None and past.u is not None:
-        u = np.concatenate([past.u[warmup], u])
-    y = model.simulate(past.y[warmup], steps, u, y_sim)
+        u = np.concatenate([past.u[start - known.warmup :], u])
+    since = len(past) - start
+    y = model.simulate(past.y[start - known.warmup : start], since + steps, u, y_sim)[since:]
     table = pd.DataFrame(y, columns=known.columns)
     time = known.sampling_time * np.arange(1, steps + 1)
     table.insert(0, reporting.time_header(known.columns), time)
@@ -230,6 +249,9 @@ def simulate(
     with replacing(out) as temporary:
         table.to_csv(temporary, index=False)
     showing.console.print(f"{steps} samples after {history}: {out}")
+    left = leaves_range(known.range, y)
+    if left is not None:
+        showing.console.print(showing.leaving(left))
 
 
 class _Facts:
@@ -242,10 +264,13 @@ class _Facts:
             self.inputs = [str(name) for name in facts["inputs"]]
             self.sampling_time = float(facts["sampling_time"])
             self.warmup = int(facts["setup"]["settings"]["warmup"])
+            self.range = np.array(facts["range"], dtype=np.float64)
             self.calibration = Calibration(**(facts["calibration"] or {}))
             self.calibration.check(model.ny)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{folder} was not written by `splitband fit`: {error!r}") from None
+        if self.range.shape != (2, model.ny) or not np.isfinite(self.range).all():
+            raise ValueError(f"{folder} is damaged: its range is {facts['range']}")
         if self.warmup < 1:
             raise ValueError(f"{folder} is damaged: its warmup is {self.warmup}")
         if (len(self.columns), len(self.inputs)) != (model.ny, model.nu):

@@ -12,7 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import typer
 
+from splitband.cli import showing
 from splitband.data import Trajectory, read
+from splitband.data.gaps import Gaps, places
 from splitband.methods import Recipe, Setup, check_train, default_setup, recipe_settings
 from splitband.paper.settings import RECORD_SETTINGS
 from splitband.systems import RECORDS, SIMULATORS
@@ -92,6 +94,36 @@ SamplingTime = Annotated[
         show_default=False,
     ),
 ]
+GapsOption = Annotated[
+    Gaps,
+    typer.Option(
+        "--gaps",
+        help="A missing or infinite value, or a row that is missing between two time stamps: "
+        "refuse the file, or mask it. What is masked counts in no error, and no simulation warms "
+        "up on it.",
+        rich_help_panel=_RECORD,
+    ),
+]
+More = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--more",
+        metavar="FILE",
+        help="Another record of the same system, all of it to train on; give it once for each.",
+        rich_help_panel=_RECORD,
+        show_default=False,
+    ),
+]
+MoreSimulators = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--more-simulator",
+        metavar="FILE",
+        help="The simulator of each --more, in their order.",
+        rich_help_panel=_SIMULATOR,
+        show_default=False,
+    ),
+]
 FutureInputs = Annotated[
     Path | None,
     typer.Option(
@@ -122,14 +154,13 @@ SimulatorColumns = Annotated[
     ),
 ]
 SimulatorTimeout = Annotated[
-    float | None,
+    float,
     typer.Option(
-        min=0.0,
-        help="Seconds after which a simulator is given up on.",
-        rich_help_panel=_SIMULATOR,
-        show_default="never",
+        min=0.0, help="Seconds after which a simulator is given up on.", rich_help_panel=_SIMULATOR
     ),
 ]
+PATIENCE = 600.0
+"""Of a simulator, in s."""
 SimulatorCache = Annotated[
     Path | None,
     typer.Option(
@@ -281,6 +312,7 @@ def load_record(
     inputs: str | None = None,
     time_column: str | None = None,
     sampling_time: float | None = None,
+    gaps: Gaps = "refuse",
 ) -> Trajectory:
     """A named record, or a file."""
     if record not in RECORDS:
@@ -288,13 +320,21 @@ def load_record(
             raise FileNotFoundError(
                 f"RECORD must be a file or one of {', '.join(RECORDS)}, got {record}"
             )
-        return read(
+        found = read(
             record,
             columns=names(columns) if columns else None,
             inputs=names(inputs or ""),
             time_column=time_column,
             sampling_time=sampling_time,
+            gaps=gaps,
         )
+        if found.measured is not None:
+            missing = ~found.complete
+            showing.console.print(
+                f"{record}: {missing.sum()} of {len(found)} samples were not measured in whole, "
+                f"and are masked: {places(missing)}"
+            )
+        return found
     for option, value in (
         ("--columns", columns),
         ("--inputs", inputs),
@@ -304,6 +344,31 @@ def load_record(
         if value is not None:
             raise ValueError(f"{option} is for files; {record} is a named record, got {value}")
     return RECORDS[record]()
+
+
+def load_further(
+    files: Sequence[str] | None,
+    record: Trajectory,
+    inputs: str | None,
+    time_column: str | None,
+    gaps: Gaps,
+) -> list[Trajectory]:
+    """The records of --more, read as `record` was."""
+    found = []
+    for file in files or []:
+        if not Path(file).exists():
+            raise FileNotFoundError(f"--more must be a file, got {file}")
+        unnamed = record.columns[0] in ("y", "y0")
+        more = read(
+            file,
+            columns=None if unnamed else record.columns,
+            inputs=names(inputs or ""),
+            time_column=time_column,
+            fallback_sampling_time=record.sampling_time,
+            gaps=gaps,
+        )
+        found.append(replace(more, name=file))
+    return found
 
 
 def inputs_ahead(

@@ -15,6 +15,7 @@ from rich.text import Text
 from splitband.comparison import Run, RunProgress, ensemble
 from splitband.data import Trajectory
 from splitband.methods import Setup
+from splitband.metrics import FARTHEST
 from splitband.trial import Trial
 
 console = Console(
@@ -56,12 +57,15 @@ def comparison(
         seconds = statistics.mean(r.seconds for r in of_method)
         tried = trial.errors[name]
         mean = ensemble(of_method, record, setup)
-        covers = trial.bands[name].coverage(record.y[setup.train :] - mean.forecast)
+        covers = trial.bands[name].coverage(record.seen[setup.train :] - mean.forecast)
         said = of_method[0].description
         if len(of_method) > 1 and of_method[0].losses:
             said = "; ".join(
                 filter(None, [f"their mean {mean.total_rmse:.3f}, {mean.forecast_rmse:.3f}", said])
             )
+        if any(run.leaves is not None for run in of_method):
+            first_left = min(run.leaves for run in of_method if run.leaves is not None)
+            said = "; ".join(filter(None, [leaving(first_left), said]))
         table.add_row(
             name,
             _spread([tried], first),
@@ -118,6 +122,14 @@ def _spread(values: Sequence[float], lowest: float) -> Text:
     if len(set(values)) > 1:
         text += f" ± {statistics.stdev(values):.2g}"
     return Text(text, style="bold" if mean == lowest else "")
+
+
+def leaving(samples: int) -> str:
+    """What to say of a prediction that leaves the range of the training samples."""
+    return (
+        f"after {samples} samples more than {FARTHEST:g} times as far out as the training samples "
+        "go: not to be trusted from there on"
+    )
 
 
 def ordinal(k: int) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import runpy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +25,7 @@ def with_simulator(
     record: Trajectory,
     simulator: str | None,
     columns: str | None,
-    timeout: float | None,
+    timeout: float,
     cache: Path | None,
     ahead: int = 0,
     beyond: bool = False,
@@ -35,7 +35,7 @@ def with_simulator(
     It has to reach `ahead` samples beyond the record. `beyond` asks for more, for its calibration;
     one that cannot say more is taken as it is.
     """
-    if timeout is not None and not math.isfinite(timeout):
+    if not math.isfinite(timeout):
         raise ValueError(f"--simulator-timeout must be a number of seconds, got {timeout:g}")
     if simulator is None and (beyond or ahead) and record.y_sim is not None:
         simulator = record.name  # a named record's own, for longer
@@ -58,7 +58,7 @@ def simulated(
     samples: int,
     simulator: str,
     columns: str | None,
-    timeout: float | None,
+    timeout: float,
     cache: Path | None,
     least: int | None = None,
 ) -> npt.NDArray[np.float64]:
@@ -70,6 +70,29 @@ def simulated(
         if least is not None and isinstance(opened, Recorded):
             samples = min(samples, max(least, len(np.asarray(opened.y))))
         return run(opened, samples, record.sampling_time, record.ny, timeout, cache, name=simulator)
+
+
+def each_with_simulator(
+    records: Sequence[Trajectory],
+    simulators: Sequence[str] | None,
+    columns: str | None,
+    timeout: float,
+    cache: Path | None,
+    hybrid: bool,
+) -> list[Trajectory]:
+    """The records of --more, with their simulators where there is a hybrid model to train."""
+    simulators = simulators or []
+    if len(simulators) != (len(records) if hybrid else 0):
+        needed = "once for each --more" if hybrid else "only for hybrid methods"
+        raise ValueError(
+            f"--more-simulator must be given {needed}, got {len(simulators)} for {len(records)}"
+        )
+    if not hybrid:
+        return [*records]
+    return [
+        with_simulator(record, simulator, columns, timeout, cache, beyond=True)
+        for record, simulator in zip(records, simulators, strict=True)
+    ]
 
 
 @contextmanager

@@ -24,6 +24,7 @@ from pandas.api.types import (
     is_timedelta64_dtype,
 )
 
+from splitband.data.gaps import Gaps, on_grid
 from splitband.data.trajectory import FloatArray, Trajectory, one_line, require_finite
 
 _AnyArray: TypeAlias = NDArray[Any]
@@ -45,6 +46,7 @@ def read(
     time_column: str | int | None = None,
     sampling_time: float | None = None,
     fallback_sampling_time: float | None = None,
+    gaps: Gaps = "refuse",
 ) -> Trajectory:
     """Read a record from CSV, TSV, Parquet, NPZ, NPY, MAT (up to v7.2) or plain text.
 
@@ -67,6 +69,8 @@ def read(
     sampling_time : seconds; by default from the stamps, else a scalar `sampling_time`, `dt` or
         `Ts` of the file.
     fallback_sampling_time : seconds, for a file that says nothing of time.
+    gaps : "refuse" values that are not finite, and stamps with rows missing between them; "mask"
+        takes both for samples that were not measured, see `Trajectory.with_gaps`.
 
     Raises
     ------
@@ -79,7 +83,7 @@ def read(
     path = Path(path)
     try:
         times = (time_column, sampling_time, fallback_sampling_time)
-        return _assemble(_load(path), columns, inputs, times, name=path.stem)
+        return _assemble(_load(path), columns, inputs, times, gaps, name=path.stem)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -222,6 +226,7 @@ def _assemble(
     columns: _Names | None,
     inputs: _Names,
     times: tuple[str | int | None, float | None, float | None],
+    gaps: Gaps,
     *,
     name: str,
 ) -> Trajectory:
@@ -242,15 +247,30 @@ def _assemble(
         measured = _find(table, columns)
     if not measured:
         raise ValueError(f"there is no numeric column to model: {_available(table)}")
-    step = _sampling_time(table, stamps, sampling_time, fallback)
-    y = _matrix(table, measured)
-    u = _matrix(table, known) if known else None
+    step, places = _sampling_time(table, stamps, sampling_time, fallback, gaps)
+    y = _matrix(table, measured, gaps, places)
+    u = _matrix(table, known, gaps, places) if known else None
     labels = () if list(table) == ["0"] else tuple(measured)
-    return Trajectory(y, step, u=u, name=name, columns=labels)
+    make = Trajectory if gaps == "refuse" else Trajectory.with_gaps
+    return make(y, step, u=u, name=name, columns=labels)
 
 
-def _matrix(table: _Table, names: Sequence[str]) -> FloatArray:
-    return np.column_stack([_numbers(f"column {name!r}", table[name]) for name in names])
+def _matrix(
+    table: _Table, names: Sequence[str], gaps: Gaps, places: NDArray[np.int_] | None
+) -> FloatArray:
+    """The columns side by side, each row at its place where some are missing."""
+    found = np.column_stack([_numbers(f"column {name!r}", table[name]) for name in names])
+    if gaps == "refuse":
+        try:
+            for name, values in zip(names, found.T, strict=True):
+                require_finite(f"column {name!r}", values[:, None])
+        except ValueError as error:
+            raise ValueError(f"{error}; gaps='mask' (--gaps mask) goes around them") from None
+    if places is None:
+        return found
+    spread = np.full((int(places[-1]) + 1, len(names)), np.nan)
+    spread[places] = found
+    return spread
 
 
 def _common_length(table: _Table, picked: Sequence[str]) -> int:
@@ -295,7 +315,7 @@ def _has_number(column: _Column) -> bool:
 
 
 def _numbers(what: str, column: _Column) -> FloatArray:
-    """Return a column as finite float64 numbers, (time,)."""
+    """Return a column as float64 numbers, (time,)."""
     if not is_numeric_dtype(column):
         cells = column.astype(object)
         column = pd.to_numeric(cells, errors="coerce")
@@ -304,9 +324,7 @@ def _numbers(what: str, column: _Column) -> FloatArray:
             raise ValueError(f"{what} must be numeric: row {bad[0]} holds {cell!r}")
     if is_complex_dtype(column):
         raise ValueError(f"{what} must be real: it holds complex values")
-    values = column.to_numpy(dtype=np.float64, na_value=np.nan)
-    require_finite(what, values[:, None])
-    return values
+    return column.to_numpy(dtype=np.float64, na_value=np.nan)
 
 
 def _time_name(column: str) -> tuple[str, float]:
@@ -317,19 +335,26 @@ def _time_name(column: str) -> tuple[str, float]:
 
 
 def _sampling_time(
-    table: _Table, stamps: Sequence[str], given: float | None, fallback: float | None
-) -> float:
-    """Return the seconds between two rows: as given, by the stamps, or by a scalar of the file."""
+    table: _Table, stamps: Sequence[str], given: float | None, fallback: float | None, gaps: Gaps
+) -> tuple[float, NDArray[np.int_] | None]:
+    """Return the seconds between two rows: as given, by the stamps, or by a scalar of the file.
+
+    And where each row of the file belongs, if others are missing between them.
+    """
     if stamps:
         what = f"time column {stamps[0]!r}"
         seconds, grain = _seconds(what, stamps[0], table[stamps[0]])
+        rows = on_grid(what, seconds) if gaps == "mask" else np.arange(len(seconds))
+        missing = len(rows) <= rows[-1]
+        if missing:
+            seconds = np.interp(np.arange(rows[-1] + 1), rows, seconds)
         step = _even_step(what, seconds, grain)
         if given is not None and not abs(given - step) <= 0.01 * step:
             raise ValueError(
                 f"sampling_time (--sampling-time) is {given} s, but {what} steps by {step} s; "
                 "time_column='' (--time-column '') ignores the stamps"
             )
-        return step if given is None else given
+        return step if given is None else given, rows if missing else None
     for name in ("sampling_time", "dt", "Ts"):
         if given is None and len(table.get(name, ())) == 1:
             given = float(_numbers(f"variable {name!r}", table[name])[0])
@@ -339,7 +364,7 @@ def _sampling_time(
             "there is no time column: pass sampling_time (--sampling-time) in seconds, "
             f"or time_column (--time-column); {_available(table)}"
         )
-    return given
+    return given, None
 
 
 def _seconds(what: str, name: str, column: _Column) -> tuple[FloatArray, float]:
@@ -348,6 +373,7 @@ def _seconds(what: str, name: str, column: _Column) -> tuple[FloatArray, float]:
         column = column.dt.total_seconds()
     if _has_number(column):
         values, unit = _numbers(what, column), _time_name(name)[1]
+        require_finite(what, values[:, None])
         if abs(values[0]) * unit > 1e11:
             raise ValueError(f"{what} must be in seconds, or name its unit as in 't [ms]'")
         kind = np.float32 if column.dtype == np.float32 else np.float64
@@ -384,7 +410,8 @@ def _even_step(what: str, stamps: FloatArray, grain: float) -> float:
         row = int((gaps if gaps.size else bad)[0]) + 1
         raise ValueError(
             f"{what} must be even: expected a step of {median:.6g} s at row {row}, found "
-            f"{steps[row - 1]:.6g} s; time_column='' (--time-column '') ignores the stamps"
+            f"{steps[row - 1]:.6g} s; time_column='' (--time-column '') ignores the stamps, "
+            "gaps='mask' (--gaps mask) allows for missing rows"
         )
     centred = np.arange(len(stamps)) - 0.5 * len(steps)
     slope = centred @ (stamps - stamps[0]) / (centred @ centred)  # averages the rounding out

@@ -9,6 +9,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from splitband.data.gaps import BoolArray, filled, places
+
 FloatArray: TypeAlias = NDArray[np.float64]
 
 
@@ -21,7 +23,7 @@ class Trajectory:
 
     Parameters
     ----------
-    y : the measured signal, (time, ny), at least two samples.
+    y : the measured signal, (time, ny), at least two samples; `with_gaps` takes one with NaN.
     sampling_time : seconds between two samples.
     u : known inputs, (time, nu): forces, set-points, or another model's prediction.
     y_true : the noise-free signal where it is known, (time, ny).
@@ -29,6 +31,8 @@ class Trajectory:
     beyond : what the simulator says after the record's end, (any time, ny), for its calibration.
     name : what plots and tables call the record.
     columns : names of the channels of y; without them "y", or "y0", "y1", ...
+    measured : where y was measured, (time, ny); elsewhere something stands in for it, that nothing
+        is compared with. None: everywhere.
 
     Raises
     ------
@@ -45,6 +49,7 @@ class Trajectory:
     beyond: FloatArray | None = None
     name: str = ""
     columns: tuple[str, ...] = ()
+    measured: BoolArray | None = None
 
     def __post_init__(self) -> None:
         y = _signal("y", self.y)
@@ -75,6 +80,29 @@ class Trajectory:
             require_finite("beyond", beyond, columns)
             object.__setattr__(self, "beyond", beyond)
         object.__setattr__(self, "sampling_time", _positive_seconds(self.sampling_time))
+        if self.measured is not None:
+            measured = np.array(self.measured, dtype=np.bool_)
+            measured = measured[:, None] if measured.ndim == 1 else measured
+            if measured.shape != y.shape:
+                raise ValueError(
+                    f"measured must have the shape of y, {y.shape}: it is {measured.shape}"
+                )
+            measured.setflags(write=False)
+            object.__setattr__(self, "measured", None if measured.all() else measured)
+
+    @classmethod
+    def with_gaps(cls, y: Any, sampling_time: float, u: Any = None, **others: Any) -> Trajectory:
+        """A record whose y and u may hold values that are not finite; the rest as ever.
+
+        Straight lines across them stand in for what is missing. A sample with a gap in u does not
+        count as measured: what a system does is not to be learned from an input that is not known.
+        """
+        y, measured = filled("y", _signal("y", y))
+        if u is not None:
+            u, known = filled("u", _signal("u", u))
+            if len(u) == len(y):  # otherwise the constructor says so
+                measured = measured & known.all(axis=1, keepdims=True)
+        return cls(y, sampling_time, u=u, measured=measured, **others)
 
     def __len__(self) -> int:
         return len(self.y)
@@ -93,7 +121,27 @@ class Trajectory:
             end = key.indices(len(self))[1]
             later = [self.y_sim[end:], *([] if beyond is None else [beyond])]
             beyond = np.concatenate(later) if sum(map(len, later)) else None
-        return replace(self, y=self.y[key], u=u, y_true=y_true, y_sim=y_sim, beyond=beyond)
+        measured = None if self.measured is None else self.measured[key]
+        return replace(
+            self, y=self.y[key], u=u, y_true=y_true, y_sim=y_sim, beyond=beyond, measured=measured
+        )
+
+    @property
+    def seen(self) -> FloatArray:
+        """What was measured, (time, ny); NaN in gaps."""
+        return self.y if self.measured is None else np.where(self.measured, self.y, np.nan)
+
+    @property
+    def truth(self) -> FloatArray:
+        """What predictions are compared with, (time, ny): y_true where it is known, else `seen`."""
+        return self.seen if self.y_true is None else self.y_true
+
+    @property
+    def complete(self) -> BoolArray:
+        """Where every channel was measured, (time,)."""
+        if self.measured is None:
+            return np.ones(len(self), dtype=np.bool_)
+        return np.asarray(self.measured.all(axis=1))
 
     @property
     def ny(self) -> int:
@@ -154,13 +202,14 @@ def _signal(what: str, value: Any) -> FloatArray:
 
 
 def require_finite(what: str, values: FloatArray, columns: Sequence[str] = ()) -> None:
-    """Raise a ValueError that counts the bad values and places the first one."""
+    """Raise a ValueError that counts the bad values and says where they are."""
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         column = f", column {columns[bad[0, 1]]!r}" if columns else ""
         raise ValueError(
             f"{what} must be finite: {len(bad)} bad value{'s' if len(bad) > 1 else ''}, "
             f"the first ({values[tuple(bad[0])]}) at row {bad[0, 0]}{column}"
+            + (f"; {places(np.asarray(~np.isfinite(values).all(axis=1)))}" if len(bad) > 1 else "")
         )
 
 

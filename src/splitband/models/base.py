@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -150,16 +150,18 @@ class Model(nn.Module, ABC):
         values = values[:, 0] if like.ndim == 1 else values
         return values.to(like) if isinstance(like, Tensor) else values.numpy()
 
-    def adapt_to(self, trajectory: Trajectory, normalize: bool = True) -> None:
-        """Take from a training record what is not learned by gradient: here, the units.
+    def adapt_to(self, records: Sequence[Trajectory], normalize: bool = True) -> None:
+        """Take from the training records what is not learned by gradient: here, the units.
 
         With `normalize`, that is the mean and the standard deviation of each channel.
         """
         if not normalize:
             return
-        for name, values in (("y", trajectory.y), ("u", trajectory.u)):
-            if values is not None:
-                getattr(self, f"{name}_mean").copy_(torch.from_numpy(values.mean(axis=0)))
+        inputs = [record.u for record in records if record.u is not None]
+        for name, signals in (("y", [record.seen for record in records]), ("u", inputs)):
+            if signals:
+                values = np.concatenate(signals)
+                getattr(self, f"{name}_mean").copy_(torch.from_numpy(np.nanmean(values, axis=0)))
                 getattr(self, f"{name}_std").copy_(torch.from_numpy(spread(values)))
 
     def normalised(self, trajectory: Trajectory) -> Signals:
@@ -220,9 +222,9 @@ def conditioning(slow: Tensor, scale: Tensor, k: int = 1, offset: int = 0) -> Te
     return torch.cat([values[..., 1:, :], values[..., -1:, :]], dim=-2)
 
 
-def slope_scale(slow: Tensor) -> Tensor:
-    """The standard deviation of each channel's slope in a record `(time, ny)`; 1 for a constant."""
-    spread = _slope(slow.double()).std(dim=0)
+def slope_scale(slow: Sequence[Tensor]) -> Tensor:
+    """The standard deviation of each channel's slope in records `(time, ny)`; 1 for a constant."""
+    spread = torch.cat([_slope(of_record.double()) for of_record in slow]).std(dim=0)
     return torch.where(spread > 0, spread, torch.ones_like(spread))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -38,10 +39,11 @@ class Hybrid(Model):
         self.cell, self.conditioned = cell, conditioned
         self.register_buffer("slope_scale", torch.ones(cell.ny, dtype=torch.float64))
 
-    def adapt_to(self, trajectory: Trajectory, normalize: bool = True) -> None:
-        """Take the units from a training record, those of the simulator's slope too."""
-        super().adapt_to(trajectory, normalize)
-        self.slope_scale.copy_(slope_scale(_required(self.normalised(trajectory))))
+    def adapt_to(self, records: Sequence[Trajectory], normalize: bool = True) -> None:
+        """Take the units from the training records, those of the simulator's slope too."""
+        super().adapt_to(records, normalize)
+        simulated = [_required(self.normalised(record)) for record in records]
+        self.slope_scale.copy_(slope_scale(simulated))
 
     def _conditioned(self, known: Signals) -> Signals:
         """The simulator's output among the known inputs, where the network wants it."""

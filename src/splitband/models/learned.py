@@ -117,12 +117,12 @@ class Split(Model):
             for band, name in enumerate(self._names())
         ]
 
-    def adapt_to(self, trajectory: Trajectory, normalize: bool = True) -> None:
-        """Take the units from a training record, those of the slopes too."""
-        super().adapt_to(trajectory, normalize)
-        y = self.normalised(trajectory).y
+    def adapt_to(self, records: Sequence[Trajectory], normalize: bool = True) -> None:
+        """Take the units from the training records, those of the slopes too."""
+        super().adapt_to(records, normalize)
+        seen = [self.normalised(record).y for record in records]
         for i, pair in enumerate(self.pairs):
-            self.slope_scale[i].copy_(slope_scale(pair.lowpass(y)))
+            self.slope_scale[i].copy_(slope_scale([pair.lowpass(y) for y in seen]))
 
     def _in_training(self, band: int, known: Signals, steps: int) -> Tensor:
         """`steps` samples of a band at its rate, the slower bands being as they are."""

@@ -235,10 +235,10 @@ def as_run(facts: dict[str, Any]) -> Run:
         facts["seconds"],
         _array(facts["from_start"]),
         _array(facts["forecast"]),
-        {name: _array(values) for name, values in facts["components"].items()},
-        facts["description"],
-        facts["losses"],
-        {name: _array(values) for name, values in facts["unfiltered"].items()},
+        components={name: _array(values) for name, values in facts["components"].items()},
+        description=facts["description"],
+        losses=facts["losses"],
+        unfiltered={name: _array(values) for name, values in facts["unfiltered"].items()},
     )
 
 

@@ -1,0 +1,87 @@
+"""Gaps: samples that were not measured, and what stands in for them."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Gaps = Literal["refuse", "mask"]
+MOST_MISSING = 0.9
+"""Share of a record's rows that may be missing between its time stamps."""
+
+
+def filled(what: str, values: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Straight lines across what is not finite, and where `values` `(time, n)` are.
+
+    Before the first and after the last finite value of a channel that value is held.
+
+    Raises
+    ------
+    ValueError
+        For a channel without any.
+    """
+    known = np.isfinite(values)
+    index = np.arange(len(values))
+    found = np.array(values)
+    for channel, seen in enumerate(known.T):
+        if not seen.any():
+            raise ValueError(f"{what} must have a finite value in channel {channel}: it has none")
+        found[~seen, channel] = np.interp(index[~seen], index[seen], values[seen, channel])
+    return found, known
+
+
+def stretches(rows: BoolArray) -> list[tuple[int, int]]:
+    """First and last index of each stretch of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(np.int8), [0]])))
+    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
+
+
+def places(rows: BoolArray, most: int = 6) -> str:
+    """Where the stretches are, for a message: "rows 3, 7 to 9"."""
+    found = stretches(rows)
+    named = ", ".join(str(a) if a == b else f"{a} to {b}" for a, b in found[:most])
+    more = f" and {len(found) - most} more stretches" if len(found) > most else ""
+    return f"row{'s' if len(found) > 1 or found[0][0] != found[0][1] else ''} {named}{more}"
+
+
+def on_grid(what: str, stamps: FloatArray) -> NDArray[np.int_]:
+    """The row of each stamp, `(time,)`, if none were missing; where they rise evenly, 0, 1, 2...
+
+    Raises
+    ------
+    ValueError
+        When nearly all are missing, which is a wrong stamp rather.
+    """
+    steps = np.diff(stamps)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    if not usual > 0:
+        return np.arange(len(stamps))
+    missing = float(np.maximum(np.rint(steps / usual) - 1, 0).sum())
+    if missing > MOST_MISSING * (missing + len(stamps)):
+        worst = int(np.argmax(steps))
+        raise ValueError(
+            f"{what} must have a stamp for one row in ten at least: {missing:.0f} rows of "
+            f"{usual:.6g} s are missing, most of them after row {worst}"
+        )
+    return np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / usual), 1))]).astype(int)
+
+
+def last_before(complete: BoolArray, length: int, at: int) -> int | None:
+    """The last index up to `at` with `length` complete samples right before it."""
+    ends = _ends(complete[:at], length)
+    return int(ends[-1]) if len(ends) else None
+
+
+def first_after(complete: BoolArray, length: int) -> int | None:
+    """The first index with `length` complete samples right before it."""
+    ends = _ends(complete, length)
+    return int(ends[0]) if len(ends) else None
+
+
+def _ends(complete: BoolArray, length: int) -> NDArray[Any]:
+    count = np.concatenate([[0], np.cumsum(complete)])
+    return np.flatnonzero(count[length:] - count[:-length] == length) + length

@@ -1,0 +1,102 @@
+"""Windows of training records: where they may lie, and the signals in them, as views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from splitband.data import Trajectory
+from splitband.models import Signals, Task
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Where windows may lie in training records, one record after the other.
+
+    Attributes
+    ----------
+    starts : Their first samples.
+    measured : What the loss counts, `(time, ny)`; None: everything.
+    """
+
+    starts: Tensor
+    measured: Tensor | None
+
+
+def places_in(records: Sequence[Trajectory], window: int, warmup: int) -> Places:
+    """Every place within a record whose warm-up was measured, and something after it.
+
+    Raises
+    ------
+    ValueError
+        For a record shorter than a window, and where gaps leave no place at all.
+    """
+    lengths = [len(record) for record in records]
+    if min(lengths) < window:
+        raise ValueError(
+            f"window must fit into the training record of {min(lengths)} samples, got {window}"
+        )
+    complete = np.concatenate([record.complete for record in records])
+    seen = np.concatenate([~np.isnan(record.seen) for record in records])
+    inside = np.arange(len(complete)) + window <= np.repeat(np.cumsum(lengths), lengths)
+    warm = _counts(complete, 0, warmup) == warmup
+    something = _counts(np.asarray(seen.any(axis=1)), warmup, window) > 0
+    starts = np.flatnonzero(inside & warm & something)
+    if not len(starts):
+        raise ValueError(
+            f"warmup must fit between the gaps of the training record, got {warmup} samples"
+        )
+    return Places(torch.from_numpy(starts), None if seen.all() else torch.from_numpy(seen))
+
+
+def _counts(true: npt.NDArray[np.bool_], begin: int, end: int) -> npt.NDArray[np.int_]:
+    """How many of the values from `begin` to `end` after each index are true."""
+    count = np.concatenate([[0], np.cumsum(true)])
+    index, last = np.arange(len(true)), len(true)
+    found = count[np.minimum(index + end, last)] - count[np.minimum(index + begin, last)]
+    return np.asarray(found)
+
+
+def joined(tasks: Sequence[Task]) -> Task:
+    """One network's task on several records, one after the other."""
+    if len(tasks) == 1:
+        return tasks[0]
+
+    def end_to_end(signals: Sequence[Tensor | None]) -> Tensor | None:
+        given = [signal for signal in signals if signal is not None]
+        return torch.cat(given) if given else None
+
+    known = [task.known for task in tasks]
+    whole = Signals(
+        torch.cat([of_record.y for of_record in known]),
+        end_to_end([of_record.u for of_record in known]),
+        end_to_end([of_record.y_sim for of_record in known]),
+    )
+    return replace(tasks[0], known=whole, target=torch.cat([task.target for task in tasks]))
+
+
+def windows(task: Task, window: int, warmup: int) -> tuple[Signals, Tensor]:
+    """The windows from every sample on, as views: what is known, and what is to be reproduced."""
+    u, y_sim = (None if s is None else _views(s, window) for s in (task.known.u, task.known.y_sim))
+    known = Signals(_views(task.known.y, window)[:, :warmup], u, y_sim)
+    return known, targets(task.target, task, window, warmup)
+
+
+def targets(signal: Tensor, task: Task, window: int, warmup: int) -> Tensor:
+    """Of a signal `(time, n)`, the samples of every window that the task's network predicts."""
+    return _views(signal, window)[:, warmup :: task.stride]
+
+
+def select(known: Signals, batch: Tensor) -> Signals:
+    """The windows of a batch, copied."""
+    u, y_sim = (None if s is None else s[batch] for s in (known.u, known.y_sim))
+    return Signals(known.y[batch], u, y_sim)
+
+
+def _views(signal: Tensor, window: int) -> Tensor:
+    return signal.unfold(0, window, 1).transpose(1, 2)
