@@ -65,8 +65,20 @@ VARIANTS: dict[str, Callable[[Setup], Setup]] = {
     "windows of 400": partial(_window, samples=400),
     "half the steps": partial(_steps, factor=0.5),
     "twice the steps": partial(_steps, factor=2.0),
+    "growth 0.3": partial(_training, growth=0.3),
     "no growth": partial(_training, growth=0.0),
     "no clipping": partial(_training, clip=None),
+    "rate 6e-3": partial(_training, learning_rate=6e-3),
+    "rate 1e-2": partial(_training, learning_rate=1e-2),
+    "hidden 64, 32, no growth": lambda setup: _training(
+        replace(setup, hidden_high=64, hidden_low=32), growth=0.0
+    ),
+    "hidden 64, 32, rate 6e-3": lambda setup: _training(
+        replace(setup, hidden_high=64, hidden_low=32), learning_rate=6e-3
+    ),
+    "hidden 64, 32, no growth, rate 6e-3": lambda setup: _training(
+        replace(setup, hidden_high=64, hidden_low=32), growth=0.0, learning_rate=6e-3
+    ),
     "rate 1e-3": partial(_training, learning_rate=1e-3),
     "constant rate 1e-3": partial(_training, learning_rate=1e-3, one_cycle=False),
     "third of the cut-off": partial(_cutoff, factor=1 / 3),

@@ -26,6 +26,7 @@ LAYERS = (
     "rollouts",
     "cells",
     "systems",
+    "isolation",
     "simulators",
     "data",
     "calibration",

@@ -251,20 +251,37 @@ def test_the_weights_of_another_model_are_refused(folder: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    "weights",
+    ("weights", "said"),
     [
-        safetensors.torch.save(dict(Recurrent(GRU(NY, 6, NU)).state_dict())),
-        safetensors.torch.save(dict(Recurrent(rnn()).state_dict())),
-        b"not safetensors",
+        (safetensors.torch.save(dict(Recurrent(GRU(NY, 6, NU)).state_dict())), "must be"),
+        (safetensors.torch.save(dict(Recurrent(rnn()).state_dict())), "must be"),
+        (safetensors.torch.save(dict(Recurrent(gru()).half().state_dict())), "float16"),
+        (safetensors.torch.save(dict(Recurrent(gru()).state_dict())) + bytes(2**21), "at most"),
+        (b"not safetensors", "damaged"),
     ],
-    ids=["size", "cell", "kind"],
+    ids=["size", "cell", "half precision", "long", "kind"],
 )
 def test_weights_that_do_not_fit_are_refused_even_with_their_checksum(
-    folder: Path, weights: bytes
+    folder: Path, weights: bytes, said: str
 ) -> None:
     (folder / "weights.safetensors").write_bytes(weights)
     edit(folder, lambda d: d.update(weights_sha256=hashlib.sha256(weights).hexdigest()))
-    with pytest.raises(ValueError, match=r"model\.json describes no model: \S"):
+    with pytest.raises(ValueError, match=rf"weights\.safetensors .*{said}"):
+        load(folder)
+
+
+def test_no_memory_is_taken_for_what_a_file_only_says(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A GRU of a million units would have 12 TB of weights."""
+    edit(folder, lambda d: d["model"]["cell"].update(hidden_size=1_000_000))
+    with pytest.raises(ValueError, match=r"weights\.safetensors is not the model's: .* must be"):
+        load(folder)
+    edit(folder, lambda d: d["model"]["cell"].update(hidden_size=1_000_001))
+    with pytest.raises(ValueError, match=r"hidden_size of GRU must be a whole number up to"):
+        load(folder)
+    monkeypatch.setattr("splitband.saving.LARGEST_DESCRIPTION", 100)
+    with pytest.raises(ValueError, match="larger than 100 bytes"):
         load(folder)
 
 

@@ -9,12 +9,13 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import safetensors
 import safetensors.torch
-from torch import nn
+import torch
+from torch import Tensor, nn
 
 from splitband.cells import GRU, EulerMLP
 from splitband.files import replacing, to_json
@@ -22,24 +23,62 @@ from splitband.filters import ComplementaryPair
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
 
 FORMAT = 2
+LARGEST_DESCRIPTION = 2**24
+"""Bytes of model.json."""
+_SPARE = 2**20
+"""Bytes that a weights file may have beside the weights."""
 _UNFIT = (
-    RuntimeError, TypeError, KeyError, ValueError, AttributeError, safetensors.SafetensorError,
+    RuntimeError, TypeError, KeyError, ValueError, AttributeError, OverflowError, MemoryError,
+    safetensors.SafetensorError,
 )  # fmt: skip
 _DESCRIPTION, _WEIGHTS = "model.json", "weights.safetensors"
 
-# What each class is built from: the arguments of its constructor, which are also its attributes.
-_ARGUMENTS: dict[type, tuple[str, ...]] = {
-    GRU: ("ny", "hidden_size", "nu"),
-    EulerMLP: (
-        "ny", "warmup", "state_size", "hidden_size", "recognition_size", "step_size", "nu",
-    ),
-    ComplementaryPair: (
-        "b_low", "b_high", "a", "sampling_rate", "cutoff", "zero_phase", "start",
-    ),
-    Recurrent: ("cell",),
-    Split: ("networks", "pairs", "downsampling", "filter_output", "conditioned"),
-    Filtered: ("cell", "pair", "conditioned"),
-    Residual: ("cell", "conditioned"),
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= 1_000_000
+
+
+def _list_of(check: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    return lambda value: (
+        isinstance(value, list) and 0 < len(value) <= 1000 and all(map(check, value))
+    )
+
+
+# What an argument may be, in words and as a check.
+Kind: TypeAlias = tuple[str, Callable[[Any], bool]]
+_COUNT: Kind = "a whole number up to 1,000,000", _is_count
+_COUNTS: Kind = "one or a list of whole numbers", lambda v: _is_count(v) or _list_of(_is_count)(v)
+_NUMBER: Kind = "a finite number", _is_number
+_NUMBER_OR_NONE: Kind = "a finite number or null", lambda v: v is None or _is_number(v)
+_NUMBERS: Kind = "a list of finite numbers", _list_of(_is_number)
+_FLAG: Kind = "true or false", lambda v: isinstance(v, bool)
+_WORD: Kind = "a word", lambda v: isinstance(v, str)
+_PART: Kind = "a part with a type", lambda v: isinstance(v, dict) and isinstance(v.get("type"), str)
+_PARTS: Kind = "a list of parts with a type", _list_of(_PART[1])
+
+# The format: what each class is built from, by name. These are its constructor's arguments, and
+# also its attributes.
+_SCHEMA: dict[type, dict[str, Kind]] = {
+    GRU: {"ny": _COUNT, "hidden_size": _COUNT, "nu": _COUNT},
+    EulerMLP: {
+        "ny": _COUNT, "warmup": _COUNT, "state_size": _COUNT, "hidden_size": _COUNT,
+        "recognition_size": _COUNT, "step_size": _NUMBER, "nu": _COUNT,
+    },
+    ComplementaryPair: {
+        "b_low": _NUMBERS, "b_high": _NUMBERS, "a": _NUMBERS, "sampling_rate": _NUMBER,
+        "cutoff": _NUMBER_OR_NONE, "zero_phase": _FLAG, "start": _WORD,
+    },
+    Recurrent: {"cell": _PART},
+    Split: {
+        "networks": _PARTS, "pairs": _PARTS, "downsampling": _COUNTS, "filter_output": _FLAG,
+        "conditioned": _FLAG,
+    },
+    Filtered: {"cell": _PART, "pair": _PART, "conditioned": _FLAG},
+    Residual: {"cell": _PART, "conditioned": _FLAG},
 }  # fmt: skip
 
 
@@ -92,6 +131,8 @@ def load(
         if not (folder / name).is_file():
             raise FileNotFoundError(f"no model in {folder}: {name} is missing")
     try:
+        if (folder / _DESCRIPTION).stat().st_size > LARGEST_DESCRIPTION:
+            raise ValueError(f"it is larger than {LARGEST_DESCRIPTION} bytes")
         description = json.loads((folder / _DESCRIPTION).read_text(encoding="utf-8"))
         version, spec, digest = (description[k] for k in ("format", "model", "weights_sha256"))
         facts = dict(description["facts"])
@@ -99,25 +140,57 @@ def load(
         raise ValueError(f"{folder / _DESCRIPTION} is damaged: {error!r}") from None
     if version != FORMAT:
         raise ValueError(f"{folder / _DESCRIPTION} has format {version!r}; this is for {FORMAT}")
-    weights = (folder / _WEIGHTS).read_bytes()
-    if hashlib.sha256(weights).hexdigest() != digest:
-        raise ValueError(f"{folder / _WEIGHTS} is damaged: its checksum is not that of the model")
+    known = {c.__name__: c for c in _SCHEMA} | dict(cells or {})
     try:
-        model = _build(spec, dict(cells or {}))
-        if not isinstance(model, Model):
-            raise ValueError(f"{type(model).__name__} is not a model")
+        with torch.device("meta"):  # shapes only, however large a file says they are
+            expected = _model(spec, known).state_dict()
+    except _UNFIT as error:
+        raise ValueError(f"{folder / _DESCRIPTION} describes no model: {error}") from None
+    weights = _weights(folder / _WEIGHTS, digest, expected)
+    try:
+        model = _model(spec, known)
         # `assign` keeps the precision that was saved.
-        model.load_state_dict(safetensors.torch.load(weights), assign=True)
+        model.load_state_dict(weights, assign=True)
     except _UNFIT as error:
         raise ValueError(f"{folder / _DESCRIPTION} describes no model: {error}") from None
     return model, facts
 
 
+def _weights(path: Path, digest: Any, expected: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """What the file holds, if that is what the model needs."""
+    size, most = path.stat().st_size, 8 * sum(t.numel() for t in expected.values()) + _SPARE
+    if size > most:
+        raise ValueError(f"{path} is not the model's: {size} bytes, this model has {most} at most")
+    content = path.read_bytes()
+    if hashlib.sha256(content).hexdigest() != digest:
+        raise ValueError(f"{path} is damaged: its checksum is not that of the model")
+    try:
+        found = safetensors.torch.load(content)
+    except _UNFIT as error:
+        raise ValueError(f"{path} is damaged: {error}") from None
+    shapes, needed = ({k: tuple(t.shape) for k, t in of.items()} for of in (found, expected))
+    if shapes != needed:
+        name = min(k for k in shapes | needed if shapes.get(k) != needed.get(k))
+        raise ValueError(
+            f"{path} is not the model's: {name} must be {needed.get(name)}, got {shapes.get(name)}"
+        )
+    if odd := [k for k, t in found.items() if t.dtype not in (torch.float32, torch.float64)]:
+        raise ValueError(f"{path} must hold float32 or float64: {odd[0]} is {found[odd[0]].dtype}")
+    return found
+
+
+def _model(spec: Any, known: Mapping[str, Callable[..., Any]]) -> Model:
+    model = _build(spec, known)
+    if not isinstance(model, Model):
+        raise ValueError(f"{type(model).__name__} is not a model")
+    return model
+
+
 def _describe(value: Any) -> Any:
     if isinstance(value, list | nn.ModuleList):
         return [_describe(item) for item in value]
-    if type(value) in _ARGUMENTS:
-        arguments = {name: getattr(value, name) for name in _ARGUMENTS[type(value)]}
+    if type(value) in _SCHEMA:
+        arguments = {name: getattr(value, name) for name in _SCHEMA[type(value)]}
     elif isinstance(value, nn.Module):
         arguments = getattr(value, "arguments", None)  # type: ignore[assignment]
         if not isinstance(arguments, dict):
@@ -130,16 +203,27 @@ def _describe(value: Any) -> Any:
     return {"type": type(value).__name__} | {k: _describe(v) for k, v in arguments.items()}
 
 
-def _build(value: Any, cells: dict[str, Callable[..., Any]]) -> Any:
+def _build(value: Any, known: Mapping[str, Callable[..., Any]]) -> Any:
     if isinstance(value, list):
-        parts = [_build(item, cells) for item in value]
+        parts = [_build(item, known) for item in value]
         return parts if any(isinstance(item, dict) for item in value) else np.array(parts)
     if not isinstance(value, dict):
         return value
-    known = {c.__name__: c for c in _ARGUMENTS} | cells
-    arguments = {k: _build(v, cells) for k, v in value.items() if k != "type"}
+    arguments = {k: v for k, v in value.items() if k != "type"}
     if "type" not in value:
-        return arguments
-    if value["type"] not in known:
+        return {k: _build(v, known) for k, v in arguments.items()}
+    make = known.get(str(value["type"]))
+    if make is None:
         raise ValueError(f"unknown type {value['type']!r}; pass its constructor in `cells`")
-    return known[value["type"]](**arguments)
+    if isinstance(make, type) and make in _SCHEMA:
+        _check(make.__name__, arguments, _SCHEMA[make])
+    return make(**{k: _build(v, known) for k, v in arguments.items()})
+
+
+def _check(name: str, arguments: Mapping[str, Any], schema: Mapping[str, Kind]) -> None:
+    if arguments.keys() != schema.keys():
+        odd = min(arguments.keys() ^ schema.keys())
+        raise ValueError(f"{name} must have {', '.join(schema)}; {odd!r} is missing or not known")
+    for key, (words, fits) in schema.items():
+        if not fits(arguments[key]):
+            raise ValueError(f"{key} of {name} must be {words}, got {str(arguments[key])[:60]!r}")

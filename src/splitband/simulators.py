@@ -25,6 +25,10 @@ from splitband.files import replacing
 Array = npt.NDArray[np.float64]
 
 
+class SimulatorError(RuntimeError):
+    """What went wrong in a simulator, in words for its user."""
+
+
 class Simulator(Protocol):
     """What `run` asks of a simulator."""
 
@@ -262,16 +266,18 @@ def run(
     # A grid has two points at least, from which a simulator can tell its step.
     time: Array = np.arange(max(samples, 2), dtype=np.float64) * sampling_time
     try:
-        found = np.asarray(_within(timeout, lambda: simulator.simulate(time)))
+        found = np.asarray(within(timeout, lambda: simulator.simulate(time)))
         if np.iscomplexobj(found):
             raise TypeError("its values must be real")
         y = np.asarray(found, float)
-    except TimeoutError:
-        raise ValueError(f"simulator {name} has not returned within {timeout:g} s") from None
+    except TimeoutError as error:
+        waited = getattr(simulator, "timeout", None) if timeout is None else timeout
+        within_time = "in time" if waited is None else f"within {waited:g} s"
+        raise ValueError(f"simulator {name} has not returned {within_time}") from error
     except (Exception, SystemExit) as error:
+        kind = "" if isinstance(error, SimulatorError) else f"{type(error).__name__}: "
         raise ValueError(
-            f"simulator {name} failed on {samples} samples every {sampling_time:g} s: "
-            f"{type(error).__name__}: {error}"
+            f"simulator {name} failed on {samples} samples every {sampling_time:g} s: {kind}{error}"
         ) from error
     y = y[:, None] if y.ndim == 1 else y
     if y.shape != (len(time), ny):
@@ -290,8 +296,8 @@ def run(
     return y
 
 
-def _within(timeout: float | None, call: Callable[[], Any]) -> Any:
-    """Call in a thread of its own that can be given up on."""
+def within(timeout: float | None, call: Callable[[], Any]) -> Any:
+    """Call in a thread of its own that can be given up on; raises TimeoutError then."""
     if timeout is None:
         return call()
     outcome: list[Any] = []

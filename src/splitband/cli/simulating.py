@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
-import runpy
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +13,8 @@ import numpy.typing as npt
 from splitband.calibration import samples_needed
 from splitband.cli.options import names
 from splitband.data import Trajectory, read
-from splitband.simulators import Fmu, Function, Recorded, Simulator, run
+from splitband.isolation import Isolated
+from splitband.simulators import Recorded, Simulator, run
 from splitband.systems import SIMULATORS
 
 
@@ -45,8 +42,8 @@ def with_simulator(
     samples = samples_needed(least, len(record)) if beyond else least
     try:
         y_sim = simulated(record, samples, simulator, columns, timeout, cache, least)
-    except ValueError:
-        if not beyond:
+    except ValueError as error:
+        if not beyond or isinstance(error.__cause__, TimeoutError):
             raise
         y_sim = simulated(record, least, simulator, columns, timeout, cache)
     rest = y_sim[len(record) :]
@@ -66,10 +63,11 @@ def simulated(
 
     With `least`, an exported trajectory of at least so many is taken as far as it goes.
     """
-    with _open(simulator, record, names(columns or "")) as opened:
-        if least is not None and isinstance(opened, Recorded):
-            samples = min(samples, max(least, len(np.asarray(opened.y))))
-        return run(opened, samples, record.sampling_time, record.ny, timeout, cache, name=simulator)
+    opened = _open(simulator, record, names(columns or ""), timeout)
+    if least is not None and isinstance(opened, Recorded):
+        samples = min(samples, max(least, len(np.asarray(opened.y))))
+    within = None if isinstance(opened, Isolated) else timeout
+    return run(opened, samples, record.sampling_time, record.ny, within, cache, name=simulator)
 
 
 def each_with_simulator(
@@ -95,27 +93,23 @@ def each_with_simulator(
     ]
 
 
-@contextmanager
-def _open(text: str, record: Trajectory, columns: list[str]) -> Iterator[Simulator]:
-    path, _, function = text.partition(".py:")
+def _open(text: str, record: Trajectory, columns: list[str], timeout: float) -> Simulator:
+    file, _, function = text.partition(".py:")
+    file += ".py" if function else ""
     if text in SIMULATORS:
-        yield SIMULATORS[text]()
-    elif function:
-        file = Path(path + ".py")
-        run_code = _function(file, function)
-        yield Function(run_code, f"{hashlib.sha256(file.read_bytes()).hexdigest()} {function}")
-    elif text.endswith(".py"):
+        return SIMULATORS[text]()
+    if text.endswith(".py"):
         raise ValueError(f"--simulator needs a function of the file, {text}:FUNCTION, got {text}")
-    elif text.lower().endswith(".fmu"):
-        with Fmu(text, columns or None) as fmu:
-            yield fmu
-    elif Path(text).exists():
-        yield _exported(text, record, columns)
-    else:
+    if not Path(file).is_file():
         raise FileNotFoundError(
             f"--simulator must be a file, FILE.py:FUNCTION or one of {', '.join(SIMULATORS)}, "
             f"got {text}"
         )
+    if function:
+        return Isolated(file, function, timeout=timeout)
+    if text.lower().endswith(".fmu"):
+        return Isolated(file, outputs=tuple(columns), timeout=timeout)
+    return _exported(text, record, columns)
 
 
 def _exported(path: str, record: Trajectory, columns: list[str]) -> Simulator:
@@ -129,16 +123,3 @@ def _exported(path: str, record: Trajectory, columns: list[str]) -> Simulator:
             f"out of {', '.join(found.columns)} in {path}"
         )
     return Recorded(found.y, found.sampling_time)
-
-
-def _function(path: Path, name: str) -> Callable[[npt.NDArray[np.float64]], Any]:
-    """Import a function of the user's own file, which runs that file."""
-    if not path.is_file():
-        raise FileNotFoundError(f"no such file: {path}")
-    try:
-        function = runpy.run_path(str(path), run_name=path.stem).get(name)
-    except (Exception, SystemExit) as error:
-        raise ValueError(f"{path} cannot be run: {type(error).__name__}: {error}") from error
-    if not callable(function):
-        raise ValueError(f"{path} must define a function {name}")
-    return function

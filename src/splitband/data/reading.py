@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import os
 import re
 import warnings
@@ -14,6 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet  # type: ignore[import-untyped]
 import scipy
 from numpy.typing import NDArray
 from pandas.api.types import (
@@ -26,6 +28,9 @@ from pandas.api.types import (
 
 from splitband.data.gaps import Gaps, on_grid
 from splitband.data.trajectory import FloatArray, Trajectory, one_line, require_finite
+
+LARGEST = 2**31
+"""Bytes of the numbers of a file, whatever it says it holds, and of a text file itself."""
 
 _AnyArray: TypeAlias = NDArray[Any]
 _Column: TypeAlias = "pd.Series[Any]"
@@ -105,6 +110,7 @@ def _load(path: Path) -> _Table:
 def _read_text(path: Path) -> _Table:
     """Read separated numbers, with or without a header."""
     suffix = path.suffix.lower()
+    _check_size(4 * path.stat().st_size)  # as text, as lines and as numbers
     lines = _lines(path.read_bytes(), mark_inside=suffix not in (".csv", ".tsv"))
     body = [line for line in lines if line]
     if not body:
@@ -164,7 +170,15 @@ def _is_header(cells: Sequence[str]) -> bool:
     return words
 
 
+def _check_size(size: int) -> None:
+    """Refuse what would not fit into memory, before it is taken."""
+    if size > LARGEST:
+        raise ValueError(f"it would take {size / 2**30:.1f} GiB, at most {LARGEST / 2**30:g} do")
+
+
 def _read_parquet(path: Path) -> _Table:
+    found = pyarrow.parquet.read_metadata(path)
+    _check_size(8 * found.num_rows * found.num_columns)
     frame = pd.read_parquet(path)
     times = isinstance(frame.index, pd.DatetimeIndex | pd.TimedeltaIndex)
     if times or (frame.index.name is not None and not isinstance(frame.index, pd.RangeIndex)):
@@ -177,14 +191,19 @@ def _read_numpy(path: Path) -> _Table:
         zipped = zipfile.is_zipfile(file)
         file.seek(0)
         if zipped:
+            with zipfile.ZipFile(file) as archive:
+                _check_size(sum(member.file_size for member in archive.infolist()))
+            file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
                 return _variables(dict(archive))
-        array = np.lib.format.read_array(file, allow_pickle=False)
+    array = np.lib.format.open_memmap(path, mode="r")  # is as long as it says
+    _check_size(array.nbytes)
     return _columns(pd.DataFrame(_native(array)))
 
 
 def _read_mat(path: Path) -> _Table:
     try:
+        _check_size(8 * sum(math.prod(shape) for _, shape, _ in scipy.io.whosmat(path)))
         return _variables(scipy.io.loadmat(path))
     except NotImplementedError:
         raise ValueError("it is a v7.3 (HDF5) file; save it with the option -v7") from None
