@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data),)
 export SPLITBAND_DATA_DIR ?= $(abspath ../shared/data)
 endif
 
-.PHONY: demo test check format bench clean
+.PHONY: demo test check format bench fuzz memory clean
 
 demo: .venv/.ready
 	$(BIN)/splitband demo --out demo
@@ -28,6 +28,12 @@ bench: .venv/.ready
 	$(BIN)/python -m benchmarks.filters --out docs/benchmarks/filters.json
 	$(BIN)/python -m benchmarks.rollout --out docs/benchmarks/rollout.json
 	$(BIN)/python -m benchmarks.system_i --out docs/benchmarks/system_i.json
+
+fuzz: .venv/.ready
+	$(BIN)/python tests/fuzzing.py --inputs 12000 --out docs/benchmarks/fuzz.json
+
+memory: .venv/.ready
+	$(BIN)/python -m benchmarks.memory --out docs/benchmarks/memory.json
 
 .venv/.ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv

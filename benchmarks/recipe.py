@@ -70,6 +70,13 @@ VARIANTS: dict[str, Callable[[Setup], Setup]] = {
     "no clipping": partial(_training, clip=None),
     "rate 6e-3": partial(_training, learning_rate=6e-3),
     "rate 1e-2": partial(_training, learning_rate=1e-2),
+    "rate 2e-2": partial(_training, learning_rate=2e-2),
+    "hidden 48, 24, rate 1e-2": lambda setup: _training(
+        replace(setup, hidden_high=48, hidden_low=24), learning_rate=1e-2
+    ),
+    "hidden 64, 32, rate 1e-2": lambda setup: _training(
+        replace(setup, hidden_high=64, hidden_low=32), learning_rate=1e-2
+    ),
     "hidden 64, 32, no growth": lambda setup: _training(
         replace(setup, hidden_high=64, hidden_low=32), growth=0.0
     ),

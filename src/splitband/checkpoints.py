@@ -40,9 +40,10 @@ class Checkpoint:
         """The state of the training that `key` says, if the file holds it."""
         try:
             with safetensors.safe_open(self.path, framework="pt") as file:
-                if (file.metadata() or {}).get("key") != key:
-                    return None
-                return {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+                said = file.metadata() or {}
+                found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            whole = said.get("key") == key and said.get("sum") == _sum(found)
+            return found if whole else None
         except (OSError, safetensors.SafetensorError):
             return None
 
@@ -57,11 +58,17 @@ class Checkpoint:
         tensors = {name: value.detach().cpu().contiguous() for name, value in state().items()}
         try:
             with replacing(self.path) as temporary:
-                safetensors.torch.save_file(tensors, temporary, metadata={"key": key})
+                facts = {"key": key, "sum": _sum(tensors)}
+                safetensors.torch.save_file(tensors, temporary, metadata=facts)
         except (OSError, safetensors.SafetensorError) as error:
             warnings.warn(f"no checkpoint could be written to {self.path}: {error}", stacklevel=2)
         took = time.monotonic() - began
         self._next = began + took / MOST_OVERHEAD
+
+
+def _sum(state: Mapping[str, Tensor]) -> str:
+    """By which a damaged state is known."""
+    return key_of(*(part for name in sorted(state) for part in (name, state[name])))
 
 
 def key_of(*parts: object) -> str:

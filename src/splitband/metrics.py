@@ -53,10 +53,11 @@ def leaves_range(training: Array, prediction: Array) -> int | None:
     """Samples of a prediction `(time, ny)` before it leaves the range of the training samples.
 
     That is `FARTHEST` times as wide as theirs, channel by channel, about the middle of it. What is
-    beyond was never seen in training. None where it stays inside.
+    beyond was never seen in training. A channel that was constant there has no range to leave, but
+    must be finite. None where it stays inside.
     """
     low, high = np.nanmin(training, axis=0), np.nanmax(training, axis=0)
-    reach = np.maximum((high - low) / 2, 1e-9 * np.maximum(abs(low), abs(high)))
+    reach = np.where(high > low, (high - low) / 2, np.finfo(np.float64).max / FARTHEST)
     outside = ~(abs(prediction - (low + high) / 2) <= FARTHEST * reach)
     found = np.flatnonzero(outside.any(axis=1))
     return int(found[0]) if len(found) else None

@@ -13,6 +13,9 @@ from splitband.data.gaps import BoolArray, filled, places
 
 FloatArray: TypeAlias = NDArray[np.float64]
 
+LARGEST, SMALLEST = 1e100, 1e-100
+"""Of values, and of the range of a channel: what has a square, and a square of that."""
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -37,8 +40,9 @@ class Trajectory:
     Raises
     ------
     ValueError
-        If a signal is not real and finite, lengths or channels differ, there are fewer than two
-        samples, or the sampling time is not positive. Rows are counted from 0.
+        If a signal is not real and finite, its unit such that its square would not be (1e100, or a
+        range of 1e-100), lengths or channels differ, there are fewer than two samples, or the
+        sampling time is not positive. Rows are counted from 0.
     """
 
     y: FloatArray
@@ -202,7 +206,7 @@ def _signal(what: str, value: Any) -> FloatArray:
 
 
 def require_finite(what: str, values: FloatArray, columns: Sequence[str] = ()) -> None:
-    """Raise a ValueError that counts the bad values and says where they are."""
+    """Raise a ValueError that says where values are not finite, or out of all proportion."""
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         column = f", column {columns[bad[0, 1]]!r}" if columns else ""
@@ -211,6 +215,20 @@ def require_finite(what: str, values: FloatArray, columns: Sequence[str] = ()) -
             f"the first ({values[tuple(bad[0])]}) at row {bad[0, 0]}{column}"
             + (f"; {places(np.asarray(~np.isfinite(values).all(axis=1)))}" if len(bad) > 1 else "")
         )
+
+    low, high = values.min(axis=0, initial=0.0), values.max(axis=0, initial=0.0)
+    largest = np.maximum(-low, high)
+    with np.errstate(over="ignore"):
+        span = np.ptp(values, axis=0) if len(values) else largest
+    for found, rule, off in (
+        (largest, f"of {LARGEST:g} at most", largest > LARGEST),
+        (span, f"constant, or of a range of {SMALLEST:g} at least", (span > 0) & (span < SMALLEST)),
+    ):
+        if off.any():
+            column = f" in column {columns[int(off.argmax())]!r}" if columns else ""
+            raise ValueError(
+                f"{what} must be {rule}, in another unit if need be: got {found[off][0]:g}{column}"
+            )
 
 
 def one_line(error: BaseException) -> str:
