@@ -608,6 +608,45 @@ def test_files_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         read(path)
 
 
+@pytest.mark.parametrize("name", ["r.csv", "r.parquet", "r.npz", "r.npy", "r.mat"])
+def test_what_would_not_fit_into_memory_is_refused_before_it_is_read(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values, path = np.zeros((1000, 2)), tmp_path / name
+    match path.suffix:
+        case ".csv":
+            np.savetxt(path, values, delimiter=",")
+        case ".parquet":
+            pd.DataFrame(values, columns=["a", "b"]).to_parquet(path)
+        case ".npz":
+            np.savez_compressed(path, y=values)
+        case ".npy":
+            np.save(path, values)
+        case _:
+            scipy.io.savemat(path, {"y": values}, do_compression=True)
+    assert len(read(path, sampling_time=1)) == 1000
+    monkeypatch.setattr("splitband.data.reading.LARGEST", 15_000)
+    assert "it would take" in message(path, sampling_time=1)
+
+
+def test_a_file_that_only_says_it_is_large_takes_no_memory(tmp_path: Path) -> None:
+    path = tmp_path / "record.npy"
+    for rows in (10**5, 10**15):
+        with path.open("wb") as file:
+            header = {"descr": "<f8", "fortran_order": False, "shape": (rows, 2)}
+            np.lib.format.write_array_header_1_0(file, header)
+            file.write(bytes(160))
+        assert "cannot be read as NPY" in message(path, sampling_time=1)
+
+
+@pytest.mark.parametrize(("factor", "rule"), [(1e121, "at most"), (1e-122, "at least")])
+def test_values_out_of_all_proportion_are_refused(tmp_path: Path, factor: float, rule: str) -> None:
+    path = text_file(tmp_path, "a,b\n" + "".join(f"1,{factor * n}\n" for n in range(1, 5)))
+    said = message(path, sampling_time=1)
+    assert "column 'b' must be" in said
+    assert rule in said
+
+
 GARBAGE = [
     b"garbage" * 40,
     b"PK\x03\x04" + b"x" * 90,

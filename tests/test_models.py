@@ -129,13 +129,15 @@ def test_a_batch_is_simulated_like_each_of_its_members(method: Any) -> None:
 
 
 @pytest.mark.parametrize("method", MODELS)
-def test_units_do_not_matter(method: Any) -> None:
+@pytest.mark.parametrize(("unit", "offset"), [(1e3, 5e6), (1e60, 0.0), (1e-60, 0.0)])
+def test_units_do_not_matter(method: Any, unit: float, offset: float) -> None:
+    """Not even those whose numbers are no float32."""
     r = record()
-    other = replace(r, y=1e3 * r.y + 5e6, y_sim=1e3 * y_sim_of(r) + 5e6)
+    other = replace(r, y=unit * r.y + offset, y_sim=unit * y_sim_of(r) + offset)
     expected = predict(trained(method, r), r, 0, WARMUP)
     found = predict(trained(method, other), other, 0, WARMUP)
     total, total_other = (sum(p.values()) for p in (expected, found))
-    np.testing.assert_allclose((total_other - 5e6) / 1e3, total, atol=2e-3)
+    np.testing.assert_allclose((total_other - offset) / unit, total, atol=2e-3)
 
 
 def test_one_dimensional_and_torch_signals_come_back_as_they_went_in() -> None:

@@ -13,8 +13,8 @@ from splitband.data.gaps import BoolArray, filled, places
 
 FloatArray: TypeAlias = NDArray[np.float64]
 
-LARGEST, SMALLEST = 1e100, 1e-100
-"""Of values, and of the range of a channel: what has a square, and a square of that."""
+LARGEST, SMALLEST = 1e120, 1e-120
+"""Of values, and of the range of a channel: squares, and sums of many, have to be numbers too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +40,8 @@ class Trajectory:
     Raises
     ------
     ValueError
-        If a signal is not real and finite, its unit such that its square would not be (1e100, or a
-        range of 1e-100), lengths or channels differ, there are fewer than two samples, or the
+        If a signal is not real and finite, its unit such that its square would not be (1e120, or a
+        range of 1e-120), lengths or channels differ, there are fewer than two samples, or the
         sampling time is not positive. Rows are counted from 0.
     """
 
