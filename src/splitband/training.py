@@ -101,7 +101,7 @@ class Settings:
             default_warmup(window),
             epochs=max(1, round(STEPS / batches)),
             batch_size=batch,
-            learning_rate=3e-3,
+            learning_rate=1e-2,
             one_cycle=True,
             clip=1.0,
             growth=0.6,

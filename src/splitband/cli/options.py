@@ -273,7 +273,7 @@ LearningRate = Annotated[
     typer.Option(
         help="Of Adam: the highest, or the first one with --recipe paper.",
         rich_help_panel=_TRAINING,
-        show_default="3e-3; with --recipe paper 1e-3",
+        show_default="1e-2; with --recipe paper 1e-3",
     ),
 ]
 Milestones = Annotated[

@@ -284,7 +284,8 @@ def _matrix(
             for name, values in zip(names, found.T, strict=True):
                 require_finite(f"column {name!r}", values[:, None])
         except ValueError as error:
-            raise ValueError(f"{error}; gaps='mask' (--gaps mask) goes around them") from None
+            hint = "; gaps='mask' (--gaps mask) goes around them"
+            raise ValueError(f"{error}{'' if np.isfinite(found).all() else hint}") from None
     if places is None:
         return found
     spread = np.full((int(places[-1]) + 1, len(names)), np.nan)
