@@ -23,14 +23,9 @@ import numpy.typing as npt
 from splitband.calibration import samples_needed
 from splitband.comparison import compare, run_baseline
 from splitband.data import Trajectory, double_torsion, drill_string
+from splitband.defaults import default_methods, default_setup, paper_settings
 from splitband.files import write_json
-from splitband.methods import (
-    Setup,
-    default_methods,
-    default_setup,
-    paper_settings,
-    with_variants,
-)
+from splitband.methods import Setup, with_variants
 from splitband.metrics import rmse
 from splitband.paper.settings import HYBRID, LEARNING_BASED
 from splitband.reporting import results

@@ -20,9 +20,10 @@ from benchmarks.beyond import SYSTEMS
 from splitband.cells import GRU
 from splitband.comparison import predict
 from splitband.data import Trajectory
+from splitband.defaults import default_setup
 from splitband.files import write_json
 from splitband.filters import ComplementaryPair
-from splitband.methods import Setup, default_setup
+from splitband.methods import Setup
 from splitband.metrics import rmse, spread
 from splitband.models import Split
 from splitband.models.base import Signals

@@ -21,8 +21,9 @@ from pathlib import Path
 
 from benchmarks.beyond import SYSTEMS
 from splitband.comparison import compare
+from splitband.defaults import default_setup, paper_settings
 from splitband.files import write_json
-from splitband.methods import CALIBRATED, CONDITIONED, Setup, default_setup, paper_settings
+from splitband.methods import CALIBRATED, CONDITIONED, Setup
 from splitband.metrics import spread
 from splitband.trial import hold_out
 
@@ -125,7 +126,8 @@ def page(found: dict[str, Found]) -> str:
         "Free-run RMSE on the last quarter of the training part from the rest of it, in standard "
         f"deviations of it: geometric mean over {' and '.join(LEARNED)}, where there is a "
         f"simulator {' and '.join(HYBRID)}, and over seeds. Last, the geometric mean over systems "
-        "against that of the first row, and the time of a training, on a machine that had other work at times.\n",
+        "against that of the first row, and the time of a training, on a machine that had other "
+        "work at times.\n",
         f"| variant | {' | '.join(STUDIED)} | to the first | fit (s) |",
         "|---|" + "---:|" * (len(STUDIED) + 2),
     ]

@@ -23,8 +23,8 @@ import scipy
 
 from splitband.comparison import compare
 from splitband.data import Trajectory, double_torsion, drill_string
+from splitband.defaults import default_setup
 from splitband.files import write_json
-from splitband.methods import default_setup
 from splitband.processes import over
 from splitband.systems import double_mass_spring, double_torsion_pendulum, van_der_pol
 from splitband.trial import try_out

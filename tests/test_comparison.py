@@ -7,14 +7,8 @@ import pytest
 
 from splitband import Settings, Trajectory
 from splitband.comparison import compare, ensemble
-from splitband.methods import (
-    CALIBRATED,
-    HYBRIDS,
-    Setup,
-    default_methods,
-    default_setup,
-    usual_methods,
-)
+from splitband.defaults import default_methods, default_setup, usual_methods
+from splitband.methods import CALIBRATED, HYBRIDS, Setup
 from splitband.metrics import rmse
 from splitband.trial import Trial, hold_out, try_out
 

@@ -17,6 +17,7 @@ LAYERS = (
     "trial",
     "comparison",
     "processes",
+    "defaults",
     "methods",
     "saving",
     "training",

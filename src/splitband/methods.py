@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -13,21 +13,19 @@ import torch
 
 from splitband.calibration import Calibration, affine_fit, calibrate
 from splitband.cells import GRU, Cell, EulerMLP
-from splitband.cutoff import Choice, choose, choose_with_simulator
+from splitband.cutoff import Choice
 from splitband.data import Trajectory
 from splitband.filters import ComplementaryPair, butterworth
 from splitband.harmonic import HarmonicRegression
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
 from splitband.naive import Given, Mean, Naive, Persistence, SeasonalNaive, around_gaps
 from splitband.periodic import PeriodicRegression
-from splitband.training import Settings, default_warmup
+from splitband.training import Settings
 from splitband.windows import places_in
 
 Array = npt.NDArray[np.float64]
 CALIBRATED, CONDITIONED = "-calibrated", "-conditioned"
 """Suffixes: the simulator is calibrated first; faster networks are told what is slower."""
-
-Recipe = Literal["default", "paper"]
 
 Maker: TypeAlias = "Callable[[Trajectory, Setup, bool], Cell]"
 
@@ -118,7 +116,7 @@ def _residual(make: Maker, record: Trajectory, setup: Setup, conditioned: bool) 
 
 
 def _affine(record: Trajectory, train: int) -> Naive:
-    y_sim = _simulated(record)
+    y_sim = simulated(record)
 
     def fitted(y: Array) -> Given:
         gain, offset = affine_fit(y_sim[:train], y)
@@ -143,7 +141,7 @@ def _baseline(fit: Callable[[Array], Naive]) -> Callable[[Trajectory, int], Naiv
 def _calibrated(record: Trajectory, train: int) -> Naive:
     seen, found = prepared("simulator" + CALIBRATED, record, train)
     untried = found.untried if found is not None else ""
-    return Given(_simulated(seen), "; ".join(filter(None, [str(found), untried])))
+    return Given(simulated(seen), "; ".join(filter(None, [str(found), untried])))
 
 
 WHOLE: dict[str, Callable[[Trajectory, Setup, bool], Model]] = {
@@ -161,7 +159,7 @@ HYBRID: dict[str, Callable[[Trajectory, Setup, bool], Model]] = {
     "residual-rnn": partial(_residual, _rnn),
 }
 FIXED: dict[str, Callable[[Trajectory, int], Naive]] = {
-    "simulator": lambda record, train: Given(_simulated(record), "as it comes"),
+    "simulator": lambda record, train: Given(simulated(record), "as it comes"),
     "simulator-affine": _affine,
     "simulator" + CALIBRATED: _calibrated,
     "mean": _baseline(lambda y: Mean(y.mean(axis=0))),
@@ -202,87 +200,6 @@ def with_variants(methods: Sequence[str], calibrate: bool, conditioned: bool) ->
             able = dict.fromkeys(base(name) for name in METHODS if suffix in name)
             raise ValueError(f"{option} needs one of {', '.join(able)}, got {', '.join(methods)}")
     return [*found]
-
-
-def default_methods(with_simulator: bool) -> list[str]:
-    """What is worth comparing in a reasonable time, with a simulator that helps or without."""
-    both = CALIBRATED + CONDITIONED
-    networks, simulator = ["split-gru", "split-gru" + CONDITIONED], []
-    if with_simulator:
-        networks = ["filtered-gru" + both, "residual-gru" + both]
-        simulator = ["simulator", "simulator" + CALIBRATED]
-    naive = ["mean", "persistence", "seasonal-naive", "periodic", "harmonic"]
-    return ["gru", *networks, *simulator, *naive]
-
-
-def usual_methods(record: Trajectory, setup: Setup) -> list[str]:
-    """`default_methods`, with the learned models where the record's simulator does not help."""
-    methods = default_methods(record.y_sim is not None)
-    if setup.choice is None or setup.choice.simulator_helps is not False:
-        return methods
-    kept = [method for method in methods if method.startswith("simulator")]
-    learned = default_methods(False)
-    return [*learned[:3], *kept, *learned[3:]]
-
-
-def default_setup(
-    record: Trajectory,
-    train: int,
-    recipe: Recipe = "default",
-    settings: Settings | None = None,
-    cutoff: float | None = None,
-    order: int | None = None,
-    downsampling: int | None = None,
-    methods: Sequence[str] | None = None,
-) -> Setup:
-    """A setup for a record of which nothing is known but its first `train` samples.
-
-    Parameters
-    ----------
-    record, train : No measured sample after the first `train` is looked at.
-    recipe, settings : How to train; by default as the recipe says.
-    cutoff, order, downsampling : Already decided; the rest is chosen, see `cutoff.choose`.
-    methods : What the setup is for; by default `default_methods`.
-    """
-    if settings is None:
-        settings = recipe_settings(recipe, train)
-    methods = default_methods(record.y_sim is not None) if methods is None else methods
-    found = _choice(record, train, settings.warmup, (cutoff, order, downsampling), methods)
-    setup = Setup(train, settings, found.cutoff, found.order, found.downsampling, choice=found)
-    return setup if recipe == "paper" else replace(setup, hidden_high=32, hidden_low=16)
-
-
-def _choice(
-    record: Trajectory,
-    train: int,
-    warmup: int,
-    decided: tuple[float | None, int | None, int | None],
-    methods: Sequence[str],
-) -> Choice:
-    """Of the filter pair: for hybrid models, if there are any and the simulator helps."""
-    y, rate = record.y[:train], record.sampling_rate
-    learned = choose(y, rate, warmup, *decided)
-    hybrid = any(method in HYBRIDS for method in methods)
-    if record.y_sim is None or not hybrid:
-        return learned
-    calibrated = any(CALIBRATED in method for method in methods)
-    seen = prepared("simulator" + CALIBRATED, record, train)[0] if calibrated else record
-    found = choose_with_simulator(y, _simulated(seen)[:train], rate, warmup, *decided)
-    if found.simulator_helps:
-        return found
-    reason = f"{found.reason}; chosen for networks alone: {learned.reason}"
-    return replace(learned, reason=reason, simulator_helps=False)
-
-
-def recipe_settings(recipe: Recipe, train: int) -> Settings:
-    """How a recipe trains on `train` samples."""
-    return Settings.of(train) if recipe == "default" else paper_settings(train)
-
-
-def paper_settings(train: int) -> Settings:
-    """The paper's way of training, for a record of one's own: a constant rate, whole windows."""
-    window = min(250, max(2, train // 2))
-    return Settings(window, default_warmup(window))
 
 
 def build(method: str, record: Trajectory, setup: Setup, seed: int) -> Model:
@@ -385,10 +302,11 @@ def check_method(
 def check_simulator(method: str, record: Trajectory) -> None:
     """Check that a method that needs a simulator has one."""
     if method.split("-", maxsplit=1)[0] in ("simulator", "filtered", "residual"):
-        _simulated(record, method)
+        simulated(record, method)
 
 
-def _simulated(record: Trajectory, method: str = "this method") -> Array:
+def simulated(record: Trajectory, method: str = "this method") -> Array:
+    """The simulator's output over the record, `(time, ny)`; raises ValueError without one."""
     if record.y_sim is None:
         raise ValueError(f"{method} needs a simulator (--simulator), the record has none")
     return record.y_sim
@@ -396,7 +314,7 @@ def _simulated(record: Trajectory, method: str = "this method") -> Array:
 
 def _simulated_beyond(record: Trajectory) -> Array:
     """The simulator's output over the record and, where it is known, after it."""
-    y_sim = _simulated(record)
+    y_sim = simulated(record)
     return y_sim if record.beyond is None else np.concatenate([y_sim, record.beyond])
 
 

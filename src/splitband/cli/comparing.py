@@ -10,10 +10,11 @@ from typing import Annotated
 import typer
 
 from splitband import plots, reporting
-from splitband.cli import options, showing
+from splitband.cli import given, options, showing
 from splitband.cli.simulating import each_with_simulator, with_simulator
 from splitband.comparison import compare as run_comparison
 from splitband.data import Trajectory
+from splitband.defaults import default_methods, usual_methods
 from splitband.files import CHECKPOINTS, output_folder, replacing, write_json
 from splitband.methods import (
     CALIBRATED,
@@ -22,8 +23,6 @@ from splitband.methods import (
     TRAINED,
     Setup,
     check,
-    default_methods,
-    usual_methods,
     with_variants,
 )
 from splitband.paper.settings import RECORD_SETTINGS, SAMPLE_FREQUENCY
@@ -99,10 +98,10 @@ def compare(
 
     --calibrate and --conditioned add rows: each method that can be is also run that way.
     """
-    trajectory = options.load_record(record, columns, inputs, time_column, sampling_time, gaps)
+    trajectory = given.load_record(record, columns, inputs, time_column, sampling_time, gaps)
     hybrid = simulator is not None or trajectory.y_sim is not None
-    given = default_methods(hybrid) if methods is None else options.names(methods)
-    chosen = with_variants(given, calibrate, conditioned)
+    asked = default_methods(hybrid) if methods is None else given.names(methods)
+    chosen = with_variants(asked, calibrate, conditioned)
     calibrated = any(CALIBRATED in method for method in chosen)
     trajectory = with_simulator(
         trajectory,
@@ -112,7 +111,7 @@ def compare(
         simulator_cache,
         beyond=calibrated,
     )
-    setup = options.setup(
+    setup = given.setup(
         record,
         trajectory,
         train,
@@ -138,7 +137,7 @@ def compare(
             )
         trajectory = trajectory[: setup.train + horizon]
     further = each_with_simulator(
-        options.load_further(more, trajectory, inputs, time_column, gaps),
+        given.load_further(more, trajectory, inputs, time_column, gaps),
         more_simulator,
         simulator_columns,
         simulator_timeout,
@@ -159,9 +158,9 @@ def demo(
     GRU against a single GRU of the same size and against naive baselines.
     """
     name = "double-mass-spring"
-    record = options.load_record(name)
+    record = given.load_record(name)
     methods = ["gru", "split-gru", "persistence", "seasonal-naive", "harmonic"]
-    _compare(context, record, methods, options.setup(name, record, None), 1, jobs, out)
+    _compare(context, record, methods, given.setup(name, record, None), 1, jobs, out)
 
 
 def _compare(

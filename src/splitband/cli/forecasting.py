@@ -10,9 +10,10 @@ from typing import Annotated
 import typer
 
 from splitband import plots, reporting
-from splitband.cli import options, showing
+from splitband.cli import given, options, showing
 from splitband.cli.simulating import each_with_simulator, with_simulator
 from splitband.comparison import ahead_of, compare, ensemble
+from splitband.defaults import default_methods, usual_methods
 from splitband.files import CHECKPOINTS, output_folder, replacing, write_json
 from splitband.methods import (
     CALIBRATED,
@@ -21,8 +22,6 @@ from splitband.methods import (
     METHODS,
     TRAINED,
     check,
-    default_methods,
-    usual_methods,
 )
 from splitband.metrics import leaves_range
 from splitband.threads import available_cores
@@ -65,7 +64,7 @@ def forecast(
     then still forecast the same. A simulator must reach --steps samples beyond the record; a
     record with known inputs needs --future-inputs.
     """
-    known = options.load_record(record, columns, inputs, time_column, sampling_time, gaps)
+    known = given.load_record(record, columns, inputs, time_column, sampling_time, gaps)
     hybrid = simulator is not None or known.y_sim is not None
     methods = default_methods(hybrid) if method is None else [method]
     if methods[0] not in METHODS:
@@ -80,12 +79,12 @@ def forecast(
         ahead=steps if hybrid else 0,
         beyond=calibrated,
     )
-    u = options.inputs_ahead(future_inputs, options.names(inputs or ""), steps, known.sampling_time)
+    u = given.inputs_ahead(future_inputs, given.names(inputs or ""), steps, known.sampling_time)
     longer = ahead_of(known, steps, u)
-    setup = options.setup("", longer, len(known), methods=methods, epochs=epochs)
+    setup = given.setup("", longer, len(known), methods=methods, epochs=epochs)
     methods = usual_methods(longer, setup) if method is None else methods
     further = each_with_simulator(
-        options.load_further(more, known, inputs, time_column, gaps),
+        given.load_further(more, known, inputs, time_column, gaps),
         more_simulator,
         simulator_columns,
         simulator_timeout,

@@ -12,12 +12,13 @@ import typer
 from rich.table import Table
 
 from splitband import plots
-from splitband.cli import options, showing
+from splitband.cli import given, options, showing
 from splitband.cli.simulating import with_simulator
 from splitband.data import PUBLIC, Trajectory, fetch
+from splitband.defaults import Recipe
 from splitband.files import output_folder, write_json
 from splitband.filters import ComplementaryPair
-from splitband.methods import Recipe, check_train
+from splitband.methods import check_train
 from splitband.metrics import rmse
 from splitband.paper.settings import RECORD_SETTINGS
 from splitband.spectrum import coherence, oracle, oracle_cutoffs, periodogram
@@ -53,7 +54,7 @@ def spectrum(
     The cut-off is that of `compare` on the same samples, for the paper's records that of its tables
     where --cutoff does not say auto.
     """
-    trajectory = options.load_record(record, columns, None, time_column, sampling_time, gaps)
+    trajectory = given.load_record(record, columns, None, time_column, sampling_time, gaps)
     trajectory = with_simulator(
         trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache, beyond=True
     )
@@ -63,9 +64,7 @@ def spectrum(
     rate = trajectory.sampling_rate
     found = periodogram(trajectory.y, rate)
     recipe: Recipe = "paper" if record in RECORD_SETTINGS and cutoff is None else "default"
-    setup = options.setup(
-        record, trajectory, len(trajectory), 0, recipe, cutoff=cutoff, order=order
-    )
+    setup = given.setup(record, trajectory, len(trajectory), 0, recipe, cutoff=cutoff, order=order)
     chosen = setup.cutoff
     pair = ComplementaryPair.butterworth(chosen, rate, setup.order)
     low, high = pair.split(trajectory.y)

@@ -14,7 +14,7 @@ import typer
 from splitband import reporting, saving
 from splitband.calibration import Calibration
 from splitband.checkpoints import Checkpoint
-from splitband.cli import options, showing
+from splitband.cli import given, options, showing
 from splitband.cli.simulating import each_with_simulator, simulated, with_simulator
 from splitband.comparison import RunProgress, first_start, last_start, predict
 from splitband.data import Trajectory, read
@@ -82,12 +82,12 @@ def fit(
         method = with_variants([method], calibrate, conditioned)[-1]
     if method not in TRAINED:
         raise ValueError(f"--method must be one of {', '.join(TRAINED)}, got {method}")
-    trajectory = options.load_record(record, columns, inputs, time_column, sampling_time, gaps)
+    trajectory = given.load_record(record, columns, inputs, time_column, sampling_time, gaps)
     trajectory = with_simulator(
         trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache,
         beyond=CALIBRATED in method,
     )  # fmt: skip
-    setup = options.setup(
+    setup = given.setup(
         record,
         trajectory,
         len(trajectory) if train is None else train,
@@ -105,7 +105,7 @@ def fit(
         hidden=hidden,
     )
     further = each_with_simulator(
-        options.load_further(more, trajectory, inputs, time_column, gaps),
+        given.load_further(more, trajectory, inputs, time_column, gaps),
         more_simulator,
         simulator_columns,
         simulator_timeout,
@@ -136,7 +136,7 @@ def fit(
         "range": [training.y.min(axis=0).tolist(), training.y.max(axis=0).tolist()],
         "sampling_time": training.sampling_time,
         "columns": list(training.columns),
-        "inputs": options.names(inputs or ""),
+        "inputs": given.names(inputs or ""),
         "setup": asdict(setup),
         "calibration": None if calibration is None else asdict(calibration),
     }
@@ -237,7 +237,7 @@ def simulate(
         )  # fmt: skip
         y_sim = known.calibration.apply(y_sim, total, past.sampling_time)
         y_sim = y_sim[start - known.warmup :]
-    u = options.inputs_ahead(future_inputs, known.inputs, steps, known.sampling_time)
+    u = given.inputs_ahead(future_inputs, known.inputs, steps, known.sampling_time)
     if u is not None and past.u is not None:
         u = np.concatenate([past.u[start - known.warmup :], u])
     since = len(past) - start

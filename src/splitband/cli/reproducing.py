@@ -10,7 +10,7 @@ import typer
 from rich.table import Table as RichTable
 
 from splitband import plots
-from splitband.cli import options, showing
+from splitband.cli import given, options, showing
 from splitband.files import output_folder, replacing, write_json
 from splitband.methods import TRAINED
 from splitband.paper.figures import FIGURES, figure, needed
@@ -144,7 +144,7 @@ def _chosen(name: str, possible: Iterable[str], what: str) -> list[str]:
 
 
 def _split(text: str | None) -> list[str] | None:
-    return None if text is None else options.names(text)
+    return None if text is None else given.names(text)
 
 
 def _rich(made: Table) -> RichTable:

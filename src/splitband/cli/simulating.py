@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.calibration import samples_needed
-from splitband.cli.options import names
+from splitband.cli.given import names
 from splitband.data import Trajectory, read
 from splitband.isolation import Isolated
 from splitband.simulators import Recorded, Simulator, run

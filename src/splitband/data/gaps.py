@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Gaps = Literal["refuse", "mask"]
-MOST_MISSING = 0.9
-"""Share of a record's rows that may be missing between its time stamps."""
 
 
 def filled(what: str, values: FloatArray) -> tuple[FloatArray, BoolArray]:
@@ -46,28 +44,6 @@ def places(rows: BoolArray, most: int = 6) -> str:
     named = ", ".join(str(a) if a == b else f"{a} to {b}" for a, b in found[:most])
     more = f" and {len(found) - most} more stretches" if len(found) > most else ""
     return f"row{'s' if len(found) > 1 or found[0][0] != found[0][1] else ''} {named}{more}"
-
-
-def on_grid(what: str, stamps: FloatArray) -> NDArray[np.int_]:
-    """The row of each stamp, `(time,)`, if none were missing; where they rise evenly, 0, 1, 2...
-
-    Raises
-    ------
-    ValueError
-        When nearly all are missing, which is a wrong stamp rather.
-    """
-    steps = np.diff(stamps)
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    if not usual > 0:
-        return np.arange(len(stamps))
-    missing = float(np.maximum(np.rint(steps / usual) - 1, 0).sum())
-    if missing > MOST_MISSING * (missing + len(stamps)):
-        worst = int(np.argmax(steps))
-        raise ValueError(
-            f"{what} must have a stamp for one row in ten at least: {missing:.0f} rows of "
-            f"{usual:.6g} s are missing, most of them after row {worst}"
-        )
-    return np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / usual), 1))]).astype(int)
 
 
 def last_before(complete: BoolArray, length: int, at: int) -> int | None:

@@ -18,29 +18,18 @@ import pandas as pd
 import pyarrow.parquet  # type: ignore[import-untyped]
 import scipy
 from numpy.typing import NDArray
-from pandas.api.types import (
-    is_complex_dtype,
-    is_numeric_dtype,
-    is_object_dtype,
-    is_string_dtype,
-    is_timedelta64_dtype,
-)
 
-from splitband.data.gaps import Gaps, on_grid
+from splitband.data.columns import Column, has_number, numbers
+from splitband.data.gaps import Gaps
+from splitband.data.stamps import TIME_NAMES, spacing, time_name
 from splitband.data.trajectory import FloatArray, Trajectory, one_line, require_finite
 
 LARGEST = 2**31
 """Bytes of the numbers of a file, whatever it says it holds, and of a text file itself."""
 
 _AnyArray: TypeAlias = NDArray[Any]
-_Column: TypeAlias = "pd.Series[Any]"
-_Table: TypeAlias = dict[str, _Column]  # in NPZ and MAT files the columns may differ in length
+_Table: TypeAlias = dict[str, Column]  # in NPZ and MAT files the columns may differ in length
 _Names: TypeAlias = str | int | Sequence[str | int]
-
-_TIME_NAMES = ("time", "t", "timestamp", "datetime", "date")
-_UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "min": 60.0, "h": 3600.0}
-_UNITS |= {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
-_UNIT = re.compile(rf"[\s_/(\[]+({'|'.join(_UNITS)})[)\]]?$")
 
 
 def read(
@@ -256,12 +245,12 @@ def _assemble(
     picked = stamps + known + ([] if columns is None else _find(table, columns))
     rows = _common_length(table, picked)
     rest = [c for c in table if c not in picked and len(table[c]) == rows]
-    timed = [c for c in rest if _time_name(c)[0] in _TIME_NAMES]
+    timed = [c for c in rest if time_name(c)[0] in TIME_NAMES]
     if time_column is None:
-        stamps = sorted(timed, key=lambda c: _TIME_NAMES.index(_time_name(c)[0]))[:1]
+        stamps = sorted(timed, key=lambda c: TIME_NAMES.index(time_name(c)[0]))[:1]
     if columns is None:  # without the unnamed: a pandas index, or what a trailing comma leaves
         named = [c for c in rest if c not in timed and not c.startswith("Unnamed: ")]
-        measured = [c for c in named if _has_number(table[c])]
+        measured = [c for c in named if has_number(table[c])]
     else:
         measured = _find(table, columns)
     if not measured:
@@ -278,7 +267,7 @@ def _matrix(
     table: _Table, names: Sequence[str], gaps: Gaps, places: NDArray[np.int_] | None
 ) -> FloatArray:
     """The columns side by side, each row at its place where some are missing."""
-    found = np.column_stack([_numbers(f"column {name!r}", table[name]) for name in names])
+    found = np.column_stack([numbers(f"column {name!r}", table[name]) for name in names])
     if gaps == "refuse":
         try:
             for name, values in zip(names, found.T, strict=True):
@@ -328,32 +317,6 @@ def _available(table: _Table) -> str:
     return f"the columns are {names}{', ...' if len(table) > 10 else ''}"
 
 
-def _has_number(column: _Column) -> bool:
-    if is_object_dtype(column) or is_string_dtype(column):
-        column = pd.to_numeric(column, errors="coerce")
-    return is_numeric_dtype(column) and bool(column.notna().any())
-
-
-def _numbers(what: str, column: _Column) -> FloatArray:
-    """Return a column as float64 numbers, (time,)."""
-    if not is_numeric_dtype(column):
-        cells = column.astype(object)
-        column = pd.to_numeric(cells, errors="coerce")
-        if (bad := np.flatnonzero(column.isna() & cells.notna())).size:
-            cell = str(cells.iloc[bad[0]])[:40]
-            raise ValueError(f"{what} must be numeric: row {bad[0]} holds {cell!r}")
-    if is_complex_dtype(column):
-        raise ValueError(f"{what} must be real: it holds complex values")
-    return column.to_numpy(dtype=np.float64, na_value=np.nan)
-
-
-def _time_name(column: str) -> tuple[str, float]:
-    """Split a name such as "Time [ms]" into what it names and the seconds in its unit."""
-    name = column.strip().lower()
-    unit = _UNIT.search(name)
-    return (name[: unit.start()], _UNITS[unit[1]]) if unit else (name, 1.0)
-
-
 def _sampling_time(
     table: _Table, stamps: Sequence[str], given: float | None, fallback: float | None, gaps: Gaps
 ) -> tuple[float, NDArray[np.int_] | None]:
@@ -363,21 +326,16 @@ def _sampling_time(
     """
     if stamps:
         what = f"time column {stamps[0]!r}"
-        seconds, grain = _seconds(what, stamps[0], table[stamps[0]])
-        rows = on_grid(what, seconds) if gaps == "mask" else np.arange(len(seconds))
-        missing = len(rows) <= rows[-1]
-        if missing:
-            seconds = np.interp(np.arange(rows[-1] + 1), rows, seconds)
-        step = _even_step(what, seconds, grain)
+        step, places = spacing(what, stamps[0], table[stamps[0]], gaps)
         if given is not None and not abs(given - step) <= 0.01 * step:
             raise ValueError(
                 f"sampling_time (--sampling-time) is {given} s, but {what} steps by {step} s; "
                 "time_column='' (--time-column '') ignores the stamps"
             )
-        return step if given is None else given, rows if missing else None
+        return step if given is None else given, places
     for name in ("sampling_time", "dt", "Ts"):
         if given is None and len(table.get(name, ())) == 1:
-            given = float(_numbers(f"variable {name!r}", table[name])[0])
+            given = float(numbers(f"variable {name!r}", table[name])[0])
     given = fallback if given is None else given
     if given is None:
         raise ValueError(
@@ -385,64 +343,3 @@ def _sampling_time(
             f"or time_column (--time-column); {_available(table)}"
         )
     return given, None
-
-
-def _seconds(what: str, name: str, column: _Column) -> tuple[FloatArray, float]:
-    """Return stamps in seconds, (time,), and the resolution of their number type."""
-    if is_timedelta64_dtype(column):
-        column = column.dt.total_seconds()
-    if _has_number(column):
-        values, unit = _numbers(what, column), _time_name(name)[1]
-        require_finite(what, values[:, None])
-        if abs(values[0]) * unit > 1e11:
-            raise ValueError(f"{what} must be in seconds, or name its unit as in 't [ms]'")
-        kind = np.float32 if column.dtype == np.float32 else np.float64
-        grain = 2 * float(np.spacing(kind(np.abs(values).max())))
-        return values * unit, grain * unit
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        formats = ("ISO8601", None)  # None: as in the first row
-        tries = [pd.to_datetime(column, format=f, utc=True, errors="coerce") for f in formats]
-    dates = min(tries, key=lambda parsed: int(parsed.isna().sum()))
-    if (bad := np.flatnonzero(dates.isna())).size:
-        cell = str(column.iloc[bad[0]])[:40]
-        raise ValueError(f"{what} must hold numbers or dates: row {bad[0]} holds {cell!r}")
-    return np.asarray((dates - dates.iloc[0]).dt.total_seconds(), dtype=np.float64), 0.0
-
-
-def _even_step(what: str, stamps: FloatArray, grain: float) -> float:
-    """Return the step of evenly rising stamps, in seconds; `read` states the tolerance."""
-    steps = np.diff(stamps)
-    if (back := np.flatnonzero(steps <= 0)).size:
-        before, after = stamps[back[0] : back[0] + 2]
-        raise ValueError(
-            f"{what} must increase: row {back[0] + 1} ({after:.10g} s) follows {before:.10g} s"
-        )
-    median, mean = float(np.median(steps)), float(steps.mean())
-    unit = max(_last_place(stamps), grain)
-    if unit > 0.99 * median:  # stamps so coarse would hide a missing row
-        unit = 0.0
-    line = np.abs(stamps - stamps[0] - mean * np.arange(len(stamps)))[1:]
-    rounded = np.maximum(np.abs(steps - mean), line) < 0.999 * unit
-    off = np.abs(steps - median)
-    if (bad := np.flatnonzero((off > 0.01 * median) & ~rounded)).size:
-        gaps = bad[off[bad] > 1.001 * unit]  # named first: rounded steps only drift with them
-        row = int((gaps if gaps.size else bad)[0]) + 1
-        raise ValueError(
-            f"{what} must be even: expected a step of {median:.6g} s at row {row}, found "
-            f"{steps[row - 1]:.6g} s; time_column='' (--time-column '') ignores the stamps, "
-            "gaps='mask' (--gaps mask) allows for missing rows"
-        )
-    centred = np.arange(len(stamps)) - 0.5 * len(steps)
-    slope = centred @ (stamps - stamps[0]) / (centred @ centred)  # averages the rounding out
-    return float(f"{slope:.12g}")
-
-
-def _last_place(stamps: FloatArray) -> float:
-    """Return the unit of the last printed decimal place; 0 if it is beyond 1e-9."""
-    for places in range(10):
-        scaled = stamps * 10.0**places
-        tolerance = max(1e-6, 2 * np.spacing(np.abs(scaled).max()))
-        if np.abs(scaled - np.rint(scaled)).max() < tolerance:
-            return 10.0**-places
-    return 0.0

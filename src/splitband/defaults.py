@@ -1,0 +1,95 @@
+"""What a comparison is made of where nobody says otherwise: methods, filters and training."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+from splitband.cutoff import Choice, choose, choose_with_simulator
+from splitband.data import Trajectory
+from splitband.methods import CALIBRATED, CONDITIONED, HYBRIDS, Setup, prepared, simulated
+from splitband.training import Settings, default_warmup
+
+Recipe = Literal["default", "paper"]
+
+
+def default_methods(with_simulator: bool) -> list[str]:
+    """What is worth comparing in a reasonable time, with a simulator that helps or without."""
+    both = CALIBRATED + CONDITIONED
+    networks, simulator = ["split-gru", "split-gru" + CONDITIONED], []
+    if with_simulator:
+        networks = ["filtered-gru" + both, "residual-gru" + both]
+        simulator = ["simulator", "simulator" + CALIBRATED]
+    naive = ["mean", "persistence", "seasonal-naive", "periodic", "harmonic"]
+    return ["gru", *networks, *simulator, *naive]
+
+
+def usual_methods(record: Trajectory, setup: Setup) -> list[str]:
+    """`default_methods`, with the learned models where the record's simulator does not help."""
+    methods = default_methods(record.y_sim is not None)
+    if setup.choice is None or setup.choice.simulator_helps is not False:
+        return methods
+    kept = [method for method in methods if method.startswith("simulator")]
+    learned = default_methods(False)
+    return [*learned[:3], *kept, *learned[3:]]
+
+
+def default_setup(
+    record: Trajectory,
+    train: int,
+    recipe: Recipe = "default",
+    settings: Settings | None = None,
+    cutoff: float | None = None,
+    order: int | None = None,
+    downsampling: int | None = None,
+    methods: Sequence[str] | None = None,
+) -> Setup:
+    """A setup for a record of which nothing is known but its first `train` samples.
+
+    Parameters
+    ----------
+    record, train : No measured sample after the first `train` is looked at.
+    recipe, settings : How to train; by default as the recipe says.
+    cutoff, order, downsampling : Already decided; the rest is chosen, see `cutoff.choose`.
+    methods : What the setup is for; by default `default_methods`.
+    """
+    if settings is None:
+        settings = recipe_settings(recipe, train)
+    methods = default_methods(record.y_sim is not None) if methods is None else methods
+    found = _choice(record, train, settings.warmup, (cutoff, order, downsampling), methods)
+    setup = Setup(train, settings, found.cutoff, found.order, found.downsampling, choice=found)
+    return setup if recipe == "paper" else replace(setup, hidden_high=32, hidden_low=16)
+
+
+def _choice(
+    record: Trajectory,
+    train: int,
+    warmup: int,
+    decided: tuple[float | None, int | None, int | None],
+    methods: Sequence[str],
+) -> Choice:
+    """Of the filter pair: for hybrid models, if there are any and the simulator helps."""
+    y, rate = record.y[:train], record.sampling_rate
+    learned = choose(y, rate, warmup, *decided)
+    hybrid = any(method in HYBRIDS for method in methods)
+    if record.y_sim is None or not hybrid:
+        return learned
+    calibrated = any(CALIBRATED in method for method in methods)
+    seen = prepared("simulator" + CALIBRATED, record, train)[0] if calibrated else record
+    found = choose_with_simulator(y, simulated(seen)[:train], rate, warmup, *decided)
+    if found.simulator_helps:
+        return found
+    reason = f"{found.reason}; chosen for networks alone: {learned.reason}"
+    return replace(learned, reason=reason, simulator_helps=False)
+
+
+def recipe_settings(recipe: Recipe, train: int) -> Settings:
+    """How a recipe trains on `train` samples."""
+    return Settings.of(train) if recipe == "default" else paper_settings(train)
+
+
+def paper_settings(train: int) -> Settings:
+    """The paper's way of training, for a record of one's own: a constant rate, whole windows."""
+    window = min(250, max(2, train // 2))
+    return Settings(window, default_warmup(window))
