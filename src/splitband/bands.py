@@ -46,7 +46,7 @@ class Band:
         ----------
         errors : Of held-out samples by horizon, `(time, ny)` from the first after the warm-up, of
             one forecast or more; NaN where nothing was measured.
-        y : The training record, `(time, ny)`, whose spread limits the band.
+        y : The training record, `(time, ny)`, whose spread limits the band; NaN likewise.
         share : Of the samples that shall lie inside.
         """
         if not 0 < share < 1:
@@ -63,10 +63,10 @@ class Band:
         # Two signals of one range that know nothing of each other differ by this much.
         apart = float(np.sqrt(2) * scipy.stats.norm.ppf(0.5 + share / 2))
         # Rounding is no less than this, however exact the forecast.
-        floor = 16 * np.finfo(np.float64).eps * abs(y).max(axis=0)
+        floor = 16 * np.finfo(np.float64).eps * np.nanmax(abs(y), axis=0)
         base = tuple(max(b, float(f)) for (b, _), f in zip(fitted, floor, strict=True))
         growth = tuple(g / len(y) for _, g in fitted)
-        most = np.maximum(apart * y.std(axis=0), base)
+        most = np.maximum(apart * np.nanstd(y, axis=0), base)
         return cls(base, growth, tuple(map(float, most)), share)
 
     def widened(self, change: Array, begin: int) -> Band:

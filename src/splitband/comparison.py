@@ -111,7 +111,7 @@ def run(
         history.seconds,
         from_start,
         forecast,
-        leaves_range(training[0].seen, forecast),
+        leaves_range(np.concatenate([r.seen for r in training]), forecast),
         components if len(components) > 1 else {},
         "; ".join([*notes, *history.notes]),
         losses=history.losses,

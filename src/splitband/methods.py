@@ -15,6 +15,7 @@ from splitband.calibration import Calibration, affine_fit, calibrate
 from splitband.cells import GRU, Cell, EulerMLP
 from splitband.cutoff import Choice
 from splitband.data import Trajectory
+from splitband.data.gaps import stretches
 from splitband.filters import ComplementaryPair, butterworth
 from splitband.harmonic import HarmonicRegression
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
@@ -123,7 +124,7 @@ def _affine(record: Trajectory, train: int) -> Naive:
         description = f"gain {_few(gain)}, offset {_few(offset)} from the training samples"
         return Given(gain * y_sim + offset, description)
 
-    return _baseline(fitted)(record, train)
+    return around_gaps(fitted, lambda at: at.y[:train], record.y[:train], record[:train].measured)
 
 
 def _baseline(fit: Callable[[Array], Naive]) -> Callable[[Trajectory, int], Naive]:
@@ -131,9 +132,16 @@ def _baseline(fit: Callable[[Array], Naive]) -> Callable[[Trajectory, int], Naiv
 
     def fitted(record: Trajectory, train: int) -> Naive:
         part = record[:train]
-        return around_gaps(
-            fit, lambda naive: naive.predict(0, train, part.y[-1]), part.y, part.measured
-        )
+        if part.measured is None:
+            return fit(part.y)
+        # A long gap is no straight line: a fit to the longest stretch without one may know better.
+        begin, end = max(stretches(part.complete), key=lambda at: at[1] - at[0], default=(0, 0))
+        guess = fit(part.y[begin : end + 1]).predict(-begin, train, part.y[-1])
+
+        def says(naive: Naive) -> Array:
+            return naive.predict(0, train, part.y[-1])
+
+        return around_gaps(fit, says, part.y, part.measured, guess)
 
     return fitted
 

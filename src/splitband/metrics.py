@@ -57,8 +57,8 @@ def leaves_range(training: Array, prediction: Array) -> int | None:
     must be finite. None where it stays inside.
     """
     low, high = np.nanmin(training, axis=0), np.nanmax(training, axis=0)
-    reach = np.where(high > low, (high - low) / 2, np.finfo(np.float64).max / FARTHEST)
-    outside = ~(abs(prediction - (low + high) / 2) <= FARTHEST * reach)
+    reach = np.where(high > low, (high - low) / 2, np.inf)
+    outside = ~(abs(prediction - (low + high) / 2) <= FARTHEST * reach) | ~np.isfinite(prediction)
     found = np.flatnonzero(outside.any(axis=1))
     return int(found[0]) if len(found) else None
 

@@ -18,6 +18,11 @@ import scipy
 Array = npt.NDArray[np.float64]
 Fitted = TypeVar("Fitted")
 
+MOST_ROUNDS = 8
+CLEARLY = 0.6
+SETTLED = 1e-3
+"""Of a channel's range: what fills the gaps moves no more than that from one round to the next."""
+
 
 class Naive(Protocol):
     """A prediction that needs no training beyond a closed-form fit."""
@@ -124,23 +129,43 @@ def around_gaps(
     says: Callable[[Fitted], Array],
     y: Array,
     measured: npt.NDArray[np.bool_] | None,
-    rounds: int = 5,
+    guess: Array | None = None,
 ) -> Fitted:
     """What is fitted to a record with gaps, these being filled by what it says itself.
 
-    Repeated, least squares come to what they would be of the measured samples alone.
+    Repeated until that changes no more, least squares come to what they would be of the measured
+    samples alone.
 
     Parameters
     ----------
     fit : Of `(time, ny)`.
     says : What has been fitted says of the same samples, `(time, ny)`.
     y, measured : `(time, ny)` each: the record, and where it was measured; None for everywhere.
-    rounds : How often it is fitted again.
+    guess : What may fill the gaps to begin with, rather than `y`. That is gone back to where it
+        ends with less than `CLEARLY` of the squared error, as it may be for the more freedom only.
     """
+    if measured is None:
+        return fit(y)
+    plain = _settled(fit, says, y, measured)
+    if guess is None:
+        return plain
+    guessed = _settled(fit, says, np.where(measured, y, guess), measured)
+    left = [float(np.sum((says(each) - y)[measured] ** 2)) for each in (plain, guessed)]
+    return plain if left[0] < CLEARLY * left[1] else guessed
+
+
+def _settled(
+    fit: Callable[[Array], Fitted],
+    says: Callable[[Fitted], Array],
+    y: Array,
+    measured: npt.NDArray[np.bool_],
+) -> Fitted:
     found = fit(y)
-    if measured is not None:
-        for _ in range(rounds):
-            found = fit(np.where(measured, y, says(found)))
+    for _ in range(MOST_ROUNDS):
+        before, y = y, np.where(measured, y, says(found))
+        found = fit(y)
+        if np.max(abs(y - before)) <= SETTLED * np.max(np.ptp(y, axis=0)):
+            break
     return found
 
 

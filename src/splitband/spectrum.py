@@ -98,12 +98,23 @@ class Oracle:
     no_network: float
 
 
-def oracle(y: Array, y_sim: Array, sampling_rate: float, cutoff: float, order: int = 1) -> Oracle:
-    """The oracle check of the paper's filter design, with the hybrid model's one-way pair."""
+def oracle(
+    y: Array,
+    y_sim: Array,
+    sampling_rate: float,
+    cutoff: float,
+    order: int = 1,
+    seen: Array | None = None,
+) -> Oracle:
+    """The oracle check of the paper's filter design, with the hybrid model's one-way pair.
+
+    Where y has gaps that something stands in for, errors are against `seen`, with NaN in them.
+    """
+    seen = y if seen is None else seen
     b, a = butterworth(cutoff, sampling_rate, order)
     pair = ComplementaryPair.perfect(b, a, sampling_rate)
-    best = rmse(y, pair.combine(low=y_sim, high=y))
-    return Oracle(cutoff, best, rmse(y, pair.lowpass(y_sim)))
+    best = rmse(seen, pair.combine(low=y_sim, high=y))
+    return Oracle(cutoff, best, rmse(seen, pair.lowpass(y_sim)))
 
 
 def oracle_cutoffs(samples: int, sampling_rate: float, count: int = 12) -> list[float]:

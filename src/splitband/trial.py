@@ -130,18 +130,18 @@ def try_out(
     later = sorted({shorter.train + i * held // 3 for i in (1, 2)} - {shorter.train})
     runs = compare(longer, methods, shorter, seeds, jobs, progress, later, checkpoints, more)
     forecasts = {method: _forecasts(of_method, shorter.train) for method, of_method in runs.items()}
+    seen = part.seen
     left = {
         method: [
-            part.seen[start:] - forecast[: len(part) - start]
-            for start, forecast in of_method.items()
+            seen[start:] - forecast[: len(part) - start] for start, forecast in of_method.items()
         ]
         for method, of_method in forecasts.items()
     }
-    scale = spread(part.seen)
+    scale = spread(seen)
     return Trial(
         {m: _size(e) for m, e in left.items()},
         {m: _size([error / scale for error in e]) for m, e in left.items()},
-        {m: Band.fit(e, part.y) for m, e in left.items()},
+        {m: Band.fit(e, seen) for m, e in left.items()},
         {m: of_method[shorter.train][held:] for m, of_method in forecasts.items()},
         scale,
         held,

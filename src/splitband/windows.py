@@ -69,7 +69,7 @@ def joined(tasks: Sequence[Task]) -> Task:
 
     def end_to_end(signals: Sequence[Tensor | None]) -> Tensor | None:
         given = [signal for signal in signals if signal is not None]
-        return torch.cat(given) if given else None
+        return torch.cat(given) if len(given) == len(signals) else None
 
     known = [task.known for task in tasks]
     whole = Signals(

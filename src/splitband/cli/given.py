@@ -85,6 +85,7 @@ def load_record(
 def load_further(
     files: Sequence[str] | None,
     record: Trajectory,
+    columns: str | None,
     inputs: str | None,
     time_column: str | None,
     gaps: Gaps,
@@ -94,10 +95,9 @@ def load_further(
     for file in files or []:
         if not Path(file).exists():
             raise FileNotFoundError(f"--more must be a file, got {file}")
-        unnamed = record.columns[0] in ("y", "y0")
         more = read(
             file,
-            columns=None if unnamed else record.columns,
+            columns=names(columns) if columns else None,
             inputs=names(inputs or ""),
             time_column=time_column,
             fallback_sampling_time=record.sampling_time,

@@ -111,9 +111,9 @@ def _show_simulator(
     record: Trajectory, y_sim: npt.NDArray[np.float64], cutoff: float, order: int
 ) -> dict[str, Any]:
     """Print and return how the simulator compares with the record."""
-    rate, total = record.sampling_rate, rmse(record.y, y_sim)
+    rate, total = record.sampling_rate, rmse(record.seen, y_sim)
     cutoffs = sorted({*oracle_cutoffs(len(record), rate), cutoff})
-    checks = [oracle(record.y, y_sim, rate, c, order) for c in cutoffs]
+    checks = [oracle(record.y, y_sim, rate, c, order, record.seen) for c in cutoffs]
     title = f"oracle check of the hybrid model; the simulator itself has RMSE {total:.4f}"
     table = Table(title=title, title_justify="left")
     for heading in ("cut-off (Hz)", "H(record) + L(simulator)", "L(simulator) alone"):

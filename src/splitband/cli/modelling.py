@@ -105,7 +105,7 @@ def fit(
         hidden=hidden,
     )
     further = each_with_simulator(
-        given.load_further(more, trajectory, inputs, time_column, gaps),
+        given.load_further(more, trajectory, columns, inputs, time_column, gaps),
         more_simulator,
         simulator_columns,
         simulator_timeout,
@@ -128,12 +128,13 @@ def fit(
         settings = setup.settings_of(method)
         history = train_model(model, records, settings, seed, update, checkpoint)
     within = _training_error(model, training, setup.settings.warmup)
+    seen = np.concatenate([each.seen for each in records])
     facts = {
         "method": method,
         "seed": seed,
         "record": training.name,
         "more": [other.name for other in further],
-        "range": [training.y.min(axis=0).tolist(), training.y.max(axis=0).tolist()],
+        "range": [np.nanmin(seen, axis=0).tolist(), np.nanmax(seen, axis=0).tolist()],
         "sampling_time": training.sampling_time,
         "columns": list(training.columns),
         "inputs": given.names(inputs or ""),

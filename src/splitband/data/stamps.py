@@ -42,9 +42,10 @@ def spacing(
     stamps, grain = _seconds(what, name, column)
     rows = _on_grid(what, stamps) if gaps == "mask" else np.arange(len(stamps))
     missing = len(rows) <= rows[-1]
+    unit = max(_last_place(stamps), grain)
     if missing:
         stamps = np.interp(np.arange(rows[-1] + 1), rows, stamps)
-    return _even_step(what, stamps, grain), rows if missing else None
+    return _even_step(what, stamps, unit), rows if missing else None
 
 
 def _seconds(what: str, name: str, column: Column) -> tuple[FloatArray, float]:
@@ -70,8 +71,11 @@ def _seconds(what: str, name: str, column: Column) -> tuple[FloatArray, float]:
     return np.asarray((dates - dates.iloc[0]).dt.total_seconds(), dtype=np.float64), 0.0
 
 
-def _even_step(what: str, stamps: FloatArray, grain: float) -> float:
-    """Return the step of evenly rising stamps, in seconds; `reading.read` states the tolerance."""
+def _even_step(what: str, stamps: FloatArray, unit: float) -> float:
+    """Return the step of evenly rising stamps, in seconds; `reading.read` states the tolerance.
+
+    `unit` is that of their last place.
+    """
     steps = np.diff(stamps)
     if (back := np.flatnonzero(steps <= 0)).size:
         before, after = stamps[back[0] : back[0] + 2]
@@ -79,7 +83,6 @@ def _even_step(what: str, stamps: FloatArray, grain: float) -> float:
             f"{what} must increase: row {back[0] + 1} ({after:.10g} s) follows {before:.10g} s"
         )
     median, mean = float(np.median(steps)), float(steps.mean())
-    unit = max(_last_place(stamps), grain)
     if unit > 0.99 * median:  # stamps so coarse would hide a missing row
         unit = 0.0
     line = np.abs(stamps - stamps[0] - mean * np.arange(len(stamps)))[1:]
@@ -110,6 +113,7 @@ def _on_grid(what: str, stamps: FloatArray) -> NDArray[np.int_]:
     usual = float(np.median(steps)) if len(steps) else 0.0
     if not usual > 0:
         return np.arange(len(stamps))
+    usual = float(steps[steps < 1.75 * usual].mean())  # stamps may be rounded to few units
     missing = float(np.maximum(np.rint(steps / usual) - 1, 0).sum())
     if missing > MOST_MISSING * (missing + len(stamps)):
         worst = int(np.argmax(steps))
