@@ -170,7 +170,7 @@ FIXED: dict[str, Callable[[Trajectory, int], Naive]] = {
     "simulator": lambda record, train: Given(simulated(record), "as it comes"),
     "simulator-affine": _affine,
     "simulator" + CALIBRATED: _calibrated,
-    "mean": _baseline(lambda y: Mean(y.mean(axis=0))),
+    "mean": lambda record, train: Mean(np.nanmean(record.seen[:train], axis=0)),
     "persistence": lambda record, train: Persistence(),
     "seasonal-naive": _baseline(SeasonalNaive.fit),
     "harmonic": _baseline(HarmonicRegression.fit),
