@@ -43,11 +43,11 @@ def forked(line: str) -> int:
         os._exit(99)
 
 
-def killed_many_times(line: str, seed: int, seconds: float = 2.0) -> list[bool]:
+def killed_many_times(line: str, seed: int, seconds: float = 2.0, kills: int = KILLS) -> list[bool]:
     """Whether each kill came before the end."""
     rng = np.random.default_rng(seed)
     came = []
-    for _ in range(KILLS):
+    for _ in range(kills):
         child = forked(line)
         time.sleep(rng.uniform(0, seconds))
         os.kill(child, signal.SIGKILL)
@@ -94,3 +94,21 @@ def test_compare_killed_at_random_moments_has_the_same_results(
             del found["methods"][method]["seconds"]
     assert facts["methods"] == whole_facts["methods"]
     assert facts["recommended"] == whole_facts["recommended"]
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="forking after threads is unsafe there")
+def test_a_run_of_the_paper_goes_on_too(tmp_path: Path) -> None:
+    line = "paper table learning-based --systems i --seeds 1 --epochs 8 --jobs 1 --out"
+    finish(f"{line} {tmp_path / 'whole'}")
+    came = killed_many_times(f"{line} {tmp_path / 'killed'}", seed=3, kills=5)
+    assert any(came)
+    finish(f"{line} {tmp_path / 'killed'}")
+    runs = [tmp_path / name / "runs" for name in ("whole", "killed")]
+    files = [sorted(p.relative_to(folder) for p in folder.rglob("*.json")) for folder in runs]
+    assert files[0] == files[1]
+    assert not [*runs[1].rglob("*checkpoints*")]
+    for file in files[0]:
+        whole, killed = (json.loads((folder / file).read_text()) for folder in runs)
+        for facts in (whole, killed):
+            facts.pop("seconds", None)
+        assert killed == whole, file
