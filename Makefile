@@ -12,7 +12,7 @@ demo: .venv/.ready
 	$(BIN)/splitband demo --out demo
 
 test: check
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto
 
 check: .venv/.ready
 	$(BIN)/ruff check .

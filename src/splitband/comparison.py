@@ -26,6 +26,8 @@ from splitband.processes import over
 from splitband.training import Progress, fit
 
 Array = npt.NDArray[np.float64]
+LOST = 1e100
+"""In place of what a diverging network predicts beyond all numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,10 +158,9 @@ def run_baseline(
     began = time.perf_counter()
     naive = baseline(record, setup.train)
     seconds = time.perf_counter() - began
-    warmup = setup.settings.warmup
-    first = first_start(record, warmup)
+    first = first_start(record, setup.settings.warmup)
     from_start, forecast, *rest = (
-        _continued(naive, record, warmup, at) for at in (first, setup.train, *later)
+        _continued(naive, record, at) for at in (first, setup.train, *later)
     )
     errors = _errors(record, setup, from_start, forecast)
     return Run(
@@ -175,14 +176,15 @@ def run_baseline(
     )
 
 
-def _continued(naive: Naive, record: Trajectory, warmup: int, at: int) -> Array:
+def _continued(naive: Naive, record: Trajectory, at: int) -> Array:
     """From index `at` to the end of the record."""
-    start = last_start(record, warmup, at)
-    return naive.predict(start, len(record) - start, record.y[start - 1])[at - start :]
+    last = [channel[~np.isnan(channel)][-1] for channel in record.seen[:at].T]
+    return naive.predict(at, len(record) - at, np.array(last))
 
 
 def _total(parts: Mapping[str, Array]) -> Array:
-    return np.sum([*parts.values()], axis=0)
+    """Their sum; what is no number is `LOST`, and as far off as that."""
+    return np.nan_to_num(np.sum([*parts.values()], axis=0), nan=LOST, posinf=LOST, neginf=-LOST)
 
 
 def _errors(

@@ -28,6 +28,9 @@ Array = npt.NDArray[np.float64]
 CALIBRATED, CONDITIONED = "-calibrated", "-conditioned"
 """Suffixes: the simulator is calibrated first; faster networks are told what is slower."""
 
+LONG_STRETCH = 10
+"""Samples from which a baseline may tell what belongs into the gaps of a record."""
+
 Maker: TypeAlias = "Callable[[Trajectory, Setup, bool], Cell]"
 
 
@@ -136,7 +139,9 @@ def _baseline(fit: Callable[[Array], Naive]) -> Callable[[Trajectory, int], Naiv
             return fit(part.y)
         # A long gap is no straight line: a fit to the longest stretch without one may know better.
         begin, end = max(stretches(part.complete), key=lambda at: at[1] - at[0], default=(0, 0))
-        guess = fit(part.y[begin : end + 1]).predict(-begin, train, part.y[-1])
+        guess = None
+        if end + 1 - begin >= LONG_STRETCH:
+            guess = fit(part.y[begin : end + 1]).predict(-begin, train, part.y[-1])
 
         def says(naive: Naive) -> Array:
             return naive.predict(0, train, part.y[-1])

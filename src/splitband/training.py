@@ -185,6 +185,8 @@ def fit(
         When the loss does so for the fourth time.
     """
     records = [trajectory] if isinstance(trajectory, Trajectory) else [*trajectory]
+    if not records:
+        raise ValueError("trajectory must be a record or several, got none")
     settings = settings or Settings.of(max(map(len, records)))
     for record in records:
         _check_channels(model, record)

@@ -137,7 +137,7 @@ def compare(
             )
         trajectory = trajectory[: setup.train + horizon]
     further = each_with_simulator(
-        given.load_further(more, trajectory, columns, inputs, time_column, gaps),
+        given.load_further(more, trajectory, inputs, time_column, gaps),
         more_simulator,
         simulator_columns,
         simulator_timeout,

@@ -84,7 +84,7 @@ def forecast(
     setup = given.setup("", longer, len(known), methods=methods, epochs=epochs)
     methods = usual_methods(longer, setup) if method is None else methods
     further = each_with_simulator(
-        given.load_further(more, known, columns, inputs, time_column, gaps),
+        given.load_further(more, known, inputs, time_column, gaps),
         more_simulator,
         simulator_columns,
         simulator_timeout,

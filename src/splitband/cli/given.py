@@ -85,25 +85,30 @@ def load_record(
 def load_further(
     files: Sequence[str] | None,
     record: Trajectory,
-    columns: str | None,
     inputs: str | None,
     time_column: str | None,
     gaps: Gaps,
 ) -> list[Trajectory]:
-    """The records of --more, read as `record` was."""
+    """The records of --more, with the columns of `record`."""
     found = []
     for file in files or []:
         if not Path(file).exists():
             raise FileNotFoundError(f"--more must be a file, got {file}")
         more = read(
             file,
-            columns=names(columns) if columns else None,
+            # A file of one column without a name calls it y, too.
+            columns=None if record.columns == ("y",) else record.columns,
             inputs=names(inputs or ""),
             time_column=time_column,
             fallback_sampling_time=record.sampling_time,
             gaps=gaps,
         )
-        found.append(replace(more, name=file))
+        if not set(record.columns) <= set(more.columns):
+            raise ValueError(
+                f"--more must have the record's columns {', '.join(record.columns)}, "
+                f"got {', '.join(more.columns)} in {file}"
+            )
+        found.append(more.of_columns(record.columns, name=file))
     return found
 
 

@@ -105,7 +105,7 @@ def fit(
         hidden=hidden,
     )
     further = each_with_simulator(
-        given.load_further(more, trajectory, columns, inputs, time_column, gaps),
+        given.load_further(more, trajectory, inputs, time_column, gaps),
         more_simulator,
         simulator_columns,
         simulator_timeout,

@@ -130,6 +130,24 @@ class Trajectory:
             self, y=self.y[key], u=u, y_true=y_true, y_sim=y_sim, beyond=beyond, measured=measured
         )
 
+    def of_columns(self, columns: Sequence[str], name: str | None = None) -> Trajectory:
+        """The record with these channels only, in this order; it must have them."""
+        chosen = [self.columns.index(column) for column in columns]
+
+        def part(signal: NDArray[Any] | None) -> NDArray[Any] | None:
+            return None if signal is None else signal[:, chosen]
+
+        return replace(
+            self,
+            y=self.y[:, chosen],
+            y_true=part(self.y_true),
+            y_sim=part(self.y_sim),
+            beyond=part(self.beyond),
+            measured=part(self.measured),
+            columns=tuple(columns),
+            name=self.name if name is None else name,
+        )
+
     @property
     def seen(self) -> FloatArray:
         """What was measured, (time, ny); NaN in gaps."""
