@@ -26,6 +26,7 @@ from splitband import read
 from splitband.calibration import Calibration
 from splitband.cli import main
 from splitband.comparison import compare
+from splitband.files import CHECKPOINTS
 from splitband.methods import Setup
 from splitband.models import Filtered
 from splitband.saving import load
@@ -1127,4 +1128,4 @@ def test_ctrl_c_stops_at_once_and_leaves_nothing_half_written(
     assert [text for text in said.splitlines() if "compiling" not in text] == [
         "error: stopped; no file is half written, and the same command goes on from here"
     ]
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"checkpoints"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {CHECKPOINTS}

@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 
 from splitband.cli import main
+from splitband.files import CHECKPOINTS
 
 KILLS = 20
 QUICK = "--epochs 40 --hidden 8,6 --window 40 --warmup 12 --train 150"
@@ -71,7 +72,7 @@ def test_fit_killed_at_random_moments_has_the_same_weights(record: Path, tmp_pat
         assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     left = {path.name for path in (tmp_path / "killed").iterdir()}
     assert {"weights.safetensors", "model.json", "results.json"} <= left
-    assert "checkpoints" not in left
+    assert CHECKPOINTS not in left
 
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="forking after threads is unsafe there")

@@ -10,8 +10,11 @@ from splitband.cutoff import Choice, choose, choose_with_simulator
 from splitband.data import Trajectory
 from splitband.methods import CALIBRATED, CONDITIONED, HYBRIDS, Setup, prepared, simulated
 from splitband.training import Settings, default_warmup
+from splitband.windows import window_starts
 
 Recipe = Literal["default", "paper"]
+ENOUGH_WINDOWS = 0.25
+"""Share of the windows that gaps must leave for the usual warm-up."""
 
 
 def default_methods(with_simulator: bool) -> list[str]:
@@ -55,7 +58,7 @@ def default_setup(
     methods : What the setup is for; by default `default_methods`.
     """
     if settings is None:
-        settings = recipe_settings(recipe, train)
+        settings = recipe_settings(recipe, record[:train])
     methods = default_methods(record.y_sim is not None) if methods is None else methods
     found = _choice(record, train, settings.warmup, (cutoff, order, downsampling), methods)
     setup = Setup(train, settings, found.cutoff, found.order, found.downsampling, choice=found)
@@ -70,7 +73,7 @@ def _choice(
     methods: Sequence[str],
 ) -> Choice:
     """Of the filter pair: for hybrid models, if there are any and the simulator helps."""
-    y, rate = record.y[:train], record.sampling_rate
+    y, rate = record[:train].y, record.sampling_rate
     learned = choose(y, rate, warmup, *decided)
     hybrid = any(method in HYBRIDS for method in methods)
     if record.y_sim is None or not hybrid:
@@ -84,9 +87,23 @@ def _choice(
     return replace(learned, reason=reason, simulator_helps=False)
 
 
-def recipe_settings(recipe: Recipe, train: int) -> Settings:
-    """How a recipe trains on `train` samples."""
-    return Settings.of(train) if recipe == "default" else paper_settings(train)
+def recipe_settings(recipe: Recipe, training: Trajectory) -> Settings:
+    """How a recipe trains on a record; with a shorter warm-up where gaps leave it little room."""
+    samples = len(training)
+    settings = Settings.of(samples) if recipe == "default" else paper_settings(samples)
+    if training.measured is None or samples < settings.window:
+        return settings
+    found = []
+    for part in (1, 2, 4):
+        warmup = max(settings.warmup // part, 1)
+        starts = window_starts([training], settings.window, warmup)
+        found.append((len(starts), warmup))
+        if len(starts) >= ENOUGH_WINDOWS * (samples - settings.window + 1):
+            break
+    windows, warmup = max(found)
+    if recipe == "default" and windows:
+        settings = Settings.of(samples, windows)
+    return replace(settings, warmup=warmup)
 
 
 def paper_settings(train: int) -> Settings:

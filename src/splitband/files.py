@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-CHECKPOINTS = "checkpoints"
-"""Folder beside results that are not there yet; gone when they are."""
+CHECKPOINTS = ".splitband-checkpoints"
+"""Folder beside results that are not there yet; removed when they are, whatever is in it."""
 
 
 @contextmanager

@@ -6,13 +6,17 @@ folder, and what comes of it goes there.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
 import runpy
+import signal
 import subprocess
 import sys
 import tempfile
+import threading
+import time as clock
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data.trajectory import one_line
-from splitband.simulators import Fmu, SimulatorError, within
+from splitband.simulators import Fmu, SimulatorError, SimulatorTimeoutError, within
 
 Array = npt.NDArray[np.float64]
 
@@ -53,7 +57,7 @@ class Isolated:
 
         Raises
         ------
-        TimeoutError
+        SimulatorTimeoutError
             When it has not returned in time; it has been ended.
         SimulatorError
             When it failed, in its own words, or ended its process.
@@ -72,13 +76,16 @@ class Isolated:
             kind, said = json.loads((folder / _FAILURE).read_text(encoding="utf-8"))
         if kind == "KeyboardInterrupt":
             raise KeyboardInterrupt
-        if kind == "TimeoutError":
-            raise TimeoutError
+        if kind == SimulatorTimeoutError.__name__:
+            raise SimulatorTimeoutError
         raise SimulatorError(said)
 
     def fingerprint(self) -> str:
-        """What the trajectory depends on besides the time grid."""
-        content = hashlib.sha256(Path(self.path).read_bytes()).hexdigest()
+        """What the trajectory depends on besides the time grid: modules beside the file, too."""
+        files = [Path(self.path)]
+        if self.function is not None:
+            files += sorted(files[0].resolve().parent.glob("*.py"))
+        content = hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
         return f"{content} {self.function} {self.outputs}"
 
 
@@ -88,14 +95,19 @@ def _run_in(folder: Path, patience: float | None) -> int:
     known = os.environ.get("PYTHONPATH")
     search = os.pathsep.join([package, known] if known else [package])
     process = subprocess.Popen(
-        [sys.executable, "-m", "splitband.isolation", str(folder)],
-        env=os.environ | {"PYTHONPATH": search},
+        # -P: nothing in the working directory is taken for a module.
+        [sys.executable, "-P", "-m", "splitband.isolation", str(folder)],
+        env=os.environ | {"PYTHONPATH": search, "TMPDIR": str(folder)},
+        start_new_session=True,
     )
     try:
         return process.wait(patience)
     except subprocess.TimeoutExpired:
-        raise TimeoutError from None
+        raise SimulatorTimeoutError from None
     finally:
+        if hasattr(os, "killpg"):  # what it has started, too
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(process.pid, signal.SIGKILL)
         process.kill()
         process.wait()
 
@@ -119,7 +131,15 @@ def _simulate(task: Isolated, time: Array) -> npt.ArrayLike:
         return fmu.simulate(time)
 
 
+def _end_with_parent(parent: int) -> None:
+    """Do not go on for nobody when the parent has been killed."""
+    while os.getppid() == parent:
+        clock.sleep(1)
+    os._exit(1)
+
+
 def _main(folder: Path) -> None:
+    threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
     facts = json.loads((folder / _TASK).read_text(encoding="utf-8"))
     task = Isolated(**(facts | {"outputs": tuple(facts["outputs"])}))
     time = np.load(folder / _TIME, allow_pickle=False)

@@ -15,7 +15,7 @@ from splitband.calibration import Calibration, affine_fit, calibrate
 from splitband.cells import GRU, Cell, EulerMLP
 from splitband.cutoff import Choice
 from splitband.data import Trajectory
-from splitband.data.gaps import stretches
+from splitband.data.gaps import first_after, stretches
 from splitband.filters import ComplementaryPair, butterworth
 from splitband.harmonic import HarmonicRegression
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
@@ -28,6 +28,7 @@ Array = npt.NDArray[np.float64]
 CALIBRATED, CONDITIONED = "-calibrated", "-conditioned"
 """Suffixes: the simulator is calibrated first; faster networks are told what is slower."""
 
+LARGEST_SIZE = 10_000
 LONG_STRETCH = 10
 """Samples from which a baseline may tell what belongs into the gaps of a record."""
 
@@ -66,8 +67,10 @@ class Setup:
     def __post_init__(self) -> None:
         """Check sizes."""
         for name in ("order", "downsampling", "hidden_high", "hidden_low", "state_size"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+            if not 1 <= getattr(self, name) <= LARGEST_SIZE:
+                raise ValueError(
+                    f"{name} must be between 1 and {LARGEST_SIZE}, got {getattr(self, name)}"
+                )
 
     def settings_of(self, method: str) -> Settings:
         """How a method is trained."""
@@ -127,7 +130,7 @@ def _affine(record: Trajectory, train: int) -> Naive:
         description = f"gain {_few(gain)}, offset {_few(offset)} from the training samples"
         return Given(gain * y_sim + offset, description)
 
-    return around_gaps(fitted, lambda at: at.y[:train], record.y[:train], record[:train].measured)
+    return around_gaps(fitted, lambda at: at.y[:train], record[:train].y, record[:train].measured)
 
 
 def _baseline(fit: Callable[[Array], Naive]) -> Callable[[Trajectory, int], Naive]:
@@ -273,6 +276,8 @@ def check(
     for name, part in (("training", slice(setup.train)), ("predicted", slice(setup.train, None))):
         if np.isnan(record.truth[part]).all(axis=0).any():
             raise ValueError(f"the {name} part must have a measured sample in every channel")
+    if more and not set(methods) & set(TRAINED):
+        raise ValueError(f"further records (--more) are for networks, got {', '.join(methods)}")
     for method in methods:
         check_method(method, record, setup, more)
 
@@ -283,9 +288,15 @@ def check_method(
     """Find what is wrong with one method's setup."""
     butterworth(setup.cutoff, record.sampling_rate, setup.order)
     check_simulator(method, record)
+    settings = setup.settings_of(method)
+    complete = record.complete[: setup.train]
+    if not complete.all() and first_after(complete, settings.warmup) is None:
+        raise ValueError(
+            f"warmup must fit between the gaps of the {setup.train} training samples, "
+            f"got {settings.warmup}"
+        )
     if method not in TRAINED:
         return
-    settings = setup.settings_of(method)
     if settings.window > setup.train:
         raise ValueError(
             f"window must fit into the {setup.train} training samples, got {settings.window}"

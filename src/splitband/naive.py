@@ -150,7 +150,8 @@ def around_gaps(
     if guess is None:
         return plain
     guessed = _settled(fit, says, np.where(measured, y, guess), measured)
-    left = [float(np.sum((says(each) - y)[measured] ** 2)) for each in (plain, guessed)]
+    scale = np.ptp(y, axis=0) + np.finfo(np.float64).tiny
+    left = [float(np.sum(((says(f) - y) / scale)[measured] ** 2)) for f in (plain, guessed)]
     return plain if left[0] < CLEARLY * left[1] else guessed
 
 
@@ -164,7 +165,7 @@ def _settled(
     for _ in range(MOST_ROUNDS):
         before, y = y, np.where(measured, y, says(found))
         found = fit(y)
-        if np.max(abs(y - before)) <= SETTLED * np.max(np.ptp(y, axis=0)):
+        if (abs(y - before).max(axis=0) <= SETTLED * np.ptp(y, axis=0)).all():
             break
     return found
 

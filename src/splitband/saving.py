@@ -5,6 +5,7 @@ Loading builds only the classes named here or by the caller; no code comes out o
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 from collections.abc import Callable, Mapping
@@ -42,6 +43,10 @@ def _is_count(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= 1_000_000
 
 
+def _is_factor(value: Any) -> bool:
+    return _is_count(value) and value >= 1
+
+
 def _list_of(check: Callable[[Any], bool]) -> Callable[[Any], bool]:
     return lambda value: (
         isinstance(value, list) and 0 < len(value) <= 1000 and all(map(check, value))
@@ -51,7 +56,10 @@ def _list_of(check: Callable[[Any], bool]) -> Callable[[Any], bool]:
 # What an argument may be, in words and as a check.
 Kind: TypeAlias = tuple[str, Callable[[Any], bool]]
 _COUNT: Kind = "a whole number up to 1,000,000", _is_count
-_COUNTS: Kind = "one or a list of whole numbers", lambda v: _is_count(v) or _list_of(_is_count)(v)
+_FACTORS: Kind = (
+    "one or a list of whole numbers from 1",
+    lambda v: _is_factor(v) or _list_of(_is_factor)(v),
+)
 _NUMBER: Kind = "a finite number", _is_number
 _NUMBER_OR_NONE: Kind = "a finite number or null", lambda v: v is None or _is_number(v)
 _NUMBERS: Kind = "a list of finite numbers", _list_of(_is_number)
@@ -74,7 +82,7 @@ _SCHEMA: dict[type, dict[str, Kind]] = {
     },
     Recurrent: {"cell": _PART},
     Split: {
-        "networks": _PARTS, "pairs": _PARTS, "downsampling": _COUNTS, "filter_output": _FLAG,
+        "networks": _PARTS, "pairs": _PARTS, "downsampling": _FACTORS, "filter_output": _FLAG,
         "conditioned": _FLAG,
     },
     Filtered: {"cell": _PART, "pair": _PART, "conditioned": _FLAG},
@@ -142,7 +150,8 @@ def load(
         raise ValueError(f"{folder / _DESCRIPTION} has format {version!r}; this is for {FORMAT}")
     known = {c.__name__: c for c in _SCHEMA} | dict(cells or {})
     try:
-        with torch.device("meta"):  # shapes only, however large a file says they are
+        # Shapes only, however large a file says they are; cells of one's own may need values.
+        with contextlib.nullcontext() if cells else torch.device("meta"):
             expected = _model(spec, known).state_dict()
     except _UNFIT as error:
         raise ValueError(f"{folder / _DESCRIPTION} describes no model: {error}") from None
@@ -174,8 +183,11 @@ def _weights(path: Path, digest: Any, expected: Mapping[str, Tensor]) -> dict[st
         raise ValueError(
             f"{path} is not the model's: {name} must be {needed.get(name)}, got {shapes.get(name)}"
         )
-    if odd := [k for k, t in found.items() if t.dtype not in (torch.float32, torch.float64)]:
-        raise ValueError(f"{path} must hold float32 or float64: {odd[0]} is {found[odd[0]].dtype}")
+    for name, tensor in found.items():
+        floating = tensor.dtype in (torch.float32, torch.float64)
+        wanted = expected[name].dtype
+        if not (floating if wanted.is_floating_point else tensor.dtype == wanted):
+            raise ValueError(f"{path} must hold float32 or float64: {name} is {tensor.dtype}")
     return found
 
 

@@ -29,6 +29,10 @@ class SimulatorError(RuntimeError):
     """What went wrong in a simulator, in words for its user."""
 
 
+class SimulatorTimeoutError(TimeoutError):
+    """A simulator has not returned in time."""
+
+
 class Simulator(Protocol):
     """What `run` asks of a simulator."""
 
@@ -270,7 +274,7 @@ def run(
         if np.iscomplexobj(found):
             raise TypeError("its values must be real")
         y = np.asarray(found, float)
-    except TimeoutError as error:
+    except SimulatorTimeoutError as error:
         waited = getattr(simulator, "timeout", None) if timeout is None else timeout
         within_time = "in time" if waited is None else f"within {waited:g} s"
         raise ValueError(f"simulator {name} has not returned {within_time}") from error
@@ -297,7 +301,7 @@ def run(
 
 
 def within(timeout: float | None, call: Callable[[], Any]) -> Any:
-    """Call in a thread of its own that can be given up on; raises TimeoutError then."""
+    """Call in a thread of its own that can be given up on; raises SimulatorTimeoutError then."""
     if timeout is None:
         return call()
     outcome: list[Any] = []
@@ -312,7 +316,7 @@ def within(timeout: float | None, call: Callable[[], Any]) -> Any:
     thread.start()
     thread.join(min(timeout, threading.TIMEOUT_MAX))
     if not outcome:
-        raise TimeoutError
+        raise SimulatorTimeoutError
     returned, value = outcome
     if not returned:
         raise value

@@ -86,16 +86,18 @@ class Settings:
             raise ValueError(f"growth must be a share of the training, 0 to 1, got {self.growth}")
 
     @classmethod
-    def of(cls, samples: int) -> Settings:
+    def of(cls, samples: int, windows: int | None = None) -> Settings:
         """The default recipe for a training record of so many samples; not in the paper.
 
         Windows of two fifths of it, 150 to 400 samples; one cycle of the learning rate, clipped
         gradients, free runs that grow, and about `STEPS` steps for each network, at most
-        `MOST_BATCHES` of them from one pass over the windows to the next.
+        `MOST_BATCHES` of them from one pass over the windows to the next. Gaps leave fewer
+        `windows` than samples.
         """
         window = max(2, min(400, max(150, 2 * samples // 5), 3 * samples // 5))
         batch = 25
-        batches = min(-(-max(samples - window + 1, 1) // batch), MOST_BATCHES)
+        windows = max(samples - window + 1, 1) if windows is None else windows
+        batches = min(-(-windows // batch), MOST_BATCHES)
         return cls(
             window,
             default_warmup(window),
@@ -105,7 +107,7 @@ class Settings:
             one_cycle=True,
             clip=1.0,
             growth=0.6,
-            most_batches=MOST_BATCHES,
+            most_batches=batches,
         )
 
     def rate(self, epoch: int, share: float) -> float:
@@ -171,7 +173,7 @@ def fit(
     model : What to train; its initial parameters are the caller's.
     trajectory : The training record, and nothing else: cut it before. Several of the same system
         train one model.
-    settings : How; by default `Settings.of` the longest record's samples.
+    settings : How; by default `Settings.of` the shortest record's samples.
     seed : For the order of the windows.
     progress : Called after each epoch.
     checkpoint : Where the same training goes on if it was cut off, with the same numbers to the
@@ -187,7 +189,7 @@ def fit(
     records = [trajectory] if isinstance(trajectory, Trajectory) else [*trajectory]
     if not records:
         raise ValueError("trajectory must be a record or several, got none")
-    settings = settings or Settings.of(max(map(len, records)))
+    settings = settings or Settings.of(min(map(len, records)))
     for record in records:
         _check_channels(model, record)
     places = places_in(records, settings.window, settings.warmup)

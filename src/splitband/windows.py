@@ -36,22 +36,30 @@ def places_in(records: Sequence[Trajectory], window: int, warmup: int) -> Places
     ValueError
         For a record shorter than a window, and where gaps leave no place at all.
     """
-    lengths = [len(record) for record in records]
-    if min(lengths) < window:
+    shortest = min(records, key=len)
+    if len(shortest) < window:
+        named = f" {shortest.name}" if len(records) > 1 and shortest.name else ""
         raise ValueError(
-            f"window must fit into the training record of {min(lengths)} samples, got {window}"
+            f"window must fit into the training record{named} of {len(shortest)} samples, "
+            f"got {window}"
         )
-    complete = np.concatenate([record.complete for record in records])
-    seen = np.concatenate([~np.isnan(record.seen) for record in records])
-    inside = np.arange(len(complete)) + window <= np.repeat(np.cumsum(lengths), lengths)
-    warm = _counts(complete, 0, warmup) == warmup
-    something = _counts(np.asarray(seen.any(axis=1)), warmup, window) > 0
-    starts = np.flatnonzero(inside & warm & something)
+    starts = window_starts(records, window, warmup)
     if not len(starts):
         raise ValueError(
             f"warmup must fit between the gaps of the training record, got {warmup} samples"
         )
+    seen = np.concatenate([~np.isnan(record.seen) for record in records])
     return Places(torch.from_numpy(starts), None if seen.all() else torch.from_numpy(seen))
+
+
+def window_starts(records: Sequence[Trajectory], window: int, warmup: int) -> npt.NDArray[np.int_]:
+    """The first samples of all places, counted over the records."""
+    lengths = [len(record) for record in records]
+    complete = np.concatenate([record.complete for record in records])
+    something = np.concatenate([(~np.isnan(record.seen)).any(axis=1) for record in records])
+    inside = np.arange(len(complete)) + window <= np.repeat(np.cumsum(lengths), lengths)
+    warm = _counts(complete, 0, warmup) == warmup
+    return np.flatnonzero(inside & warm & (_counts(something, warmup, window) > 0))
 
 
 def _counts(true: npt.NDArray[np.bool_], begin: int, end: int) -> npt.NDArray[np.int_]:

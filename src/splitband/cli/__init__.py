@@ -47,6 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain((error.format_message().strip() or nothing) + _value(error, given))
     except (ValueError, OSError, FloatingPointError) as error:
         return _complain(_in_one_line(error))
+    except (MemoryError, OverflowError) as error:
+        return _complain(f"a number is too large for this machine: {_in_one_line(error)}")
     if status == INTERRUPTED:
         _complain("stopped; no file is half written, and the same command goes on from here")
     return status if isinstance(status, int) else 0

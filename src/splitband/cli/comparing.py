@@ -143,6 +143,7 @@ def compare(
         simulator_timeout,
         simulator_cache,
         hybrid=any(method in HYBRIDS for method in chosen),
+        beyond=calibrated,
     )
     _compare(context, trajectory, chosen, setup, seeds, jobs, out, further)
 
@@ -188,7 +189,7 @@ def _compare(
             record, methods, setup, chosen, jobs, progress, checkpoints=folder, more=more
         )
     trial = trial.settled(runs)
-    found = periodogram(record.y[: setup.train], record.sampling_rate)
+    found = periodogram(record[: setup.train].y, record.sampling_rate)
     arguments = {k: str(v) if isinstance(v, Path) else v for k, v in context.params.items()}
     facts = {"command": context.info_name, "arguments": arguments}
     write_json(out / "results.json", facts | reporting.results(record, setup, runs, trial))

@@ -12,7 +12,7 @@ import typer
 from splitband import plots, reporting
 from splitband.cli import given, options, showing
 from splitband.cli.simulating import each_with_simulator, with_simulator
-from splitband.comparison import ahead_of, compare, ensemble
+from splitband.comparison import ahead_of, compare
 from splitband.defaults import default_methods, usual_methods
 from splitband.files import CHECKPOINTS, output_folder, replacing, write_json
 from splitband.methods import (
@@ -23,7 +23,6 @@ from splitband.methods import (
     TRAINED,
     check,
 )
-from splitband.metrics import leaves_range
 from splitband.threads import available_cores
 from splitband.trial import Trial, check_trial, try_out
 
@@ -90,6 +89,7 @@ def forecast(
         simulator_timeout,
         simulator_cache,
         hybrid=any(name in HYBRIDS for name in methods),
+        beyond=calibrated,
     )
     check(longer, methods, setup, further)
     check_trial(longer, methods, setup, further)
@@ -109,6 +109,7 @@ def forecast(
     trial = trial.settled(found)
     best = trial.recommended
     runs = found[best]
+    left = min((run.leaves for run in runs if run.leaves is not None), default=None)
     table = reporting.forecast(known, runs, trial.bands[best])
     with replacing(out / "forecast.csv") as temporary:
         table.to_csv(temporary, index=False)
@@ -116,6 +117,8 @@ def forecast(
         "record": known.name,
         "samples": len(known),
         "gaps": int((~known.complete).sum()),
+        "more": [other.name for other in further],
+        "leaves_training_range_after": left,
         "steps": steps,
         "method": best,
         "description": runs[0].description,
@@ -129,7 +132,7 @@ def forecast(
     plots.save(plots.forecast(known, table, best), out / "forecast.png")
     shutil.rmtree(out / CHECKPOINTS)
     _say(trial, best, steps, out)
-    if (left := leaves_range(known.seen, ensemble(runs, longer, setup).forecast)) is not None:
+    if left is not None:
         showing.console.print(showing.leaving(left))
 
 

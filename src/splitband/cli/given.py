@@ -179,6 +179,6 @@ def setup(
         found = default_setup(trajectory, train, recipe, settings, **decided, methods=methods)
         chosen = {name: getattr(found, name) for name in (*decided, "choice")}
         return replace(defaults, **chosen, **given)
-    settings = trained(recipe_settings(recipe, train))
+    settings = trained(recipe_settings(recipe, trajectory[:train]))
     defaults = default_setup(trajectory, train, recipe, settings, **decided, methods=methods)
     return replace(defaults, **given)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from dataclasses import asdict
 from pathlib import Path
@@ -111,6 +112,7 @@ def fit(
         simulator_timeout,
         simulator_cache,
         hybrid=method in HYBRIDS,
+        beyond=CALIBRATED in method,
     )
     check_method(method, trajectory[: setup.train], setup, further)
     training, calibration = prepared(method, trajectory[: setup.train], setup.train)
@@ -265,13 +267,17 @@ class _Facts:
             self.inputs = [str(name) for name in facts["inputs"]]
             self.sampling_time = float(facts["sampling_time"])
             self.warmup = int(facts["setup"]["settings"]["warmup"])
-            self.range = np.array(facts["range"], dtype=np.float64)
+            # Models from before it was kept leave no range.
+            nothing = [[0.0] * model.ny] * 2
+            self.range = np.array(facts.get("range", nothing), dtype=np.float64)
             self.calibration = Calibration(**(facts["calibration"] or {}))
             self.calibration.check(model.ny)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{folder} was not written by `splitband fit`: {error!r}") from None
         if self.range.shape != (2, model.ny) or not np.isfinite(self.range).all():
             raise ValueError(f"{folder} is damaged: its range is {facts['range']}")
+        if not 0 < self.sampling_time < math.inf:
+            raise ValueError(f"{folder} is damaged: its sampling time is {self.sampling_time}")
         if self.warmup < 1:
             raise ValueError(f"{folder} is damaged: its warmup is {self.warmup}")
         if (len(self.columns), len(self.inputs)) != (model.ny, model.nu):

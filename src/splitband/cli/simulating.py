@@ -14,7 +14,7 @@ from splitband.calibration import samples_needed
 from splitband.cli.given import names
 from splitband.data import Trajectory, read
 from splitband.isolation import Isolated
-from splitband.simulators import Recorded, Simulator, run
+from splitband.simulators import Recorded, Simulator, SimulatorTimeoutError, run
 from splitband.systems import SIMULATORS
 
 
@@ -43,7 +43,7 @@ def with_simulator(
     try:
         y_sim = simulated(record, samples, simulator, columns, timeout, cache, least)
     except ValueError as error:
-        if not beyond or isinstance(error.__cause__, TimeoutError):
+        if not beyond or isinstance(error.__cause__, SimulatorTimeoutError):
             raise
         y_sim = simulated(record, least, simulator, columns, timeout, cache)
     rest = y_sim[len(record) :]
@@ -77,18 +77,19 @@ def each_with_simulator(
     timeout: float,
     cache: Path | None,
     hybrid: bool,
+    beyond: bool,
 ) -> list[Trajectory]:
     """The records of --more, with their simulators where there is a hybrid model to train."""
     simulators = simulators or []
-    if len(simulators) != (len(records) if hybrid else 0):
-        needed = "once for each --more" if hybrid else "only for hybrid methods"
+    if (hybrid or simulators) and len(simulators) != len(records):
         raise ValueError(
-            f"--more-simulator must be given {needed}, got {len(simulators)} for {len(records)}"
+            f"--more-simulator must be given once for each --more, got {len(simulators)} for "
+            f"{len(records)}"
         )
     if not hybrid:
         return [*records]
     return [
-        with_simulator(record, simulator, columns, timeout, cache, beyond=True)
+        with_simulator(record, simulator, columns, timeout, cache, beyond=beyond)
         for record, simulator in zip(records, simulators, strict=True)
     ]
 

@@ -20,12 +20,16 @@ import scipy
 from numpy.typing import NDArray
 
 from splitband.data.columns import Column, has_number, numbers
-from splitband.data.gaps import Gaps
+from splitband.data.gaps import FloatArray, Gaps
 from splitband.data.stamps import TIME_NAMES, spacing, time_name
-from splitband.data.trajectory import FloatArray, Trajectory, one_line, require_finite
+from splitband.data.trajectory import Trajectory, one_line, require_finite
 
-LARGEST = 2**31
-"""Bytes of the numbers of a file, whatever it says it holds, and of a text file itself."""
+MOST_BYTES = 2**31
+"""That the numbers of a file may take, whatever it is packed in."""
+
+_MAT_NUMBERS = (
+    "double", "single", "logical", *(f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)),
+)  # fmt: skip
 
 _AnyArray: TypeAlias = NDArray[Any]
 _Table: TypeAlias = dict[str, Column]  # in NPZ and MAT files the columns may differ in length
@@ -100,7 +104,9 @@ def _read_text(path: Path) -> _Table:
     """Read separated numbers, with or without a header."""
     suffix = path.suffix.lower()
     _check_size(4 * path.stat().st_size)  # as text, as lines and as numbers
-    lines = _lines(path.read_bytes(), mark_inside=suffix not in (".csv", ".tsv"))
+    raw = path.read_bytes()
+    _check_size(100 * raw.count(b"\n"))
+    lines = _lines(raw, mark_inside=suffix not in (".csv", ".tsv"))
     body = [line for line in lines if line]
     if not body:
         raise ValueError("it holds no data")
@@ -161,13 +167,16 @@ def _is_header(cells: Sequence[str]) -> bool:
 
 def _check_size(size: int) -> None:
     """Refuse what would not fit into memory, before it is taken."""
-    if size > LARGEST:
-        raise ValueError(f"it would take {size / 2**30:.1f} GiB, at most {LARGEST / 2**30:g} do")
+    if size > MOST_BYTES:
+        raise ValueError(f"it would take {size / 2**30:.1f} GiB, at most {MOST_BYTES / 2**30:g} do")
 
 
 def _read_parquet(path: Path) -> _Table:
     found = pyarrow.parquet.read_metadata(path)
-    _check_size(8 * found.num_rows * found.num_columns)
+    groups = [found.row_group(i) for i in range(found.num_row_groups)]
+    columns = [group.column(i) for group in groups for i in range(group.num_columns)]
+    _check_size(8 * sum(column.num_values for column in columns))
+    _check_size(sum(column.total_uncompressed_size for column in columns))
     frame = pd.read_parquet(path)
     times = isinstance(frame.index, pd.DatetimeIndex | pd.TimedeltaIndex)
     if times or (frame.index.name is not None and not isinstance(frame.index, pd.RangeIndex)):
@@ -181,19 +190,34 @@ def _read_numpy(path: Path) -> _Table:
         file.seek(0)
         if zipped:
             with zipfile.ZipFile(file) as archive:
-                _check_size(sum(member.file_size for member in archive.infolist()))
+                _check_size(sum(_bytes_of(archive, member) for member in archive.infolist()))
             file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
                 return _variables(dict(archive))
     array = np.lib.format.open_memmap(path, mode="r")  # is as long as it says
-    _check_size(array.nbytes)
+    _check_size(8 * array.size)
     return _columns(pd.DataFrame(_native(array)))
+
+
+def _bytes_of(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
+    """What an array of an archive takes, by its header, as float64."""
+    with archive.open(member) as file:
+        version = np.lib.format.read_magic(file)
+        read_header = (
+            np.lib.format.read_array_header_1_0
+            if version == (1, 0)
+            else np.lib.format.read_array_header_2_0
+        )
+        shape, _, _ = read_header(file)
+    return max(8 * math.prod(shape), member.file_size)
 
 
 def _read_mat(path: Path) -> _Table:
     try:
-        _check_size(8 * sum(math.prod(shape) for _, shape, _ in scipy.io.whosmat(path)))
-        return _variables(scipy.io.loadmat(path))
+        found = [v for v in scipy.io.whosmat(path) if v[2] in _MAT_NUMBERS]
+        _check_size(8 * sum(math.prod(shape) for _, shape, _ in found))
+        names = [name for name, _, _ in found]
+        return _variables(scipy.io.loadmat(path, variable_names=names))
     except NotImplementedError:
         raise ValueError("it is a v7.3 (HDF5) file; save it with the option -v7") from None
 
@@ -277,7 +301,9 @@ def _matrix(
             raise ValueError(f"{error}{'' if np.isfinite(found).all() else hint}") from None
     if places is None:
         return found
-    spread = np.full((int(places[-1]) + 1, len(names)), np.nan)
+    rows = int(places[-1]) + 1
+    _check_size(8 * rows * len(names))
+    spread = np.full((rows, len(names)), np.nan)
     spread[places] = found
     return spread
 

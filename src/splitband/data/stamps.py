@@ -44,8 +44,8 @@ def spacing(
     missing = len(rows) <= rows[-1]
     unit = max(_last_place(stamps), grain)
     if missing:
-        stamps = np.interp(np.arange(rows[-1] + 1), rows, stamps)
-    return _even_step(what, stamps, unit), rows if missing else None
+        stamps = _joined(stamps, rows)
+    return _even_step(what, stamps, unit, gaps == "mask"), rows if missing else None
 
 
 def _seconds(what: str, name: str, column: Column) -> tuple[FloatArray, float]:
@@ -71,7 +71,18 @@ def _seconds(what: str, name: str, column: Column) -> tuple[FloatArray, float]:
     return np.asarray((dates - dates.iloc[0]).dt.total_seconds(), dtype=np.float64), 0.0
 
 
-def _even_step(what: str, stamps: FloatArray, unit: float) -> float:
+def _joined(stamps: FloatArray, rows: NDArray[np.int_]) -> FloatArray:
+    """Stamps for missing rows too, those after a gap moved onto the grid of those before it.
+
+    A logger that starts again does so at any moment: half a step is not missed.
+    """
+    steps, places = np.diff(stamps), np.diff(rows)
+    usual = steps[places == 1].mean() if (places == 1).any() else (steps / places).mean()
+    moved = np.concatenate([[0.0], np.cumsum(np.where(places == 1, steps, usual * places))])
+    return np.asarray(np.interp(np.arange(rows[-1] + 1), rows, stamps[0] + moved))
+
+
+def _even_step(what: str, stamps: FloatArray, unit: float, masked: bool) -> float:
     """Return the step of evenly rising stamps, in seconds; `reading.read` states the tolerance.
 
     `unit` is that of their last place.
@@ -93,8 +104,8 @@ def _even_step(what: str, stamps: FloatArray, unit: float) -> float:
         row = int((gaps if gaps.size else bad)[0]) + 1
         raise ValueError(
             f"{what} must be even: expected a step of {median:.6g} s at row {row}, found "
-            f"{steps[row - 1]:.6g} s; time_column='' (--time-column '') ignores the stamps, "
-            "gaps='mask' (--gaps mask) allows for missing rows"
+            f"{steps[row - 1]:.6g} s; time_column='' (--time-column '') ignores the stamps"
+            + (", gaps='mask' (--gaps mask) allows for missing rows" if not masked else "")
         )
     centred = np.arange(len(stamps)) - 0.5 * len(steps)
     slope = centred @ (stamps - stamps[0]) / (centred @ centred)  # averages the rounding out
@@ -110,9 +121,9 @@ def _on_grid(what: str, stamps: FloatArray) -> NDArray[np.int_]:
         When nearly all are missing, which is a wrong stamp rather.
     """
     steps = np.diff(stamps)
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    if not usual > 0:
+    if not len(steps) or steps.min() <= 0:  # refused later, with the row
         return np.arange(len(stamps))
+    usual = float(np.quantile(steps, 0.1))  # the smallest, but for jitter
     usual = float(steps[steps < 1.75 * usual].mean())  # stamps may be rounded to few units
     missing = float(np.maximum(np.rint(steps / usual) - 1, 0).sum())
     if missing > MOST_MISSING * (missing + len(stamps)):

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitband.data.gaps import BoolArray, filled, places
-
-FloatArray: TypeAlias = NDArray[np.float64]
+from splitband.data.gaps import BoolArray, FloatArray, filled, places
 
 LARGEST, SMALLEST = 1e120, 1e-120
 """Of values, and of the range of a channel: squares, and sums of many, have to be numbers too."""
@@ -98,14 +96,15 @@ class Trajectory:
     def with_gaps(cls, y: Any, sampling_time: float, u: Any = None, **others: Any) -> Trajectory:
         """A record whose y and u may hold values that are not finite; the rest as ever.
 
-        Straight lines across them stand in for what is missing. A sample with a gap in u does not
-        count as measured: what a system does is not to be learned from an input that is not known.
+        Straight lines across them stand in for what is missing. Where an input is not known, this
+        sample and the next, on which it acts, do not count as measured.
         """
         y, measured = filled("y", _signal("y", y))
         if u is not None:
             u, known = filled("u", _signal("u", u))
             if len(u) == len(y):  # otherwise the constructor says so
-                measured = measured & known.all(axis=1, keepdims=True)
+                driven = np.asarray(known.all(axis=1, keepdims=True))
+                measured = np.asarray(measured & driven & np.concatenate([driven[:1], driven[:-1]]))
         return cls(y, sampling_time, u=u, measured=measured, **others)
 
     def __len__(self) -> int:
@@ -125,10 +124,14 @@ class Trajectory:
             end = key.indices(len(self))[1]
             later = [self.y_sim[end:], *([] if beyond is None else [beyond])]
             beyond = np.concatenate(later) if sum(map(len, later)) else None
-        measured = None if self.measured is None else self.measured[key]
-        return replace(
-            self, y=self.y[key], u=u, y_true=y_true, y_sim=y_sim, beyond=beyond, measured=measured
-        )
+        y, measured = self.y[key], None if self.measured is None else self.measured[key]
+        if (
+            measured is not None
+        ):  # what stands in for a gap must not know what comes after the slice
+            known = measured.any(axis=0)
+            y = y.copy()
+            y[:, known] = filled("y", self.seen[key][:, known])[0]
+        return replace(self, y=y, u=u, y_true=y_true, y_sim=y_sim, beyond=beyond, measured=measured)
 
     def of_columns(self, columns: Sequence[str], name: str | None = None) -> Trajectory:
         """The record with these channels only, in this order; it must have them."""
