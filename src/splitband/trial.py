@@ -7,22 +7,30 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband.bands import Band
-from splitband.comparison import Run, RunProgress, ahead_of, compare
+from splitband.comparison import Run, RunProgress, ahead_of, compare, run
 from splitband.data import Trajectory
 from splitband.methods import FIXED, Setup, check
 from splitband.metrics import rmse, spread
+from splitband.processes import over
 from splitband.training import Settings
 
 Array = npt.NDArray[np.float64]
 
 HELD_OUT = 0.25
 """Share of the training part by which the recommended method is chosen."""
+CUTS = (0.25, 0.2, 0.15, 0.1)
+"""Such shares for what needs no training and is fitted again for each: it changes its mind less,
+the more it has seen."""
+IN_PARALLEL = 1000
+"""Training samples from which those fits are worth other processes."""
 WORTH_TRAINING = 0.1
 """By how much a network's score must be lower than that of what needs no training."""
 CHANGE_COUNTS = 0.5
@@ -55,12 +63,14 @@ class Trial:
     Attributes
     ----------
     errors : RMSE of each method, fitted on the rest of the training part: of its forecasts to the
-        end of the part from its beginning, from a third and from two thirds of it, together.
+        end of the part, together. A network's are from its beginning, from a third and from two
+        thirds of it, those of what needs no training from each of `CUTS`, to which it is fitted.
     scores : The same of channels scaled to a deviation of 1.
     bands : Around each method's forecast of the record, from those forecasts.
-    early : What each method forecast then of the samples after the training part, `(time, ny)`.
+    early : What each method forecast then of the samples after the training part, `(time, ny)`,
+        with what it had seen last.
     scale : By which the channels are scaled, `(ny,)`.
-    held : Samples of the held-out part.
+    held : Samples of the training part that it had not seen then.
     final : The same, once it is fitted on the whole training part; see `settled`.
     """
 
@@ -69,7 +79,7 @@ class Trial:
     bands: Mapping[str, Band]
     early: Mapping[str, Array]
     scale: Array
-    held: int
+    held: Mapping[str, int]
     final: Mapping[str, Array] = field(default_factory=dict)
 
     def settled(self, runs: Mapping[str, Sequence[Run]]) -> Trial:
@@ -79,7 +89,7 @@ class Trial:
         Then it says something else as soon as it has seen a little more, and its band is wider.
         """
         final = {m: np.mean([r.forecast for r in of_m], axis=0) for m, of_m in runs.items()}
-        bands = {m: self.bands[m].widened(final[m] - self.early[m], self.held) for m in final}
+        bands = {m: self.bands[m].widened(final[m] - self.early[m], self.held[m]) for m in final}
         return replace(self, final=final, bands=bands)
 
     def change(self, method: str) -> float:
@@ -128,8 +138,17 @@ def try_out(
     longer = ahead_of(part, len(record) - setup.train, u)
     # One beginning may suit a method by chance: the last sample, held, is now and then the mean.
     later = sorted({shorter.train + i * held // 3 for i in (1, 2)} - {shorter.train})
-    runs = compare(longer, methods, shorter, seeds, jobs, progress, later, checkpoints, more)
-    forecasts = {method: _forecasts(of_method, shorter.train) for method, of_method in runs.items()}
+    check(longer, methods, shorter, more)
+    networks = [method for method in methods if method not in FIXED]
+    runs = {}
+    if networks:
+        runs = compare(longer, networks, shorter, seeds, jobs, progress, later, checkpoints, more)
+    forecasts = {method: _forecasts(runs[method], shorter.train) for method in networks}
+    cuts = sorted({len(part) - max(1, round(share * len(part))) for share in CUTS})
+    todo = [(method, cut) for method in methods if method in FIXED for cut in cuts]
+    processes = jobs if len(part) >= IN_PARALLEL else 1
+    for method, cut, forecast in over(partial(_refitted, longer, shorter), todo, processes):
+        forecasts.setdefault(method, {})[cut] = forecast
     seen = part.seen
     left = {
         method: [
@@ -138,14 +157,23 @@ def try_out(
         for method, of_method in forecasts.items()
     }
     scale = spread(seen)
+    last = {m: max(of_m) if m in FIXED else shorter.train for m, of_m in forecasts.items()}
     return Trial(
         {m: _size(e) for m, e in left.items()},
         {m: _size([error / scale for error in e]) for m, e in left.items()},
         {m: Band.fit(e, seen) for m, e in left.items()},
-        {m: of_method[shorter.train][held:] for m, of_method in forecasts.items()},
+        {m: of_method[last[m]][len(part) - last[m] :] for m, of_method in forecasts.items()},
         scale,
-        held,
+        {m: len(part) - start for m, start in last.items()},
     )
+
+
+def _refitted(
+    record: Trajectory, setup: Setup, job: tuple[str, int], report: Callable[[Any], None]
+) -> tuple[str, int, Array]:
+    """What a baseline forecasts that is fitted to the samples before the cut."""
+    method, cut = job
+    return method, cut, run(method, record, replace(setup, train=cut), seed=0).forecast
 
 
 def _forecasts(runs: Sequence[Run], begin: int) -> dict[int, Array]:
