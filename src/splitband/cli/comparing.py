@@ -91,7 +91,7 @@ def compare(
     RMSE of the free run over everything after the warm-up, in the record's unit.
 
     The recommended method is chosen on training samples only. Fitted on three quarters of them, it
-    forecasts the rest best, from three beginnings (the table shows that error as "held out"); and
+    forecasts the rest best, from several beginnings (the table shows that error as "held out"); and
     what it forecast then of the time after the training part is still what it forecasts once it is
     fitted on all of them (else it "changed"). The held-out errors also give each forecast a band in
     which nine tenths of the measured samples should lie; the table says how many do.
