@@ -43,7 +43,7 @@ class Run:
         `leaves_range`; None where it does not.
     components : What `from_start` is the sum of, for a model of several parts.
     unfiltered : What its filters were fed with, for a model that filters its output.
-    later : Forecasts from later samples, by the index of the first one; see `run`.
+    later : Forecasts from other samples, by the index of the first one; see `run`.
     description : What a baseline or a calibration settled on.
     losses : Mean training loss of each epoch, by network.
     """
@@ -82,18 +82,20 @@ def run(
     later: Sequence[int] = (),
     checkpoints: Path | None = None,
     more: Sequence[Trajectory] = (),
+    cuts: Sequence[int] = (),
 ) -> Run:
     """Fit one method on the first `setup.train` samples and predict under both protocols.
 
-    From each of the indices in `later` it also forecasts the rest of the record, warmed up on the
-    samples before, but fitted to the same ones. A training that was cut off goes on from its file
-    in the folder `checkpoints`. Networks train on the records `more`, too.
+    From each of the indices in `later` a network also forecasts the rest of the record, warmed up
+    on the samples before, but fitted to the same ones; what needs no training is fitted again, to
+    the samples before each of `cuts`, and forecasts from there. A training that was cut off goes on
+    from its file in the folder `checkpoints`. Networks train on the records `more`, too.
 
     Where there is a gap in what a simulation would warm up on, it begins before it, or, from the
     start, after it.
     """
     if method in FIXED:
-        return run_baseline(method, FIXED[method], record, setup, seed, later)
+        return run_baseline(method, FIXED[method], record, setup, seed, cuts)
     record, calibration = prepared(method, record, setup.train)
     more = [as_seen(other, calibration) for other in more]
     model = build(method, record, setup, seed)
@@ -152,16 +154,14 @@ def run_baseline(
     record: Trajectory,
     setup: Setup,
     seed: int = 0,
-    later: Sequence[int] = (),
+    cuts: Sequence[int] = (),
 ) -> Run:
     """As `run`, for a baseline."""
     began = time.perf_counter()
     naive = baseline(record, setup.train)
     seconds = time.perf_counter() - began
     first = first_start(record, setup.settings.warmup)
-    from_start, forecast, *rest = (
-        _continued(naive, record, at) for at in (first, setup.train, *later)
-    )
+    from_start, forecast = (_continued(naive, record, at) for at in (first, setup.train))
     errors = _errors(record, setup, from_start, forecast)
     return Run(
         method,
@@ -172,7 +172,7 @@ def run_baseline(
         forecast,
         leaves_range(record.seen[: setup.train], forecast),
         description=str(naive),
-        later=dict(zip(later, rest, strict=True)),
+        later={at: _continued(baseline(record, at), record, at) for at in cuts},
     )
 
 
@@ -205,6 +205,7 @@ def compare(
     later: Sequence[int] = (),
     checkpoints: Path | None = None,
     more: Sequence[Trajectory] = (),
+    cuts: Sequence[int] = (),
 ) -> dict[str, list[Run]]:
     """Run every method with every seed; `jobs` changes the numbers by rounding at most.
 
@@ -216,7 +217,7 @@ def compare(
     seeds : Each gives one run of each method.
     jobs : Processes at once, each on one thread.
     progress : Called in this process after each epoch of each run.
-    later : See `run`.
+    later, cuts : See `run`.
     checkpoints : Folder, created if need be, from which trainings that were cut off go on.
     more : Other records of the same system that networks train on too.
 
@@ -231,7 +232,7 @@ def compare(
     todo = sorted(((m, s) for m in methods for s in drawn[m]), key=lambda job: job[0] in FIXED)
     if checkpoints is not None:
         checkpoints.mkdir(parents=True, exist_ok=True)
-    work = partial(_work, record, setup, progress is None, later, checkpoints, more)
+    work = partial(_work, record, setup, progress is None, later, checkpoints, more, cuts)
     found = {(r.method, r.seed): r for r in over(work, todo, jobs, progress)}
     return {m: [found[m, s] for s in drawn[m]] for m in methods}
 
@@ -308,8 +309,10 @@ def _work(
     later: Sequence[int],
     checkpoints: Path | None,
     more: Sequence[Trajectory],
+    cuts: Sequence[int],
     job: tuple[str, int],
     report: Callable[[RunProgress], None],
 ) -> Run:
     method, seed = job
-    return run(method, record, setup, seed, None if silent else report, later, checkpoints, more)
+    watch = None if silent else report
+    return run(method, record, setup, seed, watch, later, checkpoints, more, cuts)

@@ -7,30 +7,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband.bands import Band
-from splitband.comparison import Run, RunProgress, ahead_of, compare, run
+from splitband.comparison import Run, RunProgress, ahead_of, compare
 from splitband.data import Trajectory
 from splitband.methods import FIXED, Setup, check
 from splitband.metrics import rmse, spread
-from splitband.processes import over
 from splitband.training import Settings
 
 Array = npt.NDArray[np.float64]
 
 HELD_OUT = 0.25
 """Share of the training part by which the recommended method is chosen."""
-CUTS = (0.25, 0.2, 0.15, 0.1)
+CUTS = (0.25, 0.2, 0.1)
 """Such shares for what needs no training and is fitted again for each: it changes its mind less,
 the more it has seen."""
-IN_PARALLEL = 1000
-"""Training samples from which those fits are worth other processes."""
+TRIED = 2
+"""Seeds of each network that are tried out, where more are asked for in the end."""
 WORTH_TRAINING = 0.1
 """By how much a network's score must be lower than that of what needs no training."""
 CHANGE_COUNTS = 0.5
@@ -138,17 +135,9 @@ def try_out(
     longer = ahead_of(part, len(record) - setup.train, u)
     # One beginning may suit a method by chance: the last sample, held, is now and then the mean.
     later = sorted({shorter.train + i * held // 3 for i in (1, 2)} - {shorter.train})
-    check(longer, methods, shorter, more)
-    networks = [method for method in methods if method not in FIXED]
-    runs = {}
-    if networks:
-        runs = compare(longer, networks, shorter, seeds, jobs, progress, later, checkpoints, more)
-    forecasts = {method: _forecasts(runs[method], shorter.train) for method in networks}
     cuts = sorted({len(part) - max(1, round(share * len(part))) for share in CUTS})
-    todo = [(method, cut) for method in methods if method in FIXED for cut in cuts]
-    processes = jobs if len(part) >= IN_PARALLEL else 1
-    for method, cut, forecast in over(partial(_refitted, longer, shorter), todo, processes):
-        forecasts.setdefault(method, {})[cut] = forecast
+    runs = compare(longer, methods, shorter, seeds, jobs, progress, later, checkpoints, more, cuts)
+    forecasts = {method: _forecasts(of_method, shorter.train) for method, of_method in runs.items()}
     seen = part.seen
     left = {
         method: [
@@ -166,14 +155,6 @@ def try_out(
         scale,
         {m: len(part) - start for m, start in last.items()},
     )
-
-
-def _refitted(
-    record: Trajectory, setup: Setup, job: tuple[str, int], report: Callable[[Any], None]
-) -> tuple[str, int, Array]:
-    """What a baseline forecasts that is fitted to the samples before the cut."""
-    method, cut = job
-    return method, cut, run(method, record, replace(setup, train=cut), seed=0).forecast
 
 
 def _forecasts(runs: Sequence[Run], begin: int) -> dict[int, Array]:

@@ -28,7 +28,7 @@ from splitband.methods import (
 from splitband.paper.settings import RECORD_SETTINGS, SAMPLE_FREQUENCY
 from splitband.spectrum import periodogram
 from splitband.threads import available_cores
-from splitband.trial import HELD_OUT, WORTH_TRAINING, check_trial, try_out
+from splitband.trial import HELD_OUT, TRIED, WORTH_TRAINING, check_trial, try_out
 
 
 def compare(
@@ -180,9 +180,9 @@ def _compare(
     networks = len(set(methods) & set(TRAINED))
     jobs = min(jobs or available_cores(), max(seeds * networks, 1))
     chosen = range(seeds)
-    with showing.progress(seeds * networks, "training on three quarters") as progress:
+    with showing.progress(min(seeds, TRIED) * networks, "training on three quarters") as progress:
         folder = out / CHECKPOINTS / "three quarters"
-        trial = try_out(record, methods, setup, chosen, jobs, progress, folder, more)
+        trial = try_out(record, methods, setup, chosen[:TRIED], jobs, progress, folder, more)
     with showing.progress(seeds * networks, "training") as progress:
         folder = out / CHECKPOINTS / "whole"
         runs = run_comparison(

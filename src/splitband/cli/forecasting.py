@@ -24,7 +24,7 @@ from splitband.methods import (
     check,
 )
 from splitband.threads import available_cores
-from splitband.trial import Trial, check_trial, try_out
+from splitband.trial import TRIED, Trial, check_trial, try_out
 
 
 def forecast(
@@ -96,9 +96,11 @@ def forecast(
     output_folder(out)
     jobs = jobs or available_cores()
     tried = len(set(methods) & set(TRAINED))
-    with showing.progress(seeds * tried, "training on three quarters") as progress:
+    with showing.progress(min(seeds, TRIED) * tried, "training on three quarters") as progress:
         folder = out / CHECKPOINTS / "three quarters"
-        trial = try_out(longer, methods, setup, range(seeds), jobs, progress, folder, further)
+        trial = try_out(
+            longer, methods, setup, range(seeds)[:TRIED], jobs, progress, folder, further
+        )
     # Of the networks just the best one is worth its training on all of the record.
     fitted = [name for name in methods if name in FIXED or name == trial.best_network]
     with showing.progress(seeds * bool(trial.best_network), "training") as progress:
