@@ -820,10 +820,10 @@ def test_errors_and_coverage_do_not_depend_on_what_stands_in_for_later_gaps() ->
 
 
 def test_held_out_errors_count_what_was_measured() -> None:
-    train = 80  # of which the last 20, 16 and 8 are held out
+    train = 80  # of which the last 20, 16, 12 and 8 are held out
     y = holed(record().y, 64, slice(70, 74))
     trial = try_out(with_gaps(y), ["persistence"], replace(SETUP, train=train))
-    last = {60: y[59], 64: y[63], 72: y[69]}
+    last = {60: y[59], 64: y[63], 68: y[67], 72: y[69]}
     left = np.concatenate([y[start:train] - value for start, value in last.items()])
     assert trial.errors["persistence"] == pytest.approx(np.sqrt(np.nanmean(left**2)))
 

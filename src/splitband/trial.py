@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 
 HELD_OUT = 0.25
 """Share of the training part by which the recommended method is chosen."""
-CUTS = (0.25, 0.2, 0.1)
+CUTS = (0.25, 0.2, 0.15, 0.1)
 """Such shares for what needs no training and is fitted again for each: it changes its mind less,
 the more it has seen."""
 TRIED = 2
