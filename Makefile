@@ -30,7 +30,7 @@ bench: .venv/.ready
 	$(BIN)/python -m benchmarks.system_i --out docs/benchmarks/system_i.json
 
 fuzz: .venv/.ready
-	$(BIN)/python tests/fuzzing.py --inputs 12000 --out docs/benchmarks/fuzz.json
+	$(BIN)/python tests/fuzzing.py --inputs 10400 --out docs/benchmarks/fuzz.json
 
 memory: .venv/.ready
 	$(BIN)/python -m benchmarks.memory --out docs/benchmarks/memory.json
