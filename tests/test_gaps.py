@@ -1098,3 +1098,24 @@ def test_the_range_of_a_model_is_that_of_all_its_records(folder: Path, tmp_path:
 def test_the_error_of_a_simulator_counts_what_was_measured() -> None:
     found = _show_simulator(with_gaps(SEEN[:, None]), 10 * A[:, None], cutoff=1.0, order=1)
     assert found["total_rmse"] == pytest.approx(rms((SEEN - 10 * A)[np.isfinite(SEEN)]))
+
+
+def test_what_stands_in_for_a_gap_across_the_end_of_a_slice_knows_nothing_of_later_samples() -> (
+    None
+):
+    y = holed(record().y, slice(TRAIN - 5, TRAIN + 5))
+    later = y.copy()
+    later[TRAIN + 5 :] += 1000
+    first, other = (with_gaps(each)[:TRAIN] for each in (y, later))
+    np.testing.assert_array_equal(first.y, other.y)
+    methods = ["mean", "persistence", "seasonal-naive"]
+    found = [compare(with_gaps(each), methods, SETUP) for each in (y, later)]
+    for method in methods:
+        np.testing.assert_array_equal(found[0][method][0].forecast, found[1][method][0].forecast)
+
+
+def test_a_logger_may_start_again_between_two_rows(tmp_path: Path) -> None:
+    stamps = [0, 1, 2, 3, 7.4, 8.4, 9.4, 10.4]
+    found = read(stamped(tmp_path, stamps), gaps="mask")
+    assert found.sampling_time == 1
+    np.testing.assert_array_equal(np.isnan(found.seen[:, 0]), [*[0] * 4, *[1] * 3, *[0] * 4])

@@ -127,3 +127,28 @@ def test_the_cache_is_of_the_content(file: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         run(Isolated(file, "good"), 5, 0.5, cache=tmp_path / "cache"), first
     )
+
+
+def test_what_a_simulator_has_started_ends_with_it(
+    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("splitband.isolation._START", 3.0)
+    mark = tmp_path / "pid"
+    source = Path(file).with_name("starting.py")
+    source.write_text(
+        "import subprocess\n\n\ndef starting(time):\n"
+        "    child = subprocess.Popen(['sleep', '60'])\n"
+        f"    open({str(mark)!r}, 'w').write(str(child.pid))\n    child.wait()\n"
+    )
+    with pytest.raises(ValueError, match="has not returned"):
+        run(Isolated(str(source), "starting", timeout=1.0), 5, 0.1)
+    status = Path(f"/proc/{mark.read_text()}/stat")
+    assert not status.exists() or status.read_text().rpartition(")")[2].split()[0] == "Z"
+
+
+def test_nothing_in_the_working_directory_is_taken_for_a_module(
+    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "json.py").write_text("raise SystemExit('taken')\n")
+    monkeypatch.chdir(tmp_path)
+    assert len(run(Isolated(file, "good"), 5, 0.5)) == 5
