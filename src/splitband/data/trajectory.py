@@ -125,9 +125,8 @@ class Trajectory:
             later = [self.y_sim[end:], *([] if beyond is None else [beyond])]
             beyond = np.concatenate(later) if sum(map(len, later)) else None
         y, measured = self.y[key], None if self.measured is None else self.measured[key]
-        if (
-            measured is not None
-        ):  # what stands in for a gap must not know what comes after the slice
+        if measured is not None:
+            # What stands in for a gap must not know what comes after the slice.
             known = measured.any(axis=0)
             y = y.copy()
             y[:, known] = filled("y", self.seen[key][:, known])[0]
