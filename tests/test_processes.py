@@ -66,6 +66,39 @@ if __name__ == "__main__":
     assert not any(alive(pid) for pid in pids)
 
 
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="POSIX")
+def test_a_process_does_not_hear_ctrl_c_while_it_loads(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        """
+import os, pathlib, time
+from splitband.processes import over
+
+here = pathlib.Path(__file__).parent
+if __name__ == "__mp_main__":
+    (here / f"{os.getpid()}.loading").touch()
+    while not (here / "go on").exists():
+        time.sleep(0.05)
+
+def work(job, report):
+    return job
+
+if __name__ == "__main__":
+    print(sorted(over(work, [1, 2], 2)))
+"""
+    )
+    parent = subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    until = time.monotonic() + 60
+    while len(loading := list(tmp_path.glob("*.loading"))) < 2 and time.monotonic() < until:
+        time.sleep(0.1)
+    for path in loading:
+        os.kill(int(path.stem), signal.SIGINT)
+    (tmp_path / "go on").touch()
+    assert parent.communicate(timeout=60) == ("[1, 2]\n", "")
+
+
 def alive(pid: int) -> bool:
     """Whether a process runs; one that has ended may still have an entry (a zombie)."""
     try:

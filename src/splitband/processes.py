@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
@@ -95,7 +96,9 @@ def _in_processes(
     others = multiprocessing.active_children()
     pool = ProcessPoolExecutor(processes, context, _start_worker, (queue,))
     try:
-        for done in as_completed([pool.submit(_work, work, job) for job in jobs]):
+        with _no_interrupts():
+            results = [pool.submit(_work, work, job) for job in jobs]
+        for done in as_completed(results):
             yield done.result()
     except BrokenProcessPool:
         raise OSError("a training process was ended from outside, perhaps for memory") from None
@@ -109,6 +112,19 @@ def _in_processes(
         pool.shutdown(cancel_futures=True)
         queue.put(None)
         listener.join()
+
+
+@contextlib.contextmanager
+def _no_interrupts() -> Iterator[None]:
+    """Let Ctrl-C wait: a process begun in here does not hear it, not even while it imports."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _forward(queue: SimpleQueue[Message | None], progress: Callable[[Message], None]) -> None:
