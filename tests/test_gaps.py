@@ -25,14 +25,16 @@ from torch import Tensor
 
 from splitband import GRU, Model, Progress, Recurrent, Settings, Trajectory, fit, read
 from splitband.bands import Band, _fit_channel
+from splitband.calibration import Term, calibrate
 from splitband.checkpoints import Checkpoint
 from splitband.cli.inspecting import _show_simulator
 from splitband.comparison import compare, run
-from splitband.harmonic import HarmonicRegression
+from splitband.harmonic import LONGEST, HarmonicRegression
 from splitband.methods import FIXED, Setup, build, check
 from splitband.metrics import cumulative_rmse, leaves_range, nrmse, rmse, spread
 from splitband.models import Signals, Task
-from splitband.naive import Mean, around_gaps
+from splitband.naive import Naive, SeasonalNaive, _last_period
+from splitband.periodic import PeriodicRegression
 from splitband.saving import load
 from splitband.training import MOST_BATCHES, STEPS
 from splitband.trial import try_out
@@ -695,30 +697,6 @@ def sine(samples: int, seed: int = 0) -> tuple[Array, npt.NDArray[np.bool_]]:
     return (y + 0.1 * rng.standard_normal(samples))[:, None], measured[:, None]
 
 
-def test_the_mean_comes_to_that_of_what_was_measured() -> None:
-    y, measured = sine(400)
-    filled = with_gaps(np.where(measured, y, NAN)).y
-    wanted = float(y[measured].sum() / measured.sum())
-    found = around_gaps(
-        lambda y: Mean(y.mean(axis=0)), lambda mean: mean.predict(0, 400, y[-1]), filled, measured
-    )
-    assert abs(filled.mean() - wanted) > 1e-2
-    assert found.y[0] == pytest.approx(wanted, abs=1e-3)
-
-
-@pytest.mark.parametrize(("guess", "taken"), [(7.0, 1.0), (0.5, 0.5), (1.1, 1.1)])
-def test_a_guess_is_taken_unless_it_ends_clearly_worse(guess: float, taken: float) -> None:
-    y, measured = np.arange(8.0)[:, None] % 2, np.arange(8)[:, None] != 5
-    found = around_gaps(
-        lambda y: y[5],  # it believes what fills the gap
-        lambda value: np.broadcast_to(value, y.shape),
-        y,
-        measured,
-        np.full_like(y, guess),
-    )
-    assert found[0] == taken
-
-
 def on_measured(frequency: float, y: Array, measured: npt.NDArray[np.bool_]) -> tuple[Any, float]:
     """Least squares of the measured rows alone: coefficients, and what they leave."""
     rows = np.flatnonzero(measured)
@@ -730,7 +708,6 @@ def on_measured(frequency: float, y: Array, measured: npt.NDArray[np.bool_]) -> 
 
 def test_a_sinusoid_comes_to_the_least_squares_of_what_was_measured() -> None:
     y, measured = sine(300)
-    filled = with_gaps(np.where(measured, y, NAN)).y
     best = scipy.optimize.minimize_scalar(
         lambda f: on_measured(f, y, measured)[1],
         bounds=(0.0303, 0.0323),
@@ -738,22 +715,87 @@ def test_a_sinusoid_comes_to_the_least_squares_of_what_was_measured() -> None:
         options={"xatol": 1e-10},
     ).x
     wanted = on_measured(best, y, measured)[0]
-    fit = partial(HarmonicRegression.fit, sinusoids=1, damped=False)
-    found = around_gaps(fit, lambda found: found.predict(0, 300, y[-1]), filled, measured)
+    found = HarmonicRegression.fit(np.where(measured, y, NAN), sinusoids=1, damped=False)
     phase = 2 * np.pi * best * np.arange(400)
     expected = wanted @ np.stack([np.ones(400), np.cos(phase), np.sin(phase)])
-    first, last = (
-        abs(each.predict(0, 400, y[-1])[:, 0] - expected).max() for each in (fit(filled), found)
-    )
-    assert first > 1e-2
-    assert last < 1e-3
+    np.testing.assert_allclose(found.predict(0, 400, y[-1])[:, 0], expected, atol=1e-6)
 
 
-def test_without_gaps_a_baseline_is_fitted_once() -> None:
-    fits: list[Array] = []
-    around_gaps(fits.append, lambda _: np.zeros((5, 1)), np.ones((5, 1)), None)
-    assert len(fits) == 1
-    np.testing.assert_array_equal(fits[0], np.ones((5, 1)))
+@pytest.mark.parametrize("fit", [HarmonicRegression.fit, PeriodicRegression.fit])
+def test_what_has_no_noise_is_found_around_long_gaps(fit: Callable[[Array], Naive]) -> None:
+    n = np.arange(900)
+    y = 0.3 + np.sin(2 * np.pi * n / 50 + 1) + 0.4 * np.cos(4 * np.pi * n / 50)
+    y = np.stack([y, 1e3 * y[::-1]], axis=1)
+    seen = holed(holed(y[:600], slice(150, 230), slice(560, None)), slice(0, 60), channel=1)
+    np.testing.assert_allclose(fit(seen).predict(600, 300, y[0]) / [1, 1e3], y[600:] / [1, 1e3],
+                               atol=1e-5)  # fmt: skip
+
+
+def test_what_is_missing_of_the_last_period_is_taken_from_the_one_before() -> None:
+    y = np.arange(21.0)[:, None]
+    y[[0, 3, 4, 18, 19]] = NAN
+    period, error = _last_period(y, 4)
+    np.testing.assert_array_equal(period[:, 0], [17, 14, 15, 20])
+    # Of earlier samples of the same phases: 1, 5, 9, 13; 2, 6, 10; 7, 11; 8, 12, 16.
+    left = [16, 12, 8, 4, 12, 8, 4, 8, 4, 12, 8, 4]
+    assert error == pytest.approx(np.mean(np.square(left)))
+
+
+def test_a_phase_that_was_never_measured_lies_on_a_straight_line() -> None:
+    y = np.tile([0.0, 1, 2, 3, 4, 3, 2, 1], 6)[:, None]
+    y[2::8] = NAN
+    y[7::8] = NAN
+    found = SeasonalNaive.fit(y)
+    assert found.lag == 8
+    np.testing.assert_allclose(found.predict(48, 8, y[0])[:, 0], [0, 1, 2, 3, 4, 3, 2, 1])
+
+
+def test_of_a_long_record_that_ends_in_a_gap_the_last_measured_samples_are_fitted() -> None:
+    n = np.arange(3 * LONGEST)
+    y = np.where(n < LONGEST, 7.0, np.sin(2 * np.pi * n / 100))[:, None]
+    y[2 * LONGEST :] = NAN
+    found = HarmonicRegression.fit(y)
+    assert found.begin == LONGEST
+    expected = np.sin(2 * np.pi * np.arange(200) / 100)
+    np.testing.assert_allclose(found.predict(len(n), 200, y[0])[:, 0], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("terms", [["gain"], ["offset"], ["gain", "offset"]])
+def test_a_simulator_is_calibrated_by_the_measured_samples_alone(terms: list[Term]) -> None:
+    rng = np.random.default_rng(5)
+    y_sim, y = rng.standard_normal((2, 200, 2))
+    y = holed(holed(y, slice(50, 90)), slice(120, 160), channel=1)
+    found = calibrate(y_sim, y, DT, terms=terms)
+    for channel in range(2):
+        rows = ~np.isnan(y[:, channel])
+        basis = np.stack([y_sim[rows, channel], np.ones(rows.sum())], axis=1)
+        wanted = y[rows, channel]
+        if terms == ["offset"]:
+            wanted = wanted - basis[:, 0]
+        kept = [("gain", "offset").index(term) for term in terms]
+        expected = np.linalg.lstsq(basis[:, kept], wanted, rcond=None)[0]
+        given = [getattr(found, term)[channel] for term in terms]
+        np.testing.assert_allclose(given, expected, rtol=1e-9)
+
+
+def test_delay_and_clock_are_found_around_gaps() -> None:
+    def signal(time: Array) -> Array:
+        return np.sin(2 * np.pi * time / 83) + 0.5 * np.sin(2 * np.pi * time / 31 + 1)
+
+    n: Array = np.arange(1000, dtype=np.float64)
+    y_sim = signal(n)[:, None]
+    y = 2 * signal(1.01 * n[:600] - 7.3)[:, None] + 0.5
+    found = calibrate(y_sim, holed(y, slice(100, 180), slice(400, 450)), DT, 600)
+    assert found.gain == pytest.approx((2.0,), rel=1e-3)
+    assert found.offset == pytest.approx((0.5,), abs=1e-3)
+    assert found.delay == pytest.approx(7.3 * DT, rel=1e-2)
+    assert found.clock == pytest.approx(1.01, rel=1e-4)
+
+
+def test_a_calibration_needs_two_measured_samples() -> None:
+    y = holed(np.ones((9, 1)), slice(1, None))
+    with pytest.raises(ValueError, match="2 samples at least"):
+        calibrate(np.ones((9, 1)), y, DT)
 
 
 @pytest.mark.parametrize("name", ["mean", "seasonal-naive", "periodic"])

@@ -130,7 +130,7 @@ def calibrate(
     ----------
     y_sim : `(time, ny)`, aligned with the record; what reaches beyond it allows for a clock that
         is too slow and for a simulator that comes too late.
-    y : The training part, `(train, ny)`.
+    y : The training part, `(train, ny)`; NaN is what was not measured.
     sampling_time : In s, of both.
     samples : Length of the record that the calibrated trajectory will have to cover; by default
         that of `y`.
@@ -143,7 +143,8 @@ def calibrate(
         For an unknown term, or too few samples.
     """
     samples = len(y) if samples is None else samples
-    if len(y_sim) < samples or len(y) < 2 or y_sim.shape[1] != y.shape[1]:
+    measured = int((~np.isnan(y)).any(axis=1).sum())
+    if len(y_sim) < samples or measured < 2 or y_sim.shape[1] != y.shape[1]:
         raise ValueError(
             f"y_sim must cover the record's {samples} samples in y's channels, and y have 2 "
             f"samples at least, got {y_sim.shape} and {y.shape}"
@@ -177,13 +178,26 @@ def calibrate(
 def affine_fit(y_sim: Array, y: Array) -> tuple[Array, Array]:
     """Gain and offset of each channel, `(ny,)` each, that bring `y_sim` closest to `y`.
 
-    By least squares on `(time, ny)`; a constant channel of the simulator gets gain 0.
+    By least squares on `(time, ny)`, where y is no NaN; a constant channel of the simulator gets
+    gain 0.
     """
-    mean_sim, mean = y_sim.mean(axis=0), y.mean(axis=0)
-    centred = y_sim - mean_sim
-    power = (centred**2).sum(axis=0)
-    gain = (centred * (y - mean)).sum(axis=0) / np.where(power > 0, power, 1.0)
+    mean_sim, mean = _mean(y_sim, y), _mean(y, y)
+    centred = np.where(np.isnan(y), 0.0, y_sim - mean_sim)
+    gain = _gain(centred, y - mean)
     return gain, mean - gain * mean_sim
+
+
+def _mean(values: Array, y: Array) -> Array:
+    """Of each channel, where y is no NaN; 0 where it is nothing else."""
+    measured = ~np.isnan(y)
+    found = np.where(measured, values, 0.0).sum(axis=0) / np.maximum(measured.sum(axis=0), 1)
+    return np.asarray(found, dtype=np.float64)
+
+
+def _gain(x: Array, y: Array) -> Array:
+    """By which x comes closest to y, where y is no NaN; 0 where x is."""
+    power = np.where(np.isnan(y), 0.0, x**2).sum(axis=0)
+    return np.asarray(np.nansum(x * y, axis=0) / np.where(power > 0, power, 1.0))
 
 
 def _name(terms: Sequence[Term]) -> str:
@@ -194,9 +208,9 @@ def _held_out(
     y_sim: Array, y: Array, sampling_time: float, terms: tuple[Term, ...], samples: int
 ) -> Array:
     """RMSE over what follows the samples that were fitted, for several cuts of `y`."""
-    errors = []
+    errors, measured = [], np.flatnonzero((~np.isnan(y)).any(axis=1))
     for share in (0.5, 0.6, 0.7, 0.8):
-        cut = min(max(int(share * len(y)), 1), len(y) - 1)
+        cut = measured[max(int(share * len(measured)), 1)]
         found = _fit(y_sim, y[:cut], sampling_time, terms, samples)
         errors.append(rmse(y[cut:], found.apply(y_sim, len(y), sampling_time)[cut:]))
     return np.array(errors)
@@ -229,7 +243,7 @@ def _fit(
         x, seen = moved(warp), begun(warp)
         gain, offset = _affine(x[seen], y[seen], terms)
         error = (gain * x + offset - y) * seen[:, None] / np.sqrt(seen.mean())
-        return np.asarray(error, dtype=np.float64).ravel()
+        return np.nan_to_num(error).ravel()
 
     warp = np.empty(0)
     if moving:
@@ -257,10 +271,9 @@ def _affine(x: Array, y: Array, terms: Sequence[Term]) -> tuple[Array, Array]:
     if "gain" in terms and "offset" in terms:
         return affine_fit(x, y)
     if "gain" in terms:
-        power = (x**2).sum(axis=0)
-        return (x * y).sum(axis=0) / np.where(power > 0, power, 1.0), np.zeros(y.shape[1])
+        return _gain(x, y), np.zeros(y.shape[1])
     ones = np.ones(y.shape[1])
-    return ones, (y - x).mean(axis=0) if "offset" in terms else 0 * ones
+    return ones, _mean(y - x, y) if "offset" in terms else 0 * ones
 
 
 def _warp(warp: Array, moving: Sequence[str]) -> tuple[float, float]:
@@ -305,7 +318,7 @@ def _guesses(
 def _correlation(x: Array, y: Array) -> Array:
     """Of y with x shifted by -(n - 1)..n - 1 samples, squared: a gain may have either sign."""
     found = np.zeros(2 * len(y) - 1)
-    for a, b in zip((x - x.mean(axis=0)).T, (y - y.mean(axis=0)).T, strict=True):
+    for a, b in zip((x - x.mean(axis=0)).T, np.nan_to_num(y - _mean(y, y)).T, strict=True):
         power = float((a**2).sum()) or 1.0
         found += scipy.signal.correlate(b, a, mode="full", method="fft") ** 2 / power
     return found

@@ -172,7 +172,10 @@ def run_baseline(
         forecast,
         leaves_range(record.seen[: setup.train], forecast),
         description=str(naive),
-        later={at: _continued(baseline(record, at), record, at) for at in cuts},
+        later={
+            at: forecast if at == setup.train else _continued(baseline(record, at), record, at)
+            for at in cuts
+        },
     )
 
 

@@ -45,7 +45,7 @@ class HarmonicRegression:
 
     @classmethod
     def fit(cls, y: Array, sinusoids: int | None = None, damped: bool = True) -> HarmonicRegression:
-        """Fit `y` `(time, ny)`, each channel by itself.
+        """Fit `y` `(time, ny)`, each channel by itself; NaN is what was not measured.
 
         Sinusoids are added one by one at the peak of the residual's spectrum and then moved
         together to the least squares. By default as many as the Bayesian information criterion
@@ -54,7 +54,7 @@ class HarmonicRegression:
         place of one that decays, and grow again after the record. Of a long record the last
         `LONGEST` samples are fitted.
         """
-        begin = max(len(y) - LONGEST, 0)
+        begin = latest(y, LONGEST)
         fitted = [_fit_channel(channel, sinusoids, damped) for channel in y[begin:].T]
         return cls.of(fitted, begin)
 
@@ -81,6 +81,16 @@ class HarmonicRegression:
         return f"{counts} sinusoid(s){some} and an offset"
 
 
+def latest(y: Array, most: int) -> int:
+    """The index from which on each channel of `y` `(time, ny)` has `most` samples, or all."""
+    return min(int(known(channel)[-most:][0]) for channel in y.T)
+
+
+def known(y: Array) -> npt.NDArray[np.int_]:
+    """The indices at which a channel `(time,)` was measured."""
+    return np.flatnonzero(~np.isnan(y))
+
+
 def _basis(frequencies: Array, dampings: Array, index: npt.NDArray[np.int_]) -> Array:
     phase = 2 * np.pi * np.outer(index, frequencies)
     size = np.exp(-np.outer(np.maximum(index, 0), dampings))  # no growth backwards
@@ -88,13 +98,15 @@ def _basis(frequencies: Array, dampings: Array, index: npt.NDArray[np.int_]) -> 
 
 
 def _solve(frequencies: Array, dampings: Array, y: Array) -> tuple[Array, Array]:
-    basis = _basis(frequencies, dampings, np.arange(len(y)))
-    coefficients = np.linalg.lstsq(basis, y, rcond=RESOLUTION)[0].astype(np.float64)
-    return coefficients, y - basis @ coefficients
+    """Amplitudes, and what they leave of the measured samples."""
+    index = known(y)
+    basis = _basis(frequencies, dampings, index)
+    coefficients = np.linalg.lstsq(basis, y[index], rcond=RESOLUTION)[0].astype(np.float64)
+    return coefficients, y[index] - basis @ coefficients
 
 
 class Modes(NamedTuple):
-    """Sinusoids of one channel `y` `(time,)`, and their amplitudes.
+    """Sinusoids of one channel `y` `(time,)`, NaN in its gaps, and their amplitudes.
 
     Attributes
     ----------
@@ -122,8 +134,8 @@ class Modes(NamedTuple):
 
         A damping of zero stays. A `weight` lets the beginning of the record count more.
         """
-        seen = self.residual(y) * np.exp(-weight * np.arange(len(y)) / len(y))
-        frequencies, power = scipy.signal.periodogram(seen, nfft=8 * len(y), detrend=False)
+        left = np.nan_to_num(self.residual(y)) * np.exp(-weight * np.arange(len(y)) / len(y))
+        frequencies, power = scipy.signal.periodogram(left, nfft=8 * len(y), detrend=False)
         found = frequencies[1:][np.argmax(power[1:])]
         more = np.append(self.frequencies, found), np.append(self.dampings, damping)
         return self._replace(frequencies=more[0], dampings=more[1]).refined(y)
@@ -138,11 +150,12 @@ class Modes(NamedTuple):
 
     def information(self, y: Array) -> float:
         """Bayesian information criterion of a Gaussian residual, taken as 1e-8 of y at least."""
-        variance = max(float(np.mean(self.residual(y) ** 2)), 1e-16 * float(np.mean(y**2)), 1e-300)
+        samples, left = len(known(y)), float(np.nanmean(self.residual(y) ** 2))
+        variance = max(left, 1e-16 * float(np.nanmean(y**2)), 1e-300)
         count = len(self.frequencies)
         moving = count - max(min(self.harmonics, count) - 1, 0) + int((self.dampings > 0).sum())
         parameters = 1 + 2 * count + moving
-        return len(y) * float(np.log(variance)) + parameters * float(np.log(len(y)))
+        return samples * float(np.log(variance)) + parameters * float(np.log(samples))
 
     def in_units(self, offset: float, scale: float) -> Modes:
         """Those of `offset + scale * y`."""
@@ -153,7 +166,7 @@ class Modes(NamedTuple):
 
 def _fit_channel(y: Array, sinusoids: int | None, damped: bool) -> Modes:
     """What fits a channel best, in its units; found in units of its own range."""
-    offset, scale = float(y.mean()), float(np.ptp(y)) or 1.0
+    offset, scale = units(y)
     scaled = (y - offset) / scale
     best = _greedy(scaled, sinusoids, 0.0)
     if damped:
@@ -163,9 +176,14 @@ def _fit_channel(y: Array, sinusoids: int | None, damped: bool) -> Modes:
     return best.in_units(offset, scale)
 
 
+def units(y: Array) -> tuple[float, float]:
+    """Mean and range of a channel; a constant one has 1."""
+    return float(np.nanmean(y)), float(np.nanmax(y) - np.nanmin(y)) or 1.0
+
+
 def _greedy(y: Array, sinusoids: int | None, damping: float) -> Modes:
     """Add sinusoids one by one; each begins with `damping`, which stays if it is zero."""
-    n = len(y)
+    n = len(known(y))
     most = min(10 if sinusoids is None else sinusoids, max((n - 2) // (4 if damping else 3), 0))
     modes = best = Modes.solved(np.empty(0), np.empty(0), y)
     for _ in range(most):
@@ -241,12 +259,12 @@ def _slopes(frequencies: Array, dampings: Array, y: Array) -> Array:
     The derivative of the basis, as far as the basis itself cannot make up for it (Kaufman's
     approximation of variable projection).
     """
-    index = np.arange(len(y))
+    index = known(y)
     basis = _basis(frequencies, dampings, index)
     left, sizes, right = np.linalg.svd(basis, full_matrices=False)
     kept = sizes > RESOLUTION * sizes[0]
     left, sizes, right = left[:, kept], sizes[kept], right[kept]
-    coefficients = right.T @ ((left.T @ y) / sizes)
+    coefficients = right.T @ ((left.T @ y[index]) / sizes)
     count = len(frequencies)
     cosine, sine = basis[:, 1 : 1 + count], basis[:, 1 + count :]
     a, b = coefficients[1 : 1 + count], coefficients[1 + count :]

@@ -15,11 +15,11 @@ from splitband.calibration import Calibration, affine_fit, calibrate
 from splitband.cells import GRU, Cell, EulerMLP
 from splitband.cutoff import Choice
 from splitband.data import Trajectory
-from splitband.data.gaps import first_after, stretches
+from splitband.data.gaps import first_after
 from splitband.filters import ComplementaryPair, butterworth
 from splitband.harmonic import HarmonicRegression
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
-from splitband.naive import Given, Mean, Naive, Persistence, SeasonalNaive, around_gaps
+from splitband.naive import Given, Mean, Naive, Persistence, SeasonalNaive
 from splitband.periodic import PeriodicRegression
 from splitband.training import Settings
 from splitband.windows import places_in
@@ -29,8 +29,6 @@ CALIBRATED, CONDITIONED = "-calibrated", "-conditioned"
 """Suffixes: the simulator is calibrated first; faster networks are told what is slower."""
 
 LARGEST_SIZE = 10_000
-LONG_STRETCH = 10
-"""Samples from which a baseline may tell what belongs into the gaps of a record."""
 
 Maker: TypeAlias = "Callable[[Trajectory, Setup, bool], Cell]"
 
@@ -124,34 +122,14 @@ def _residual(make: Maker, record: Trajectory, setup: Setup, conditioned: bool) 
 
 def _affine(record: Trajectory, train: int) -> Naive:
     y_sim = simulated(record)
-
-    def fitted(y: Array) -> Given:
-        gain, offset = affine_fit(y_sim[:train], y)
-        description = f"gain {_few(gain)}, offset {_few(offset)} from the training samples"
-        return Given(gain * y_sim + offset, description)
-
-    return around_gaps(fitted, lambda at: at.y[:train], record[:train].y, record[:train].measured)
+    gain, offset = affine_fit(y_sim[:train], record.seen[:train])
+    description = f"gain {_few(gain)}, offset {_few(offset)} from the training samples"
+    return Given(gain * y_sim + offset, description)
 
 
-def _baseline(fit: Callable[[Array], Naive]) -> Callable[[Trajectory, int], Naive]:
-    """A baseline that is fitted to the training samples, around their gaps."""
-
-    def fitted(record: Trajectory, train: int) -> Naive:
-        part = record[:train]
-        if part.measured is None:
-            return fit(part.y)
-        # A long gap is no straight line: a fit to the longest stretch without one may know better.
-        begin, end = max(stretches(part.complete), key=lambda at: at[1] - at[0], default=(0, 0))
-        guess = None
-        if end + 1 - begin >= LONG_STRETCH:
-            guess = fit(part.y[begin : end + 1]).predict(-begin, train, part.y[-1])
-
-        def says(naive: Naive) -> Array:
-            return naive.predict(0, train, part.y[-1])
-
-        return around_gaps(fit, says, part.y, part.measured, guess)
-
-    return fitted
+def _of_samples(fit: Callable[[Array], Naive]) -> Callable[[Trajectory, int], Naive]:
+    """A baseline that is fitted to the measured training samples alone."""
+    return lambda record, train: fit(record.seen[:train])
 
 
 def _calibrated(record: Trajectory, train: int) -> Naive:
@@ -180,9 +158,9 @@ FIXED: dict[str, Callable[[Trajectory, int], Naive]] = {
     "simulator" + CALIBRATED: _calibrated,
     "mean": lambda record, train: Mean(np.nanmean(record.seen[:train], axis=0)),
     "persistence": lambda record, train: Persistence(),
-    "seasonal-naive": _baseline(SeasonalNaive.fit),
-    "harmonic": _baseline(HarmonicRegression.fit),
-    "periodic": _baseline(PeriodicRegression.fit),
+    "seasonal-naive": _of_samples(SeasonalNaive.fit),
+    "harmonic": _of_samples(HarmonicRegression.fit),
+    "periodic": _of_samples(PeriodicRegression.fit),
 }
 TRAINED = (
     *WHOLE,
@@ -230,13 +208,8 @@ def prepared(method: str, record: Trajectory, train: int) -> tuple[Trajectory, C
     """The record as a method sees it: with a calibrated simulator, where its name says so."""
     if CALIBRATED not in method:
         return record, None
-    y_sim, step, part = _simulated_beyond(record), record.sampling_time, record[:train]
-    found = around_gaps(
-        lambda y: calibrate(y_sim, y, step, len(record)),
-        lambda calibration: calibration.apply(y_sim, len(record), step)[:train],
-        part.y,
-        part.measured,
-    )
+    y_sim, y = _simulated_beyond(record), record.seen[:train]
+    found = calibrate(y_sim, y, record.sampling_time, len(record))
     return as_seen(record, found), found
 
 

@@ -7,21 +7,14 @@ measured sample before them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
 Array = npt.NDArray[np.float64]
-Fitted = TypeVar("Fitted")
-
-MOST_ROUNDS = 8
-CLEARLY = 0.6
-SETTLED = 1e-3
-"""Of a channel's range: what fills the gaps moves no more than that from one round to the next."""
 
 
 class Naive(Protocol):
@@ -100,14 +93,15 @@ class SeasonalNaive:
     def fit(cls, y: Array) -> SeasonalNaive:
         """Choose the lag whose last period, repeated backwards, fits `y` `(time, ny)` best.
 
-        Compared are the lags up to half the record at which the record resembles itself: the
-        local minima of its mean squared difference at a lag.
+        Where `y` is NaN nothing was measured, and the period before has to do. Compared are the
+        lags up to half the record at which the record resembles itself: the local minima of its
+        mean squared difference at a lag.
         """
-        errors = {lag: _backward_error(y, lag) for lag in sorted(self_similar_lags(y))}
+        found = {lag: _last_period(y, lag) for lag in sorted(self_similar_lags(y))}
         # A period and its multiples tie up to rounding: the shortest one is meant.
-        good_enough = min(errors.values()) * (1 + 1e-9) + 1e-24 * float(np.mean(y**2))
-        lag = next(lag for lag, error in errors.items() if error <= good_enough)
-        return cls(y[len(y) - lag :].copy(), len(y))
+        least = min(error for _, error in found.values())
+        good_enough = least * (1 + 1e-9) + 1e-24 * float(np.nanmean(y**2))
+        return cls(next(period for period, error in found.values() if error <= good_enough), len(y))
 
     @property
     def lag(self) -> int:
@@ -124,70 +118,59 @@ class SeasonalNaive:
         return f"the last {self.lag} training samples, repeated"
 
 
-def around_gaps(
-    fit: Callable[[Array], Fitted],
-    says: Callable[[Fitted], Array],
-    y: Array,
-    measured: npt.NDArray[np.bool_] | None,
-    guess: Array | None = None,
-) -> Fitted:
-    """What is fitted to a record with gaps, these being filled by what it says itself.
-
-    Repeated until that changes no more, least squares come to what they would be of the measured
-    samples alone.
-
-    Parameters
-    ----------
-    fit : Of `(time, ny)`.
-    says : What has been fitted says of the same samples, `(time, ny)`.
-    y, measured : `(time, ny)` each: the record, and where it was measured; None for everywhere.
-    guess : What may fill the gaps to begin with, rather than `y`. That is gone back to where it
-        ends with less than `CLEARLY` of the squared error, as it may be for the more freedom only.
-    """
-    if measured is None:
-        return fit(y)
-    plain = _settled(fit, says, y, measured)
-    if guess is None:
-        return plain
-    guessed = _settled(fit, says, np.where(measured, y, guess), measured)
-    scale = np.ptp(y, axis=0) + np.finfo(np.float64).tiny
-    left = [float(np.sum(((says(f) - y) / scale)[measured] ** 2)) for f in (plain, guessed)]
-    return plain if left[0] < CLEARLY * left[1] else guessed
-
-
-def _settled(
-    fit: Callable[[Array], Fitted],
-    says: Callable[[Fitted], Array],
-    y: Array,
-    measured: npt.NDArray[np.bool_],
-) -> Fitted:
-    found = fit(y)
-    for _ in range(MOST_ROUNDS):
-        before, y = y, np.where(measured, y, says(found))
-        found = fit(y)
-        if (abs(y - before).max(axis=0) <= SETTLED * np.ptp(y, axis=0)).all():
-            break
-    return found
-
-
 def self_similar_lags(y: Array, most: int = 200) -> list[int]:
-    """Lags up to half of `y` with the smallest local minima of mean (y_n - y_{n+lag})^2."""
+    """Lags up to half of `y` with the smallest local minima of mean (y_n - y_{n+lag})^2.
+
+    The mean is over the pairs of measured samples, each channel by itself.
+    """
     n = len(y)
     lags = np.arange(1, n // 2 + 1)
-    centred = y - y.mean(axis=0)
-    power = np.concatenate([[0.0], np.cumsum((centred**2).sum(axis=1))])
-    products = sum(
-        scipy.signal.correlate(c, c, mode="full", method="fft")[n - 1 :] for c in centred.T
-    )
-    products = np.asarray(products)[lags]
-    difference = (power[n - lags] + power[n] - power[lags] - 2 * products) / (n - lags)
+    difference = np.zeros(len(lags))
+    for channel in y.T:
+        measured = (~np.isnan(channel)).astype(np.float64)
+        centred = np.nan_to_num(channel - np.nanmean(channel))
+        # Of a square and its two mixed products: (a - b)^2 = a^2 + b^2 - 2 a b.
+        pairs, before, after, products = (
+            scipy.signal.correlate(a, b, mode="full", method="fft")[n - 1 :][lags]
+            for a, b in (
+                (measured, measured),
+                (measured, centred**2),
+                (centred**2, measured),
+                (centred, centred),
+            )
+        )
+        pairs = np.rint(pairs)
+        unknown = np.where(pairs > 0, 0.0, np.inf)
+        difference += (before + after - 2 * products) / np.maximum(pairs, 1) + unknown
     minima = scipy.signal.argrelmin(np.append(difference, np.inf))[0]  # the last lag may be one
     ranked = minima[np.argsort(difference[minima], kind="stable")]
     return [int(lags[i]) for i in ranked[:most]] or [int(lags[-1])]
 
 
-def _backward_error(y: Array, lag: int) -> float:
-    """Mean squared error of the last period repeated over all earlier samples."""
-    period, earlier = y[-lag:], y[:-lag]
-    repeated = period[(np.arange(len(earlier)) - len(y)) % lag]
-    return float(np.mean((earlier - repeated) ** 2))
+def seasons(y: Array, lag: int) -> Array:
+    """`y` `(time, ny)` as `(season, lag, ny)`, the last season ending with it; NaN in the first."""
+    count = -(-len(y) // lag)
+    found = np.full((count * lag, y.shape[1]), np.nan)
+    found[-len(y) :] = y
+    return found.reshape(count, lag, -1)
+
+
+def all_around(period: Array) -> Array:
+    """A period `(lag, ny)`, with straight lines across what is NaN, round from end to begin."""
+    found, phase = period.copy(), np.arange(len(period))
+    for channel in found.T:
+        seen = ~np.isnan(channel)
+        channel[~seen] = np.interp(phase[~seen], phase[seen], channel[seen], period=len(period))
+    return found
+
+
+def _last_period(y: Array, lag: int) -> tuple[Array, float]:
+    """The last measured sample at each phase, and its mean squared error for all earlier ones."""
+    by_season = seasons(y, lag)
+    count = len(by_season)
+    measured = ~np.isnan(by_season)
+    latest = count - 1 - measured[::-1].argmax(axis=0)
+    period = np.take_along_axis(by_season, latest[None], axis=0)[0]
+    earlier = measured & (np.arange(count)[:, None, None] < latest)
+    errors = (by_season - period)[earlier]
+    return all_around(period), float(np.mean(errors**2)) if len(errors) else np.inf

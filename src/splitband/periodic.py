@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from splitband.harmonic import LONGEST, HarmonicRegression, Modes
-from splitband.naive import SeasonalNaive, self_similar_lags
+from splitband.harmonic import LONGEST, HarmonicRegression, Modes, known, latest, units
+from splitband.naive import SeasonalNaive, all_around, seasons, self_similar_lags
 
 Array = npt.NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class PeriodicRegression:
 
     @classmethod
     def fit(cls, y: Array) -> PeriodicRegression:
-        """Fit `y` `(time, ny)`, each channel by itself.
+        """Fit `y` `(time, ny)`, each channel by itself; NaN is what was not measured.
 
         A lag at which the channel resembles itself, or a whole fraction of it, is the period, and
         as many harmonics are taken as the Bayesian information criterion pays for. The period may
@@ -52,7 +52,7 @@ class PeriodicRegression:
         samples that were fitted, for several cuts of `y`. Of a long record the last
         `harmonic.LONGEST` samples are used.
         """
-        begin = max(len(y) - LONGEST, 0)
+        begin = latest(y, LONGEST)
         channels = [_fit_channel(channel) for channel in y[begin:].T]
         return cls(
             HarmonicRegression.of(channels, begin),
@@ -79,7 +79,7 @@ class PeriodicRegression:
 
 def _fit_channel(y: Array) -> Modes:
     """In its units; found in units of its own range."""
-    offset, scale = float(y.mean()), float(np.ptp(y)) or 1.0
+    offset, scale = units(y)
     scaled = (y - offset) / scale
     stiffest, *freer = zip(_candidates(scaled), _held_out(scaled), strict=True)
     best, least = stiffest
@@ -91,12 +91,12 @@ def _fit_channel(y: Array) -> Modes:
 
 def _held_out(y: Array) -> list[float]:
     """Of each candidate, the mean RMSE of what follows the samples that were fitted."""
-    errors = []
+    errors, index = [], known(y)
     for share in _CUTS:
-        cut = max(int(share * len(y)), 1)
-        index = np.arange(cut, len(y))
-        left = [y[cut:] - candidate.predict(index) for candidate in _candidates(y[:cut])]
-        errors.append([np.sqrt(np.mean(error**2)) if len(error) else 0.0 for error in left])
+        later = index[int(share * len(index)) :]
+        fitted = _candidates(y[: max(later[0], index[0] + 1)])
+        left = [y[later] - candidate.predict(later) for candidate in fitted]
+        errors.append([np.sqrt(np.mean(error**2)) for error in left])
     return [float(error) for error in np.mean(errors, axis=0)]
 
 
@@ -116,7 +116,7 @@ def _candidates(y: Array) -> tuple[Modes, Modes, Modes]:
 
 def _best_series(y: Array, lags: int = 4) -> Modes:
     """The Fourier series of a lag at which the record resembles itself, or of a part of it."""
-    if len(y) < 2:
+    if len(known(y)) < 2:
         return _series(y, 1)
     channel = y[:, None]
     # Of multiples of a period that tie, seasonal-naive takes the shortest.
@@ -128,19 +128,24 @@ def _best_series(y: Array, lags: int = 4) -> Modes:
 def _series(y: Array, lag: int) -> Modes:
     """The Fourier series of a period, of as many harmonics as pay, the strongest first."""
     none = Modes.solved(np.empty(0), np.empty(0), y)
-    most = min(MOST_HARMONICS, (lag - 1) // 2, (len(y) - 2) // 4)
+    index = known(y)
+    most = min(MOST_HARMONICS, (lag - 1) // 2, (len(index) - 2) // 4)
     if most < 1:
         return none
-    mean_period = y[len(y) % lag :].reshape(-1, lag).mean(axis=0)
+    by_season = seasons(y[:, None], lag)
+    with np.errstate(invalid="ignore"):  # a phase that was never measured
+        mean_period = np.nansum(by_season, axis=0) / (~np.isnan(by_season)).sum(axis=0)
+    mean_period = all_around(mean_period)[:, 0]
     strength = abs(np.fft.rfft(mean_period)[1 : (lag - 1) // 2 + 1])
     strongest = 1 + np.argsort(-strength, kind="stable")[:most]
-    phase = 2 * np.pi * np.outer(np.arange(len(y)), strongest) / lag
-    pairs = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(y), -1)
-    directions = np.linalg.qr(np.hstack([np.ones((len(y), 1)), pairs]))[0]
+    phase = 2 * np.pi * np.outer(index, strongest) / lag
+    pairs = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(index), -1)
+    directions = np.linalg.qr(np.hstack([np.ones((len(index), 1)), pairs]))[0]
     # What is left after each harmonic more.
-    left = np.sum(y**2) - np.cumsum((directions.T @ y) ** 2)[::2]
-    left = np.maximum(left, 1e-16 * np.sum(y**2) + 1e-300)
-    information = len(y) * np.log(left) + 2 * np.arange(len(left)) * np.log(len(y))
+    power = np.nansum(y**2)
+    left = power - np.cumsum((directions.T @ y[index]) ** 2)[::2]
+    left = np.maximum(left, 1e-16 * power + 1e-300)
+    information = len(index) * np.log(left) + 2 * np.arange(len(left)) * np.log(len(index))
     kept = strongest[: int(np.argmin(information))]
     if not len(kept):
         return none
