@@ -872,6 +872,10 @@ MODELS = [
     bad("forecast record.csv --columns a --out out --steps 5 --method simulator", "simulator"),
     bad("forecast record.csv --columns a --inputs force --out out --steps 5", "--future-inputs"),
     bad(
+        "forecast record.csv --columns a --out out --steps 5 --method linear", "linear", "--inputs"
+    ),
+    bad("compare record.csv --columns a --out out --methods mean,linear", "linear", "--inputs"),
+    bad(
         "forecast record.csv --columns a --out out --steps 5 --method filtered-gru "
         "--simulator simulated.csv",
         "205 samples",
@@ -1079,6 +1083,20 @@ def test_forecast_goes_on_from_the_end_of_a_record(tmp_path: Path) -> None:
     assert found["method"] == "harmonic"
     np.testing.assert_allclose(table["a"], A[150:], atol=1e-4)  # the record is two sinusoids
     assert_pictures(tmp_path / "out", "forecast.png")
+
+
+def test_forecast_by_a_linear_model_of_the_inputs(tmp_path: Path) -> None:
+    n = np.arange(400)
+    u = np.sign(np.sin(n**1.3 / 20))
+    y = scipy.signal.lfilter([0.3, 0.1], [1, -1.6, 0.8], u)
+    table = pd.DataFrame({"time": n * DT, "y": y, "force": u})
+    table[:300].to_csv(tmp_path / "begun.csv", index=False)
+    table[["force"]][300:].to_csv(tmp_path / "coming.csv", index=False)
+    call(f"forecast {tmp_path}/begun.csv --columns y --inputs force --steps 100 --epochs 1 "
+         f"--jobs 1 --future-inputs {tmp_path}/coming.csv", tmp_path / "out")  # fmt: skip
+    found = results(tmp_path / "out")
+    assert found["method"] == "linear"
+    np.testing.assert_allclose(written(tmp_path / "out" / "forecast.csv")["y"], y[300:], atol=1e-5)
 
 
 def test_forecast_takes_known_inputs_and_several_seeds(tmp_path: Path) -> None:

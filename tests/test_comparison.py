@@ -73,6 +73,16 @@ def test_a_simulator_that_does_not_help_leaves_the_learned_models() -> None:
     assert usual_methods(record(), good) == default_methods(with_simulator=True)
 
 
+def test_a_record_with_inputs_is_compared_with_a_linear_model_too() -> None:
+    u = np.random.default_rng(2).standard_normal((LENGTH, 1))
+    r = replace(record(), u=u)
+    methods = usual_methods(r, default_setup(r, TRAIN))
+    assert methods == [*default_methods(with_simulator=True), "linear"]
+    driven = replace(r, y=np.cumsum(0.3 * u - 0.1, axis=0), y_true=None)
+    (found,) = compare(driven, ["linear"], SETUP)["linear"]
+    assert "1 input(s)" in found.description
+
+
 def test_methods_without_a_simulator_get_the_pair_they_would_get_without_one() -> None:
     alone = default_setup(replace(record(), y_sim=None), TRAIN)
     assert default_setup(record(), TRAIN, methods=["split-gru", "mean"]) == alone

@@ -17,24 +17,27 @@ ENOUGH_WINDOWS = 0.25
 """Share of the windows that gaps must leave for the usual warm-up."""
 
 
-def default_methods(with_simulator: bool) -> list[str]:
-    """What is worth comparing in a reasonable time, with a simulator that helps or without."""
+def default_methods(with_simulator: bool, with_inputs: bool = False) -> list[str]:
+    """What is worth comparing in a reasonable time, with a simulator that helps or without.
+
+    What knows no inputs is asked even where there are some: they may not matter.
+    """
     both = CALIBRATED + CONDITIONED
     networks, simulator = ["split-gru", "split-gru" + CONDITIONED], []
     if with_simulator:
         networks = ["filtered-gru" + both, "residual-gru" + both]
         simulator = ["simulator", "simulator" + CALIBRATED]
     naive = ["mean", "persistence", "seasonal-naive", "periodic", "harmonic"]
-    return ["gru", *networks, *simulator, *naive]
+    return ["gru", *networks, *simulator, *naive, *(["linear"] if with_inputs else [])]
 
 
 def usual_methods(record: Trajectory, setup: Setup) -> list[str]:
     """`default_methods`, with the learned models where the record's simulator does not help."""
-    methods = default_methods(record.y_sim is not None)
+    methods = default_methods(record.y_sim is not None, record.nu > 0)
     if setup.choice is None or setup.choice.simulator_helps is not False:
         return methods
     kept = [method for method in methods if method.startswith("simulator")]
-    learned = default_methods(False)
+    learned = default_methods(False, record.nu > 0)
     return [*learned[:3], *kept, *learned[3:]]
 
 
@@ -59,7 +62,8 @@ def default_setup(
     """
     if settings is None:
         settings = recipe_settings(recipe, record[:train])
-    methods = default_methods(record.y_sim is not None) if methods is None else methods
+    if methods is None:
+        methods = default_methods(record.y_sim is not None)
     found = _choice(record, train, settings.warmup, (cutoff, order, downsampling), methods)
     setup = Setup(train, settings, found.cutoff, found.order, found.downsampling, choice=found)
     return setup if recipe == "paper" else replace(setup, hidden_high=32, hidden_low=16)

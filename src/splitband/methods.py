@@ -18,6 +18,7 @@ from splitband.data import Trajectory
 from splitband.data.gaps import first_after
 from splitband.filters import ComplementaryPair, butterworth
 from splitband.harmonic import HarmonicRegression
+from splitband.linear import OutputError
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
 from splitband.naive import Given, Mean, Naive, Persistence, SeasonalNaive
 from splitband.periodic import PeriodicRegression
@@ -161,6 +162,7 @@ FIXED: dict[str, Callable[[Trajectory, int], Naive]] = {
     "seasonal-naive": _of_samples(SeasonalNaive.fit),
     "harmonic": _of_samples(HarmonicRegression.fit),
     "periodic": _of_samples(PeriodicRegression.fit),
+    "linear": lambda record, train: OutputError.fit(record.seen[:train], _inputs(record)),
 }
 TRAINED = (
     *WHOLE,
@@ -261,6 +263,8 @@ def check_method(
     """Find what is wrong with one method's setup."""
     butterworth(setup.cutoff, record.sampling_rate, setup.order)
     check_simulator(method, record)
+    if method == "linear":
+        _inputs(record)
     settings = setup.settings_of(method)
     complete = record.complete[: setup.train]
     if not complete.all() and first_after(complete, settings.warmup) is None:
@@ -307,6 +311,13 @@ def simulated(record: Trajectory, method: str = "this method") -> Array:
     if record.y_sim is None:
         raise ValueError(f"{method} needs a simulator (--simulator), the record has none")
     return record.y_sim
+
+
+def _inputs(record: Trajectory) -> Array:
+    """The known inputs, `(time, nu)`; raises ValueError without any."""
+    if record.u is None:
+        raise ValueError("linear needs known inputs (--inputs), the record has none")
+    return record.u
 
 
 def _simulated_beyond(record: Trajectory) -> Array:

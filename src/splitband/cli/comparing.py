@@ -48,7 +48,7 @@ def compare(
         typer.Option(
             help=f"What to compare, separated by commas, out of {', '.join(METHODS)}.",
             show_default=f"{','.join(default_methods(False))}; with a simulator "
-            f"{','.join(default_methods(True))}",
+            f"{','.join(default_methods(True))}; with --inputs linear, too",
         ),
     ] = None,
     seeds: Annotated[
@@ -100,7 +100,8 @@ def compare(
     """
     trajectory = given.load_record(record, columns, inputs, time_column, sampling_time, gaps)
     hybrid = simulator is not None or trajectory.y_sim is not None
-    asked = default_methods(hybrid) if methods is None else given.names(methods)
+    by_default = default_methods(hybrid, trajectory.nu > 0)
+    asked = by_default if methods is None else given.names(methods)
     chosen = with_variants(asked, calibrate, conditioned)
     calibrated = any(CALIBRATED in method for method in chosen)
     trajectory = with_simulator(

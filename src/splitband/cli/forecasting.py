@@ -65,7 +65,7 @@ def forecast(
     """
     known = given.load_record(record, columns, inputs, time_column, sampling_time, gaps)
     hybrid = simulator is not None or known.y_sim is not None
-    methods = default_methods(hybrid) if method is None else [method]
+    methods = default_methods(hybrid, known.nu > 0) if method is None else [method]
     if methods[0] not in METHODS:
         raise ValueError(f"--method must be one of {', '.join(METHODS)}, got {method}")
     calibrated = any(CALIBRATED in name for name in methods)

@@ -1,0 +1,189 @@
+"""A linear model from the known inputs to what is measured: the output-error model.
+
+A naive baseline (see `splitband.naive`) for records with inputs, and where the system is linear
+the best there is. It is simulated from the beginning of the record, so that no measured sample but
+those it was fitted to is needed: the output-error structure of L. Ljung, System Identification,
+2nd ed., Sec. 4.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from splitband.harmonic import LONGEST, known, latest, units
+from splitband.metrics import spread
+
+Array = npt.NDArray[np.float64]
+
+ORDERS = (1, 2, 3, 4, 6, 8)
+ROUNDS = 20
+"""Of the iteration by which the search begins; the best of them counts."""
+FARTHEST_POLE = 0.9999
+"""From 0 at most: what decays slower than that grows, for all that a record can tell."""
+_CUTS = (0.6, 0.7, 0.8, 0.9)
+_RANK = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class OutputError:
+    """y = (B u + C δ) / A + offset for each channel, δ the unit impulse at index 0; use `fit`.
+
+    Attributes
+    ----------
+    channels : The model of each.
+    u : The inputs, each of mean 0 and deviation 1, `(time, nu)`.
+    """
+
+    channels: tuple[Channel, ...]
+    u: Array
+
+    @classmethod
+    def fit(cls, y: Array, u: Array) -> OutputError:
+        """Fit to the first samples of a record, by least squares of the simulation error.
+
+        Each channel has a model of its own, with poles that are stable and as many as predict best
+        what follows the samples they are fitted to, over several cuts of `y`. Of a long record the
+        last `LONGEST` samples are fitted.
+
+        Parameters
+        ----------
+        y : `(train, ny)`; NaN is what was not measured.
+        u : Inputs of the whole record, `(time, nu)`, as far as it shall be predicted.
+        """
+        u = (u - u[: len(y)].mean(axis=0)) / spread(u[: len(y)])
+        return cls(tuple(_fit_channel(channel, u[: len(y)]) for channel in y.T), u)
+
+    def predict(self, start: int, steps: int, last: Array) -> Array:
+        """See `Naive`; not beyond the inputs that are known."""
+        end = start + steps
+        simulated = [channel.simulate(self.u[:end]) for channel in self.channels]
+        return np.stack(simulated, axis=1)[start:]
+
+    def __str__(self) -> str:
+        orders = "+".join(str(len(channel.a) - 1) for channel in self.channels)
+        return f"{orders} pole(s), {self.u.shape[1]} input(s) and an offset"
+
+
+class Channel(NamedTuple):
+    """Polynomials of the delay operator: a `(n + 1,)`, b `(nu, n + 1)`, c `(n,)`; the offset."""
+
+    a: Array
+    b: Array
+    c: Array
+    offset: float
+
+    def simulate(self, u: Array) -> Array:
+        """From index 0 on, `(time,)`."""
+        forced = sum(scipy.signal.lfilter(b, self.a, x) for b, x in zip(self.b, u.T, strict=True))
+        return np.asarray(forced + scipy.signal.lfilter(self.c, self.a, _impulse(u)) + self.offset)
+
+
+def _fit_channel(y: Array, u: Array) -> Channel:
+    """In its units; found in units of its own range."""
+    offset, scale = units(y)
+    y = (y - offset) / scale
+    begin = latest(y[:, None], LONGEST)
+    a = _denominator(y[begin:], u[begin:])
+    found, _ = _solved(a, y, u, begin)
+    b, c = found[: -len(a)].reshape(u.shape[1], -1), found[-len(a) : -1]
+    return Channel(a, scale * b, scale * c, offset + scale * float(found[-1]))
+
+
+def _denominator(y: Array, u: Array) -> Array:
+    """Of the order that predicts best what follows the samples it is fitted to."""
+    most = max((len(known(y)) // 3 - u.shape[1] - 1) // (2 + u.shape[1]), 1)
+    orders = [order for order in ORDERS if order <= most]
+    errors = {order: _held_out(y, u, order) for order in orders}
+    return _of_order(y, u, min(orders, key=lambda order: errors[order]))
+
+
+def _held_out(y: Array, u: Array, order: int) -> float:
+    """Mean squared error of what follows the samples that were fitted, over several cuts."""
+    errors, rows = [], known(y)
+    for share in _CUTS:
+        later = rows[max(int(share * len(rows)), 1) :]
+        if len(later):
+            a = _of_order(y[: later[0]], u[: later[0]], order)
+            fitted = np.where(np.arange(len(y)) < later[0], y, np.nan)
+            errors.append((y - _solved(a, fitted, u)[1])[later] ** 2)
+    return float(np.mean(np.concatenate(errors))) if errors else 0.0
+
+
+def _of_order(y: Array, u: Array, order: int) -> Array:
+    """The denominator that leaves least, found from the best one of an iteration."""
+    return _refined(min(_tried(y, u, order), key=lambda at: at[0])[1], y, u)
+
+
+def _tried(y: Array, u: Array, order: int) -> Iterator[tuple[float, Array]]:
+    """Mean squared errors and denominators, by the iteration of Steiglitz and McBride (1965).
+
+    y and what explains it pass 1/A before A is fitted, once more, to what comes of it. In the gaps
+    of y there is what the model before says; straight lines at first.
+    """
+    whole = np.interp(np.arange(len(y)), known(y), y[known(y)])
+    a = np.append(1.0, np.zeros(order))
+    for _ in range(ROUNDS):
+        passed = scipy.signal.lfilter([1.0], a, whole)
+        past = np.stack([_delayed(passed, k) for k in range(1, order + 1)], axis=1)
+        constant = scipy.signal.lfilter([1.0], a, np.ones(len(y)))
+        explained = np.hstack([-past, _driven(a, u), constant[:, None]])
+        fitted = np.linalg.lstsq(explained, passed, rcond=_RANK)[0]
+        a = _stable(np.append(1.0, fitted[:order]))
+        simulated = _solved(a, y, u)[1]
+        whole = np.where(np.isnan(y), simulated, y)
+        yield float(np.nanmean((y - simulated) ** 2)), a
+
+
+def _refined(a: Array, y: Array, u: Array) -> Array:
+    """The denominator nearby that leaves least."""
+
+    def left(moved: Array) -> Array:
+        simulated = _solved(_stable(np.append(1.0, moved)), y, u)[1]
+        return np.nan_to_num(y - simulated)
+
+    found = scipy.optimize.least_squares(left, a[1:], x_scale="jac", max_nfev=20)
+    return _stable(np.append(1.0, found.x))
+
+
+def _solved(a: Array, y: Array, u: Array, begin: int = 0) -> tuple[Array, Array]:
+    """B, C and the offset of a denominator for y from `begin` on, and what they simulate."""
+    rows = known(y)
+    rows = rows[rows >= begin]
+    basis = np.hstack([_driven(a, u), np.ones((len(u), 1))])
+    found = np.linalg.lstsq(basis[rows], y[rows], rcond=_RANK)[0].astype(np.float64)
+    return found, basis @ found
+
+
+def _driven(a: Array, u: Array) -> Array:
+    """What each coefficient of B, input by input, and of C is multiplied with, `(time, ...)`."""
+    order = len(a) - 1
+    passed = scipy.signal.lfilter([1.0], a, np.hstack([u, _impulse(u)[:, None]]), axis=0).T
+    return np.stack(
+        [_delayed(x, k) for x in passed[:-1] for k in range(order + 1)]
+        + [_delayed(passed[-1], k) for k in range(order)],
+        axis=1,
+    )
+
+
+def _impulse(u: Array) -> Array:
+    return np.asarray(np.arange(len(u)) == 0, dtype=np.float64)
+
+
+def _delayed(x: Array, samples: int) -> Array:
+    return np.concatenate([np.zeros(samples), x[: len(x) - samples]])
+
+
+def _stable(a: Array) -> Array:
+    """With the poles outside of the unit circle mirrored into it."""
+    poles = np.roots(a)
+    size = abs(poles)
+    if (size <= FARTHEST_POLE).all():
+        return a
+    inside = np.minimum(np.where(size > 1, 1 / np.maximum(size, 1), size), FARTHEST_POLE)
+    return np.real(np.poly(np.where(size > 0, poles * inside / np.maximum(size, 1e-300), 0)))
