@@ -34,6 +34,7 @@ LAYERS = (
     "cutoff",
     "bands",
     "periodic",
+    "linear",
     "harmonic",
     "naive",
     "spectrum",

@@ -103,14 +103,13 @@ def compare(
     by_default = default_methods(hybrid, trajectory.nu > 0)
     asked = by_default if methods is None else given.names(methods)
     chosen = with_variants(asked, calibrate, conditioned)
-    calibrated = any(CALIBRATED in method for method in chosen)
     trajectory = with_simulator(
         trajectory,
         simulator,
         simulator_columns,
         simulator_timeout,
         simulator_cache,
-        beyond=calibrated,
+        beyond=any(CALIBRATED in method for method in chosen),
     )
     setup = given.setup(
         record,
@@ -139,12 +138,11 @@ def compare(
         trajectory = trajectory[: setup.train + horizon]
     further = each_with_simulator(
         given.load_further(more, trajectory, inputs, time_column, gaps),
+        chosen,
         more_simulator,
         simulator_columns,
         simulator_timeout,
         simulator_cache,
-        hybrid=any(method in HYBRIDS for method in chosen),
-        beyond=calibrated,
     )
     _compare(context, trajectory, chosen, setup, seeds, jobs, out, further)
 

@@ -18,7 +18,6 @@ from splitband.files import CHECKPOINTS, output_folder, replacing, write_json
 from splitband.methods import (
     CALIBRATED,
     FIXED,
-    HYBRIDS,
     METHODS,
     TRAINED,
     check,
@@ -68,7 +67,6 @@ def forecast(
     methods = default_methods(hybrid, known.nu > 0) if method is None else [method]
     if methods[0] not in METHODS:
         raise ValueError(f"--method must be one of {', '.join(METHODS)}, got {method}")
-    calibrated = any(CALIBRATED in name for name in methods)
     known = with_simulator(
         known,
         simulator,
@@ -76,7 +74,7 @@ def forecast(
         simulator_timeout,
         simulator_cache,
         ahead=steps if hybrid else 0,
-        beyond=calibrated,
+        beyond=any(CALIBRATED in name for name in methods),
     )
     u = given.inputs_ahead(future_inputs, given.names(inputs or ""), steps, known.sampling_time)
     longer = ahead_of(known, steps, u)
@@ -84,12 +82,11 @@ def forecast(
     methods = usual_methods(longer, setup) if method is None else methods
     further = each_with_simulator(
         given.load_further(more, known, inputs, time_column, gaps),
+        methods,
         more_simulator,
         simulator_columns,
         simulator_timeout,
         simulator_cache,
-        hybrid=any(name in HYBRIDS for name in methods),
-        beyond=calibrated,
     )
     check(longer, methods, setup, further)
     check_trial(longer, methods, setup, further)

@@ -22,7 +22,6 @@ from splitband.data import Trajectory, read
 from splitband.files import CHECKPOINTS, output_folder, replacing, write_json
 from splitband.methods import (
     CALIBRATED,
-    HYBRIDS,
     TRAINED,
     as_seen,
     build,
@@ -107,12 +106,11 @@ def fit(
     )
     further = each_with_simulator(
         given.load_further(more, trajectory, inputs, time_column, gaps),
+        [method],
         more_simulator,
         simulator_columns,
         simulator_timeout,
         simulator_cache,
-        hybrid=method in HYBRIDS,
-        beyond=CALIBRATED in method,
     )
     check_method(method, trajectory[: setup.train], setup, further)
     training, calibration = prepared(method, trajectory[: setup.train], setup.train)

@@ -14,6 +14,7 @@ from splitband.calibration import samples_needed
 from splitband.cli.given import names
 from splitband.data import Trajectory, read
 from splitband.isolation import Isolated
+from splitband.methods import CALIBRATED, HYBRIDS
 from splitband.simulators import Recorded, Simulator, SimulatorTimeoutError, run
 from splitband.systems import SIMULATORS
 
@@ -72,15 +73,14 @@ def simulated(
 
 def each_with_simulator(
     records: Sequence[Trajectory],
+    methods: Sequence[str],
     simulators: Sequence[str] | None,
     columns: str | None,
     timeout: float,
     cache: Path | None,
-    hybrid: bool,
-    beyond: bool,
 ) -> list[Trajectory]:
-    """The records of --more, with their simulators where there is a hybrid model to train."""
-    simulators = simulators or []
+    """The records of --more, with their simulators where a method is a hybrid model."""
+    simulators, hybrid = simulators or [], any(method in HYBRIDS for method in methods)
     if (hybrid or simulators) and len(simulators) != len(records):
         raise ValueError(
             f"--more-simulator must be given once for each --more, got {len(simulators)} for "
@@ -88,6 +88,7 @@ def each_with_simulator(
         )
     if not hybrid:
         return [*records]
+    beyond = any(CALIBRATED in method for method in methods)
     return [
         with_simulator(record, simulator, columns, timeout, cache, beyond=beyond)
         for record, simulator in zip(records, simulators, strict=True)
