@@ -301,7 +301,9 @@ def test_the_horizon_ends_both_protocols(tmp_path: Path) -> None:
     assert facts["total_rmse"] == [pytest.approx(rms(A[10:150] - A[9]))]
 
 
-def test_compare_takes_several_channels_and_known_inputs(tmp_path: Path) -> None:
+def test_compare_takes_several_channels_and_known_inputs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     call(f"compare record.csv --columns a,b --inputs force --methods rnn,split-gru,persistence "
          f"{QUICK} --seeds 1 --jobs 1 --lr-milestones 1:1e-4 --order 2 "
          "--cutoff 1", tmp_path)  # fmt: skip
@@ -313,6 +315,10 @@ def test_compare_takes_several_channels_and_known_inputs(tmp_path: Path) -> None
     facts = found["methods"]["persistence"]
     assert [*facts["total_rmse"], *facts["forecast_rmse"]] == pytest.approx(held)
     assert np.isfinite(found["methods"]["rnn"]["total_rmse"]).all()
+    each = [[rms(y[n:] - y[n - 1]) for y in (A, B)] for n in (WARMUP, TRAIN)]
+    expected = dict(zip(("total_rmse", "forecast_rmse"), each, strict=True))
+    assert facts["by_channel"] == {name: pytest.approx(both) for name, both in expected.items()}
+    assert "by channel: a " in capsys.readouterr().out
     assert_pictures(tmp_path, "rollouts.png", "error.png", "spectrum.png", "components.png")
 
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from splitband import Settings, Trajectory
-from splitband.comparison import compare, ensemble
+from splitband.comparison import by_channel, compare, ensemble
 from splitband.defaults import default_methods, default_setup, usual_methods
 from splitband.methods import CALIBRATED, HYBRIDS, Setup
 from splitband.metrics import rmse
+from splitband.plots import rollouts
 from splitband.trial import Trial, hold_out, try_out
 
 DT, TRAIN, LENGTH, WARMUP = 0.1, 120, 200, 10
@@ -182,3 +183,21 @@ def test_the_mean_of_several_seeds_is_no_worse_than_they_are_on_average() -> Non
     assert r.y_true is not None
     assert mean.total_rmse == pytest.approx(rmse(r.y_true[WARMUP:], expected))
     assert mean.total_rmse <= np.sqrt(np.mean([run.total_rmse**2 for run in runs]))
+
+
+def test_channels_of_different_units_have_errors_and_scales_of_their_own() -> None:
+    r = record()
+    units = np.array([1.0, 1e4])
+    both = Trajectory(np.hstack([r.y, r.y[::-1]]) * units + [0, 1e5], DT, columns=("V", "Pa"))
+    runs = compare(both, ["mean", "harmonic"], SETUP)
+    for (found,) in runs.values():
+        of_channels = by_channel(both, found.from_start)
+        assert np.linalg.norm(of_channels) == pytest.approx(found.total_rmse)
+        left = both.y[-len(found.from_start) :] - found.from_start
+        np.testing.assert_allclose(of_channels, np.sqrt(np.mean(left**2, axis=0)))
+    picture = rollouts(both, SETUP, runs)
+    for i, ax in enumerate(picture.axes):
+        low, high = ax.get_ylim()
+        seen = both.y[:, i // 2 % 2]
+        assert low < seen.min() < seen.max() < high
+        assert high - low < 2 * np.ptp(seen)

@@ -274,6 +274,15 @@ def ahead_of(record: Trajectory, steps: int, u: Array | None = None) -> Trajecto
     )
 
 
+def by_channel(record: Trajectory, predicted: Array) -> list[float]:
+    """The RMSE of each channel by itself, of a prediction `(time, ny)` that ends with the record.
+
+    NaN for a channel that was not measured there.
+    """
+    truth = record.truth[len(record) - len(predicted) :]
+    return [rmse(y, x) for y, x in zip(truth.T, predicted.T, strict=True)]
+
+
 def ensemble(runs: Sequence[Run], record: Trajectory, setup: Setup) -> Run:
     """The mean of the predictions of several seeds, with its own errors."""
     from_start, forecast = (

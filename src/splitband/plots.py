@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splitband.bands import Band
-from splitband.comparison import Run, ensemble, first_start, last_start
+from splitband.comparison import Run, by_channel, ensemble, first_start, last_start
 from splitband.cutoff import LEAST_BELOW, Choice
 from splitband.data import Trajectory
 from splitband.files import replacing
@@ -46,16 +46,13 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None =
     """
     rows = [(name, channel) for name in runs for channel in range(record.ny)]
     figure = Figure(figsize=(13, 1.1 + 1.25 * len(rows)), layout="constrained")
-    grid = figure.subplots(len(rows), 2, sharex="col", sharey=True, squeeze=False)
+    grid = figure.subplots(len(rows), 2, sharex="col", sharey="row", squeeze=False)
     warmup, end = setup.settings.warmup, setup.train
     starts = first_start(record, warmup), last_start(record, warmup, end)
     for axes, (name, channel) in zip(grid, rows, strict=True):
         mean = ensemble(runs[name], record, setup)
-        sides = (
-            (axes[0], starts[0], mean.from_start, mean.total_rmse),
-            (axes[1], starts[1], mean.forecast, mean.forecast_rmse),
-        )
-        for ax, start, prediction, error in sides:
+        sides = (axes[0], starts[0], mean.from_start), (axes[1], starts[1], mean.forecast)
+        for ax, start, prediction in sides:
             _draw_record(ax, record, channel, start - warmup)
             time = record.time[-len(prediction) :]
             ax.plot(time, prediction[:, channel], color=_color(runs, name), lw=1.1)
@@ -63,7 +60,8 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None =
             ax.axvspan(*shaded, color="0.93", zorder=0)
             ax.axvline(record.time[end], color="0.4", ls=":", lw=1)
             chosen = trial is not None and name == trial.recommended
-            title = f"{name}{' (recommended)' if chosen else ''}   RMSE {_spread([error])}"
+            error = by_channel(record, prediction)[channel]
+            title = f"{name}{' (recommended)' if chosen else ''}   RMSE {error:.3g}"
             ax.set_title(title, fontsize=9, loc="left", pad=3)
             ax.margins(x=0.01)
         if trial is not None:
@@ -74,8 +72,7 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None =
                 record.time[end:], middle - half, middle + half, color=color, alpha=0.18, lw=0
             )
         axes[0].set_ylabel(_literal(record.columns[channel]))
-    limits = _limits(record.seen)
-    grid[0, 0].set_ylim(*limits)
+        axes[0].set_ylim(*_limits(record.seen[:, channel]))
     for ax in grid[-1]:
         ax.set_xlabel("time (s)")
     figure.suptitle(
@@ -278,12 +275,6 @@ def _draw_record(ax: Axes, record: Trajectory, channel: int, begin: int) -> None
 
 def _color(runs: Runs, name: str) -> str:
     return _PALETTE[list(runs).index(name) % len(_PALETTE)]
-
-
-def _spread(values: Sequence[float]) -> str:
-    if len(set(values)) == 1:
-        return f"{values[0]:.3g}"
-    return f"{np.mean(values):.3g} ± {np.std(values, ddof=1):.2g} ({len(values)} seeds)"
 
 
 def _limits(y: Array) -> tuple[float, float]:

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from splitband.bands import Band
-from splitband.comparison import Run, ensemble
+from splitband.comparison import Run, by_channel, ensemble
 from splitband.data import Trajectory
 from splitband.methods import Setup
 from splitband.trial import Trial
@@ -47,6 +47,7 @@ def results(
                 "change": trial.change(name),
                 "band": _band(trial.bands[name], record, setup, of_method),
                 "mean_of_seeds": _mean(record, setup, of_method),
+                "by_channel": _by_channel(record, setup, of_method),
             }
             for name, of_method in runs.items()
         },
@@ -125,6 +126,15 @@ def _mean(record: Trajectory, setup: Setup, runs: Sequence[Run]) -> dict[str, fl
         return None
     mean = ensemble(runs, record, setup)
     return {"total_rmse": mean.total_rmse, "forecast_rmse": mean.forecast_rmse}
+
+
+def _by_channel(record: Trajectory, setup: Setup, runs: Sequence[Run]) -> dict[str, list[float]]:
+    """The errors of the mean over seeds, each channel by itself."""
+    mean = ensemble(runs, record, setup)
+    return {
+        "total_rmse": by_channel(record, mean.from_start),
+        "forecast_rmse": by_channel(record, mean.forecast),
+    }
 
 
 def _method(runs: Sequence[Run]) -> dict[str, Any]:

@@ -208,6 +208,8 @@ def _compare(
         f"follows changed once these were known ({trial.change(best):.3g}); a network has to be "
         f"{WORTH_TRAINING:.0%} better than what needs no training"
     )
+    if record.ny > 1:
+        showing.console.print(f"{best}: {showing.channels(record, setup, runs[best])}")
     showing.console.print(
         f"cut-off {setup.cutoff:g} Hz{_papers_cutoff(record, setup)}, order {setup.order}, the low "
         f"band kept at every {showing.ordinal(setup.downsampling)} sample: "

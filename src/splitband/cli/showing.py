@@ -12,10 +12,10 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from rich.table import Table
 from rich.text import Text
 
-from splitband.comparison import Run, RunProgress, ensemble
+from splitband.comparison import Run, RunProgress, by_channel, ensemble
 from splitband.data import Trajectory
 from splitband.methods import Setup
-from splitband.metrics import FARTHEST
+from splitband.metrics import FARTHEST, spread
 from splitband.trial import Trial
 
 console = Console(
@@ -76,6 +76,18 @@ def comparison(
             said,
         )
     return table
+
+
+def channels(record: Trajectory, setup: Setup, runs: Sequence[Run]) -> str:
+    """The errors of a method's mean, each channel by itself, as channels may differ in unit."""
+    mean = ensemble(runs, record, setup)
+    both = by_channel(record, mean.from_start), by_channel(record, mean.forecast)
+    deviations = spread(record.seen[: setup.train])
+    parts = [
+        f"{column} {whole:.3g} and {ahead:.3g} (its deviation is {deviation:.3g})"
+        for column, whole, ahead, deviation in zip(record.columns, *both, deviations, strict=True)
+    ]
+    return "RMSE from the start and of the forecast, by channel: " + "; ".join(parts)
 
 
 @contextmanager
