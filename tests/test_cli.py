@@ -1177,13 +1177,18 @@ def command_line(line: str) -> subprocess.Popen[str]:
         stderr=subprocess.PIPE,
         start_new_session=True,
         text=True,
+        # A shell's job in the background would pass on that Ctrl-C is nothing to it.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
     )
 
 
 def interrupted(running: subprocess.Popen[str]) -> list[str]:
     """What it says after Ctrl-C, and that it stops as shells expect."""
     os.killpg(running.pid, signal.SIGINT)
-    _, said = running.communicate(timeout=30)
+    try:
+        _, said = running.communicate(timeout=60)
+    finally:
+        running.kill()
     # Python ends by the signal itself where it came in an `exec`: shells show 130 for both.
     assert running.returncode in (130, -signal.SIGINT)
     return [text for text in said.splitlines() if "compiling" not in text]
