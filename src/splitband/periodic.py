@@ -130,9 +130,10 @@ def _series(y: Array, lag: int) -> Modes:
     none = Modes.solved(np.empty(0), np.empty(0), y)
     index = known(y)
     most = min(MOST_HARMONICS, (lag - 1) // 2, (len(index) - 2) // 4)
-    if most < 1:
+    complete = y[len(y) % lag :]
+    if most < 1 or not len(known(complete)):
         return none
-    by_season = seasons(y[:, None], lag)
+    by_season = seasons(complete[:, None], lag)
     with np.errstate(invalid="ignore"):  # a phase that was never measured
         mean_period = np.nansum(by_season, axis=0) / (~np.isnan(by_season)).sum(axis=0)
     mean_period = all_around(mean_period)[:, 0]
