@@ -29,7 +29,7 @@ from splitband.calibration import Term, calibrate
 from splitband.checkpoints import Checkpoint
 from splitband.cli.inspecting import _show_simulator
 from splitband.comparison import compare, run
-from splitband.harmonic import LONGEST, HarmonicRegression
+from splitband.harmonic import LONGEST, HarmonicRegression, recent
 from splitband.methods import FIXED, Setup, build, check
 from splitband.metrics import cumulative_rmse, leaves_range, nrmse, rmse, spread
 from splitband.models import Signals, Task
@@ -790,6 +790,46 @@ def test_delay_and_clock_are_found_around_gaps() -> None:
     assert found.offset == pytest.approx((0.5,), abs=1e-3)
     assert found.delay == pytest.approx(7.3 * DT, rel=1e-2)
     assert found.clock == pytest.approx(1.01, rel=1e-4)
+
+
+@pytest.mark.parametrize("rows", [slice(790, None), slice(20, None), slice(980)])
+def test_a_channel_that_is_hardly_measured_does_not_spoil_the_calibration(rows: slice) -> None:
+    time = np.arange(1000)
+    y_sim = np.stack([np.sin(time / 20), np.cos(time / 17)], axis=1)
+    late = np.stack([np.sin((time - 3) / 20), np.cos((time - 3) / 17)], axis=1)
+    noise = np.random.default_rng(0).standard_normal((1000, 2))
+    y = holed(2 * late + 0.5 + 0.05 * noise, rows, channel=1)
+    found = calibrate(y_sim, y, DT)
+    assert found.gain[0] == pytest.approx(2, rel=0.02)
+    assert found.offset[0] == pytest.approx(0.5, abs=0.02)
+    assert found.delay == pytest.approx(3 * DT, rel=0.1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("gap", [500, 800])
+def test_a_season_is_none_that_a_few_pairs_agree_in(gap: int, seed: int) -> None:
+    noise = 0.3 * np.random.default_rng(seed).standard_normal(1500)
+    y = (np.sin(2 * np.pi * np.arange(1500) / 37) + noise)[:, None]
+    found = SeasonalNaive.fit(holed(y[:1000], slice(gap)))
+    assert rms(found.predict(1000, 500, y[0]) - y[1000:]) < 0.6
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("every", [7, 10])
+def test_a_channel_that_is_measured_now_and_then_has_its_own_frequency(
+    every: int, seed: int
+) -> None:
+    noise = 0.05 * np.random.default_rng(seed).standard_normal(1500)
+    y = (np.sin(2 * np.pi * np.arange(1500) / 50) + noise)[:, None]
+    seen = holed(y[:1000], np.arange(1000) % every > 0)
+    assert rms(HarmonicRegression.fit(seen).predict(1000, 500, y[0]) - y[1000:]) < 0.2
+
+
+def test_a_sparse_channel_does_not_make_the_others_longer() -> None:
+    y = np.random.default_rng(0).standard_normal((5 * LONGEST, 2))
+    begin, end = recent(holed(y, slice(3, None), channel=1))
+    assert begin == 0
+    assert (~np.isnan(end)).sum(axis=0).tolist() == [LONGEST, 3]
 
 
 def test_a_calibration_needs_two_measured_samples() -> None:

@@ -7,7 +7,7 @@ import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splitband.linear import FARTHEST_POLE, OutputError, _stable
+from splitband.linear import OutputError, _stable
 
 Array = npt.NDArray[np.float64]
 TRAIN, LENGTH = 400, 600
@@ -85,15 +85,37 @@ def test_of_a_long_record_the_end_is_fitted() -> None:
     u = inputs(9000)
     y = oscillators(u, 1.0)
     y[:3000] = 5 * np.sin(np.arange(3000))[:, None]
-    found = OutputError.fit(y[:8500], u).predict(8500, 500, LAST)
-    np.testing.assert_allclose(found, y[8500:], atol=1e-5)
+    found = OutputError.fit(y[:8500], u)
+    np.testing.assert_allclose(found.predict(8500, 500, LAST), y[8500:], atol=1e-5)
+    np.testing.assert_allclose(found.predict(5000, 4000, LAST), y[5000:], atol=1e-4)
+
+
+@pytest.mark.parametrize("pole", [0.995, 0.999])
+def test_what_has_died_out_before_the_samples_that_are_fitted_is_not_made_up(pole: float) -> None:
+    rng = np.random.default_rng(3)
+    u = rng.standard_normal((9000, 1))
+    y = scipy.signal.lfilter([1 - pole], [1, -pole], u[:, 0])[:, None]
+    noisy = y + 0.1 * y.std() * rng.standard_normal(y.shape)
+    found = OutputError.fit(noisy[:8500], u).predict(0, 9000, LAST)
+    assert np.sqrt(np.mean((found - y) ** 2)) < 0.2 * y.std()
+
+
+def test_inputs_must_be_known_as_far_as_is_predicted() -> None:
+    u = inputs(50)
+    with pytest.raises(ValueError, match="u must reach to sample 51, got 50"):
+        OutputError.fit(oscillators(u)[:40], u).predict(40, 11, LAST)
 
 
 @given(poles=st.lists(st.floats(0, 5), min_size=1, max_size=4), angle=st.floats(0.1, 3))
 def test_a_pole_outside_of_the_unit_circle_is_mirrored(poles: list[float], angle: float) -> None:
     pair = np.array(poles) * np.exp(1j * angle)
     found = np.roots(_stable(polynomial([*pair, *pair.conj()])))
-    assert (abs(found) <= FARTHEST_POLE * (1 + 1e-2)).all()
+    assert (abs(found) <= 1).all()
+
+
+@pytest.mark.parametrize("poles", [[1.0001] * 8, [1.00001] * 6, np.linspace(1, 1.01, 8)])
+def test_poles_close_to_each_other_come_inside_too(poles: npt.ArrayLike) -> None:
+    assert (abs(np.roots(_stable(polynomial(poles)))) <= 1).all()
 
 
 def test_a_stable_denominator_stays() -> None:

@@ -7,11 +7,10 @@ def main() -> int:
     """The exit status of the command line."""
     try:
         from splitband.cli import main as run  # noqa: PLC0415  takes seconds, and may be stopped
-
-        return run()
     except KeyboardInterrupt:
         print("error: stopped before anything was begun", file=sys.stderr)
         return 130
+    return run()
 
 
 if __name__ == "__main__":

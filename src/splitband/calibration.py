@@ -147,7 +147,7 @@ def calibrate(
     if len(y_sim) < samples or measured < 2 or y_sim.shape[1] != y.shape[1]:
         raise ValueError(
             f"y_sim must cover the record's {samples} samples in y's channels, and y have 2 "
-            f"samples at least, got {y_sim.shape} and {y.shape}"
+            f"samples at least, got {y_sim.shape} and {y.shape}, of which {measured} were measured"
         )
     spare = len(y_sim) - samples
     # Each channel counts the same, whatever its unit.
@@ -208,12 +208,17 @@ def _held_out(
     y_sim: Array, y: Array, sampling_time: float, terms: tuple[Term, ...], samples: int
 ) -> Array:
     """RMSE over what follows the samples that were fitted, for several cuts of `y`."""
-    errors, measured = [], np.flatnonzero((~np.isnan(y)).any(axis=1))
+    errors, measured = [], ~np.isnan(y)
+    rows = np.flatnonzero(measured.any(axis=1))
     for share in (0.5, 0.6, 0.7, 0.8):
-        cut = measured[max(int(share * len(measured)), 1)]
+        cut = rows[max(int(share * len(rows)), 1)]
         found = _fit(y_sim, y[:cut], sampling_time, terms, samples)
-        errors.append(rmse(y[cut:], found.apply(y_sim, len(y), sampling_time)[cut:]))
-    return np.array(errors)
+        left = y[cut:] - found.apply(y_sim, len(y), sampling_time)[cut:]
+        # Only what is known of a channel before tells what its terms are worth.
+        told = measured[:cut].any(axis=0) & measured[cut:].any(axis=0)
+        if told.any():
+            errors.append(rmse(left[:, told], np.zeros_like(left[:, told])))
+    return np.array(errors or [0.0])
 
 
 def _fit(

@@ -20,8 +20,12 @@ RESOLUTION = 0.1
 """Sinusoids too close to be told apart are fitted as one: singular values below this are cut."""
 LONGEST = 4000
 """Samples that harmonic regression is fitted to at most: its time grows with them."""
+FARTHEST_BACK = 10 * LONGEST
+"""Rows of a record in which they lie, where some were not measured."""
 STRONG_EVIDENCE = 6.0
 """Of decays, by the information criterion: noise taken for one is carried beyond the record."""
+AS_HIGH = 0.95
+"""Of the highest peak's power: noise makes a difference of that size."""
 FASTEST_DECAY = 20.0
 """Over the whole record, as an exponent: what is gone faster is not worth a sinusoid."""
 
@@ -54,8 +58,8 @@ class HarmonicRegression:
         place of one that decays, and grow again after the record. Of a long record the last
         `LONGEST` samples are fitted.
         """
-        begin = latest(y, LONGEST)
-        fitted = [_fit_channel(channel, sinusoids, damped) for channel in y[begin:].T]
+        begin, y = recent(y)
+        fitted = [_fit_channel(channel, sinusoids, damped) for channel in y.T]
         return cls.of(fitted, begin)
 
     @classmethod
@@ -81,9 +85,19 @@ class HarmonicRegression:
         return f"{counts} sinusoid(s){some} and an offset"
 
 
-def latest(y: Array, most: int) -> int:
-    """The index from which on each channel of `y` `(time, ny)` has `most` samples, or all."""
-    return min(int(known(channel)[-most:][0]) for channel in y.T)
+def recent(y: Array) -> tuple[int, Array]:
+    """Where the end of `y` `(time, ny)` begins that is fitted, and that end.
+
+    Each channel has its last `LONGEST` samples there, those of the last `FARTHEST_BACK` if any is
+    among these.
+    """
+    y = y.copy()
+    for channel in y.T:
+        last = known(channel)[-LONGEST:]
+        near = last[last >= len(y) - FARTHEST_BACK]
+        channel[: near[0] if len(near) else last[0]] = np.nan
+    begin = min(int(known(channel)[0]) for channel in y.T)
+    return begin, y[begin:]
 
 
 def known(y: Array) -> npt.NDArray[np.int_]:
@@ -136,7 +150,7 @@ class Modes(NamedTuple):
         """
         left = np.nan_to_num(self.residual(y)) * np.exp(-weight * np.arange(len(y)) / len(y))
         frequencies, power = scipy.signal.periodogram(left, nfft=8 * len(y), detrend=False)
-        found = frequencies[1:][np.argmax(power[1:])]
+        found = frequencies[_highest(power, whole=not np.isnan(y).any())]
         more = np.append(self.frequencies, found), np.append(self.dampings, damping)
         return self._replace(frequencies=more[0], dampings=more[1]).refined(y)
 
@@ -176,9 +190,23 @@ def _fit_channel(y: Array, sinusoids: int | None, damped: bool) -> Modes:
     return best.in_units(offset, scale)
 
 
+def _highest(power: Array, whole: bool) -> int:
+    """Of a spectrum's peaks; with gaps the first of those that are as good as equally high.
+
+    What is measured now and then has images of its frequencies above them.
+    """
+    highest = 1 + int(np.argmax(power[1:]))
+    if whole:
+        return highest
+    peaks = scipy.signal.argrelmax(power)[0]
+    as_high = peaks[power[peaks] >= AS_HIGH * power[highest]]
+    return int(as_high[0]) if len(as_high) else highest
+
+
 def units(y: Array) -> tuple[float, float]:
-    """Mean and range of a channel; a constant one has 1."""
-    return float(np.nanmean(y)), float(np.nanmax(y) - np.nanmin(y)) or 1.0
+    """Mean and range of a channel; a constant one has its value and 1."""
+    low, high = float(np.nanmin(y)), float(np.nanmax(y))
+    return (float(np.nanmean(y)), high - low) if low < high else (low, 1.0)
 
 
 def _greedy(y: Array, sinusoids: int | None, damping: float) -> Modes:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.harmonic import LONGEST, known, latest, units
+from splitband.harmonic import known, recent, units
 from splitband.metrics import spread
 
 Array = npt.NDArray[np.float64]
@@ -25,9 +25,9 @@ ORDERS = (1, 2, 3, 4, 6, 8)
 ROUNDS = 20
 """Of the iteration by which the search begins; the best of them counts."""
 FARTHEST_POLE = 0.9999
-"""From 0 at most: what decays slower than that grows, for all that a record can tell."""
+"""Largest size of a pole: what decays slower than that grows, for all that a record can tell."""
 _CUTS = (0.6, 0.7, 0.8, 0.9)
-_RANK = 1e-10
+_RANK, _GONE = 1e-10, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class OutputError:
 
         Each channel has a model of its own, with poles that are stable and as many as predict best
         what follows the samples they are fitted to, over several cuts of `y`. Of a long record the
-        last `LONGEST` samples are fitted.
+        last samples are fitted, see `harmonic.recent`.
 
         Parameters
         ----------
@@ -62,6 +62,8 @@ class OutputError:
     def predict(self, start: int, steps: int, last: Array) -> Array:
         """See `Naive`; not beyond the inputs that are known."""
         end = start + steps
+        if end > len(self.u):
+            raise ValueError(f"u must reach to sample {end}, got {len(self.u)} samples")
         simulated = [channel.simulate(self.u[:end]) for channel in self.channels]
         return np.stack(simulated, axis=1)[start:]
 
@@ -88,9 +90,9 @@ def _fit_channel(y: Array, u: Array) -> Channel:
     """In its units; found in units of its own range."""
     offset, scale = units(y)
     y = (y - offset) / scale
-    begin = latest(y[:, None], LONGEST)
-    a = _denominator(y[begin:], u[begin:])
-    found, _ = _solved(a, y, u, begin)
+    begin, end = recent(y[:, None])
+    a = _denominator(end[:, 0], u[begin:])
+    found = _solved(a, y, u, begin)[0]
     b, c = found[: -len(a)].reshape(u.shape[1], -1), found[-len(a) : -1]
     return Channel(a, scale * b, scale * c, offset + scale * float(found[-1]))
 
@@ -100,7 +102,7 @@ def _denominator(y: Array, u: Array) -> Array:
     most = max((len(known(y)) // 3 - u.shape[1] - 1) // (2 + u.shape[1]), 1)
     orders = [order for order in ORDERS if order <= most]
     errors = {order: _held_out(y, u, order) for order in orders}
-    return _of_order(y, u, min(orders, key=lambda order: errors[order]))
+    return _refined(_of_order(y, u, min(orders, key=lambda order: errors[order])), y, u)
 
 
 def _held_out(y: Array, u: Array, order: int) -> float:
@@ -116,8 +118,8 @@ def _held_out(y: Array, u: Array, order: int) -> float:
 
 
 def _of_order(y: Array, u: Array, order: int) -> Array:
-    """The denominator that leaves least, found from the best one of an iteration."""
-    return _refined(min(_tried(y, u, order), key=lambda at: at[0])[1], y, u)
+    """The denominator that leaves least, out of those that are tried."""
+    return min(_tried(y, u, order), key=lambda at: at[0])[1]
 
 
 def _tried(y: Array, u: Array, order: int) -> Iterator[tuple[float, Array]]:
@@ -156,8 +158,11 @@ def _solved(a: Array, y: Array, u: Array, begin: int = 0) -> tuple[Array, Array]
     rows = known(y)
     rows = rows[rows >= begin]
     basis = np.hstack([_driven(a, u), np.ones((len(u), 1))])
-    found = np.linalg.lstsq(basis[rows], y[rows], rcond=_RANK)[0].astype(np.float64)
-    return found, basis @ found
+    fitted = basis[rows]
+    # What has died out by then, as C does, could be anything before.
+    gone = abs(fitted).max(axis=0) < _GONE * abs(basis).max(axis=0)
+    found = np.linalg.lstsq(np.where(gone, 0.0, fitted), y[rows], rcond=_RANK)[0]
+    return found.astype(np.float64), np.asarray(basis @ found)
 
 
 def _driven(a: Array, u: Array) -> Array:
@@ -180,10 +185,14 @@ def _delayed(x: Array, samples: int) -> Array:
 
 
 def _stable(a: Array) -> Array:
-    """With the poles outside of the unit circle mirrored into it."""
+    """With the poles outside of the unit circle mirrored into it, `FARTHEST_POLE` at most."""
     poles = np.roots(a)
     size = abs(poles)
     if (size <= FARTHEST_POLE).all():
         return a
     inside = np.minimum(np.where(size > 1, 1 / np.maximum(size, 1), size), FARTHEST_POLE)
-    return np.real(np.poly(np.where(size > 0, poles * inside / np.maximum(size, 1e-300), 0)))
+    a = np.real(np.poly(np.where(size > 0, poles * inside / np.maximum(size, 1e-300), 0)))
+    # Poles close to each other are known to fewer digits, and may lie outside once more.
+    while (largest := abs(np.roots(a)).max(initial=0.0)) > 1:
+        a = a * (0.999 / largest) ** np.arange(len(a))
+    return a

@@ -17,6 +17,10 @@ import scipy
 Array = npt.NDArray[np.float64]
 
 
+ENOUGH_PAIRS = 0.25
+"""Of measured samples a lag apart, as a share of the most at any lag: fewer agree by chance."""
+
+
 class Naive(Protocol):
     """A prediction that needs no training beyond a closed-form fit."""
 
@@ -97,11 +101,11 @@ class SeasonalNaive:
         lags up to half the record at which the record resembles itself: the local minima of its
         mean squared difference at a lag.
         """
-        found = {lag: _last_period(y, lag) for lag in sorted(self_similar_lags(y))}
+        errors = {lag: _last_period(y, lag)[1] for lag in sorted(self_similar_lags(y))}
         # A period and its multiples tie up to rounding: the shortest one is meant.
-        least = min(error for _, error in found.values())
-        good_enough = least * (1 + 1e-9) + 1e-24 * float(np.nanmean(y**2))
-        return cls(next(period for period, error in found.values() if error <= good_enough), len(y))
+        good_enough = min(errors.values()) * (1 + 1e-9) + 1e-24 * float(np.nanmean(y**2))
+        lag = next(lag for lag, error in errors.items() if error <= good_enough)
+        return cls(_last_period(y, lag)[0], len(y))
 
     @property
     def lag(self) -> int:
@@ -125,7 +129,7 @@ def self_similar_lags(y: Array, most: int = 200) -> list[int]:
     """
     n = len(y)
     lags = np.arange(1, n // 2 + 1)
-    difference = np.zeros(len(lags))
+    difference, doubtful = np.zeros(len(lags)), np.zeros(len(lags), dtype=np.bool_)
     for channel in y.T:
         measured = (~np.isnan(channel)).astype(np.float64)
         centred = np.nan_to_num(channel - np.nanmean(channel))
@@ -140,8 +144,9 @@ def self_similar_lags(y: Array, most: int = 200) -> list[int]:
             )
         )
         pairs = np.rint(pairs)
-        unknown = np.where(pairs > 0, 0.0, np.inf)
-        difference += (before + after - 2 * products) / np.maximum(pairs, 1) + unknown
+        doubtful |= pairs < ENOUGH_PAIRS * pairs.max()
+        difference += (before + after - 2 * products) / np.maximum(pairs, 1)
+    difference[doubtful] = np.inf
     minima = scipy.signal.argrelmin(np.append(difference, np.inf))[0]  # the last lag may be one
     ranked = minima[np.argsort(difference[minima], kind="stable")]
     return [int(lags[i]) for i in ranked[:most]] or [int(lags[-1])]
@@ -168,9 +173,9 @@ def _last_period(y: Array, lag: int) -> tuple[Array, float]:
     """The last measured sample at each phase, and its mean squared error for all earlier ones."""
     by_season = seasons(y, lag)
     count = len(by_season)
-    measured = ~np.isnan(by_season)
-    latest = count - 1 - measured[::-1].argmax(axis=0)
-    period = np.take_along_axis(by_season, latest[None], axis=0)[0]
-    earlier = measured & (np.arange(count)[:, None, None] < latest)
-    errors = (by_season - period)[earlier]
-    return all_around(period), float(np.mean(errors**2)) if len(errors) else np.inf
+    last = count - 1 - (~np.isnan(by_season))[::-1].argmax(axis=0)
+    period = np.take_along_axis(by_season, last[None], axis=0)[0]
+    errors = by_season - period
+    errors[np.arange(count)[:, None, None] >= last] = np.nan
+    compared = len(errors.ravel()) - np.count_nonzero(np.isnan(errors))
+    return all_around(period), float(np.nansum(errors**2) / compared) if compared else np.inf

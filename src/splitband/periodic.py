@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from splitband.harmonic import LONGEST, HarmonicRegression, Modes, known, latest, units
+from splitband.harmonic import HarmonicRegression, Modes, known, recent, units
 from splitband.naive import SeasonalNaive, all_around, seasons, self_similar_lags
 
 Array = npt.NDArray[np.float64]
@@ -52,8 +52,8 @@ class PeriodicRegression:
         samples that were fitted, for several cuts of `y`. Of a long record the last
         `harmonic.LONGEST` samples are used.
         """
-        begin = latest(y, LONGEST)
-        channels = [_fit_channel(channel) for channel in y[begin:].T]
+        begin, y = recent(y)
+        channels = [_fit_channel(channel) for channel in y.T]
         return cls(
             HarmonicRegression.of(channels, begin),
             tuple(1 / m.frequencies[0] if len(m.frequencies) else 0.0 for m in channels),

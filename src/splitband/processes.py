@@ -116,7 +116,7 @@ def _in_processes(
 
 @contextlib.contextmanager
 def _no_interrupts() -> Iterator[None]:
-    """Let Ctrl-C wait: a process begun in here does not hear it, not even while it imports."""
+    """A process begun in here does not hear Ctrl-C, not even while it imports; it inherits that."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
