@@ -100,6 +100,14 @@ def test_what_has_died_out_before_the_samples_that_are_fitted_is_not_made_up(pol
     assert np.sqrt(np.mean((found - y) ** 2)) < 0.2 * y.std()
 
 
+def test_an_input_that_was_stronger_before_still_counts() -> None:
+    u = inputs(9000)
+    u[:3000] *= 50
+    y = oscillators(u)
+    found = OutputError.fit(y[:8500], u).predict(8500, 500, LAST)
+    np.testing.assert_allclose(found, y[8500:], atol=1e-5)
+
+
 def test_inputs_must_be_known_as_far_as_is_predicted() -> None:
     u = inputs(50)
     with pytest.raises(ValueError, match="u must reach to sample 51, got 50"):

@@ -159,9 +159,11 @@ def _solved(a: Array, y: Array, u: Array, begin: int = 0) -> tuple[Array, Array]
     rows = rows[rows >= begin]
     basis = np.hstack([_driven(a, u), np.ones((len(u), 1))])
     fitted = basis[rows]
-    # What has died out by then, as C does, could be anything before.
-    gone = abs(fitted).max(axis=0) < _GONE * abs(basis).max(axis=0)
-    found = np.linalg.lstsq(np.where(gone, 0.0, fitted), y[rows], rcond=_RANK)[0]
+    # Where what C is multiplied with has died out by then, C could be anything.
+    of_c = slice(-len(a), -1)
+    gone = abs(fitted[:, of_c]).max(axis=0) < _GONE * abs(basis[:, of_c]).max(axis=0)
+    fitted[:, of_c] = np.where(gone, 0.0, fitted[:, of_c])
+    found = np.linalg.lstsq(fitted, y[rows], rcond=_RANK)[0]
     return found.astype(np.float64), np.asarray(basis @ found)
 
 

@@ -96,7 +96,7 @@ def _in_processes(
     others = multiprocessing.active_children()
     pool = ProcessPoolExecutor(processes, context, _start_worker, (queue,))
     try:
-        with _no_interrupts():
+        with _no_interrupts():  # the queue has begun multiprocessing's tracker, which undoes it
             results = [pool.submit(_work, work, job) for job in jobs]
         for done in as_completed(results):
             yield done.result()
