@@ -29,11 +29,11 @@ from splitband.calibration import Term, calibrate
 from splitband.checkpoints import Checkpoint
 from splitband.cli.inspecting import _show_simulator
 from splitband.comparison import compare, run
-from splitband.harmonic import LONGEST, HarmonicRegression, recent
+from splitband.harmonic import HarmonicRegression
 from splitband.methods import FIXED, Setup, build, check
 from splitband.metrics import cumulative_rmse, leaves_range, nrmse, rmse, spread
 from splitband.models import Signals, Task
-from splitband.naive import Naive, SeasonalNaive, _last_period
+from splitband.naive import LONGEST, Naive, SeasonalNaive, _last_period, recent
 from splitband.periodic import PeriodicRegression
 from splitband.saving import load
 from splitband.training import MOST_BATCHES, STEPS

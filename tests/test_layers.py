@@ -52,7 +52,6 @@ LEAVES = (
     "metrics",
     "naive",
     "bands",
-    "harmonic",
     "files",
     "threads",
     "kernels",

@@ -14,14 +14,12 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from splitband.naive import known, recent, units
+
 Array = npt.NDArray[np.float64]
 
 RESOLUTION = 0.1
 """Sinusoids too close to be told apart are fitted as one: singular values below this are cut."""
-LONGEST = 4000
-"""Samples that harmonic regression is fitted to at most: its time grows with them."""
-FARTHEST_BACK = 10 * LONGEST
-"""Rows of a record in which they lie, where some were not measured."""
 STRONG_EVIDENCE = 6.0
 """Of decays, by the information criterion: noise taken for one is carried beyond the record."""
 AS_HIGH = 0.95
@@ -56,7 +54,7 @@ class HarmonicRegression:
         is willing to pay for, at most 10. With `damped` each may decay where that pays too, as the
         free vibrations of a driven system do: without, two that beat against each other take the
         place of one that decays, and grow again after the record. Of a long record the last
-        `LONGEST` samples are fitted.
+        `naive.LONGEST` samples are fitted.
         """
         begin, y = recent(y)
         fitted = [_fit_channel(channel, sinusoids, damped) for channel in y.T]
@@ -83,26 +81,6 @@ class HarmonicRegression:
         decaying = sum(int((d > 0).sum()) for d in self.dampings)
         some = f", {decaying} of them decaying," if decaying else ""
         return f"{counts} sinusoid(s){some} and an offset"
-
-
-def recent(y: Array) -> tuple[int, Array]:
-    """Where the end of `y` `(time, ny)` begins that is fitted, and that end.
-
-    Each channel has its last `LONGEST` samples there, those of the last `FARTHEST_BACK` if any is
-    among these.
-    """
-    y = y.copy()
-    for channel in y.T:
-        last = known(channel)[-LONGEST:]
-        near = last[last >= len(y) - FARTHEST_BACK]
-        channel[: near[0] if len(near) else last[0]] = np.nan
-    begin = min(int(known(channel)[0]) for channel in y.T)
-    return begin, y[begin:]
-
-
-def known(y: Array) -> npt.NDArray[np.int_]:
-    """The indices at which a channel `(time,)` was measured."""
-    return np.flatnonzero(~np.isnan(y))
 
 
 def _basis(frequencies: Array, dampings: Array, index: npt.NDArray[np.int_]) -> Array:
@@ -201,12 +179,6 @@ def _highest(power: Array, whole: bool) -> int:
     peaks = scipy.signal.argrelmax(power)[0]
     as_high = peaks[power[peaks] >= AS_HIGH * power[highest]]
     return int(as_high[0]) if len(as_high) else highest
-
-
-def units(y: Array) -> tuple[float, float]:
-    """Mean and range of a channel; a constant one has its value and 1."""
-    low, high = float(np.nanmin(y)), float(np.nanmax(y))
-    return (float(np.nanmean(y)), high - low) if low < high else (low, 1.0)
 
 
 def _greedy(y: Array, sinusoids: int | None, damping: float) -> Modes:

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.harmonic import known, recent, units
 from splitband.metrics import spread
+from splitband.naive import known, recent, units
 
 Array = npt.NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class OutputError:
 
         Each channel has a model of its own, with poles that are stable and as many as predict best
         what follows the samples they are fitted to, over several cuts of `y`. Of a long record the
-        last samples are fitted, see `harmonic.recent`.
+        last samples are fitted, see `naive.recent`.
 
         Parameters
         ----------

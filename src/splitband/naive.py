@@ -16,9 +16,12 @@ import scipy
 
 Array = npt.NDArray[np.float64]
 
-
 ENOUGH_PAIRS = 0.25
 """Of measured samples a lag apart, as a share of the most at any lag: fewer agree by chance."""
+LONGEST = 4000
+"""Samples that what is fitted by least squares is fitted to at most: its time grows with them."""
+FARTHEST_BACK = 10 * LONGEST
+"""Rows of a record in which they lie, where some were not measured."""
 
 
 class Naive(Protocol):
@@ -120,6 +123,32 @@ class SeasonalNaive:
 
     def __str__(self) -> str:
         return f"the last {self.lag} training samples, repeated"
+
+
+def recent(y: Array) -> tuple[int, Array]:
+    """Where the end of `y` `(time, ny)` begins that is fitted, and that end.
+
+    Each channel has its last `LONGEST` samples there, those of the last `FARTHEST_BACK` if any is
+    among these.
+    """
+    y = y.copy()
+    for channel in y.T:
+        last = known(channel)[-LONGEST:]
+        near = last[last >= len(y) - FARTHEST_BACK]
+        channel[: near[0] if len(near) else last[0]] = np.nan
+    begin = min(int(known(channel)[0]) for channel in y.T)
+    return begin, y[begin:]
+
+
+def known(y: Array) -> npt.NDArray[np.int_]:
+    """The indices at which a channel `(time,)` was measured."""
+    return np.flatnonzero(~np.isnan(y))
+
+
+def units(y: Array) -> tuple[float, float]:
+    """Mean and range of a channel; a constant one has its value and 1."""
+    low, high = float(np.nanmin(y)), float(np.nanmax(y))
+    return (float(np.nanmean(y)), high - low) if low < high else (low, 1.0)
 
 
 def self_similar_lags(y: Array, most: int = 200) -> list[int]:

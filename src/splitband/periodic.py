@@ -12,8 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from splitband.harmonic import HarmonicRegression, Modes, known, recent, units
-from splitband.naive import SeasonalNaive, all_around, seasons, self_similar_lags
+from splitband.harmonic import HarmonicRegression, Modes
+from splitband.naive import (
+    SeasonalNaive,
+    all_around,
+    known,
+    recent,
+    seasons,
+    self_similar_lags,
+    units,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -50,7 +58,7 @@ class PeriodicRegression:
         as many harmonics are taken as the Bayesian information criterion pays for. The period may
         then move, and vibrations that die out may be added, where that pays on what follows the
         samples that were fitted, for several cuts of `y`. Of a long record the last
-        `harmonic.LONGEST` samples are used.
+        `naive.LONGEST` samples are used.
         """
         begin, y = recent(y)
         channels = [_fit_channel(channel) for channel in y.T]
