@@ -40,6 +40,8 @@ _SETS: tuple[tuple[Term, ...], ...] = (
 class Calibration:
     """y(t) = offset + gain * simulator(clock * t - delay).
 
+    t is counted from the origin, the first sample of the record that the calibration was fitted to.
+
     Attributes
     ----------
     gain, offset : By channel; none stands for 1 and 0.
@@ -57,21 +59,32 @@ class Calibration:
     errors: dict[str, float] = field(default_factory=dict)
     untried: str = ""
 
-    def apply(self, y_sim: Array, samples: int, sampling_time: float) -> Array:
+    def apply(
+        self,
+        y_sim: Array,
+        samples: int,
+        sampling_time: float,
+        begin: float = 0.0,
+        begin_sim: float = 0.0,
+    ) -> Array:
         """The calibrated trajectory, `(samples, ny)`.
 
         Parameters
         ----------
-        y_sim : `(time, ny)` from time 0 on. Before its first and after its last sample the
-            simulator stands still.
+        y_sim : `(time, ny)`. Before the origin, its first and after its last sample the simulator
+            stands still.
         samples : How many to return.
         sampling_time : In s, of both.
+        begin, begin_sim : Where the first sample to return and the first of `y_sim` lie, in samples
+            after the origin.
         """
         self.check(y_sim.shape[1])
-        if len(y_sim) < samples:
-            raise ValueError(f"y_sim must have {samples} samples at least, got {len(y_sim)}")
-        index = self.clock * np.arange(samples, dtype=np.float64) - self.delay / sampling_time
-        moved = y_sim[:samples] if self._stays() else _spline(y_sim)(index)
+        index = self.places(samples, sampling_time, begin) - begin_sim
+        rows = np.rint(index).astype(int)
+        if self.stays and rows[-1] >= len(y_sim):
+            raise ValueError(f"y_sim must have {rows[-1] + 1} samples at least, got {len(y_sim)}")
+        on_rows = self.stays and bool(np.abs(index - rows).max() < 1e-6)
+        moved = y_sim[np.maximum(rows, 0)] if on_rows else _spline(y_sim)(index)
         gain = np.array(self.gain or 1.0)
         return np.asarray(gain * moved + np.array(self.offset or 0.0), dtype=np.float64)
 
@@ -90,10 +103,12 @@ class Calibration:
             if len(getattr(self, name)) not in (0, ny):
                 raise ValueError(f"{name} must have {ny} value(s), got {len(getattr(self, name))}")
 
-    def needs(self, samples: int, sampling_time: float) -> int:
-        """How many samples of the simulator `apply` looks at for so many of the record."""
-        last = self.clock * (samples - 1) - self.delay / sampling_time
-        return max(samples, int(np.ceil(last - 1e-6)) + 1)
+    def places(self, samples: int, sampling_time: float, begin: float = 0.0) -> Array:
+        """Where `apply` looks at the simulator, `(samples,)`, in samples after the origin."""
+        index = begin + np.arange(samples, dtype=np.float64)
+        if self.stays:
+            return index
+        return np.maximum(self.clock * index - self.delay / sampling_time, 0.0)
 
     def __str__(self) -> str:
         """The terms that were kept, with their units."""
@@ -108,7 +123,9 @@ class Calibration:
             parts.append(f"clock {self.clock:.5g}")
         return "; ".join(parts) or "as it comes"
 
-    def _stays(self) -> bool:
+    @property
+    def stays(self) -> bool:
+        """Whether the simulator's time is left as it is."""
         return self.delay == 0 and self.clock == 1
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -47,18 +47,17 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None =
     rows = [(name, channel) for name in runs for channel in range(record.ny)]
     figure = Figure(figsize=(13, 1.1 + 1.25 * len(rows)), layout="constrained")
     grid = figure.subplots(len(rows), 2, sharex="col", sharey="row", squeeze=False)
-    warmup, end = setup.settings.warmup, setup.train
+    warmup, end, times = setup.settings.warmup, setup.train, _times(record)
     starts = first_start(record, warmup), last_start(record, warmup, end)
     for axes, (name, channel) in zip(grid, rows, strict=True):
         mean = ensemble(runs[name], record, setup)
         sides = (axes[0], starts[0], mean.from_start), (axes[1], starts[1], mean.forecast)
         for ax, start, prediction in sides:
             _draw_record(ax, record, channel, start - warmup)
-            time = record.time[-len(prediction) :]
+            time = times[-len(prediction) :]
             ax.plot(time, prediction[:, channel], color=_color(runs, name), lw=1.1)
-            shaded = record.time[start - warmup], record.time[start - 1]
-            ax.axvspan(*shaded, color="0.93", zorder=0)
-            ax.axvline(record.time[end], color="0.4", ls=":", lw=1)
+            ax.axvspan(times[start - warmup], times[start - 1], color="0.93", zorder=0)
+            ax.axvline(times[end], color="0.4", ls=":", lw=1)
             chosen = trial is not None and name == trial.recommended
             error = by_channel(record, prediction)[channel]
             title = f"{name}{' (recommended)' if chosen else ''}   RMSE {error:.3g}"
@@ -69,12 +68,12 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None =
             half = trial.bands[name].half_widths(len(middle))[:, channel]
             color = _color(runs, name)
             axes[1].fill_between(
-                record.time[end:], middle - half, middle + half, color=color, alpha=0.18, lw=0
+                times[end:], middle - half, middle + half, color=color, alpha=0.18, lw=0
             )
         axes[0].set_ylabel(_literal(record.columns[channel]))
         axes[0].set_ylim(*_limits(record.seen[:, channel]))
     for ax in grid[-1]:
-        ax.set_xlabel("time (s)")
+        ax.set_xlabel(_time_label(record))
     figure.suptitle(
         f"{_literal(record.name)}: free runs (colour, mean of the seeds) over the record (grey)\n"
         "left: from the start; right: forecast from the end of the training part "
@@ -90,10 +89,12 @@ def forecast(record: Trajectory, table: pd.DataFrame, method: str) -> Figure:
     """The end of a record and what `reporting.forecast` says comes after it."""
     figure = Figure(figsize=(11, 0.8 + 2.2 * record.ny), layout="constrained")
     grid = figure.subplots(record.ny, 1, sharex=True, squeeze=False)[:, 0]
-    ahead = record.time[-1] + table.iloc[:, 0]
+    time, ahead = _times(record), _drawn(pd.Index(table.iloc[:, 0]))
+    if record.start is None:  # the table counts from the record's end
+        ahead = time[-1] + ahead
     shown = max(len(record) - 2 * len(table), 0)
     for i, (ax, column) in enumerate(zip(grid, record.columns, strict=True)):
-        ax.plot(record.time[shown:], record.seen[shown:, i], color="0.35", lw=0.9, label="measured")
+        ax.plot(time[shown:], record.seen[shown:, i], color="0.35", lw=0.9, label="measured")
         ax.plot(ahead, table[column], color=_PALETTE[0], lw=1.2, label=_literal(method))
         edges = table[f"{column}, lower"], table[f"{column}, upper"]
         ax.fill_between(
@@ -104,7 +105,7 @@ def forecast(record: Trajectory, table: pd.DataFrame, method: str) -> Figure:
     grid[0].legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     title = f"{_literal(record.name)}: {len(table)} samples ahead"
     grid[0].set_title(title, fontsize=10, loc="left")
-    grid[-1].set_xlabel("time (s)")
+    grid[-1].set_xlabel(_time_label(record))
     return figure
 
 
@@ -126,24 +127,20 @@ def components(
         raise ValueError(f"none of {', '.join(runs)} has {what} to draw")
     figure = Figure(figsize=(13, 0.9 + 1.7 * len(rows)), layout="constrained")
     grid = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
-    start = first_start(record, setup.settings.warmup)
+    start, times = first_start(record, setup.settings.warmup), _times(record)
     says = "components before they are added" if what == "components" else "before the filters"
     for ax, (name, channel) in zip(grid, rows, strict=True):
         _draw_record(ax, record, channel, 0)
         for color, (part, values) in zip(_PALETTE, parts[name].items(), strict=False):
-            ax.plot(record.time[start:], values[:, channel], color=color, lw=1, label=part)
-        ax.axvspan(
-            record.time[start - setup.settings.warmup],
-            record.time[start - 1],
-            color="0.93",
-            zorder=0,
-        )
-        ax.axvline(record.time[setup.train], color="0.4", ls=":", lw=1)
+            ax.plot(times[start:], values[:, channel], color=color, lw=1, label=part)
+        warmed_up = times[start - setup.settings.warmup], times[start - 1]
+        ax.axvspan(*warmed_up, color="0.93", zorder=0)
+        ax.axvline(times[setup.train], color="0.4", ls=":", lw=1)
         ax.set_title(f"{name}: {says}", fontsize=9, loc="left", pad=3)
         ax.set_ylabel(_literal(record.columns[channel]))
         ax.margins(x=0.01)
         ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    grid[-1].set_xlabel("time (s)")
+    grid[-1].set_xlabel(_time_label(record))
     return figure
 
 
@@ -151,16 +148,17 @@ def errors(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
     """The cumulative RMSE e_n over time under both protocols, mean and range over seeds."""
     figure = Figure(figsize=(13, 4.6), layout="constrained")
     protocols = (("from the start", _from_start), ("forecast", _forecast))
+    times = _times(record)
     for ax, (title, prediction) in zip(figure.subplots(1, 2), protocols, strict=True):
         for name, of_method in runs.items():
             steps = len(prediction(of_method[0]))
-            truth, time = record.truth[-steps:], record.time[-steps:]
+            truth, time = record.truth[-steps:], times[-steps:]
             curves = np.stack([cumulative_rmse(truth, prediction(r)) for r in of_method])
             color = _color(runs, name)
             ax.plot(time, curves.mean(axis=0), color=color, lw=1.4, label=name)
             if len(curves) > 1:
                 ax.fill_between(time, curves.min(0), curves.max(0), color=color, alpha=0.15, lw=0)
-        ax.axvline(record.time[setup.train], color="0.4", ls=":", lw=1)
+        ax.axvline(times[setup.train], color="0.4", ls=":", lw=1)
         ax.set_yscale("log")
         # The first samples after a warm-up say little, and would set the scale.
         settled = [line.get_ydata()[10:] for line in ax.lines if len(line.get_ydata()) > 20]
@@ -168,7 +166,7 @@ def errors(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
         ax.set_ylim(bottom=0.7 * min(lowest, default=1e-3))
         ax.yaxis.set_major_formatter("{x:g}")
         ax.set_title(f"{_literal(record.name)}, {title}", fontsize=10)
-        ax.set_xlabel("time (s)")
+        ax.set_xlabel(_time_label(record))
         ax.set_ylabel("RMSE since the warm-up (e_n)")
         ax.grid(True, which="both", color="0.93", lw=0.6)
     ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1))
@@ -267,10 +265,26 @@ def _literal(name: str) -> str:
 
 
 def _draw_record(ax: Axes, record: Trajectory, channel: int, begin: int) -> None:
-    time = record.time[begin:]
+    time = _times(record)[begin:]
     ax.plot(time, record.seen[begin:, channel], color=_MEASURED, lw=0.9)
     if record.y_true is not None:
         ax.plot(time, record.y_true[begin:, channel], color=_TRUTH, lw=0.7)
+
+
+def _times(record: Trajectory) -> npt.NDArray[Any]:
+    """What is drawn along the axis of time: the time stamps, or seconds from the beginning."""
+    return _drawn(pd.Index(record.stamps))
+
+
+def _drawn(stamps: pd.Index[Any]) -> npt.NDArray[Any]:
+    """Time stamps as matplotlib takes them; dates as they read in their own time zone."""
+    if isinstance(stamps, pd.DatetimeIndex):
+        stamps = stamps.tz_localize(None)
+    return np.asarray(stamps)
+
+
+def _time_label(record: Trajectory) -> str:
+    return "time" if isinstance(record.start, pd.Timestamp) else "time (s)"
 
 
 def _color(runs: Runs, name: str) -> str:

@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from splitband.bands import Band
 from splitband.comparison import Run, by_channel, ensemble
 from splitband.data import Trajectory
+from splitband.data.timing import as_json, stamps_at
 from splitband.methods import Setup
 from splitband.trial import Trial
 
@@ -33,6 +35,7 @@ def results(
             "name": record.name,
             "samples": len(record),
             "sampling_time": record.sampling_time,
+            "start": as_json(record.start),
             "columns": list(record.columns),
             "inputs": record.nu,
             "gaps": 0 if record.measured is None else int((~record.complete).sum()),
@@ -63,7 +66,7 @@ def predictions(
     One column for each channel, method and protocol, empty before a prediction begins; of several
     seeds their mean. The forecast of the recommended method has its band beside it.
     """
-    table = {time_header(record.columns): record.time}
+    table: dict[str, Any] = {time_header(record.columns): record.stamps}
     for i, column in enumerate(record.columns):
         table[column] = record.seen[:, i]
         for name, of_method in runs.items():
@@ -82,12 +85,12 @@ def predictions(
 def forecast(record: Trajectory, runs: Sequence[Run], band: Band) -> pd.DataFrame:
     """What `forecast` writes: the samples after the record's last, and their band.
 
-    A column of seconds after the last sample, and three for each channel; of several seeds the
+    A column of time stamps, see `time_ahead`, and three for each channel; of several seeds the
     mean.
     """
     mean = np.mean([run.forecast for run in runs], axis=0)
     half = band.half_widths(len(mean))
-    table = {time_header(record.columns): record.sampling_time * np.arange(1, len(mean) + 1)}
+    table: dict[str, Any] = {time_header(record.columns): time_ahead(record, len(mean))}
     for i, column in enumerate(record.columns):
         table |= {
             column: mean[:, i],
@@ -95,6 +98,14 @@ def forecast(record: Trajectory, runs: Sequence[Run], band: Band) -> pd.DataFram
             f"{column}, upper": (mean + half)[:, i],
         }
     return pd.DataFrame(table)
+
+
+def time_ahead(record: Trajectory, steps: int) -> npt.NDArray[np.float64] | pd.DatetimeIndex:
+    """The time stamps of the samples after a record; without any, seconds after its last sample."""
+    rows = np.arange(steps)
+    if record.start is None:
+        return stamps_at(0.0, record.sampling_time, 1 + rows)
+    return stamps_at(record.start, record.sampling_time, len(record) + rows)
 
 
 def time_header(columns: Sequence[str]) -> str:

@@ -19,7 +19,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.data import Trajectory
+from splitband.data import Aligned, Grid, Stamp, Trajectory, aligned
+from splitband.data.alignment import reach
+from splitband.data.timing import seconds_of
 from splitband.files import replacing
 
 Array = npt.NDArray[np.float64]
@@ -37,41 +39,50 @@ class Simulator(Protocol):
     """What `run` asks of a simulator."""
 
     def simulate(self, time: Array) -> npt.ArrayLike:
-        """The measured channels at the evenly spaced `time` in s: `(time,)` or `(time, ny)`."""
+        """The measured channels at the evenly spaced `time` in s: `(time,)` or `(time, ny)`.
+
+        `time` is the record's own, see `run`. An initial state is that of its first sample.
+        """
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """An exported trajectory: a simulation made elsewhere, sampled like the record.
+    """An exported trajectory: a simulation made elsewhere, at times of its own.
 
     Attributes
     ----------
-    y : `(time,)` or `(time, ny)`, aligned with the record's first sample.
+    y : `(time,)` or `(time, ny)`.
     sampling_time : In s.
+    start : Time stamp of the first sample; None for one that begins with the record.
     """
 
     y: npt.ArrayLike
     sampling_time: float
+    start: Stamp | None = None
 
     @classmethod
     def of(cls, trajectory: Trajectory) -> Recorded:
-        """The trajectory of a file that `read` has read."""
-        return cls(trajectory.y, trajectory.sampling_time)
+        """The trajectory of a file that `read` has read, with its time stamps."""
+        return cls(trajectory.y, trajectory.sampling_time, trajectory.start)
+
+    def on(self, grid: Grid) -> Aligned:
+        """The trajectory at other times; raises ValueError where it does not cover them."""
+        y = np.asarray(self.y, float)
+        y = y[:, None] if y.ndim == 1 else y
+        return aligned("the exported trajectory", y, self._grid, grid)
+
+    def reach(self, grid: Grid) -> int:
+        """How many times, counted on from the first of the grid, it covers."""
+        return reach(self._grid, grid)
 
     def simulate(self, time: Array) -> npt.ArrayLike:
-        """See `Simulator`; raises ValueError for another rate or a record longer than this one."""
-        y = np.asarray(self.y, float)
+        """See `Simulator`; with time stamps in s, `time` is on the same clock."""
         step = float(time[1] - time[0]) if len(time) > 1 else self.sampling_time
-        if abs(step - self.sampling_time) > 0.01 * step:
-            raise ValueError(
-                f"the exported trajectory must be sampled like the record, every {step:g} s, "
-                f"got every {self.sampling_time:g} s"
-            )
-        if len(y) < len(time):
-            raise ValueError(
-                f"the exported trajectory must cover the record's {len(time)} samples, got {len(y)}"
-            )
-        return y[: len(time)]
+        return self.on(Grid(float(time[0]), step, len(time))).values
+
+    @property
+    def _grid(self) -> Grid:
+        return Grid(self.start, self.sampling_time, len(np.asarray(self.y)))
 
 
 @dataclass(frozen=True)
@@ -239,18 +250,22 @@ def run(
     timeout: float | None = None,
     cache: str | Path | None = None,
     name: str | None = None,
+    start: Stamp | None = None,
 ) -> Array:
     """Call a simulator and check what it returns.
 
     Parameters
     ----------
     simulator : Anything with a `simulate(time)`.
-    samples, sampling_time : The time grid: 0, dt, 2 dt, ... in s.
+    samples, sampling_time : How many samples, and the time between two of them in s.
     ny : Channels of the record.
     timeout : Seconds to wait; what runs on then is left behind in a thread.
     cache : Folder to keep trajectories in, for a simulator whose `fingerprint()` gives a string
         that changes with whatever its trajectory depends on; an FMU's is its content.
     name : What messages call the simulator, by default its class.
+    start : The record's first time stamp. In seconds, the simulator is asked for start, start + dt,
+        start + 2 dt, ...; where it is a date, or there is none, for 0, dt, 2 dt, ... An exported
+        trajectory is aligned by its time stamps.
 
     Returns
     -------
@@ -264,13 +279,20 @@ def run(
         names the simulator.
     """
     name = name or type(simulator).__name__
-    stored = _cache_file(simulator, (samples, sampling_time, ny), cache)
+    begin = seconds_of(start)
+    stored = _cache_file(simulator, (samples, sampling_time, ny, begin), cache)
     if stored is not None and stored.is_file():
         return np.asarray(np.load(stored, allow_pickle=False))
     # A grid has two points at least, from which a simulator can tell its step.
-    time: Array = np.arange(max(samples, 2), dtype=np.float64) * sampling_time
+    time: Array = begin + np.arange(max(samples, 2), dtype=np.float64) * sampling_time
+
+    def simulate() -> npt.ArrayLike:
+        if isinstance(simulator, Recorded):  # `time` does not say what is a date
+            return simulator.on(Grid(start, sampling_time, len(time))).values
+        return simulator.simulate(time)
+
     try:
-        found = np.asarray(within(timeout, lambda: simulator.simulate(time)))
+        found = np.asarray(within(timeout, simulate))
         if np.iscomplexobj(found):
             raise TypeError("its values must be real")
         y = np.asarray(found, float)

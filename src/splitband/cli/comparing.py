@@ -110,6 +110,7 @@ def compare(
         simulator_timeout,
         simulator_cache,
         beyond=any(CALIBRATED in method for method in chosen),
+        time_column=time_column,
     )
     setup = given.setup(
         record,
@@ -143,6 +144,7 @@ def compare(
         simulator_columns,
         simulator_timeout,
         simulator_cache,
+        time_column,
     )
     _compare(context, trajectory, chosen, setup, seeds, jobs, out, further)
 

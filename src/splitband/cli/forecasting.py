@@ -75,8 +75,10 @@ def forecast(
         simulator_cache,
         ahead=steps if hybrid else 0,
         beyond=any(CALIBRATED in name for name in methods),
+        time_column=time_column,
     )
-    u = given.inputs_ahead(future_inputs, given.names(inputs or ""), steps, known.sampling_time)
+    ahead = known.grid.after(steps)
+    u = given.inputs_ahead(future_inputs, given.names(inputs or ""), ahead, time_column)
     longer = ahead_of(known, steps, u)
     setup = given.setup("", longer, len(known), methods=methods, epochs=epochs)
     methods = usual_methods(longer, setup) if method is None else methods
@@ -87,6 +89,7 @@ def forecast(
         simulator_columns,
         simulator_timeout,
         simulator_cache,
+        time_column,
     )
     check(longer, methods, setup, further)
     check_trial(longer, methods, setup, further)

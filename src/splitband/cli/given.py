@@ -12,8 +12,10 @@ import numpy.typing as npt
 
 from splitband.cli import showing
 from splitband.cli.options import AUTO
-from splitband.data import Trajectory, read
+from splitband.data import Grid, Trajectory, aligned, read, resampled
 from splitband.data.gaps import Gaps, places
+from splitband.data.reading import ColumnError
+from splitband.data.timing import same_sampling
 from splitband.defaults import Recipe, default_setup, recipe_settings
 from splitband.methods import Setup, check_train
 from splitband.paper.settings import RECORD_SETTINGS
@@ -82,6 +84,41 @@ def load_record(
     return RECORDS[record]()
 
 
+def read_beside(
+    path: str | Path, sampling_time: float, time_column: str | None, **others: Any
+) -> Trajectory:
+    """Read a file that is put beside a record of that sampling time.
+
+    Its time column is the record's, or one with a usual name where it has no such column.
+    """
+    others["fallback_sampling_time"] = sampling_time
+    try:
+        return read(path, time_column=time_column, **others)
+    except ColumnError:
+        if not time_column:
+            raise
+        return read(path, **others)
+
+
+def like(record: Trajectory, sampling_time: float, what: str) -> Trajectory:
+    """The record at a sampling time from which its own differs by 1 % at most.
+
+    It is left as it is where both end within half a sample.
+    """
+    if same_sampling(record.sampling_time, sampling_time, len(record)):
+        return record
+    showing.console.print(
+        f"{what}: sampled every {record.sampling_time:.7g} s, interpolated to every "
+        f"{sampling_time:.7g} s"
+    )
+    return resampled(record, sampling_time)
+
+
+def differs(sampling_time: float, other: float) -> bool:
+    """Whether two sampling times are too different for records of the same model."""
+    return abs(sampling_time - other) > 0.01 * other
+
+
 def load_further(
     files: Sequence[str] | None,
     record: Trajectory,
@@ -94,28 +131,27 @@ def load_further(
     for file in files or []:
         if not Path(file).exists():
             raise FileNotFoundError(f"--more must be a file, got {file}")
-        more = read(
+        more = read_beside(
             file,
-            # A file of one column without a name calls it y, too.
-            columns=None if record.columns == ("y",) else record.columns,
+            record.sampling_time,
+            time_column,
+            columns=record.columns,
             inputs=names(inputs or ""),
-            time_column=time_column,
-            fallback_sampling_time=record.sampling_time,
             gaps=gaps,
         )
-        if not set(record.columns) <= set(more.columns):
-            raise ValueError(
-                f"--more must have the record's columns {', '.join(record.columns)}, "
-                f"got {', '.join(more.columns)} in {file}"
-            )
-        found.append(more.of_columns(record.columns, name=file))
+        if not differs(more.sampling_time, record.sampling_time):  # otherwise refused by `check`
+            more = like(more, record.sampling_time, file)
+        found.append(replace(more, name=file))
     return found
 
 
 def inputs_ahead(
-    file: Path | None, inputs: list[str], steps: int, sampling_time: float
+    file: Path | None, inputs: list[str], ahead: Grid, time_column: str | None = None
 ) -> npt.NDArray[np.float64] | None:
-    """Known inputs of the `steps` samples to come, `(steps, nu)`, where there are any."""
+    """Known inputs at the times to come, `(steps, nu)`, where there are any.
+
+    `time_column` is the record's.
+    """
     if (file is not None) != bool(inputs):
         raise ValueError(
             f"--future-inputs must be given exactly where there are known inputs; there are "
@@ -123,12 +159,12 @@ def inputs_ahead(
         )
     if file is None:
         return None
-    found = read(file, columns=inputs, fallback_sampling_time=sampling_time).y
-    if len(found) < steps:
-        raise ValueError(
-            f"--future-inputs must cover the {steps} samples of --steps, got {len(found)}"
-        )
-    return found[:steps]
+    found = read_beside(file, ahead.step, time_column, columns=inputs)
+    # Straight lines, as inputs may jump.
+    u = aligned(f"--future-inputs {file}", found.y, found.grid, ahead, smooth=False)
+    if u.note:
+        showing.console.print(f"{file}: {u.note}")
+    return u.values
 
 
 def setup(

@@ -16,9 +16,15 @@ from splitband import reporting, saving
 from splitband.calibration import Calibration
 from splitband.checkpoints import Checkpoint
 from splitband.cli import given, options, showing
-from splitband.cli.simulating import each_with_simulator, simulated, with_simulator
+from splitband.cli.simulating import (
+    each_with_simulator,
+    opened_simulator,
+    simulated_again,
+    with_simulator,
+)
 from splitband.comparison import RunProgress, first_start, last_start, predict
 from splitband.data import Trajectory, read
+from splitband.data.timing import as_json, from_json
 from splitband.files import CHECKPOINTS, output_folder, replacing, write_json
 from splitband.methods import (
     CALIBRATED,
@@ -85,7 +91,7 @@ def fit(
     trajectory = given.load_record(record, columns, inputs, time_column, sampling_time, gaps)
     trajectory = with_simulator(
         trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache,
-        beyond=CALIBRATED in method,
+        beyond=CALIBRATED in method, time_column=time_column,
     )  # fmt: skip
     setup = given.setup(
         record,
@@ -111,6 +117,7 @@ def fit(
         simulator_columns,
         simulator_timeout,
         simulator_cache,
+        time_column,
     )
     check_method(method, trajectory[: setup.train], setup, further)
     training, calibration = prepared(method, trajectory[: setup.train], setup.train)
@@ -136,6 +143,7 @@ def fit(
         "more": [other.name for other in further],
         "range": [np.nanmin(seen, axis=0).tolist(), np.nanmax(seen, axis=0).tolist()],
         "sampling_time": training.sampling_time,
+        "start": as_json(training.start),
         "columns": list(training.columns),
         "inputs": given.names(inputs or ""),
         "setup": asdict(setup),
@@ -197,10 +205,13 @@ def simulate(
 ) -> None:
     """Simulate a saved model beyond a measured history.
 
-    A hybrid model also needs --simulator, whose trajectory begins with the history's first sample
-    and reaches --steps samples beyond its last. If the model has a calibrated delay or clock, both
-    have to begin where the training record began, as time counts from there. The CSV has a column
-    `time`, in seconds after the last sample of the history, and one for each measured channel.
+    A hybrid model also needs --simulator, which reaches --steps samples beyond the history. Where
+    training record and history have time stamps, the model knows how much later the history
+    begins: a function or an FMU is run from the beginning of the training record on, and a
+    calibrated delay or clock counts from there. Otherwise the history is taken to begin where the
+    training record did. An exported trajectory has to cover the warm-up and what follows, by its
+    time stamps. The CSV has a column `time`, which goes on with the time stamps of the history
+    (without any: seconds after its last sample), and one for each measured channel.
     """
     model, facts = saving.load(model_dir)
     known = _Facts(model_dir, model, facts)
@@ -214,11 +225,12 @@ def simulate(
         fallback_sampling_time=known.sampling_time,
         gaps=gaps,
     )
-    if abs(past.sampling_time - known.sampling_time) > 0.01 * known.sampling_time:
+    if given.differs(past.sampling_time, known.sampling_time):
         raise ValueError(
             f"--history must be sampled like the training record, every {known.sampling_time:g} s, "
             f"got every {past.sampling_time:g} s in {history}"
         )
+    past = given.like(past, known.sampling_time, str(history))
     if len(past) < known.warmup:
         raise ValueError(
             f"--history must have at least the {known.warmup} samples of the model's warm-up, "
@@ -231,21 +243,21 @@ def simulate(
             raise ValueError(
                 f"--simulator must be given for a hybrid model, this is {known.method}"
             )
-        total = len(past) + steps
-        y_sim = simulated(
-            past, known.calibration.needs(total, past.sampling_time), simulator,
-            simulator_columns, simulator_timeout, simulator_cache,
+        opened = opened_simulator(
+            simulator, past, simulator_columns, simulator_timeout, time_column
+        )
+        y_sim = simulated_again(
+            opened, simulator, past, start - known.warmup, steps, known.start, known.calibration,
+            simulator_timeout, simulator_cache,
         )  # fmt: skip
-        y_sim = known.calibration.apply(y_sim, total, past.sampling_time)
-        y_sim = y_sim[start - known.warmup :]
-    u = given.inputs_ahead(future_inputs, known.inputs, steps, known.sampling_time)
+    ahead = past.grid.after(steps)
+    u = given.inputs_ahead(future_inputs, known.inputs, ahead, time_column)
     if u is not None and past.u is not None:
         u = np.concatenate([past.u[start - known.warmup :], u])
     since = len(past) - start
     y = model.simulate(past.y[start - known.warmup : start], since + steps, u, y_sim)[since:]
     table = pd.DataFrame(y, columns=known.columns)
-    time = known.sampling_time * np.arange(1, steps + 1)
-    table.insert(0, reporting.time_header(known.columns), time)
+    table.insert(0, reporting.time_header(known.columns), reporting.time_ahead(past, steps))
     output_folder(out.parent)
     with replacing(out) as temporary:
         table.to_csv(temporary, index=False)
@@ -265,7 +277,8 @@ class _Facts:
             self.inputs = [str(name) for name in facts["inputs"]]
             self.sampling_time = float(facts["sampling_time"])
             self.warmup = int(facts["setup"]["settings"]["warmup"])
-            # Models from before it was kept leave no range.
+            # Models from before these were kept have no start, and leave no range.
+            self.start = from_json(facts.get("start"))
             nothing = [[0.0] * model.ny] * 2
             self.range = np.array(facts.get("range", nothing), dtype=np.float64)
             self.calibration = Calibration(**(facts["calibration"] or {}))

@@ -1,7 +1,22 @@
 """Measured records: the data container, readers for the usual files, and the public records."""
 
+from splitband.data.alignment import Aligned, aligned, resampled
 from splitband.data.public import PUBLIC, PublicFile, double_torsion, drill_string, fetch
 from splitband.data.reading import read
+from splitband.data.timing import Grid, Stamp
 from splitband.data.trajectory import Trajectory
 
-__all__ = ["PUBLIC", "PublicFile", "Trajectory", "double_torsion", "drill_string", "fetch", "read"]
+__all__ = [
+    "PUBLIC",
+    "Aligned",
+    "Grid",
+    "PublicFile",
+    "Stamp",
+    "Trajectory",
+    "aligned",
+    "double_torsion",
+    "drill_string",
+    "fetch",
+    "read",
+    "resampled",
+]

@@ -10,6 +10,7 @@ import re
 import warnings
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -21,7 +22,8 @@ from numpy.typing import NDArray
 
 from splitband.data.columns import Column, has_number, numbers
 from splitband.data.gaps import FloatArray, Gaps
-from splitband.data.stamps import TIME_NAMES, spacing, time_name
+from splitband.data.stamps import TIME_NAMES, Spacing, spacing, time_name
+from splitband.data.timing import same_sampling
 from splitband.data.trajectory import Trajectory, one_line, require_finite
 
 MOST_BYTES = 2**31
@@ -31,9 +33,16 @@ _MAT_NUMBERS = (
     "double", "single", "logical", *(f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)),
 )  # fmt: skip
 
+_NAMELESS = "y"
+"""What the channel of a file is called that holds one column without a name."""
+
 _AnyArray: TypeAlias = NDArray[Any]
 _Table: TypeAlias = dict[str, Column]  # in NPZ and MAT files the columns may differ in length
 _Names: TypeAlias = str | int | Sequence[str | int]
+
+
+class ColumnError(ValueError):
+    """A column that is asked for is not in the file, or none is left to model."""
 
 
 def read(
@@ -48,11 +57,11 @@ def read(
 ) -> Trajectory:
     """Read a record from CSV, TSV, Parquet, NPZ, NPY, MAT (up to v7.2) or plain text.
 
-    Columns are chosen by name, or by position from 0 where a text or NPY file names none. A
-    variable of an NPZ or MAT file is a column, and a matrix `m` is picked whole as "m" or by
-    column as "m[0]"; a file with one row of numbers is one channel over time. Text may be
-    separated by commas, semicolons (then also with decimal commas), tabs or spaces, with `#`
-    comments.
+    Columns are chosen by name, or by position from 0 where a text or NPY file names none; a single
+    column without a name is called y. A variable of an NPZ or MAT file is a column, and a matrix
+    `m` is picked whole as "m" or by column as "m[0]"; a file with one row of numbers is one channel
+    over time. Text may be separated by commas, semicolons (then also with decimal commas), tabs or
+    spaces, with `#` comments.
 
     Parameters
     ----------
@@ -63,9 +72,10 @@ def read(
         or dates; by default a column called time, t, timestamp, datetime or date. "" ignores it.
         Steps may differ by 1 %, or by the rounding of the stamps: less than one unit in their
         last printed place, both from the mean step and from the straight line through the ends,
-        as long as that unit is below a step.
-    sampling_time : seconds; by default from the stamps, else a scalar `sampling_time`, `dt` or
-        `Ts` of the file.
+        as long as that unit is below a step. No stamp may be more than half a step away from an
+        even grid. The record's `start` is that of the grid.
+    sampling_time : seconds; by default from the stamps, from which it may differ by less than half
+        a step over the record, else a scalar `sampling_time`, `dt` or `Ts` of the file.
     fallback_sampling_time : seconds, for a file that says nothing of time.
     gaps : "refuse" values that are not finite, and stamps with rows missing between them; "mask"
         takes both for samples that were not measured, see `Trajectory.with_gaps`.
@@ -76,12 +86,14 @@ def read(
         If the file cannot be opened.
     ValueError
         If it cannot be understood: the message names the file, the column and the data row,
-        counted from 0 without the header.
+        counted from 0 without the header. A `ColumnError` where a column is not there.
     """
     path = Path(path)
     try:
         times = (time_column, sampling_time, fallback_sampling_time)
         return _assemble(_load(path), columns, inputs, times, gaps, name=path.stem)
+    except ColumnError as error:
+        raise ColumnError(f"{path}: {error}") from error
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -278,13 +290,13 @@ def _assemble(
     else:
         measured = _find(table, columns)
     if not measured:
-        raise ValueError(f"there is no numeric column to model: {_available(table)}")
-    step, places = _sampling_time(table, stamps, sampling_time, fallback, gaps)
-    y = _matrix(table, measured, gaps, places)
-    u = _matrix(table, known, gaps, places) if known else None
-    labels = () if list(table) == ["0"] else tuple(measured)
+        raise ColumnError(f"there is no numeric column to model: {_available(table)}")
+    spaced = _spacing(table, stamps, sampling_time, fallback, gaps)
+    y = _matrix(table, measured, gaps, spaced.places)
+    u = _matrix(table, known, gaps, spaced.places) if known else None
+    labels = (_NAMELESS,) if list(table) == ["0"] else tuple(measured)
     make = Trajectory if gaps == "refuse" else Trajectory.with_gaps
-    return make(y, step, u=u, name=name, columns=labels)
+    return make(y, spaced.step, u=u, name=name, columns=labels, start=spaced.start)
 
 
 def _matrix(
@@ -329,11 +341,13 @@ def _find(table: _Table, wanted: _Names) -> list[str]:
     found = []
     for column in [wanted] if isinstance(wanted, str | int) else wanted:
         name = str(column)
+        if name == _NAMELESS and list(table) == ["0"]:
+            name = "0"
         keys = [name] if name in table else []
         while name not in table and (key := f"{name}[{len(keys)}]") in table:
             keys.append(key)
         if not keys:
-            raise ValueError(f"column {name!r} is unknown: {_available(table)}")
+            raise ColumnError(f"column {name!r} is unknown: {_available(table)}")
         found += keys
     return found
 
@@ -343,22 +357,22 @@ def _available(table: _Table) -> str:
     return f"the columns are {names}{', ...' if len(table) > 10 else ''}"
 
 
-def _sampling_time(
+def _spacing(
     table: _Table, stamps: Sequence[str], given: float | None, fallback: float | None, gaps: Gaps
-) -> tuple[float, NDArray[np.int_] | None]:
-    """Return the seconds between two rows: as given, by the stamps, or by a scalar of the file.
-
-    And where each row of the file belongs, if others are missing between them.
-    """
+) -> Spacing:
+    """The grid of the time stamps; without them the step as given, or by a scalar of the file."""
     if stamps:
         what = f"time column {stamps[0]!r}"
-        step, places = spacing(what, stamps[0], table[stamps[0]], gaps)
-        if given is not None and not abs(given - step) <= 0.01 * step:
+        found = spacing(what, stamps[0], table[stamps[0]], gaps)
+        if given is None:
+            return found
+        rows = len(table[stamps[0]]) if found.places is None else int(found.places[-1]) + 1
+        if not (given > 0 and same_sampling(given, found.step, rows)):
             raise ValueError(
-                f"sampling_time (--sampling-time) is {given} s, but {what} steps by {step} s; "
-                "time_column='' (--time-column '') ignores the stamps"
+                f"sampling_time (--sampling-time) is {given} s, but {what} steps by {found.step} s;"
+                " time_column='' (--time-column '') ignores the stamps"
             )
-        return step if given is None else given, places
+        return replace(found, step=given)
     for name in ("sampling_time", "dt", "Ts"):
         if given is None and len(table.get(name, ())) == 1:
             given = float(numbers(f"variable {name!r}", table[name])[0])
@@ -368,4 +382,4 @@ def _sampling_time(
             "there is no time column: pass sampling_time (--sampling-time) in seconds, "
             f"or time_column (--time-column); {_available(table)}"
         )
-    return given, None
+    return Spacing(given)

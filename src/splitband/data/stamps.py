@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -12,6 +13,7 @@ from pandas.api.types import is_timedelta64_dtype
 
 from splitband.data.columns import Column, has_number, numbers
 from splitband.data.gaps import FloatArray, Gaps
+from splitband.data.timing import Stamp, stamp_after
 from splitband.data.trajectory import require_finite
 
 MOST_MISSING = 0.9
@@ -20,6 +22,23 @@ TIME_NAMES = ("time", "t", "timestamp", "datetime", "date")
 _UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "min": 60.0, "h": 3600.0}
 _UNITS |= {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
 _UNIT = re.compile(rf"[\s_/(\[]+({'|'.join(_UNITS)})[)\]]?$")
+_TIME_OF_DAY = re.compile(r"\s*\d{1,2}:\d\d")
+
+
+@dataclass(frozen=True, eq=False)
+class Spacing:
+    """The even grid that the rows of a file lie on.
+
+    Attributes
+    ----------
+    step : In s.
+    start : Time stamp of its first row; None for a file without time stamps.
+    places : Where each row of the file belongs `(time,)`, if others are missing between them.
+    """
+
+    step: float
+    start: Stamp | None = None
+    places: NDArray[np.int_] | None = None
 
 
 def time_name(column: str) -> tuple[str, float]:
@@ -29,27 +48,27 @@ def time_name(column: str) -> tuple[str, float]:
     return (name[: unit.start()], _UNITS[unit[1]]) if unit else (name, 1.0)
 
 
-def spacing(
-    what: str, name: str, column: Column, gaps: Gaps
-) -> tuple[float, NDArray[np.int_] | None]:
-    """The even step between stamps in s, and the row of each where others are missing.
+def spacing(what: str, name: str, column: Column, gaps: Gaps) -> Spacing:
+    """The even grid of time stamps.
 
     Raises
     ------
     ValueError
         For what is no stamp, or comes out of turn; see `reading.read` for the tolerance.
     """
-    stamps, grain = _seconds(what, name, column)
-    rows = _on_grid(what, stamps) if gaps == "mask" else np.arange(len(stamps))
-    missing = len(rows) <= rows[-1]
+    stamps, grain, date = _seconds(what, name, column)
+    rows, joined = _on_grid(what, stamps) if gaps == "mask" else (np.arange(len(stamps)), stamps)
     unit = max(_last_place(stamps), grain)
-    if missing:
-        stamps = _joined(stamps, rows)
-    return _even_step(what, stamps, unit, gaps == "mask"), rows if missing else None
+    step, start = _even_grid(what, joined, unit, gaps == "mask")
+    return Spacing(
+        step,
+        start if date is None else stamp_after(date, start),
+        rows if len(rows) <= rows[-1] else None,
+    )
 
 
-def _seconds(what: str, name: str, column: Column) -> tuple[FloatArray, float]:
-    """Return stamps in seconds, (time,), and the resolution of their number type."""
+def _seconds(what: str, name: str, column: Column) -> tuple[FloatArray, float, pd.Timestamp | None]:
+    """Stamps in seconds, (time,), the resolution of their number type, and the date of 0 s."""
     if is_timedelta64_dtype(column):
         column = column.dt.total_seconds()
     if has_number(column):
@@ -59,7 +78,7 @@ def _seconds(what: str, name: str, column: Column) -> tuple[FloatArray, float]:
             raise ValueError(f"{what} must be in seconds, or name its unit as in 't [ms]'")
         kind = np.float32 if column.dtype == np.float32 else np.float64
         grain = 2 * float(np.spacing(kind(np.abs(values).max())))
-        return values * unit, grain * unit
+        return values * unit, grain * unit, None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         formats = ("ISO8601", None)  # None: as in the first row
@@ -68,22 +87,27 @@ def _seconds(what: str, name: str, column: Column) -> tuple[FloatArray, float]:
     if (bad := np.flatnonzero(dates.isna())).size:
         cell = str(column.iloc[bad[0]])[:40]
         raise ValueError(f"{what} must hold numbers or dates: row {bad[0]} holds {cell!r}")
-    return np.asarray((dates - dates.iloc[0]).dt.total_seconds(), dtype=np.float64), 0.0
+    first = dates.iloc[0].as_unit("ns")
+    # pandas takes a time without a date for today's: it is counted from midnight instead.
+    of_day = _TIME_OF_DAY.match(str(column.iloc[0])) is not None
+    since = dates - (first.normalize() if of_day else first)
+    seconds = np.asarray(since / pd.Timedelta(1, unit="s"), dtype=np.float64)
+    return seconds, 0.0, None if of_day else _in_its_zone(first, column)
 
 
-def _joined(stamps: FloatArray, rows: NDArray[np.int_]) -> FloatArray:
-    """Stamps for missing rows too, those after a gap moved onto the grid of those before it.
+def _in_its_zone(date: pd.Timestamp, column: Column) -> pd.Timestamp:
+    """A date that was read as UTC, in the time zone of its column; without one, where it has none.
 
-    A logger that starts again does so at any moment: half a step is not missed.
+    Tables and messages are to show dates as the file does.
     """
-    steps, places = np.diff(stamps), np.diff(rows)
-    usual = steps[places == 1].mean() if (places == 1).any() else (steps / places).mean()
-    moved = np.concatenate([[0.0], np.cumsum(np.where(places == 1, steps, usual * places))])
-    return np.asarray(np.interp(np.arange(rows[-1] + 1), rows, stamps[0] + moved))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        zone = pd.to_datetime(column.iloc[:1]).dt.tz
+    return date.tz_convert(zone) if zone is not None else date.tz_localize(None)
 
 
-def _even_step(what: str, stamps: FloatArray, unit: float, masked: bool) -> float:
-    """Return the step of evenly rising stamps, in seconds; `reading.read` states the tolerance.
+def _even_grid(what: str, stamps: FloatArray, unit: float, masked: bool) -> tuple[float, float]:
+    """The step of evenly rising stamps and the first one, in s; see `reading.read` for tolerances.
 
     `unit` is that of their last place.
     """
@@ -109,11 +133,29 @@ def _even_step(what: str, stamps: FloatArray, unit: float, masked: bool) -> floa
         )
     centred = np.arange(len(stamps)) - 0.5 * len(steps)
     slope = centred @ (stamps - stamps[0]) / (centred @ centred)  # averages the rounding out
-    return float(f"{slope:.12g}")
+    step = float(f"{slope:.12g}")
+    beside = stamps - stamps[0] - step * np.arange(len(stamps))
+    first = float(beside.mean())  # of the grid, after the first stamp
+    wander = np.abs(beside - first)
+    if wander.max() > 0.5 * (step + unit):
+        raise ValueError(
+            f"{what} must be even: its stamps wander by {wander.max() / step:.2g} samples from an "
+            f"even step of {step:.6g} s, at row {int(wander.argmax())}; time_column='' "
+            "(--time-column '') ignores the stamps"
+        )
+    if abs(first) < 1e-6 * step:
+        return step, float(stamps[0])
+    # To a tenth of the last printed place: what is left of the rounding is not worth more digits.
+    digits = 0.1 * unit or 1e-6 * step
+    return step, float(np.rint((stamps[0] + first) / digits) * digits)
 
 
-def _on_grid(what: str, stamps: FloatArray) -> NDArray[np.int_]:
-    """The row of each stamp, `(time,)`, if none were missing; where they rise evenly, 0, 1, 2...
+def _on_grid(what: str, stamps: FloatArray) -> tuple[NDArray[np.int_], FloatArray]:
+    """The row of each stamp, `(time,)`, were none missing, and the stamps of all rows.
+
+    Where stamps rise evenly, the rows are 0, 1, 2... A logger that starts again after a gap does so
+    at any moment: its stamps go to the closest rows of the grid of those before it, so that the
+    rows do not drift away from the stamps over many gaps.
 
     Raises
     ------
@@ -122,7 +164,7 @@ def _on_grid(what: str, stamps: FloatArray) -> NDArray[np.int_]:
     """
     steps = np.diff(stamps)
     if not len(steps) or steps.min() <= 0:  # refused later, with the row
-        return np.arange(len(stamps))
+        return np.arange(len(stamps)), stamps
     usual = float(np.quantile(steps, 0.1))  # the smallest, but for jitter
     usual = float(steps[steps < 1.75 * usual].mean())  # stamps may be rounded to few units
     missing = float(np.maximum(np.rint(steps / usual) - 1, 0).sum())
@@ -132,7 +174,18 @@ def _on_grid(what: str, stamps: FloatArray) -> NDArray[np.int_]:
             f"{what} must have a stamp for one row in ten at least: {missing:.0f} rows of "
             f"{usual:.6g} s are missing, most of them after row {worst}"
         )
-    return np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / usual), 1))]).astype(int)
+    gap = np.rint(steps / usual) > 1
+    index = np.arange(len(stamps))
+    if not gap.any():
+        return index, stamps
+    begins = np.concatenate([[0], np.flatnonzero(gap) + 1])  # of the stretches between the gaps
+    stretch = np.concatenate([[0], np.cumsum(gap)])
+    closest = np.rint((stamps[begins] - stamps[0]) / usual).astype(int)
+    rows = closest[stretch] + index - begins[stretch]
+    rows = np.maximum.accumulate(rows - index) + index  # no row twice
+    even = np.where(gap, usual * np.diff(rows), steps)
+    joined = stamps[0] + np.concatenate([[0.0], np.cumsum(even)])
+    return rows, np.asarray(np.interp(np.arange(rows[-1] + 1), rows, joined))
 
 
 def _last_place(stamps: FloatArray) -> float:

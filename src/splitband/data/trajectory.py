@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from splitband.data.gaps import BoolArray, FloatArray, filled, places
+from splitband.data.timing import Grid, Stamp, as_stamp, seconds_of, stamp_after, stamps_at
 
 LARGEST, SMALLEST = 1e120, 1e-120
 """Of values, and of the range of a channel: squares, and sums of many, have to be numbers too."""
@@ -34,13 +36,15 @@ class Trajectory:
     columns : names of the channels of y; without them "y", or "y0", "y1", ...
     measured : where y was measured, (time, ny); elsewhere something stands in for it, that nothing
         is compared with. None: everywhere.
+    start : time stamp of the first sample, seconds or a date. None where the record has no time
+        stamps: what is put beside it is then taken to begin with it.
 
     Raises
     ------
     ValueError
         If a signal is not real and finite, its unit such that its square would not be (1e120, or a
-        range of 1e-120), lengths or channels differ, there are fewer than two samples, or the
-        sampling time is not positive. Rows are counted from 0.
+        range of 1e-120), lengths or channels differ, there are fewer than two samples, the
+        sampling time is not positive, or `start` is no time stamp. Rows are counted from 0.
     """
 
     y: FloatArray
@@ -52,6 +56,7 @@ class Trajectory:
     name: str = ""
     columns: tuple[str, ...] = ()
     measured: BoolArray | None = None
+    start: Stamp | None = None
 
     def __post_init__(self) -> None:
         y = _signal("y", self.y)
@@ -82,6 +87,8 @@ class Trajectory:
             require_finite("beyond", beyond, columns)
             object.__setattr__(self, "beyond", beyond)
         object.__setattr__(self, "sampling_time", _positive_seconds(self.sampling_time))
+        if self.start is not None:
+            object.__setattr__(self, "start", as_stamp(self.start))
         if self.measured is not None:
             measured = np.array(self.measured, dtype=np.bool_)
             measured = measured[:, None] if measured.ndim == 1 else measured
@@ -111,7 +118,10 @@ class Trajectory:
         return len(self.y)
 
     def __getitem__(self, key: slice) -> Trajectory:
-        """Return the samples `key`, of every signal; its `time` starts at 0 again."""
+        """Return the samples `key`, of every signal, with their time stamps.
+
+        Without time stamps, `time` starts at 0 again.
+        """
         if not isinstance(key, slice):
             raise TypeError(f"a Trajectory takes slices only, as in traj[a:b]: got {key!r}")
         if key.step not in (None, 1):
@@ -130,7 +140,13 @@ class Trajectory:
             known = measured.any(axis=0)
             y = y.copy()
             y[:, known] = filled("y", self.seen[key][:, known])[0]
-        return replace(self, y=y, u=u, y_true=y_true, y_sim=y_sim, beyond=beyond, measured=measured)
+        start = self.start
+        if start is not None:
+            start = stamp_after(start, key.indices(len(self))[0] * self.sampling_time)
+        return replace(
+            self, y=y, u=u, y_true=y_true, y_sim=y_sim, beyond=beyond, measured=measured,
+            start=start,
+        )  # fmt: skip
 
     def of_columns(self, columns: Sequence[str], name: str | None = None) -> Trajectory:
         """The record with these channels only, in this order; it must have them."""
@@ -184,8 +200,20 @@ class Trajectory:
 
     @property
     def time(self) -> FloatArray:
-        """Seconds since the first sample, (time,)."""
-        return np.arange(len(self), dtype=np.float64) * self.sampling_time
+        """The time stamps in s, (time,); where they are dates, or none, since the first sample."""
+        since_first = np.arange(len(self), dtype=np.float64) * self.sampling_time
+        return seconds_of(self.start) + since_first
+
+    @property
+    def stamps(self) -> FloatArray | pd.DatetimeIndex:
+        """The time stamps for tables and pictures, (time,): seconds or dates."""
+        start = 0.0 if self.start is None else self.start
+        return stamps_at(start, self.sampling_time, np.arange(len(self)))
+
+    @property
+    def grid(self) -> Grid:
+        """When its samples were taken."""
+        return Grid(self.start, self.sampling_time, len(self))
 
 
 _OTHER_SIGNALS = {

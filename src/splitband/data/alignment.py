@@ -1,0 +1,145 @@
+"""Putting signals together by their time stamps, never by row number where the stamps differ."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from splitband.data.gaps import FloatArray
+from splitband.data.timing import Grid, same_sampling, seconds_between
+from splitband.data.trajectory import Trajectory
+
+NEAR = 0.01
+"""Of a sample: times that agree to this count as equal; rounded time stamps differ by as much."""
+
+
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """A signal at the times of another one.
+
+    Attributes
+    ----------
+    values : `(samples, n)`.
+    note : What was done to it, for its user; empty where its rows were taken as they are.
+    """
+
+    values: FloatArray
+    note: str = ""
+
+
+def aligned(what: str, values: FloatArray, own: Grid, onto: Grid, smooth: bool = True) -> Aligned:
+    """The values of a signal at other times, by the time stamps of both.
+
+    Where just one of them has time stamps, or none has, both begin together. Between its samples
+    the signal is interpolated. It may end half a sample short of the times, and is held there.
+
+    Parameters
+    ----------
+    what : What messages call the signal.
+    values : `(time, n)`, all finite, at the times `own`.
+    own, onto : The times of the signal, and those it is needed at.
+    smooth : Interpolate by a cubic spline, as between the samples of a simulator; by straight
+        lines otherwise, as between inputs, which may jump.
+
+    Raises
+    ------
+    ValueError
+        Where the signal does not cover the times; the message has the time stamps of both.
+    """
+    rows = _rows(own, onto)
+    last, slack = len(values) - 1, 0.5 * onto.step / own.step
+    if rows[0] < -slack or rows[-1] > last + slack:
+        raise ValueError(_not_covered(what, own, onto))
+    nearest = np.rint(rows).astype(int)
+    off = float(np.abs(rows - nearest).max())
+    exact = off <= NEAR
+    found = values[np.clip(nearest, 0, last)] if exact else interpolated(values, rows, smooth)
+    as_they_are = exact and bool((np.diff(nearest) == 1).all())
+    notes = [_one_sided(own, onto), "" if as_they_are else _resampled(own, onto, off)]
+    return Aligned(found, "; ".join(filter(None, notes)))
+
+
+def reach(own: Grid, onto: Grid) -> int:
+    """How many of the times, counted on from the first of `onto`, a signal of times `own` covers.
+
+    The length of `onto` does not matter.
+    """
+    begin = _rows(own, replace(onto, samples=1))[0]
+    return max(0, int(np.floor((own.samples - 1 - begin) * own.step / onto.step + NEAR)) + 1)
+
+
+def resampled(record: Trajectory, sampling_time: float) -> Trajectory:
+    """A record at another sampling time, from its first sample on.
+
+    What was measured, and what a simulator says, is interpolated by a cubic spline, known inputs
+    by straight lines. A sample counts as measured where both of its neighbours were. What a
+    simulator says beyond the record is dropped.
+    """
+    samples = reach(record.grid, replace(record.grid, step=sampling_time))
+    rows = np.minimum(np.arange(samples) * (sampling_time / record.sampling_time), len(record) - 1)
+    measured = record.measured
+    if measured is not None:
+        before, after = np.floor(rows + NEAR).astype(int), np.ceil(rows - NEAR).astype(int)
+        measured = measured[before] & measured[after]
+    y_true, y_sim = (
+        None if signal is None else interpolated(signal, rows)
+        for signal in (record.y_true, record.y_sim)
+    )
+    return replace(
+        record,
+        y=interpolated(record.y, rows),
+        sampling_time=sampling_time,
+        u=None if record.u is None else interpolated(record.u, rows, smooth=False),
+        y_true=y_true,
+        y_sim=y_sim,
+        beyond=None,
+        measured=measured,
+    )
+
+
+def interpolated(values: FloatArray, rows: FloatArray, smooth: bool = True) -> FloatArray:
+    """`values` `(time, n)` at fractional rows; beyond the ends they are held."""
+    index = np.arange(len(values))
+    rows = np.clip(rows, 0, len(values) - 1)
+    if smooth and len(values) > 1:
+        return np.asarray(scipy.interpolate.CubicSpline(index, values)(rows))
+    return np.column_stack([np.interp(rows, index, channel) for channel in values.T])
+
+
+def _rows(own: Grid, onto: Grid) -> FloatArray:
+    """Where the times `onto` lie, in rows of a signal at the times `own`."""
+    offset = 0.0
+    if own.start is not None and onto.start is not None:
+        offset = seconds_between(own.start, onto.start)
+    return np.asarray((offset + onto.step * np.arange(onto.samples)) / own.step)
+
+
+def _not_covered(what: str, own: Grid, onto: Grid) -> str:
+    if own.start is not None and onto.start is not None:
+        return (
+            f"{what} must cover {onto}, by the time stamps of both: it has {own} (files without "
+            "time stamps are put together from their first rows on)"
+        )
+    return (
+        f"{what} must cover {onto.samples} samples every {onto.step:.7g} s, got {own.samples}"
+        + ("" if same_sampling(own.step, onto.step, onto.samples) else f" every {own.step:.7g} s")
+    )
+
+
+def _one_sided(own: Grid, onto: Grid) -> str:
+    if (own.start is None) == (onto.start is None):
+        return ""
+    has, lacks = (
+        ("it has", "the record has") if onto.start is None else ("the record has", "it has")
+    )
+    return f"{has} time stamps, {lacks} none: taken to begin together"
+
+
+def _resampled(own: Grid, onto: Grid, off: float) -> str:
+    """What to say of a signal whose rows lie up to `off` of a sample from the times."""
+    if same_sampling(own.step, onto.step, onto.samples):
+        return f"its samples lie up to {off:.2g} of a step beside the record's: interpolated"
+    how = "interpolated" if off > NEAR else "taken"
+    return f"sampled every {own.step:.7g} s, {how} at the record's times, every {onto.step:.7g} s"

@@ -1,0 +1,118 @@
+"""When samples were taken: single time stamps, and the even grid that they make up."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, TypeAlias
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from splitband.data.gaps import FloatArray
+
+Stamp: TypeAlias = float | pd.Timestamp
+"""Seconds on the clock of a record, or a date; a date without a time zone counts as UTC."""
+
+
+def as_stamp(value: Any) -> Stamp:
+    """Check a time stamp; raises ValueError for what is neither a finite number nor a date."""
+    if isinstance(value, datetime) and not pd.isna(value):
+        return pd.Timestamp(value).as_unit("ns")
+    try:
+        seconds = float(value)
+    except (TypeError, ValueError):
+        seconds = math.nan
+    if not math.isfinite(seconds):
+        raise ValueError(f"a time stamp must be a finite number of seconds or a date: got {value}")
+    return seconds
+
+
+def as_json(stamp: Stamp | None) -> float | str | None:
+    """The time stamp as JSON holds it: a date in ISO 8601."""
+    return stamp.isoformat() if isinstance(stamp, pd.Timestamp) else stamp
+
+
+def from_json(value: Any) -> Stamp | None:
+    """What `as_json` gave; raises ValueError for anything else."""
+    if value is None:
+        return None
+    return as_stamp(pd.Timestamp(value) if isinstance(value, str) else value)
+
+
+def stamp_after(stamp: Stamp, seconds: float) -> Stamp:
+    """The time stamp so many seconds later."""
+    if isinstance(stamp, pd.Timestamp):
+        return stamp + pd.Timedelta(round(1e9 * seconds), unit="ns")
+    return stamp + seconds
+
+
+def seconds_between(first: Stamp, second: Stamp) -> float:
+    """How much later the second one is, in s; raises ValueError if just one of them is a date."""
+    if isinstance(first, pd.Timestamp) and isinstance(second, pd.Timestamp):
+        return float((_in_utc(second) - _in_utc(first)) / pd.Timedelta(1, unit="s"))
+    if isinstance(first, pd.Timestamp) or isinstance(second, pd.Timestamp):
+        raise ValueError(
+            "time stamps that are put together must all be dates or all be in seconds: "
+            f"got {in_words(first)} and {in_words(second)}"
+        )
+    return second - first
+
+
+def seconds_of(stamp: Stamp | None) -> float:
+    """The time stamp as a number for a simulator; 0 for a date and where there is none."""
+    return stamp if isinstance(stamp, float) else 0.0
+
+
+def in_words(stamp: Stamp) -> str:
+    """The time stamp for a message."""
+    return str(stamp) if isinstance(stamp, pd.Timestamp) else f"{stamp:.10g} s"
+
+
+def stamps_at(start: Stamp, step: float, rows: NDArray[np.int_]) -> FloatArray | pd.DatetimeIndex:
+    """The time stamps of rows, counted from `start`, for tables and pictures.
+
+    Seconds are rounded to a millionth of the step: 0.3, not 0.30000000000000004.
+    """
+    if isinstance(start, pd.Timestamp):
+        return start + pd.to_timedelta(np.rint(1e9 * step * rows).astype(np.int64), unit="ns")
+    return np.round(start + step * rows, max(0, 6 - math.floor(math.log10(step))))
+
+
+def same_sampling(step: float, other: float, samples: int) -> bool:
+    """Whether so many samples of both steps, begun together, end within half a sample."""
+    return abs(step - other) * samples < 0.5 * min(step, other)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Even times.
+
+    Attributes
+    ----------
+    start : Time stamp of the first; None where no time stamps are known.
+    step : Between two of them, in s.
+    samples : How many.
+    """
+
+    start: Stamp | None
+    step: float
+    samples: int
+
+    def after(self, samples: int) -> Grid:
+        """The grid that goes on where this one ends."""
+        start = None if self.start is None else stamp_after(self.start, self.samples * self.step)
+        return Grid(start, self.step, samples)
+
+    def __str__(self) -> str:
+        """From the first to the last time stamp."""
+        if self.start is None:
+            return f"{self.samples} samples every {self.step:.7g} s"
+        end = stamp_after(self.start, (self.samples - 1) * self.step)
+        return f"{in_words(self.start)} to {in_words(end)}"
+
+
+def _in_utc(date: pd.Timestamp) -> pd.Timestamp:
+    return date.tz_localize("UTC") if date.tzinfo is None else date.tz_convert("UTC")
