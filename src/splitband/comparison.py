@@ -26,8 +26,8 @@ from splitband.processes import over
 from splitband.training import Progress, fit
 
 Array = npt.NDArray[np.float64]
-LOST = 1e100
-"""In place of what a diverging network predicts beyond all numbers."""
+OVERFLOWED = 1e100
+"""Stands for predicted values that are not finite, so that their errors are finite, and huge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Run:
     components : What `from_start` is the sum of, for a model of several parts.
     unfiltered : What its filters were fed with, for a model that filters its output.
     later : Forecasts from other samples, by the index of the first one; see `run`.
-    description : What a baseline or a calibration settled on.
+    description : What a baseline or a calibration settled on, and what went wrong.
     losses : Mean training loss of each epoch, by network.
     """
 
@@ -61,6 +61,40 @@ class Run:
     losses: dict[str, list[float]] = field(default_factory=dict)
     unfiltered: dict[str, Array] = field(default_factory=dict)
     later: dict[int, Array] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One method that could not be fitted with one seed, and why."""
+
+    method: str
+    seed: int
+    reason: str
+
+
+class Runs(dict[str, list[Run]]):
+    """The runs of each method, in the order of the seeds, without those that failed.
+
+    A method of which every run failed is not among the keys.
+
+    Attributes
+    ----------
+    failures : The runs that failed.
+    """
+
+    def __init__(
+        self, runs: Mapping[str, list[Run]] | None = None, failures: Sequence[Failure] = ()
+    ) -> None:
+        super().__init__(runs or {})
+        self.failures = tuple(failures)
+
+    @property
+    def failed(self) -> dict[str, str]:
+        """Why, of each method that has no run."""
+        return {f.method: f.reason for f in self.failures[::-1] if f.method not in self}
+
+    def __missing__(self, method: str) -> list[Run]:
+        raise KeyError(f"{method}: {self.failed.get(method, 'not among the methods')}")
 
 
 @dataclass(frozen=True)
@@ -186,8 +220,9 @@ def _continued(naive: Naive, record: Trajectory, at: int) -> Array:
 
 
 def _total(parts: Mapping[str, Array]) -> Array:
-    """Their sum; what is no number is `LOST`, and as far off as that."""
-    return np.nan_to_num(np.sum([*parts.values()], axis=0), nan=LOST, posinf=LOST, neginf=-LOST)
+    """Their sum, with `OVERFLOWED` where it is not finite."""
+    most = OVERFLOWED
+    return np.nan_to_num(np.sum([*parts.values()], axis=0), nan=most, posinf=most, neginf=-most)
 
 
 def _errors(
@@ -209,8 +244,11 @@ def compare(
     checkpoints: Path | None = None,
     more: Sequence[Trajectory] = (),
     cuts: Sequence[int] = (),
-) -> dict[str, list[Run]]:
+) -> Runs:
     """Run every method with every seed; `jobs` changes the numbers by rounding at most.
+
+    What diverges, or cannot be fitted for another reason, is among the result's `failures` and
+    does not keep the others from running.
 
     Parameters
     ----------
@@ -226,8 +264,13 @@ def compare(
 
     Returns
     -------
-    dict
+    Runs
         The runs of each method, in the order of `seeds`; one of what draws nothing (`FIXED`).
+
+    Raises
+    ------
+    ValueError
+        Before anything is computed, for what `check` finds; and where every method fails.
     """
     check(record, methods, setup, more)
     drawn = {method: seeds[:1] if method in FIXED else seeds for method in methods}
@@ -237,7 +280,18 @@ def compare(
         checkpoints.mkdir(parents=True, exist_ok=True)
     work = partial(_work, record, setup, progress is None, later, checkpoints, more, cuts)
     found = {(r.method, r.seed): r for r in over(work, todo, jobs, progress)}
-    return {m: [found[m, s] for s in drawn[m]] for m in methods}
+    done = [found[m, s] for m in methods for s in drawn[m]]
+    runs = {m: [r for r in done if isinstance(r, Run) and r.method == m] for m in methods}
+    failures = [r for r in done if isinstance(r, Failure)]
+    if len(failures) == len(done):
+        reasons = dict.fromkeys(f"{f.method}: {f.reason}" for f in failures)
+        raise ValueError(f"no method could be fitted; {'; '.join(reasons)}")
+    for f in failures:
+        if runs[f.method]:
+            first, *others = runs[f.method]
+            said = "; ".join(filter(None, [first.description, f"seed {f.seed} failed: {f.reason}"]))
+            runs[f.method] = [replace(first, description=said), *others]
+    return Runs({m: of_method for m, of_method in runs.items() if of_method}, failures)
 
 
 def ahead_of(record: Trajectory, steps: int, u: Array | None = None) -> Trajectory:
@@ -324,7 +378,14 @@ def _work(
     cuts: Sequence[int],
     job: tuple[str, int],
     report: Callable[[RunProgress], None],
-) -> Run:
+) -> Run | Failure:
     method, seed = job
     watch = None if silent else report
-    return run(method, record, setup, seed, watch, later, checkpoints, more, cuts)
+    try:
+        return run(method, record, setup, seed, watch, later, checkpoints, more, cuts)
+    except OSError:
+        raise  # a full disk, or a process ended from outside, concerns every method
+    except Exception as error:
+        said = " ".join(str(error).split())
+        expected = isinstance(error, FloatingPointError | ValueError)
+        return Failure(method, seed, said if expected else f"{type(error).__name__}: {said}")

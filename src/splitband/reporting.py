@@ -53,7 +53,8 @@ def results(
                 "by_channel": _by_channel(record, setup, of_method),
             }
             for name, of_method in runs.items()
-        },
+        }
+        | {name: {"failed": reason} for name, reason in trial.failed.items()},
         "environment": environment(),
     }
 

@@ -22,10 +22,12 @@ STEPS = 1000
 """Gradient steps of the default recipe, for each network."""
 MOST_BATCHES = 100
 """Steps of an epoch in the default recipe: of a long record it does not take every window."""
-EXPLODED = 100.0
-"""A loss of so many times the signal itself is taken for lost."""
-RETREATS = 3
-"""Times that a network's step is halved before its training is given up."""
+DIVERGED = 100.0
+"""Loss, in multiples of the target's RMS or of the untrained network's loss, whichever is larger,
+that is treated as divergence."""
+MOST_RESTARTS = 3
+"""Times that an epoch which diverged is repeated, each time with half the learning rate, before
+the training is given up."""
 
 
 @dataclass(frozen=True)
@@ -165,8 +167,8 @@ def fit(
     """Train a model in place (paper, Eqs. 12 and 14).
 
     A window lies in one record, its warm-up in measured samples, and its loss counts what was
-    measured. A loss that is no longer finite, or explodes, takes the network back to its last good
-    epoch, with half the step from there on; the history says so.
+    measured. An epoch whose loss is no longer finite, or diverges (see `DIVERGED`), is repeated
+    from where it began with half the learning rate; the history says so.
 
     Parameters
     ----------
@@ -184,7 +186,7 @@ def fit(
     ValueError
         For records of other channels than the model's, or in which no window has its place.
     FloatingPointError
-        When the loss does so for the fourth time.
+        When one network's loss diverges for the fourth time (`MOST_RESTARTS`).
     """
     records = [trajectory] if isinstance(trajectory, Trajectory) else [*trajectory]
     if not records:
@@ -198,7 +200,8 @@ def fit(
     history = History()
     seen = [model.normalised(record) for record in records]
     key = key_of(
-        torch.__version__, settings, seed, _built(model), *model.state_dict().values(),
+        torch.__version__, DIVERGED, MOST_RESTARTS, settings, seed, _built(model),
+        *model.state_dict().values(),
         *(signal for record in seen for signal in vars(record).values() if signal is not None),
         places.starts, *([] if places.measured is None else [places.measured]),
     )  # fmt: skip
@@ -254,17 +257,20 @@ class _Training:
         self.optimizer = torch.optim.Adam(parameters, lr=settings.learning_rate)
         self.generator = torch.Generator().manual_seed(seed)
         size = float(torch.linalg.vector_norm(task.target)) / task.target.numel() ** 0.5
-        self.most = EXPLODED * (size or 1.0)
+        self.target_rms = size or 1.0
+        self.first_loss = 0.0
+        """Of the untrained network: what a good simulator leaves to learn may be much smaller than
+        any untrained network's output, so that the target's RMS alone would not do."""
         self.losses: list[float] = []
-        self.retreats: list[int] = []
-        """Epochs that went wrong and were gone back from."""
+        self.restarts: list[int] = []
+        """Epochs that diverged and were repeated with half the learning rate."""
 
     @property
     def notes(self) -> list[str]:
         """What a user should know."""
         return [
-            f"the loss exploded in epoch {epoch}, gone back with half the step"
-            for epoch in self.retreats
+            f"the loss diverged in epoch {epoch}, repeated with half the learning rate"
+            for epoch in self.restarts
         ]
 
     def state(self) -> State:
@@ -275,7 +281,8 @@ class _Training:
             **{f"adam.{i}.{k}": v.clone() for i, m in moments.items() for k, v in m.items()},
             "generator": self.generator.get_state(),
             "losses": torch.tensor(self.losses, dtype=torch.float64),
-            "retreats": torch.tensor(self.retreats, dtype=torch.int64),
+            "restarts": torch.tensor(self.restarts, dtype=torch.int64),
+            "first_loss": torch.tensor(self.first_loss, dtype=torch.float64),
         }
 
     def restore(self, state: State) -> None:
@@ -291,30 +298,32 @@ class _Training:
         self.optimizer.load_state_dict({"state": moments, "param_groups": groups})
         self.generator.set_state(state["generator"])
         self.losses[:] = state["losses"].tolist()
-        self.retreats[:] = state["retreats"].tolist()
+        self.restarts[:] = state["restarts"].tolist()
+        self.first_loss = float(state["first_loss"])
 
     def epoch(self) -> None:
-        """Train an epoch; go back and try with a smaller step where it goes wrong."""
+        """Train an epoch; repeat it with a smaller learning rate where it diverges."""
         good = self.state()
         while True:
             loss = self._pass()
-            if loss <= self.most:
+            most = DIVERGED * max(self.target_rms, self.first_loss)
+            if loss <= most:
                 self.losses.append(loss)
                 return
-            epoch, retreats = len(self.losses) + 1, [*self.retreats, len(self.losses) + 1]
-            if len(retreats) > RETREATS:
+            epoch, restarts = len(self.losses) + 1, [*self.restarts, len(self.losses) + 1]
+            if len(restarts) > MOST_RESTARTS:
                 raise FloatingPointError(
                     f"training of the {self.task.name} diverged in epoch {epoch}: the loss is "
-                    f"{loss}, after {RETREATS} times with half the step; lower the learning "
-                    f"rate ({self.settings.learning_rate:g})"
+                    f"{loss:.4g} (at most {most:.4g} is allowed), after halving the learning rate "
+                    f"{MOST_RESTARTS} times; lower it ({self.settings.learning_rate:g})"
                 )
             self.restore(good)
-            self.retreats[:] = retreats
+            self.restarts[:] = restarts
 
     def _pass(self) -> float:
         """One pass over all windows; the mean loss."""
         settings, epoch = self.settings, len(self.losses)
-        total, slower = 0.0, 0.5 ** len(self.retreats)
+        total, slower = 0.0, 0.5 ** len(self.restarts)
         order = torch.randperm(len(self.starts), generator=self.generator)
         if settings.most_batches is not None:
             order = order[: settings.most_batches * settings.batch_size]
@@ -335,6 +344,8 @@ class _Training:
                 if settings.clip is not None:
                     nn.utils.clip_grad_norm_(self.task.network.parameters(), settings.clip)
                 self.optimizer.step()
+            if epoch == 0 and i == 0 and math.isfinite(loss.item()):
+                self.first_loss = loss.item()
             total += loss.item() * len(batch)
         return total / len(order)
 

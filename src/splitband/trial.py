@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.bands import Band
-from splitband.comparison import Run, RunProgress, ahead_of, compare
+from splitband.comparison import Run, RunProgress, Runs, ahead_of, compare
 from splitband.data import Trajectory
 from splitband.methods import FIXED, Setup, check
 from splitband.metrics import rmse, spread
@@ -69,6 +69,7 @@ class Trial:
     scale : By which the channels are scaled, `(ny,)`.
     held : Samples of the training part that it had not seen then.
     final : The same, once it is fitted on the whole training part; see `settled`.
+    failed : Why methods could not be fitted, now or, after `settled`, on the whole training part.
     """
 
     errors: Mapping[str, float]
@@ -78,16 +79,21 @@ class Trial:
     scale: Array
     held: Mapping[str, int]
     final: Mapping[str, Array] = field(default_factory=dict)
+    failed: Mapping[str, str] = field(default_factory=dict)
 
-    def settled(self, runs: Mapping[str, Sequence[Run]]) -> Trial:
+    def settled(self, runs: Runs) -> Trial:
         """With what the methods forecast after all, out of which one is recommended.
 
         The held-out part is short: a method may do well there and not know what comes much later.
         Then it says something else as soon as it has seen a little more, and its band is wider.
         """
-        final = {m: np.mean([r.forecast for r in of_m], axis=0) for m, of_m in runs.items()}
+        final = {
+            m: np.mean([r.forecast for r in of_m], axis=0)
+            for m, of_m in runs.items()
+            if m in self.early
+        }
         bands = {m: self.bands[m].widened(final[m] - self.early[m], self.held[m]) for m in final}
-        return replace(self, final=final, bands=bands)
+        return replace(self, final=final, bands=bands, failed={**self.failed, **runs.failed})
 
     def change(self, method: str) -> float:
         """RMSE between a method's early and final forecast, in the record's unit."""
@@ -127,7 +133,7 @@ def try_out(
 ) -> Trial:
     """Fit each method on the first part of the training samples and forecast the rest of them.
 
-    Arguments as for `compare`; no measured sample after the training part is looked at.
+    Arguments and errors as for `compare`; no measured sample after the training part is looked at.
     """
     part, shorter = hold_out(record, setup)
     held = len(part) - shorter.train
@@ -154,6 +160,7 @@ def try_out(
         {m: of_method[last[m]][len(part) - last[m] :] for m, of_method in forecasts.items()},
         scale,
         {m: len(part) - start for m, start in last.items()},
+        failed=runs.failed,
     )
 
 

@@ -187,7 +187,7 @@ def _compare(
     with showing.progress(seeds * networks, "training") as progress:
         folder = out / CHECKPOINTS / "whole"
         runs = run_comparison(
-            record, methods, setup, chosen, jobs, progress, checkpoints=folder, more=more
+            record, [*trial.errors], setup, chosen, jobs, progress, checkpoints=folder, more=more
         )
     trial = trial.settled(runs)
     found = periodogram(record[: setup.train].y, record.sampling_rate)

@@ -102,7 +102,7 @@ def forecast(
             longer, methods, setup, range(seeds)[:TRIED], jobs, progress, folder, further
         )
     # Of the networks just the best one is worth its training on all of the record.
-    fitted = [name for name in methods if name in FIXED or name == trial.best_network]
+    fitted = [name for name in trial.errors if name in FIXED or name == trial.best_network]
     with showing.progress(seeds * bool(trial.best_network), "training") as progress:
         folder = out / CHECKPOINTS / "whole"
         found = compare(
@@ -125,6 +125,7 @@ def forecast(
         "method": best,
         "description": runs[0].description,
         "held_out_rmse": dict(trial.errors),
+        "failed": dict(trial.failed),
         "change": {name: trial.change(name) for name in trial.final},
         "band": asdict(trial.bands[best]),
         "seeds": [run.seed for run in runs],
@@ -142,4 +143,6 @@ def _say(trial: Trial, best: str, steps: int, out: Path) -> None:
     others = sorted(trial.errors.items(), key=lambda pair: pair[1])
     listed = ", ".join(f"{name} {error:.3g}" for name, error in others)
     showing.console.print(f"RMSE on the record's last quarter, from the rest of it: {listed}")
+    for name, reason in trial.failed.items():
+        showing.console.print(f"{name} could not be fitted: {reason}")
     showing.console.print(f"{steps} samples ahead by {best}: {out}/forecast.csv, forecast.png")

@@ -34,9 +34,12 @@ def comparison(
     runs: Mapping[str, Sequence[Run]],
     trial: Trial,
 ) -> Table:
-    """Errors by method, mean and standard deviation over seeds; the lowest of each is bold."""
+    """Errors by method, mean and standard deviation over seeds; the lowest of each is bold.
+
+    What could not be fitted comes last, without numbers.
+    """
     table = Table(title=title, title_justify="left", title_style="bold")
-    table.add_column("method", min_width=max(map(len, runs)))
+    table.add_column("method", min_width=max(map(len, [*runs, *trial.failed])))
     table.add_column("held out", justify="right")
     table.add_column("changed", justify="right")
     table.add_column("from the start", justify="right")
@@ -44,7 +47,7 @@ def comparison(
     table.add_column("in band", justify="right")
     table.add_column("fit (s)", justify="right")
     table.add_column("", style="dim")
-    first = min(trial.errors.values())
+    first = min(trial.errors[name] for name in runs)
     steadiest = min(trial.change(name) for name in runs)
     best = [
         min(statistics.mean(values(r)) for r in runs.values()) for values in (_total, _forecast)
@@ -75,6 +78,8 @@ def comparison(
             f"{seconds:.1f}",
             said,
         )
+    for name, reason in trial.failed.items():
+        table.add_row(name, *["-"] * 6, f"could not be fitted: {reason}")
     return table
 
 
