@@ -257,7 +257,7 @@ def test_compare_recommends_a_method_and_says_how_sure_it_is(compared: Path) -> 
     assert (lower <= middle).all()
     assert (middle <= upper).all()
     inside = table["a"].between(lower, upper).mean()
-    assert found["methods"]["harmonic"]["band"]["covers"] == pytest.approx(inside)
+    assert found["methods"]["harmonic"]["interval"]["covers"] == pytest.approx(inside)
     assert "a, gru, lower" not in table
 
 

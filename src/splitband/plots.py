@@ -12,11 +12,11 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from splitband.bands import Band
 from splitband.comparison import Run, by_channel, ensemble, first_start, last_start
 from splitband.cutoff import LEAST_BELOW, Choice
 from splitband.data import Trajectory
 from splitband.files import replacing
+from splitband.intervals import Interval
 from splitband.methods import Setup
 from splitband.metrics import cumulative_rmse
 from splitband.spectrum import Spectrum, coherence, periodogram
@@ -42,7 +42,7 @@ def save(figure: Figure, path: str | Path) -> None:
 def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None = None) -> Figure:
     """Every method's prediction over the record, one row each; a column for each protocol.
 
-    With a `trial`, each forecast has its band around it, and the recommended method is named.
+    With a `trial`, each forecast has its interval around it, and the recommended method is named.
     """
     rows = [(name, channel) for name in runs for channel in range(record.ny)]
     figure = Figure(figsize=(13, 1.1 + 1.25 * len(rows)), layout="constrained")
@@ -65,7 +65,7 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None =
             ax.margins(x=0.01)
         if trial is not None:
             middle = mean.forecast[:, channel]
-            half = trial.bands[name].half_widths(len(middle))[:, channel]
+            half = trial.intervals[name].half_widths(len(middle))[:, channel]
             color = _color(runs, name)
             axes[1].fill_between(
                 times[end:], middle - half, middle + half, color=color, alpha=0.18, lw=0
@@ -78,7 +78,7 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None =
         f"{_literal(record.name)}: free runs (colour, mean of the seeds) over the record (grey)\n"
         "left: from the start; right: forecast from the end of the training part "
         "(dotted line)"
-        + (f", in {_band(trial.bands.values())}" if trial is not None else "")
+        + (f", in {_interval(trial.intervals.values())}" if trial is not None else "")
         + "; shaded grey: warm-up",
         fontsize=10,
     )
@@ -254,9 +254,9 @@ def _forecast(run: Run) -> Array:
     return run.forecast
 
 
-def _band(bands: Iterable[Band]) -> str:
-    share = next(iter(bands)).share
-    return f"the band that should hold {share:.0%} of what is measured"
+def _interval(intervals: Iterable[Interval]) -> str:
+    share = next(iter(intervals)).share
+    return f"the interval that should hold {share:.0%} of what is measured"
 
 
 def _literal(name: str) -> str:

@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from splitband.bands import Band
 from splitband.comparison import Run, by_channel, ensemble
 from splitband.data import Trajectory
 from splitband.data.timing import as_json, stamps_at
+from splitband.intervals import Interval
 from splitband.methods import Setup
 from splitband.trial import Trial
 
@@ -48,7 +48,7 @@ def results(
             | {
                 "held_out_rmse": trial.errors[name],
                 "change": trial.change(name),
-                "band": _band(trial.bands[name], record, setup, of_method),
+                "interval": _interval(trial.intervals[name], record, setup, of_method),
                 "mean_of_seeds": _mean(record, setup, of_method),
                 "by_channel": _by_channel(record, setup, of_method),
             }
@@ -65,7 +65,7 @@ def predictions(
     """What `compare` writes to predictions.csv: the record and the predictions.
 
     One column for each channel, method and protocol, empty before a prediction begins; of several
-    seeds their mean. The forecast of the recommended method has its band beside it.
+    seeds their mean. The forecast of the recommended method has its interval beside it.
     """
     table: dict[str, Any] = {time_header(record.columns): record.stamps}
     for i, column in enumerate(record.columns):
@@ -74,7 +74,7 @@ def predictions(
             mean = ensemble(of_method, record, setup)
             sides = {"from start": mean.from_start, "forecast": mean.forecast}
             if name == trial.recommended:
-                half = trial.bands[name].half_widths(len(mean.forecast))
+                half = trial.intervals[name].half_widths(len(mean.forecast))
                 sides |= {"lower": mean.forecast - half, "upper": mean.forecast + half}
             for protocol, predicted in sides.items():
                 values = np.full(len(record), np.nan)
@@ -83,14 +83,14 @@ def predictions(
     return pd.DataFrame(table)
 
 
-def forecast(record: Trajectory, runs: Sequence[Run], band: Band) -> pd.DataFrame:
-    """What `forecast` writes: the samples after the record's last, and their band.
+def forecast(record: Trajectory, runs: Sequence[Run], interval: Interval) -> pd.DataFrame:
+    """What `forecast` writes: the samples after the record's last, and their interval.
 
     A column of time stamps, see `time_ahead`, and three for each channel; of several seeds the
     mean.
     """
     mean = np.mean([run.forecast for run in runs], axis=0)
-    half = band.half_widths(len(mean))
+    half = interval.half_widths(len(mean))
     table: dict[str, Any] = {time_header(record.columns): time_ahead(record, len(mean))}
     for i, column in enumerate(record.columns):
         table |= {
@@ -124,12 +124,14 @@ def environment() -> dict[str, Any]:
     }
 
 
-def _band(band: Band, record: Trajectory, setup: Setup, runs: Sequence[Run]) -> dict[str, Any]:
-    """The forecast's band, and how many of the measured samples it really holds."""
+def _interval(
+    interval: Interval, record: Trajectory, setup: Setup, runs: Sequence[Run]
+) -> dict[str, Any]:
+    """The forecast's interval, and how many of the measured samples it really holds."""
     forecast = ensemble(runs, record, setup).forecast
-    covers = band.coverage(record.seen[setup.train :] - forecast)
-    half_width = band.half_widths(len(forecast)).mean(axis=0)
-    return asdict(band) | {"covers": covers, "mean_half_width": half_width.tolist()}
+    covers = interval.coverage(record.seen[setup.train :] - forecast)
+    mean = interval.half_widths(len(forecast)).mean(axis=0)
+    return asdict(interval) | {"covers": covers, "mean_half_width": mean.tolist()}
 
 
 def _mean(record: Trajectory, setup: Setup, runs: Sequence[Run]) -> dict[str, float] | None:

@@ -12,27 +12,30 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from splitband.bands import Band
 from splitband.comparison import Run, RunProgress, Runs, ahead_of, compare
 from splitband.data import Trajectory
+from splitband.intervals import Interval
 from splitband.methods import FIXED, Setup, check
 from splitband.metrics import rmse, spread
 from splitband.training import Settings
 
 Array = npt.NDArray[np.float64]
 
+LEAST_FITTED = 20
+"""Measured samples of each channel that a baseline is fitted to for the intervals."""
 HELD_OUT = 0.25
 """Share of the training part by which the recommended method is chosen."""
 CUTS = (0.25, 0.2, 0.15, 0.1)
-"""Such shares for what needs no training and is fitted again for each: it changes its mind less,
-the more it has seen."""
+"""Such shares for what needs no training and is fitted again for each, the first as above."""
+LONGER_CUTS = (0.625, 0.5, 0.375)
+"""More of them for the intervals alone: how errors grow shows over long horizons."""
 TRIED = 2
 """Seeds of each network that are tried out, where more are asked for in the end."""
 WORTH_TRAINING = 0.1
 """By how much a network's score must be lower than that of what needs no training."""
 CHANGE_COUNTS = 0.5
-"""How much of a change of mind counts as an error, in squares: two forecasts that are equally far
-from the truth, in ways of their own, differ by twice the square of that."""
+"""How much of a forecast's squared change is an error: two forecasts that are equally far from the
+truth, in ways of their own, differ by twice the square of that."""
 
 
 def hold_out(record: Trajectory, setup: Setup) -> tuple[Trajectory, Setup]:
@@ -63,21 +66,20 @@ class Trial:
         end of the part, together. A network's are from its beginning, from a third and from two
         thirds of it, those of what needs no training from each of `CUTS`, to which it is fitted.
     scores : The same of channels scaled to a deviation of 1.
-    bands : Around each method's forecast of the record, from those forecasts.
-    early : What each method forecast then of the samples after the training part, `(time, ny)`,
-        with what it had seen last.
+    intervals : Around each method's forecast of the record; from those forecasts and, for what
+        needs no training, longer ones (`LONGER_CUTS`).
+    early : What each method forecast of the samples after the training part, `(time, ny)`, fitted
+        on all but `HELD_OUT` of it.
     scale : By which the channels are scaled, `(ny,)`.
-    held : Samples of the training part that it had not seen then.
     final : The same, once it is fitted on the whole training part; see `settled`.
     failed : Why methods could not be fitted, now or, after `settled`, on the whole training part.
     """
 
     errors: Mapping[str, float]
     scores: Mapping[str, float]
-    bands: Mapping[str, Band]
+    intervals: Mapping[str, Interval]
     early: Mapping[str, Array]
     scale: Array
-    held: Mapping[str, int]
     final: Mapping[str, Array] = field(default_factory=dict)
     failed: Mapping[str, str] = field(default_factory=dict)
 
@@ -85,15 +87,16 @@ class Trial:
         """With what the methods forecast after all, out of which one is recommended.
 
         The held-out part is short: a method may do well there and not know what comes much later.
-        Then it says something else as soon as it has seen a little more, and its band is wider.
+        Then its forecast changes once it has seen all of the training part, and its interval is
+        wider.
         """
         final = {
             m: np.mean([r.forecast for r in of_m], axis=0)
             for m, of_m in runs.items()
             if m in self.early
         }
-        bands = {m: self.bands[m].widened(final[m] - self.early[m], self.held[m]) for m in final}
-        return replace(self, final=final, bands=bands, failed={**self.failed, **runs.failed})
+        intervals = {m: self.intervals[m].widened(final[m] - self.early[m]) for m in final}
+        return replace(self, final=final, intervals=intervals, failed={**self.failed, **runs.failed})
 
     def change(self, method: str) -> float:
         """RMSE between a method's early and final forecast, in the record's unit."""
@@ -101,7 +104,12 @@ class Trial:
 
     @property
     def recommended(self) -> str:
-        """The method with the lowest score and change; a network's by `WORTH_TRAINING`.
+        """The method whose early forecast was least wrong; a network's by `WORTH_TRAINING`.
+
+        How wrong it was on the held-out part is its score. Of what comes later nothing is known but
+        by how much the forecast has changed since. A change no larger than the score is what
+        learning from the held-out part looks like and is no fault; a larger one says that the early
+        forecast was worse there. So the larger of the two counts, the change by `CHANGE_COUNTS`.
 
         Of two methods that do equally well on short held-out parts, the simpler one is the safer.
         """
@@ -118,7 +126,7 @@ class Trial:
         if method in self.final:
             change = _size([(self.final[method] - self.early[method]) / self.scale])
         needed = 1.0 if method in FIXED else 1 + WORTH_TRAINING
-        return float(np.hypot(self.scores[method], np.sqrt(CHANGE_COUNTS) * change)) * needed
+        return max(self.scores[method], float(np.sqrt(CHANGE_COUNTS)) * change) * needed
 
 
 def try_out(
@@ -142,26 +150,33 @@ def try_out(
     # One beginning may suit a method by chance: the last sample, held, is now and then the mean.
     later = sorted({shorter.train + i * held // 3 for i in (1, 2)} - {shorter.train})
     cuts = sorted({len(part) - max(1, round(share * len(part))) for share in CUTS})
+    cuts += _longer_cuts(part)
     runs = compare(longer, methods, shorter, seeds, jobs, progress, later, checkpoints, more, cuts)
     forecasts = {method: _forecasts(of_method, shorter.train) for method, of_method in runs.items()}
-    seen = part.seen
+    seen, scale = part.seen, spread(part.seen)
     left = {
-        method: [
-            seen[start:] - forecast[: len(part) - start] for start, forecast in of_method.items()
-        ]
+        method: {
+            start: seen[start:] - forecast[: len(part) - start]
+            for start, forecast in of_method.items()
+        }
         for method, of_method in forecasts.items()
     }
-    scale = spread(seen)
-    last = {m: max(of_m) if m in FIXED else shorter.train for m, of_m in forecasts.items()}
+    scored = {m: [e for at, e in of_m.items() if at >= shorter.train] for m, of_m in left.items()}
     return Trial(
-        {m: _size(e) for m, e in left.items()},
-        {m: _size([error / scale for error in e]) for m, e in left.items()},
-        {m: Band.fit(e, seen) for m, e in left.items()},
-        {m: of_method[last[m]][len(part) - last[m] :] for m, of_method in forecasts.items()},
+        {m: _size(e) for m, e in scored.items()},
+        {m: _size([error / scale for error in e]) for m, e in scored.items()},
+        {m: Interval.fit([*of_m.values()], seen) for m, of_m in left.items()},
+        {m: of_m[shorter.train][held:] for m, of_m in forecasts.items()},
         scale,
-        {m: len(part) - start for m, start in last.items()},
         failed=runs.failed,
     )
+
+
+def _longer_cuts(part: Trajectory) -> list[int]:
+    """By `LONGER_CUTS`, where there is enough before them to fit a baseline to."""
+    cuts = [len(part) - round(share * len(part)) for share in LONGER_CUTS]
+    measured = ~np.isnan(part.seen)
+    return [cut for cut in cuts if (measured[:cut].sum(axis=0) >= LEAST_FITTED).all()]
 
 
 def _forecasts(runs: Sequence[Run], begin: int) -> dict[int, Array]:

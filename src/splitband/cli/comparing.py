@@ -92,9 +92,10 @@ def compare(
 
     The recommended method is chosen on training samples only. Fitted on three quarters of them, it
     forecasts the rest best, from several beginnings (the table shows that error as "held out"); and
-    what it forecast then of the time after the training part is still what it forecasts once it is
-    fitted on all of them (else it "changed"). The held-out errors also give each forecast a band in
-    which nine tenths of the measured samples should lie; the table says how many do.
+    what it forecast then of the time after the training part has not changed by more than that
+    error once it is fitted on all of them (the table shows by how much it "changed"). The held-out
+    errors also give each forecast an interval in which nine tenths of the measured samples should
+    lie; the table says how many do.
 
     --calibrate and --conditioned add rows: each method that can be is also run that way.
     """

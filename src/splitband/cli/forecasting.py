@@ -55,7 +55,7 @@ def forecast(
     more_simulator: options.MoreSimulators = None,
     epochs: options.Epochs = None,
 ) -> None:
-    """Forecast a record beyond its end, with a band that should hold nine tenths of what comes.
+    """Forecast a record beyond its end, with the interval that should hold nine tenths of it.
 
     Without --method, several are tried as `compare` tries them: each forecasts the last quarter of
     the record from the rest of it. What did well is fitted again, on the whole record, and should
@@ -112,7 +112,7 @@ def forecast(
     best = trial.recommended
     runs = found[best]
     left = min((run.leaves for run in runs if run.leaves is not None), default=None)
-    table = reporting.forecast(known, runs, trial.bands[best])
+    table = reporting.forecast(known, runs, trial.intervals[best])
     with replacing(out / "forecast.csv") as temporary:
         table.to_csv(temporary, index=False)
     facts = {
@@ -127,7 +127,7 @@ def forecast(
         "held_out_rmse": dict(trial.errors),
         "failed": dict(trial.failed),
         "change": {name: trial.change(name) for name in trial.final},
-        "band": asdict(trial.bands[best]),
+        "interval": asdict(trial.intervals[best]),
         "seeds": [run.seed for run in runs],
         "environment": reporting.environment(),
     }

@@ -44,7 +44,7 @@ def comparison(
     table.add_column("changed", justify="right")
     table.add_column("from the start", justify="right")
     table.add_column("forecast", justify="right")
-    table.add_column("in band", justify="right")
+    table.add_column("in interval", justify="right")
     table.add_column("fit (s)", justify="right")
     table.add_column("", style="dim")
     first = min(trial.errors[name] for name in runs)
@@ -60,7 +60,7 @@ def comparison(
         seconds = statistics.mean(r.seconds for r in of_method)
         tried = trial.errors[name]
         mean = ensemble(of_method, record, setup)
-        covers = trial.bands[name].coverage(record.seen[setup.train :] - mean.forecast)
+        covers = trial.intervals[name].coverage(record.seen[setup.train :] - mean.forecast)
         said = of_method[0].description
         if len(of_method) > 1 and of_method[0].losses:
             said = "; ".join(
