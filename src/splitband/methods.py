@@ -20,8 +20,9 @@ from splitband.filters import ComplementaryPair, butterworth
 from splitband.harmonic import HarmonicRegression
 from splitband.linear import OutputError
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
-from splitband.naive import Given, Mean, Naive, Persistence, SeasonalNaive
+from splitband.naive import Given, Mean, Naive, Persistence
 from splitband.periodic import PeriodicRegression
+from splitband.seasonal import SeasonalNaive
 from splitband.training import Settings
 from splitband.windows import places_in
 

@@ -12,12 +12,9 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 Array = npt.NDArray[np.float64]
 
-ENOUGH_PAIRS = 0.25
-"""Of measured samples a lag apart, as a share of the most at any lag: fewer agree by chance."""
 LONGEST = 4000
 """Samples that what is fitted by least squares is fitted to at most: its time grows with them."""
 FARTHEST_BACK = 10 * LONGEST
@@ -83,48 +80,6 @@ class Given:
         return self.description
 
 
-@dataclass(frozen=True, eq=False)
-class SeasonalNaive:
-    """The last period of the training samples, repeated; use `SeasonalNaive.fit`.
-
-    Attributes
-    ----------
-    period : The samples that repeat, `(lag, ny)`.
-    end : Index after the last of them.
-    """
-
-    period: Array
-    end: int
-
-    @classmethod
-    def fit(cls, y: Array) -> SeasonalNaive:
-        """Choose the lag whose last period, repeated backwards, fits `y` `(time, ny)` best.
-
-        Where `y` is NaN nothing was measured, and the period before has to do. Compared are the
-        lags up to half the record at which the record resembles itself: the local minima of its
-        mean squared difference at a lag.
-        """
-        errors = {lag: _last_period(y, lag)[1] for lag in sorted(self_similar_lags(y))}
-        # A period and its multiples tie up to rounding: the shortest one is meant.
-        good_enough = min(errors.values()) * (1 + 1e-9) + 1e-24 * float(np.nanmean(y**2))
-        lag = next(lag for lag, error in errors.items() if error <= good_enough)
-        return cls(_last_period(y, lag)[0], len(y))
-
-    @property
-    def lag(self) -> int:
-        """Samples in a period."""
-        return len(self.period)
-
-    def predict(self, start: int, steps: int, last: Array) -> Array:
-        """See `Naive`."""
-        index = np.arange(start, start + steps)
-        repeated: Array = self.period[(index - self.end) % self.lag]
-        return repeated
-
-    def __str__(self) -> str:
-        return f"the last {self.lag} training samples, repeated"
-
-
 def recent(y: Array) -> tuple[int, Array]:
     """Where the end of `y` `(time, ny)` begins that is fitted, and that end.
 
@@ -149,62 +104,3 @@ def units(y: Array) -> tuple[float, float]:
     """Mean and range of a channel; a constant one has its value and 1."""
     low, high = float(np.nanmin(y)), float(np.nanmax(y))
     return (float(np.nanmean(y)), high - low) if low < high else (low, 1.0)
-
-
-def self_similar_lags(y: Array, most: int = 200) -> list[int]:
-    """Lags up to half of `y` with the smallest local minima of mean (y_n - y_{n+lag})^2.
-
-    The mean is over the pairs of measured samples, each channel by itself.
-    """
-    n = len(y)
-    lags = np.arange(1, n // 2 + 1)
-    difference, doubtful = np.zeros(len(lags)), np.zeros(len(lags), dtype=np.bool_)
-    for channel in y.T:
-        measured = (~np.isnan(channel)).astype(np.float64)
-        centred = np.nan_to_num(channel - np.nanmean(channel))
-        # Of a square and its two mixed products: (a - b)^2 = a^2 + b^2 - 2 a b.
-        pairs, before, after, products = (
-            scipy.signal.correlate(a, b, mode="full", method="fft")[n - 1 :][lags]
-            for a, b in (
-                (measured, measured),
-                (measured, centred**2),
-                (centred**2, measured),
-                (centred, centred),
-            )
-        )
-        pairs = np.rint(pairs)
-        doubtful |= pairs < ENOUGH_PAIRS * pairs.max()
-        difference += (before + after - 2 * products) / np.maximum(pairs, 1)
-    difference[doubtful] = np.inf
-    minima = scipy.signal.argrelmin(np.append(difference, np.inf))[0]  # the last lag may be one
-    ranked = minima[np.argsort(difference[minima], kind="stable")]
-    return [int(lags[i]) for i in ranked[:most]] or [int(lags[-1])]
-
-
-def seasons(y: Array, lag: int) -> Array:
-    """`y` `(time, ny)` as `(season, lag, ny)`, the last season ending with it; NaN in the first."""
-    count = -(-len(y) // lag)
-    found = np.full((count * lag, y.shape[1]), np.nan)
-    found[-len(y) :] = y
-    return found.reshape(count, lag, -1)
-
-
-def all_around(period: Array) -> Array:
-    """A period `(lag, ny)`, with straight lines across what is NaN, round from end to begin."""
-    found, phase = period.copy(), np.arange(len(period))
-    for channel in found.T:
-        seen = ~np.isnan(channel)
-        channel[~seen] = np.interp(phase[~seen], phase[seen], channel[seen], period=len(period))
-    return found
-
-
-def _last_period(y: Array, lag: int) -> tuple[Array, float]:
-    """The last measured sample at each phase, and its mean squared error for all earlier ones."""
-    by_season = seasons(y, lag)
-    count = len(by_season)
-    last = count - 1 - (~np.isnan(by_season))[::-1].argmax(axis=0)
-    period = np.take_along_axis(by_season, last[None], axis=0)[0]
-    errors = by_season - period
-    errors[np.arange(count)[:, None, None] >= last] = np.nan
-    compared = len(errors.ravel()) - np.count_nonzero(np.isnan(errors))
-    return all_around(period), float(np.nansum(errors**2) / compared) if compared else np.inf

@@ -1,4 +1,4 @@
-"""Periodic regression: a Fourier series over the record's own period, and what dies out.
+"""Periodic regression: a Fourier series over the record's own period, a trend, what dies out.
 
 A naive baseline (see `splitband.naive`): what a system that is driven periodically does, once its
 free vibrations are gone, whether it is linear or not. Seasonal-naive repeats one period and its
@@ -12,16 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from splitband.harmonic import HarmonicRegression, Modes
-from splitband.naive import (
-    SeasonalNaive,
-    all_around,
-    known,
-    recent,
-    seasons,
-    self_similar_lags,
-    units,
-)
+from splitband.harmonic import HarmonicRegression
+from splitband.modes import Modes
+from splitband.naive import known, recent, units
+from splitband.seasonal import all_around, last_period, seasons, self_similar_lags
+from splitband.trend import Shape, described, find
 
 Array = npt.NDArray[np.float64]
 
@@ -63,7 +58,7 @@ class PeriodicRegression:
         begin, y = recent(y)
         channels = [_fit_channel(channel) for channel in y.T]
         return cls(
-            HarmonicRegression.of(channels, begin),
+            HarmonicRegression(tuple(channels), begin),
             tuple(1 / m.frequencies[0] if len(m.frequencies) else 0.0 for m in channels),
             tuple(max(len(m.frequencies) - m.harmonics, 0) for m in channels),
         )
@@ -73,23 +68,26 @@ class PeriodicRegression:
         return self.sinusoids.predict(start, steps, last)
 
     def __str__(self) -> str:
+        trends = described([modes.shape for modes in self.sinusoids.channels])
         if not any(self.periods):
-            return "no period found, a constant"
+            return f"no period found, a constant{trends}"
+        frequencies = [modes.frequencies for modes in self.sinusoids.channels]
         periods = ", ".join(f"{period:.6g}" for period in self.periods)
         counts = "+".join(
-            str(len(f) - v)
-            for f, v in zip(self.sinusoids.frequencies, self.vibrations, strict=True)
+            str(len(f) - v) for f, v in zip(frequencies, self.vibrations, strict=True)
         )
         dying = sum(self.vibrations)
         some = f", and {dying} vibration(s) that die out" if dying else ""
-        return f"{counts} harmonic(s) of a period of {periods} samples{some}"
+        return f"{counts} harmonic(s) of a period of {periods} samples{some}{trends}"
 
 
 def _fit_channel(y: Array) -> Modes:
     """In its units; found in units of its own range."""
     offset, scale = units(y)
     scaled = (y - offset) / scale
-    stiffest, *freer = zip(_candidates(scaled), _held_out(scaled), strict=True)
+    trend = find(scaled)
+    shape = trend.shape if trend else None
+    stiffest, *freer = zip(_candidates(scaled, shape), _held_out(scaled, shape), strict=True)
     best, least = stiffest
     for candidate, error in freer:
         if error < _WORTH * least:
@@ -97,20 +95,20 @@ def _fit_channel(y: Array) -> Modes:
     return best.in_units(offset, scale)
 
 
-def _held_out(y: Array) -> list[float]:
+def _held_out(y: Array, shape: Shape | None) -> list[float]:
     """Of each candidate, the mean RMSE of what follows the samples that were fitted."""
     errors, index = [], known(y)
     for share in _CUTS:
         later = index[int(share * len(index)) :]
-        fitted = _candidates(y[: max(later[0], index[0] + 1)])
+        fitted = _candidates(y[: max(later[0], index[0] + 1)], shape)
         left = [y[later] - candidate.predict(later) for candidate in fitted]
         errors.append([np.sqrt(np.mean(error**2)) for error in left])
     return [float(error) for error in np.mean(errors, axis=0)]
 
 
-def _candidates(y: Array) -> tuple[Modes, Modes, Modes]:
+def _candidates(y: Array, shape: Shape | None) -> tuple[Modes, Modes, Modes]:
     """From the stiffest to the freest: any period nearby, and vibrations as long as they pay."""
-    series = _best_series(y)
+    series = _best_series(y, shape)
     if not len(series.frequencies):
         return series, series, series
     refined = dying = modes = series.refined(y)
@@ -122,23 +120,24 @@ def _candidates(y: Array) -> tuple[Modes, Modes, Modes]:
     return series, refined, dying
 
 
-def _best_series(y: Array, lags: int = 4) -> Modes:
+def _best_series(y: Array, shape: Shape | None, lags: int = 4) -> Modes:
     """The Fourier series of a lag at which the record resembles itself, or of a part of it."""
+    level = Modes.none(y, shape)
     if len(known(y)) < 2:
-        return _series(y, 1)
-    channel = y[:, None]
+        return level
+    channel = level.residual(y)[:, None]
     # Of multiples of a period that tie, seasonal-naive takes the shortest.
-    periods = {SeasonalNaive.fit(channel).lag, *self_similar_lags(channel, lags)}
-    found = [_series(y, lag) for lag in sorted(periods)]
+    periods = {len(last_period(channel)), *self_similar_lags(channel, lags)}
+    found = [_series(y, lag, shape) for lag in sorted(periods)]
     return min(found, key=lambda modes: modes.information(y))
 
 
-def _series(y: Array, lag: int) -> Modes:
+def _series(y: Array, lag: int, shape: Shape | None) -> Modes:
     """The Fourier series of a period, of as many harmonics as pay, the strongest first."""
-    none = Modes.solved(np.empty(0), np.empty(0), y)
+    none = Modes.none(y, shape)
     index = known(y)
     most = min(MOST_HARMONICS, (lag - 1) // 2, (len(index) - 2) // 4)
-    complete = y[len(y) % lag :]
+    complete = none.residual(y)[len(y) % lag :]
     if most < 1 or not len(known(complete)):
         return none
     by_season = seasons(complete[:, None], lag)
@@ -149,10 +148,11 @@ def _series(y: Array, lag: int) -> Modes:
     strongest = 1 + np.argsort(-strength, kind="stable")[:most]
     phase = 2 * np.pi * np.outer(index, strongest) / lag
     pairs = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(index), -1)
-    directions = np.linalg.qr(np.hstack([np.ones((len(index), 1)), pairs]))[0]
+    level = none.basis(index)
+    directions = np.linalg.qr(np.hstack([level, pairs]))[0]
     # What is left after each harmonic more.
     power = np.nansum(y**2)
-    left = power - np.cumsum((directions.T @ y[index]) ** 2)[::2]
+    left = power - np.cumsum((directions.T @ y[index]) ** 2)[level.shape[1] - 1 :: 2]
     left = np.maximum(left, 1e-16 * power + 1e-300)
     information = len(index) * np.log(left) + 2 * np.arange(len(left)) * np.log(len(index))
     kept = strongest[: int(np.argmin(information))]
@@ -161,4 +161,4 @@ def _series(y: Array, lag: int) -> Modes:
     # Those of a whole fraction of the lag: then that is the period. Weak ones between count too.
     whole = int(np.gcd.reduce(kept))
     order = np.arange(1, min(kept.max() // whole, MOST_HARMONICS) + 1)
-    return Modes.solved(order * whole / lag, np.zeros(len(order)), y, harmonics=len(order))
+    return Modes.solved(order * whole / lag, np.zeros(len(order)), y, shape, len(order))
