@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
@@ -120,7 +121,7 @@ class Job:
             raise ValueError(f"methods must be out of {', '.join(METHODS)}, got {self.method}")
         column = SYSTEMS[self.system].column
         own = {"cutoff": column.cutoff, "downsampling": getattr(column, "downsampling", None)}
-        own["epochs"] = column_epochs(column, self.method)
+        own["epochs"] = column.epochs_of(self.method)
         for name, value in own.items():
             if getattr(self, name) == value or self.method in (*FIXED, ORACLE):
                 object.__setattr__(self, name, None)
@@ -153,13 +154,6 @@ class Job:
         if self.downsampling is not None:
             setup = replace(setup, downsampling=self.downsampling)
         return replace(setup, settings=settings, overrides={})
-
-
-def column_epochs(column: LearningBased | Hybrid, method: str) -> int:
-    """The paper's epochs for a method."""
-    if isinstance(column, LearningBased):
-        return column.epochs
-    return column.rnn_epochs if method.endswith("rnn") else column.gru_epochs
 
 
 def complete(
@@ -248,13 +242,15 @@ def _work(folder: Path, silent: bool, job: Job, report: Callable[[RunProgress], 
     path = folder / job.path
     checkpoints = path.parent / f"{path.stem}-{CHECKPOINTS}"
     checkpoints.mkdir(parents=True, exist_ok=True)
+    resumed = any(checkpoints.iterdir())
+    began = time.process_time()
     try:
         if job.method == ORACLE:
             done = run_baseline(ORACLE, double_mass_spring_oracle, record, setup)
         else:
             watch = None if silent else report
             done = run(job.method, record, setup, job.seed, watch, checkpoints=checkpoints)
-        facts = _results(job, done)
+        facts = _results(job, done) | _time(done.seconds, time.process_time() - began, resumed)
     except FloatingPointError as error:
         facts = {"diverged": str(error)}
     write_json_lines(path, _identity(job, record, setup) | facts | {"environment": environment()})
@@ -270,7 +266,6 @@ def _results(job: Job, done: Run) -> dict[str, Any]:
     return {
         "total_rmse": done.total_rmse,
         "forecast_rmse": done.forecast_rmse,
-        "seconds": round(done.seconds, 3),
         "description": done.description,
         "losses": {name: _few(values) for name, values in done.losses.items()},
         "from_start": [] if varied else _rounded(done.from_start),
@@ -280,6 +275,15 @@ def _results(job: Job, done: Run) -> dict[str, Any]:
             for name in ("components", "unfiltered")
         },
     }
+
+
+def _time(wall: float, processor: float, resumed: bool) -> dict[str, Any]:
+    """Seconds of the fit, and those the processor worked on the job, which other work disturbs less.
+
+    Of a run that went on from a checkpoint both are those since then: it is marked.
+    """
+    facts: dict[str, Any] = {"seconds": round(wall, 3), "cpu_seconds": round(processor, 3)}
+    return facts | {"resumed": True} if resumed else facts
 
 
 def _identity(job: Job, record: Trajectory, setup: Setup) -> dict[str, Any]:

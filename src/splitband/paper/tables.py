@@ -13,7 +13,7 @@ import numpy as np
 from splitband.methods import FIXED
 from splitband.paper import published
 from splitband.paper.published import Row
-from splitband.paper.runs import ORACLE, SYSTEMS, Job, column_epochs, finished, load
+from splitband.paper.runs import ORACLE, SYSTEMS, Job, finished, load
 
 _NAIVE = ("persistence", "seasonal-naive", "harmonic")
 _GRU = ("gru", "split-gru", "split-gru-hp")
@@ -198,7 +198,7 @@ def _facts(spec: Spec, line: Line, folder: Path) -> dict[str, Any]:
     paper = spec.published.get(line.system if line.value is None else line.value, {})
     known = paper.get(line.method)
     column = SYSTEMS[line.system].column
-    usual = column_epochs(column, line.method)
+    usual = column.epochs_of(line.method)
     return {
         "system": line.system,
         "title": SYSTEMS[line.system].title,
