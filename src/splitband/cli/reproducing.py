@@ -13,9 +13,12 @@ from splitband import plots
 from splitband.cli import given, options, showing
 from splitband.files import output_folder, replacing, write_json
 from splitband.methods import TRAINED
+from splitband.paper.costs import progress
 from splitband.paper.figures import FIGURES, figure, needed
-from splitband.paper.runs import SYSTEMS, complete, missing
-from splitband.paper.tables import SPECS, Line, Table, lines, table
+from splitband.paper.jobs import SYSTEMS
+from splitband.paper.runs import complete, missing
+from splitband.paper.specs import SPECS, Line, lines
+from splitband.paper.tables import Table, table
 from splitband.threads import available_cores
 
 paper = typer.Typer(
@@ -53,16 +56,31 @@ Run = Annotated[
 
 
 @paper.command("list")
-def list_names() -> None:
-    """List the tables, figures and systems."""
-    found = RichTable(show_header=False, box=None)
+def list_names(seeds: Seeds = 5, out: Out = Path("paper")) -> None:
+    """List the tables, figures and systems, and how many runs of each table are in OUT/runs.
+
+    A run counts with all of the paper's epochs. What is missing is estimated from the finished runs
+    of the same method on the same system, or by the run times that the paper reports.
+    """
+    found = RichTable(box=None)
+    for heading in ("", "name", "runs", "missing", ""):
+        found.add_column(heading, no_wrap=heading != "")
+    guessed = False
     for name, spec in SPECS.items():
-        found.add_row("table", name, spec.title)
+        jobs = [job for line in lines(name, seeds=seeds) for job in line.jobs]
+        state = progress(jobs, out / "runs")
+        guessed = guessed or not state.measured
+        mark = "" if state.measured else " *"
+        takes = "" if state.there == state.needed else _duration(state.seconds) + mark
+        found.add_row("table", name, f"{state.there} of {state.needed}", takes, spec.title)
     for name in FIGURES:
-        found.add_row("figure", name, "")
+        found.add_row("figure", name)
     for name, system in SYSTEMS.items():
-        found.add_row("system", name, system.title)
+        found.add_row("system", name, "", "", system.title)
     showing.console.print(found)
+    showing.console.print("missing: time of one process, that of tables that share runs in each")
+    if guessed:
+        showing.console.print("* partly by the run times that the paper reports")
 
 
 @paper.command("table")
@@ -127,14 +145,20 @@ def make_figure(
             showing.console.print(f"{path}")
 
 
+def _duration(seconds: float) -> str:
+    if seconds < 60:
+        return "under a minute"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
 def _run_missing(of: Iterable[Line], out: Path, processes: int | None, run: bool) -> None:
     output_folder(out / "runs")
     if not run:
         return
     todo = missing((job for line in of for job in line.jobs), out / "runs")
     trainings = sum(job.method in TRAINED for job in todo)
-    with showing.progress(trainings, f"{trainings} trainings") as progress:
-        complete(todo, out / "runs", processes or available_cores(), progress)
+    with showing.progress(trainings, f"{trainings} trainings") as report:
+        complete(todo, out / "runs", processes or available_cores(), report)
 
 
 def _chosen(name: str, possible: Iterable[str], what: str) -> list[str]:

@@ -9,8 +9,9 @@ from splitband import plots
 from splitband.comparison import Run
 from splitband.data import Trajectory
 from splitband.methods import FIXED, Setup
-from splitband.paper.runs import ORACLE, SYSTEMS, Job, as_run, finished, load
-from splitband.paper.tables import SPECS, Line, chosen, lines
+from splitband.paper.jobs import ORACLE, SYSTEMS, Job
+from splitband.paper.runs import as_run, finished, load
+from splitband.paper.specs import SPECS, Line, chosen, lines
 from splitband.spectrum import periodogram
 
 Runs = dict[str, list[Run]]
@@ -50,7 +51,7 @@ def needed(
         rows = [
             line
             for table, spec in SPECS.items()
-            if system in spec.systems and not spec.varied and not spec.seconds
+            if system in spec.systems and not spec.varied and spec.shows != "seconds"
             for line in lines(table, [system], None, seeds, epochs)
             if _shown(name, line.method) and (methods is None or line.method in methods)
         ]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
+import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import lru_cache, partial
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,150 +16,22 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.comparison import Run, RunProgress, run, run_baseline
-from splitband.data import Trajectory, double_torsion, drill_string, read
+from splitband.data import Trajectory
 from splitband.files import CHECKPOINTS, write_json_lines
-from splitband.methods import FIXED, METHODS, Setup
-from splitband.paper.settings import HYBRID, LEARNING_BASED, Hybrid, LearningBased, in_hz
+from splitband.methods import FIXED, Setup
+from splitband.metrics import rmse
+from splitband.paper.jobs import ORACLE, Job
 from splitband.processes import over
 from splitband.reporting import environment
-from splitband.systems import (
-    double_mass_spring,
-    double_mass_spring_oracle,
-    double_torsion_pendulum,
-    van_der_pol,
-)
+from splitband.systems import double_mass_spring_oracle
 
 Array = npt.NDArray[np.float64]
 FORMAT = 1
-ORACLE = "oracle"
-"""Method on system (i): least squares on the true form."""
+FEWEST_SEEDS = 3
+"""A row of a table is made of as many runs at least, unless fewer are asked for."""
 
 _LOSSES = 100  # kept of a curve
-
-
-_once = lru_cache(maxsize=64)
-"""For records that are simulated: a table asks for them again with every run."""
-
-
-@dataclass(frozen=True)
-class System:
-    """A record under the settings of one of the paper's columns.
-
-    Attributes
-    ----------
-    title : For tables.
-    column : The paper's settings.
-    record : Makes the record; the argument is the noise draw, of which only simulated ones have
-        several.
-    """
-
-    title: str
-    column: LearningBased | Hybrid
-    record: Callable[[int], Trajectory]
-
-
-def _torsion(row: str, _: int) -> Trajectory:
-    """The record of a row where SPLITBAND_DATA_DIR has it, otherwise the one that is public."""
-    folder = os.environ.get("SPLITBAND_DATA_DIR")
-    own = Path(folder or ".") / f"double_torsion_{row}.csv"
-    if folder is None or not own.is_file():
-        return double_torsion()
-    y = read(own, sampling_time=0.01).y[:2000]
-    return Trajectory((y - y.mean(axis=0)) / y.std(axis=0), 0.01, name=own.stem, columns=("phi2",))
-
-
-SYSTEMS = {
-    "i": System(
-        "double mass-spring",
-        LEARNING_BASED["i"],
-        _once(lambda draw: double_mass_spring(seed=draw)),
-    ),
-    **{
-        row: System("double-torsion record", LEARNING_BASED[row], partial(_torsion, row))
-        for row in ("ii", "iii", "iv")
-    },
-    **{
-        f"{row}-simulated": System(
-            "simulated pendulum",
-            LEARNING_BASED[row],
-            _once(partial(double_torsion_pendulum, row, 2000)),
-        )
-        for row in ("ii", "iii", "iv")
-    },
-    "v": System("Van der Pol", HYBRID["v"], _once(lambda draw: van_der_pol())),
-    "vi": System("drill string", HYBRID["vi"], lambda draw: drill_string()),
-}
-"""By the paper's numbers; it has one record for each of (ii) to (iv), of which one is public."""
-
-
-@dataclass(frozen=True)
-class Job:
-    """One method on one system with one seed; None is the paper's value.
-
-    Attributes
-    ----------
-    draw : Of the noise.
-    cutoff : w, in the unit of the paper's tables.
-    downsampling : k.
-    epochs : The paper's training steps.
-    """
-
-    system: str
-    method: str
-    seed: int = 0
-    draw: int = 0
-    cutoff: float | None = None
-    downsampling: int | None = None
-    epochs: int | None = None
-
-    def __post_init__(self) -> None:
-        """Drop what is the paper's own value, so that equal runs are equal jobs."""
-        if self.system not in SYSTEMS:
-            raise ValueError(f"systems must be out of {', '.join(SYSTEMS)}, got {self.system}")
-        if self.method not in (*METHODS, ORACLE):
-            raise ValueError(f"methods must be out of {', '.join(METHODS)}, got {self.method}")
-        column = SYSTEMS[self.system].column
-        own = {"cutoff": column.cutoff, "downsampling": getattr(column, "downsampling", None)}
-        own["epochs"] = column_epochs(column, self.method)
-        for name, value in own.items():
-            if getattr(self, name) == value or self.method in (*FIXED, ORACLE):
-                object.__setattr__(self, name, None)
-
-    @property
-    def path(self) -> Path:
-        """Of its file in a folder of results."""
-        marks = {
-            "draw": self.draw or None,
-            "w": self.cutoff,
-            "k": self.downsampling,
-            "epochs": self.epochs,
-        }
-        parts = [f"{name}{value:g}" for name, value in marks.items() if value is not None]
-        return Path(self.system, self.method, "-".join([*parts, f"seed{self.seed}"]) + ".json")
-
-    @property
-    def record(self) -> Trajectory:
-        """What it learns from and is measured on."""
-        return SYSTEMS[self.system].record(self.draw)
-
-    def setup(self, record: Trajectory) -> Setup:
-        """The paper's settings with what this job changes."""
-        setup = SYSTEMS[self.system].column.setup(record.sampling_rate)
-        settings = setup.settings_of(self.method)
-        if self.epochs is not None:
-            settings = replace(settings, epochs=self.epochs)
-        if self.cutoff is not None:
-            setup = replace(setup, cutoff=in_hz(self.cutoff, record.sampling_rate))
-        if self.downsampling is not None:
-            setup = replace(setup, downsampling=self.downsampling)
-        return replace(setup, settings=settings, overrides={})
-
-
-def column_epochs(column: LearningBased | Hybrid, method: str) -> int:
-    """The paper's epochs for a method."""
-    if isinstance(column, LearningBased):
-        return column.epochs
-    return column.rnn_epochs if method.endswith("rnn") else column.gru_epochs
+_WAITED = 1.25  # wall seconds per processor second above which a run shared its core
 
 
 def complete(
@@ -183,20 +55,28 @@ def missing(jobs: Iterable[Job], folder: Path) -> list[Job]:
     return [job for job in dict.fromkeys(jobs) if not (folder / job.path).exists()]
 
 
-def finished(jobs: Sequence[Job], folder: Path) -> list[Job]:
-    """The jobs of a row, or where some are missing all of them with the most epochs that were run.
+def finished(jobs: Sequence[Job], folder: Path, fewest: int = FEWEST_SEEDS) -> list[Job]:
+    """The jobs of a row that its table can be made of.
 
-    That is for jobs that leave the epochs to the paper.
+    Those that have a file, if they are `fewest` at least, or all; otherwise the same with the most
+    epochs short of the paper's. Of jobs that name their epochs, or where there is nothing to
+    show, all of them.
     """
-    if jobs[0].epochs is not None or not missing(jobs, folder):
-        return [*jobs]
-    names = [path.name for path in (folder / jobs[0].path).parent.glob("*.json")]
-    run = {int(found[1]) for name in names if (found := re.search(r"epochs(\d+)-", name))}
-    for epochs in sorted(run, reverse=True):
-        shorter = [replace(job, epochs=epochs) for job in jobs]
-        if not missing(shorter, folder):
-            return shorter
+    fewest = min(fewest, len(jobs))
+    if jobs[0].epochs is None:
+        for epochs in (None, *_shorter(jobs[0], folder)):
+            there = [job for job in (replace(job, epochs=epochs) for job in jobs)
+                     if (folder / job.path).exists()]  # fmt: skip
+            if len(there) >= fewest:
+                return there
     return [*jobs]
+
+
+def _shorter(job: Job, folder: Path) -> list[int]:
+    """The numbers of epochs below the paper's that a job's method was run for, descending."""
+    names = [path.name for path in (folder / job.path).parent.glob("*.json")]
+    found = {int(match[1]) for name in names if (match := re.search(r"epochs(\d+)-", name))}
+    return sorted((epochs for epochs in found if epochs < job.full_epochs), reverse=True)
 
 
 def load(job: Job, folder: Path) -> dict[str, Any]:
@@ -242,19 +122,61 @@ def as_run(facts: dict[str, Any]) -> Run:
     )
 
 
+def whole_rmse(facts: dict[str, Any], job: Job) -> float:
+    """The RMSE along the full trajectory, warm-up included, which the paper's Sec. 5 speaks of.
+
+    What warms up on measured samples has no error there; a simulator has its own.
+    """
+    record = job.record
+    if job.method.startswith("simulator"):
+        simulator = FIXED[job.method](record, facts["settings"]["train"])
+        return rmse(record.truth, simulator.predict(0, len(record), record.y[0]))
+    counted = len(facts["from_start"][0]) / len(record)
+    return float(facts["total_rmse"] * counted**0.5)
+
+
+def parts_rmse(facts: dict[str, Any], job: Job) -> dict[str, float]:
+    """The total RMSE that each component of a prediction has without the others."""
+    parts = {name: _array(values) for name, values in facts.get("components", {}).items()}
+    truth = job.record.truth
+    return {name: rmse(truth[-len(values) :], values) for name, values in parts.items()}
+
+
+def final_losses(facts: dict[str, Any]) -> dict[str, float]:
+    """The training loss at the end, by network: the median over the last tenth of the epochs."""
+    return {
+        name: float(np.median(losses[-max(1, len(losses) // 10) :]))
+        for name, losses in facts["losses"].items()
+    }
+
+
+def disturbed(facts: dict[str, Any]) -> bool | None:
+    """Whether a run's seconds are longer, or shorter, than the training took.
+
+    It waited for its core, or went on from a checkpoint; None is for older files, which do not say.
+    """
+    if "resumed" in facts:
+        return True
+    if "cpu_seconds" not in facts:
+        return None
+    return bool(facts["seconds"] > _WAITED * facts["cpu_seconds"])
+
+
 def _work(folder: Path, silent: bool, job: Job, report: Callable[[RunProgress], None]) -> None:
     record = job.record
     setup = job.setup(record)
     path = folder / job.path
     checkpoints = path.parent / f"{path.stem}-{CHECKPOINTS}"
     checkpoints.mkdir(parents=True, exist_ok=True)
+    resumed = any(checkpoints.iterdir())
+    began = time.process_time()
     try:
         if job.method == ORACLE:
             done = run_baseline(ORACLE, double_mass_spring_oracle, record, setup)
         else:
             watch = None if silent else report
             done = run(job.method, record, setup, job.seed, watch, checkpoints=checkpoints)
-        facts = _results(job, done)
+        facts = _results(job, done) | _time(done.seconds, time.process_time() - began, resumed)
     except FloatingPointError as error:
         facts = {"diverged": str(error)}
     write_json_lines(path, _identity(job, record, setup) | facts | {"environment": environment()})
@@ -270,7 +192,6 @@ def _results(job: Job, done: Run) -> dict[str, Any]:
     return {
         "total_rmse": done.total_rmse,
         "forecast_rmse": done.forecast_rmse,
-        "seconds": round(done.seconds, 3),
         "description": done.description,
         "losses": {name: _few(values) for name, values in done.losses.items()},
         "from_start": [] if varied else _rounded(done.from_start),
@@ -280,6 +201,15 @@ def _results(job: Job, done: Run) -> dict[str, Any]:
             for name in ("components", "unfiltered")
         },
     }
+
+
+def _time(wall: float, processor: float, resumed: bool) -> dict[str, Any]:
+    """Seconds of the fit, and those that the processor worked on the whole job.
+
+    Of a run that went on from a checkpoint both are those since then: it is marked.
+    """
+    facts: dict[str, Any] = {"seconds": round(wall, 3), "cpu_seconds": round(processor, 3)}
+    return facts | {"resumed": True} if resumed else facts
 
 
 def _identity(job: Job, record: Trajectory, setup: Setup) -> dict[str, Any]:

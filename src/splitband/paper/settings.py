@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from splitband.methods import Setup
 from splitband.training import Settings
@@ -23,6 +23,7 @@ class LearningBased:
     order : Of the Butterworth filters.
     window, warmup : Subtrajectory length and warm-up phase, in samples.
     epochs : Its training steps.
+    gru_epochs : Training steps of the single GRU, where the text names others (Sec. 5, Results).
     downsampling : Its sampling rate k.
     """
 
@@ -34,18 +35,26 @@ class LearningBased:
     window: int
     warmup: int
     epochs: int
+    gru_epochs: int | None = None
     downsampling: int = 2
+
+    def epochs_of(self, method: str) -> int:
+        """The paper's epochs for a method."""
+        return self.gru_epochs if method == "gru" and self.gru_epochs else self.epochs
 
     def setup(self, sampling_rate: float) -> Setup:
         """The setup of a comparison on a record of `sampling_rate` Hz."""
+        settings = Settings(self.window, self.warmup, self.epochs, normalize=False)
+        gru = replace(settings, epochs=self.epochs_of("gru"))
         return Setup(
             train=self.train,
-            settings=Settings(self.window, self.warmup, self.epochs, normalize=False),
+            settings=settings,
             cutoff=in_hz(self.cutoff, sampling_rate),
             order=self.order,
             downsampling=self.downsampling,
             hidden_high=self.hidden_high,
             hidden_low=self.hidden_low,
+            overrides={} if gru == settings else {"gru": gru},
         )
 
 
@@ -75,6 +84,10 @@ class Hybrid:
     rnn_milestones: tuple[tuple[int, float], ...]
     rnn_reduced: tuple[str, ...]
     gru_hidden: int = 64
+
+    def epochs_of(self, method: str) -> int:
+        """The paper's epochs for a method."""
+        return self.rnn_epochs if method.endswith("rnn") else self.gru_epochs
 
     def setup(self, sampling_rate: float) -> Setup:
         """The setup of a comparison on a record of `sampling_rate` Hz."""
@@ -106,7 +119,7 @@ def in_hz(cutoff: float, sampling_rate: float) -> float:
 
 
 LEARNING_BASED = {
-    "i": LearningBased(250, 48, 16, 0.4, 3, 150, 30, 300),
+    "i": LearningBased(250, 48, 16, 0.4, 3, 150, 30, 300, gru_epochs=2000),
     "ii": LearningBased(600, 64, 32, 0.07, 1, 250, 100, 1000),
     "iii": LearningBased(600, 64, 32, 0.1, 1, 250, 50, 501),
     "iv": LearningBased(600, 64, 32, 0.2, 1, 250, 50, 1000),

@@ -11,87 +11,20 @@ from typing import Any
 import numpy as np
 
 from splitband.methods import FIXED
-from splitband.paper import published
-from splitband.paper.published import Row
-from splitband.paper.runs import ORACLE, SYSTEMS, Job, column_epochs, finished, load
+from splitband.paper.jobs import ORACLE, SYSTEMS, Job
+from splitband.paper.runs import (
+    FEWEST_SEEDS,
+    disturbed,
+    final_losses,
+    finished,
+    load,
+    parts_rmse,
+    whole_rmse,
+)
+from splitband.paper.specs import SPECS, Line, Spec
 
-_NAIVE = ("persistence", "seasonal-naive", "harmonic")
-_GRU = ("gru", "split-gru", "split-gru-hp")
-DRAWS = 20
-
-
-@dataclass(frozen=True)
-class Spec:
-    """What a table is made of.
-
-    Attributes
-    ----------
-    title : Says which of the paper's tables it is.
-    systems, methods : In the order of their rows; a method stays out where it makes no sense.
-    published : The paper's values by system, or by the value that is varied.
-    seconds : Whether the table is of run times.
-    varied : The field of a job that an ablation varies, over `values`.
-    quantiles : Show the spread over noise draws in place of mean and standard deviation.
-    """
-
-    title: str
-    systems: tuple[str, ...]
-    methods: tuple[str, ...]
-    published: Mapping[Any, Row]
-    seconds: bool = False
-    varied: str = ""
-    values: tuple[float, ...] = ()
-    quantiles: bool = False
-
-
-SPECS = {
-    "learning-based": Spec(
-        "Table 1: total RMSE, learned from the record alone",
-        ("i", "ii", "iii", "iv"), (*_GRU, *_NAIVE, ORACLE), published.LEARNING_BASED,
-    ),
-    "hybrid-rnn": Spec(
-        "Table 2: total RMSE, hybrid models with the RNN",
-        ("v", "vi"),
-        ("rnn", "residual-rnn", "simulator", "filtered-rnn", "simulator-affine", *_NAIVE),
-        published.HYBRID_RNN,
-    ),
-    "hybrid-gru": Spec(
-        "Table 3: total RMSE, hybrid models with the GRU",
-        ("v", "vi"),
-        ("gru", "residual-gru", "simulator", "filtered-gru", "simulator-affine", *_NAIVE),
-        published.HYBRID_GRU,
-    ),
-    "pendulum": Spec(
-        "Rows (ii) to (iv) on the simulated pendulum, each with its own excitation",
-        ("ii-simulated", "iii-simulated", "iv-simulated"), (*_GRU, *_NAIVE), {},
-    ),
-    "noise-draws": Spec(
-        f"System (i) over {DRAWS} noise draws, one seed each",
-        ("i",), (*_GRU, *_NAIVE[1:], ORACLE), published.LEARNING_BASED,
-        varied="draw", values=tuple(range(DRAWS)), quantiles=True,
-    ),
-    "cutoff": Spec(
-        "Ablation of the cut-off w on system (i), k = 2",
-        ("i",), _GRU[1:], published.CUTOFF, varied="cutoff", values=(0.2, 0.4, 0.5),
-    ),
-    "downsampling": Spec(
-        "Ablation of the down-sampling k on system (i), w = 0.4",
-        ("i",), _GRU[1:], published.DOWNSAMPLING, varied="downsampling", values=(2, 3, 4, 5, 10),
-    ),
-    "runtime-learning-based": Spec(
-        "Run times in seconds, learned from the record alone",
-        ("i", "ii", "iii", "iv"), _GRU, published.SECONDS, seconds=True,
-    ),
-    "runtime-hybrid-rnn": Spec(
-        "Run times in seconds, hybrid models with the RNN",
-        ("v", "vi"), ("rnn", "residual-rnn", "filtered-rnn"), published.SECONDS_RNN, seconds=True,
-    ),
-    "runtime-hybrid-gru": Spec(
-        "Run times in seconds, hybrid models with the GRU",
-        ("v", "vi"), ("gru", "residual-gru", "filtered-gru"), published.SECONDS_GRU, seconds=True,
-    ),
-}  # fmt: skip
-"""By the name that the command line takes."""
+SETTLED = 0.9
+"""A training loss has settled where at least twice the epochs leave so much of it."""
 
 
 @dataclass(frozen=True)
@@ -116,104 +49,74 @@ class Table:
         return f"**{self.title}**\n\n{body}\n"
 
 
-@dataclass(frozen=True)
-class Line:
-    """A row of a table: one method on one system, and its runs."""
-
-    system: str
-    method: str
-    value: float | None
-    jobs: tuple[Job, ...]
-
-
-def lines(
-    name: str,
-    systems: Sequence[str] | None = None,
-    methods: Sequence[str] | None = None,
-    seeds: int = 5,
-    epochs: int | None = None,
-) -> list[Line]:
-    """The rows of a table with the jobs that they need."""
-    spec = SPECS[name]
-    found = []
-    for system in chosen("systems", systems, spec.systems):
-        for value in spec.values if spec.varied and not spec.quantiles else (None,):
-            for method in chosen("methods", methods, spec.methods):
-                if method == ORACLE and system != "i":
-                    continue
-                repeated = 1 if method in (*FIXED, ORACLE) else seeds
-                if spec.quantiles:
-                    jobs = [Job(system, method, 0, int(d), epochs=epochs) for d in spec.values]
-                else:
-                    change: dict[str, Any] = {spec.varied: value} if spec.varied else {}
-                    jobs = [
-                        Job(system, method, s, epochs=epochs, **change) for s in range(repeated)
-                    ]
-                found.append(Line(system, method, value, tuple(jobs)))
-    return found
-
-
 def table(name: str, of: Iterable[Line], folder: Path) -> Table:
     """Make a table of the runs in `folder`; raises what `load` does.
 
-    A row whose jobs leave the epochs to the paper, but have not all been run, is made of the runs
-    with the most epochs of which there are as many.
+    A row whose jobs leave the epochs to the paper, but have not all been run, is made of those that
+    have, see `finished`; its last columns say how many seeds and epochs these are.
     """
     spec = SPECS[name]
     facts = [_facts(spec, line, folder) for line in of]
-    header: tuple[str, ...]
-    if spec.quantiles:
-        header, cells = _QUANTILES, _quantile_cells
-    elif spec.seconds:
-        header, cells = _SECONDS, _seconds_cells
-    else:
-        header, cells = _ERRORS, _error_cells
-    first = ("system", *((spec.varied,) if spec.varied and not spec.quantiles else ()), "method")
+    if spec.shows == "losses":
+        facts = [row | {"settled": settles(row, facts)} for row in facts]
+    header, cells = _COLUMNS[spec.shows]
+    own = spec.varied and spec.shows != "quantiles"
     rows = [
-        (f"({f['system']})", *([f"{f['value']:g}"] if len(first) == 3 else []),
-         f["method"], *cells(f))
+        (f"({f['system']})", *([f"{f['value']:g}"] if own else []), f["method"], *cells(f))
         for f in facts
-    ]  # fmt: skip
+    ]
+    first = ("system", *([spec.varied] if own else []), "method")
     return Table(spec.title, (*first, *header), tuple(rows), tuple(facts))
 
 
-_ERRORS = ("ours", "paper", "ours / paper", "forecast", "seeds", "epochs")
-_SECONDS = ("ours (s)", "paper (s)", "paper / ours", "seeds", "epochs run")
-_QUANTILES = ("median", "10 %", "90 %", "worst", "mean", "paper, one draw", "median / oracle's")
+def settles(row: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> bool | None:
+    """Whether the row of the same method with the next more epochs has as low a training loss.
 
-
-def chosen(what: str, given: Sequence[str] | None, possible: Iterable[str]) -> list[str]:
-    """The names that were asked for, or all."""
-    possible = list(possible)
-    unknown = [name for name in given or () if name not in possible]
-    if unknown:
-        raise ValueError(f"{what} must be out of {', '.join(possible)}, got {', '.join(unknown)}")
-    return possible if given is None else list(given)
+    That is `SETTLED` of it at least, for every network; the loss is `final_losses`', the median
+    over seeds. None for the row with the most epochs.
+    """
+    more = [other for other in rows
+            if other["method"] == row["method"] and other["epochs"] > row["epochs"]]  # fmt: skip
+    if not more:
+        return None
+    longer = min(more, key=lambda other: other["epochs"])["losses"]
+    return all(
+        statistics.median(longer[name]) >= SETTLED * statistics.median(losses)
+        for name, losses in row["losses"].items()
+    )
 
 
 def _facts(spec: Spec, line: Line, folder: Path) -> dict[str, Any]:
-    jobs = finished(line.jobs, folder)
+    fewest = len(line.jobs) if spec.shows == "quantiles" else FEWEST_SEEDS
+    jobs = finished(line.jobs, folder, fewest)
     runs = [load(job, folder) for job in jobs]
-    good = [run for run in runs if "diverged" not in run]
-    paper = spec.published.get(line.system if line.value is None else line.value, {})
-    known = paper.get(line.method)
-    column = SYSTEMS[line.system].column
-    usual = column_epochs(column, line.method)
+    good = [(job, run) for job, run in zip(jobs, runs, strict=True) if "diverged" not in run]
+    timed = [(run["seconds"], disturbed(run)) for _, run in good]
+    known = spec.published.get(line.system if line.value is None else line.value, {}).get(
+        line.method
+    )
+    losses = [final_losses(run) for _, run in good]
+    fixed = line.method in (*FIXED, ORACLE)
     return {
         "system": line.system,
         "title": SYSTEMS[line.system].title,
         "method": line.method,
         "value": line.value,
-        "total_rmse": [run["total_rmse"] for run in good],
-        "forecast_rmse": [run["forecast_rmse"] for run in good],
-        "seconds": [run["seconds"] for run in good],
+        "total_rmse": [run["total_rmse"] for _, run in good],
+        "forecast_rmse": [run["forecast_rmse"] for _, run in good],
+        "whole_rmse": [whole_rmse(run, job) for job, run in good] if not spec.varied else [],
+        "parts_rmse": parts_rmse(runs[0], jobs[0]) if good and not spec.varied else {},
+        "losses": {name: [each[name] for each in losses] for name in (losses or [{}])[0]},
+        "seconds": [seconds for seconds, waited in timed if not waited],
+        "seconds_unsure": any(waited is None for _, waited in timed),
         "runs": len(runs),
+        "asked": len(line.jobs),
         "diverged": len(runs) - len(good),
-        "epochs": None if line.method in (*FIXED, ORACLE) else jobs[0].epochs or usual,
-        "paper_epochs": usual,
+        "epochs": None if fixed else jobs[0].epochs or jobs[0].full_epochs,
+        "paper_epochs": jobs[0].full_epochs,
         "paper": None if known is None else {"mean": known.mean, "std": known.std},
         "paper_text": "" if known is None else str(known),
-        "oracle": _oracle(line, folder) if spec.quantiles else None,
+        "oracle": _oracle(line, folder) if spec.shows == "quantiles" else None,
     }
 
 
@@ -225,28 +128,63 @@ def _oracle(line: Line, folder: Path) -> float:
 
 
 def _error_cells(facts: dict[str, Any]) -> tuple[str, ...]:
-    total, forecast = (_spread(facts[name]) for name in ("total_rmse", "forecast_rmse"))
-    return (total, facts["paper_text"], _ratio(facts, "total_rmse", _ours_over_paper), forecast,
-            _seeds(facts), _epochs(facts))  # fmt: skip
+    total, forecast = (spread(facts[name]) for name in ("total_rmse", "forecast_rmse"))
+    return (total, facts["paper_text"], _ratio(facts, "total_rmse"), forecast,
+            _seeds(facts), epochs(facts))  # fmt: skip
+
+
+def _whole_error_cells(facts: dict[str, Any]) -> tuple[str, ...]:
+    total, *others = _error_cells(facts)
+    return (total, spread(facts["whole_rmse"]), *others)
+
+
+def _loss_cells(facts: dict[str, Any]) -> tuple[str, ...]:
+    losses = [f"{name} {statistics.median(values):.3f}" for name, values in facts["losses"].items()]
+    settled = {None: "", True: "yes", False: "no"}[facts["settled"]]
+    return (spread(facts["total_rmse"]), spread(facts["forecast_rmse"]), ", ".join(losses),
+            settled, _seeds(facts))  # fmt: skip
 
 
 def _seconds_cells(facts: dict[str, Any]) -> tuple[str, ...]:
-    """Of fewer epochs, the ratio is that of as many as the paper's."""
-    more = facts["paper_epochs"] / facts["epochs"]
-    facts = facts | {"seconds": [more * seconds for seconds in facts["seconds"]]}
-    ours = f"{statistics.mean(facts['seconds']):.1f}" if facts["seconds"] else "-"
-    return (ours, facts["paper_text"], _ratio(facts, "seconds", _paper_over_ours),
-            _seeds(facts), _epochs(facts))  # fmt: skip
+    """Of fewer epochs, the seconds are those of as many as the paper's."""
+    counted = len(facts["seconds"])
+    runs = f"{counted} of {facts['asked']}" + (", load unknown" if facts["seconds_unsure"] else "")
+    if not counted:
+        return ("-", facts["paper_text"], "", runs, epochs(facts))
+    ours = full_seconds(facts)
+    return (f"{ours:.1f}", facts["paper_text"], f"{facts['paper']['mean'] / ours:.2g}",
+            runs, epochs(facts))  # fmt: skip
 
 
 def _quantile_cells(facts: dict[str, Any]) -> tuple[str, ...]:
     values = facts["total_rmse"]
     shown = [*np.quantile(values, (0.5, 0.1, 0.9, 1.0)), np.mean(values)]
     ratio = f"{shown[0] / facts['oracle']:.2f}"
-    return (*(f"{v:.3f}" for v in shown), facts["paper_text"], ratio)
+    return (*(f"{v:.3f}" for v in shown), facts["paper_text"], ratio, epochs(facts))
 
 
-def _spread(values: Sequence[float]) -> str:
+_Cells = Callable[[dict[str, Any]], tuple[str, ...]]
+_ERRORS = ("ours", "paper", "ours / paper", "forecast", "seeds", "epochs")
+_COLUMNS: dict[str, tuple[tuple[str, ...], _Cells]] = {
+    "errors": (_ERRORS, _error_cells),
+    "whole errors": (("ours", "with warm-up", *_ERRORS[1:]), _whole_error_cells),
+    "losses": (("ours", "forecast", "training loss", "settled", "seeds"), _loss_cells),
+    "quantiles": (
+        ("median", "10 %", "90 %", "worst", "mean", "paper, one draw", "median / oracle's",
+         "epochs"),
+        _quantile_cells,
+    ),
+    "seconds": (("ours (s)", "paper (s)", "paper / ours", "runs", "epochs run"), _seconds_cells),
+}  # fmt: skip
+
+
+def full_seconds(facts: Mapping[str, Any]) -> float:
+    """The median over the undisturbed runs of a row, of as many epochs as the paper's."""
+    return statistics.median(facts["seconds"]) * facts["paper_epochs"] / facts["epochs"]
+
+
+def spread(values: Sequence[float]) -> str:
+    """Mean and, in brackets, standard deviation over seeds."""
     if not values:
         return "diverged"
     mean = statistics.mean(values)
@@ -257,26 +195,20 @@ def _spread(values: Sequence[float]) -> str:
 def _seeds(facts: dict[str, Any]) -> str:
     if facts["epochs"] is None:
         return ""
+    short = f" of {facts['asked']}" if facts["runs"] != facts["asked"] else ""
     lost = f", {facts['diverged']} diverged" if facts["diverged"] else ""
-    return f"{facts['runs']}{lost}"
+    return f"{facts['runs']}{short}{lost}"
 
 
-def _epochs(facts: dict[str, Any]) -> str:
+def epochs(facts: Mapping[str, Any]) -> str:
+    """How many were run, and of how many where the paper has others."""
     if facts["epochs"] is None:
         return ""
     short = facts["epochs"] != facts["paper_epochs"]
     return f"{facts['epochs']}" + (f" of {facts['paper_epochs']}" if short else "")
 
 
-def _ratio(facts: dict[str, Any], name: str, of: Callable[[float, float], float]) -> str:
+def _ratio(facts: dict[str, Any], name: str) -> str:
     if facts["paper"] is None or not facts[name]:
         return ""
-    return f"{of(statistics.mean(facts[name]), facts['paper']['mean']):.2g}"
-
-
-def _ours_over_paper(ours: float, paper: float) -> float:
-    return ours / paper
-
-
-def _paper_over_ours(ours: float, paper: float) -> float:
-    return paper / max(ours, 1e-9)
+    return f"{statistics.mean(facts[name]) / facts['paper']['mean']:.2g}"

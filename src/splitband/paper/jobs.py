@@ -1,0 +1,139 @@
+"""The paper's systems, and one method on one of them as a job to be run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from pathlib import Path
+
+from splitband.data import Trajectory, double_torsion, drill_string, read
+from splitband.methods import FIXED, METHODS, Setup
+from splitband.paper.settings import HYBRID, LEARNING_BASED, Hybrid, LearningBased, in_hz
+from splitband.systems import double_mass_spring, double_torsion_pendulum, van_der_pol
+
+ORACLE = "oracle"
+"""Method on system (i): least squares on the true form."""
+
+_once = lru_cache(maxsize=64)
+"""For records that are simulated: a table asks for them again with every run."""
+
+
+@dataclass(frozen=True)
+class System:
+    """A record under the settings of one of the paper's columns.
+
+    Attributes
+    ----------
+    title : For tables.
+    column : The paper's settings.
+    record : Makes the record; the argument is the noise draw, of which only simulated ones have
+        several.
+    """
+
+    title: str
+    column: LearningBased | Hybrid
+    record: Callable[[int], Trajectory]
+
+
+def _torsion(row: str, _: int) -> Trajectory:
+    """The record of a row where SPLITBAND_DATA_DIR has it, otherwise the one that is public."""
+    folder = os.environ.get("SPLITBAND_DATA_DIR")
+    own = Path(folder or ".") / f"double_torsion_{row}.csv"
+    if folder is None or not own.is_file():
+        return double_torsion()
+    y = read(own, sampling_time=0.01).y[:2000]
+    return Trajectory((y - y.mean(axis=0)) / y.std(axis=0), 0.01, name=own.stem, columns=("phi2",))
+
+
+SYSTEMS = {
+    "i": System(
+        "double mass-spring",
+        LEARNING_BASED["i"],
+        _once(lambda draw: double_mass_spring(seed=draw)),
+    ),
+    **{
+        row: System("double-torsion record", LEARNING_BASED[row], partial(_torsion, row))
+        for row in ("ii", "iii", "iv")
+    },
+    **{
+        f"{row}-simulated": System(
+            "simulated pendulum",
+            LEARNING_BASED[row],
+            _once(partial(double_torsion_pendulum, row, 2000)),
+        )
+        for row in ("ii", "iii", "iv")
+    },
+    "v": System("Van der Pol", HYBRID["v"], _once(lambda draw: van_der_pol())),
+    "vi": System("drill string", HYBRID["vi"], lambda draw: drill_string()),
+}
+"""By the paper's numbers; it has one record for each of (ii) to (iv), of which one is public."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One method on one system with one seed; None is the paper's value.
+
+    Attributes
+    ----------
+    draw : Of the noise.
+    cutoff : w, in the unit of the paper's tables.
+    downsampling : k.
+    epochs : The paper's training steps.
+    """
+
+    system: str
+    method: str
+    seed: int = 0
+    draw: int = 0
+    cutoff: float | None = None
+    downsampling: int | None = None
+    epochs: int | None = None
+
+    def __post_init__(self) -> None:
+        """Drop what is the paper's own value, so that equal runs are equal jobs."""
+        if self.system not in SYSTEMS:
+            raise ValueError(f"systems must be out of {', '.join(SYSTEMS)}, got {self.system}")
+        if self.method not in (*METHODS, ORACLE):
+            raise ValueError(f"methods must be out of {', '.join(METHODS)}, got {self.method}")
+        column = SYSTEMS[self.system].column
+        own = {"cutoff": column.cutoff, "downsampling": getattr(column, "downsampling", None)}
+        own["epochs"] = self.full_epochs
+        for name, value in own.items():
+            if getattr(self, name) == value or self.method in (*FIXED, ORACLE):
+                object.__setattr__(self, name, None)
+
+    @property
+    def path(self) -> Path:
+        """Of its file in a folder of results."""
+        marks = {
+            "draw": self.draw or None,
+            "w": self.cutoff,
+            "k": self.downsampling,
+            "epochs": self.epochs,
+        }
+        parts = [f"{name}{value:g}" for name, value in marks.items() if value is not None]
+        return Path(self.system, self.method, "-".join([*parts, f"seed{self.seed}"]) + ".json")
+
+    @property
+    def full_epochs(self) -> int:
+        """The paper's for this method on this system."""
+        return SYSTEMS[self.system].column.epochs_of(self.method)
+
+    @property
+    def record(self) -> Trajectory:
+        """What it learns from and is measured on."""
+        return SYSTEMS[self.system].record(self.draw)
+
+    def setup(self, record: Trajectory) -> Setup:
+        """The paper's settings with what this job changes."""
+        setup = SYSTEMS[self.system].column.setup(record.sampling_rate)
+        settings = setup.settings_of(self.method)
+        if self.epochs is not None:
+            settings = replace(settings, epochs=self.epochs)
+        if self.cutoff is not None:
+            setup = replace(setup, cutoff=in_hz(self.cutoff, record.sampling_rate))
+        if self.downsampling is not None:
+            setup = replace(setup, downsampling=self.downsampling)
+        return replace(setup, settings=settings, overrides={})
