@@ -17,7 +17,7 @@ import scipy
 
 Array = npt.NDArray[np.float64]
 
-PRIOR = {"constant": 0.4, "random walk": 0.3, "drift": 0.1, "saturating": 0.2}
+PRIOR = {"constant": 0.4, "random walk": 0.2, "drift": 0.2, "saturating": 0.2}
 """How probable each growth law is before an error has been seen."""
 ONSETS = 2.0 ** np.arange(-10, 3)
 """Horizons at which an error has grown to twice its first variance, in training records."""
