@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+import re
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from splitband.cli import main
+from splitband.files import CHECKPOINTS
+from splitband.methods import simulated
 from splitband.metrics import rmse
 from splitband.paper import published
+from splitband.paper.costs import progress
 from splitband.paper.jobs import SYSTEMS, Job
-from splitband.paper.runs import as_run, complete, load
+from splitband.paper.runs import as_run, complete, load, whole_rmse
 from splitband.paper.specs import SPECS, lines
 from splitband.paper.tables import table
 from splitband.systems import double_mass_spring, double_mass_spring_oracle, double_torsion_pendulum
@@ -102,6 +107,105 @@ def test_a_row_takes_the_most_epochs_that_every_seed_has(folder: Path, tmp_path:
     complete([Job("i", "gru", 0, epochs=3)], tmp_path)
     made = table("learning-based", lines("learning-based", ["i"], ["gru"], 2), tmp_path)
     assert made.facts[0]["epochs"] == 2
+
+
+def _copies(folder: Path, out: Path, job: Job, **changes: Any) -> None:
+    """A finished run of two epochs as that of another job, with other results."""
+    facts = json.loads((folder / "runs/i/split-gru/epochs2-seed0.json").read_text(encoding="utf-8"))
+    setup = job.setup(job.record)
+    settings = {k: v for k, v in asdict(setup).items() if k != "choice"}
+    path = out / job.path
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(facts | {"job": asdict(job), "settings": settings} | changes))
+
+
+def test_a_row_at_the_papers_epochs_needs_three_seeds(folder: Path, tmp_path: Path) -> None:
+    row = lines("learning-based", ["i"], ["split-gru"], 5)
+    for seed in range(5):
+        _copies(folder, tmp_path, Job("i", "split-gru", seed, epochs=2))
+    for seed in range(2):
+        _copies(folder, tmp_path, Job("i", "split-gru", seed))
+    made = table("learning-based", row, tmp_path)
+    assert made.rows[0][-2:] == ("5", "2 of 300")
+    _copies(folder, tmp_path, Job("i", "split-gru", 4))
+    made = table("learning-based", row, tmp_path)
+    assert made.rows[0][-2:] == ("3 of 5", "300")
+
+
+def test_more_epochs_than_the_papers_do_not_stand_in_for_them(folder: Path, tmp_path: Path) -> None:
+    _copies(folder, tmp_path, Job("i", "split-gru", 0, epochs=400))
+    with pytest.raises(FileNotFoundError, match=r"split-gru/seed0\.json is missing"):
+        table("learning-based", lines("learning-based", ["i"], ["split-gru"], 1), tmp_path)
+
+
+def test_the_gru_of_system_i_takes_the_epochs_of_the_papers_text() -> None:
+    assert Job("i", "gru", epochs=2000) == Job("i", "gru")
+    assert Job("i", "gru", epochs=300).path.name == "epochs300-seed0.json"
+    for method, epochs in (("gru", 2000), ("split-gru", 300), ("split-gru-hp", 300)):
+        job = Job("i", method)
+        assert job.setup(job.record).settings_of(method).epochs == epochs
+
+
+def test_a_loss_has_settled_where_more_epochs_leave_it(folder: Path, tmp_path: Path) -> None:
+    for epochs, losses in ((300, [0.5]), (1000, [0.305, 0.3]), (2000, [0.28, 0.28])):
+        _copies(folder, tmp_path, Job("i", "gru", epochs=epochs), losses={"network": losses})
+    made = table("epochs", lines("epochs", methods=["gru"], seeds=1), tmp_path)
+    assert [row["settled"] for row in made.facts] == [False, True, None]
+    assert [row[1] for row in made.rows] == ["300", "1000", "2000"]
+    assert [line.value for line in lines("epochs", methods=["gru"], epochs=7)] == [7]
+
+
+def test_seconds_are_the_median_of_runs_that_had_a_core(folder: Path, tmp_path: Path) -> None:
+    row = lines("runtime-learning-based", ["i"], ["split-gru"], 5)
+    found = [(10.0, 9.0, {}), (12.0, 11.0, {}), (17.0, 16.0, {}), (90.0, 30.0, {}),
+             (2.0, 2.0, {"resumed": True})]  # fmt: skip
+    for seed, (wall, processor, more) in enumerate(found):
+        job = Job("i", "split-gru", seed)
+        _copies(folder, tmp_path, job, seconds=wall, cpu_seconds=processor, **more)
+    made = table("runtime-learning-based", row, tmp_path)
+    assert made.rows[0][2:5] == ("12.0", "233", "19")
+    assert made.rows[0][5] == "3 of 5"
+
+
+def test_a_run_that_went_on_says_so(tmp_path: Path) -> None:
+    job = Job("i", "gru", epochs=1)
+    checkpoints = tmp_path / job.path.parent / f"{job.path.stem}-{CHECKPOINTS}"
+    checkpoints.mkdir(parents=True)
+    (checkpoints / "gru-0.safetensors").write_bytes(b"cut off")
+    complete([job], tmp_path)
+    facts = load(job, tmp_path)
+    assert facts["resumed"] is True
+    assert facts["cpu_seconds"] > 0
+
+
+@pytest.mark.usefixtures("public_data")
+def test_the_whole_trajectory_counts_the_warm_up_too() -> None:
+    for method in ("simulator", "residual-gru"):
+        job = Job("vi", method)
+        facts = load(job, RESULTS / "runs")
+        truth, run = job.record.truth, as_run(facts)
+        # A network takes the measured samples over; a simulator has its own there.
+        start = job.record.y if method == "residual-gru" else simulated(job.record)
+        whole = np.concatenate([start[:50], run.from_start])
+        assert rmse(truth, whole) == pytest.approx(whole_rmse(facts, job), abs=1e-3)
+
+
+def test_the_list_counts_the_runs_and_estimates_the_missing_ones(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed in range(2):
+        _copies(folder, tmp_path / "runs", Job("i", "split-gru", seed, epochs=2), seconds=2.0)
+    _copies(folder, tmp_path / "runs", Job("i", "split-gru", 0), seconds=300.0)
+    row = lines("learning-based", ["i"], ["split-gru"], 5)
+    state = progress(row[0].jobs, tmp_path / "runs")
+    assert (state.there, state.needed, state.measured) == (1, 5, True)
+    assert state.seconds == pytest.approx(4 * 300.0)  # the median is a second an epoch
+    other = progress(lines("runtime-hybrid-rnn", ["v"], ["rnn"], 2)[0].jobs, tmp_path / "runs")
+    assert (other.seconds, other.measured) == (2 * 1414, False)
+    assert main(["paper", "list", "--out", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert re.search(r"learning-based +1 of 73", text)
+    assert re.search(r"runtime-hybrid-rnn +0 of 30 +\d+\.\d h \*", text)
 
 
 def test_a_diverged_run_is_said_to_be(tmp_path: Path) -> None:
@@ -203,9 +307,5 @@ def test_the_committed_tables_are_those_of_the_committed_runs(path: Path) -> Non
     assert made == path.with_suffix(".md").read_text(encoding="utf-8")
 
 
-@pytest.mark.usefixtures("public_data")
-def test_the_results_page_holds_the_committed_tables() -> None:
-    page = (RESULTS / "README.md").read_text(encoding="utf-8")
-    assert COMMITTED
-    for path in COMMITTED:
-        assert path.with_suffix(".md").read_text(encoding="utf-8").strip() in page
+def test_every_table_is_committed() -> None:
+    assert {path.stem for path in COMMITTED} == {*SPECS}

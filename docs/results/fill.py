@@ -11,12 +11,15 @@ import json
 import re
 import shlex
 import statistics
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from splitband.cli import main as splitband
+from splitband.metrics import rmse
 from splitband.paper.tables import SETTLED, epochs, full_seconds, spread
+from splitband.systems import double_mass_spring
 
 HERE = Path(__file__).parent
 Row = Mapping[str, Any]
@@ -42,8 +45,9 @@ class Page:
         self.rows = {f"{r['system']}/{r['method']}": r for t in ERRORS for r in self.rows_of[t]}
 
     def fill(self, template: str) -> str:
-        """The text with its placeholders replaced."""
-        return re.sub(r"\{\{(.+?)\}\}", self._replaced, template, flags=re.DOTALL)
+        """The text with its placeholders replaced, its paragraphs wrapped again."""
+        text = re.sub(r"\{\{(.+?)\}\}", self._replaced, template, flags=re.DOTALL)
+        return "\n\n".join(_wrapped(block) for block in text.split("\n\n"))
 
     def _replaced(self, found: re.Match[str]) -> str:
         name, *arguments = shlex.split(found[1])
@@ -72,6 +76,11 @@ class Page:
     def epochs(self, row: str) -> str:
         """How many were run, and of how many."""
         return epochs(self.rows[row])
+
+    def noise(self) -> str:
+        """The root mean square of the noise on (i)."""
+        record = double_mass_spring()
+        return f"{rmse(record.y, record.truth):.2f}"
 
     def alone(self, row: str, part: str) -> str:
         """The error that one part of a model has without the others."""
@@ -102,8 +111,10 @@ class Page:
         rows = {row["method"]: row["total_rmse"] for row in self.rows_of["noise-draws"]}
         better = sum(a < b for a, b in zip(rows[ours], rows[theirs], strict=True))
         medians = (statistics.median(rows[method]) for method in (ours, theirs))
+        run = {row["method"]: epochs(row) for row in self.rows_of["noise-draws"]}
         return (f"better on {better} of {len(rows[ours])} noise draws of (i), median "
-                f"{next(medians):.3f} against {next(medians):.3f}")  # fmt: skip
+                f"{next(medians):.3f} against {next(medians):.3f}, after {run[ours]} and "
+                f"{run[theirs]} epochs")  # fmt: skip
 
     def draw_median(self, method: str) -> str:
         """Over the noise draws of (i)."""
@@ -147,8 +158,7 @@ class Page:
             text = (f"({system}) {network['method']} {_mean(network):.3f} against "
                     f"{baseline['method']} {_mean(baseline):.3f}")  # fmt: skip
             (won if _mean(network) < _mean(baseline) else lost).append(text)
-        beaten = f"it does on {_listed(won)}" if won else "it does nowhere"
-        return f"{beaten}; it does not on {_listed(lost)}" if lost else beaten
+        return f"On {_listed(won or ['no record'])}. Not on {_listed(lost or ['any other'])}."
 
     # Run times
 
@@ -214,10 +224,21 @@ class Page:
         found = []
         for name in names:
             row = self.rows[name]
-            found.append(f"({row['system']}) {row['method']} {self.error(name)} against "
-                         f"{self.paper(name)}, {abs(_deviations(row)):.1f} of its standard "
-                         f"deviations")  # fmt: skip
-        return f"**{_listed(found)}.**"
+            found.append(f"({row['system']}) {row['method']}, {self.error(name)} against "
+                         f"{self.paper(name)}: {abs(_deviations(row)):.1f} deviations")  # fmt: skip
+        return f"**{'; '.join(found)}.**"
+
+
+def _wrapped(block: str) -> str:
+    """A paragraph, or the items of a list, in lines of 100 characters; other blocks as they are."""
+    if not re.match(r"[A-Za-z(*]|- ", block) or "\n|" in block:
+        return block
+    indent = "  " if block.startswith("- ") else ""
+    wrap = textwrap.TextWrapper(100, subsequent_indent=indent, break_long_words=False,
+                                break_on_hyphens=False)  # fmt: skip
+    items = re.split(r"\n(?=- )", block.rstrip("\n"))
+    end = "\n" if block.endswith("\n") else ""
+    return "\n".join(wrap.fill(" ".join(item.split())) for item in items) + end
 
 
 def _causes(path: Path) -> list[tuple[list[str], str]]:

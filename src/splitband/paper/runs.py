@@ -58,17 +58,16 @@ def missing(jobs: Iterable[Job], folder: Path) -> list[Job]:
 def finished(jobs: Sequence[Job], folder: Path, fewest: int = FEWEST_SEEDS) -> list[Job]:
     """The jobs of a row that its table can be made of.
 
-    Those that have a file, if they are `fewest` at least, or all; otherwise the same with the most
-    epochs short of the paper's. Of jobs that name their epochs, or where there is nothing to
+    Those that have a file, if they are `fewest` at least, or all; otherwise, of jobs that leave the
+    epochs to the paper, the same with the most epochs short of that. Where there is nothing to
     show, all of them.
     """
-    fewest = min(fewest, len(jobs))
-    if jobs[0].epochs is None:
-        for epochs in (None, *_shorter(jobs[0], folder)):
-            there = [job for job in (replace(job, epochs=epochs) for job in jobs)
-                     if (folder / job.path).exists()]  # fmt: skip
-            if len(there) >= fewest:
-                return there
+    shorter = _shorter(jobs[0], folder) if jobs[0].epochs is None else []
+    for epochs in (jobs[0].epochs, *shorter):
+        there = [job for job in (replace(job, epochs=epochs) for job in jobs)
+                 if (folder / job.path).exists()]  # fmt: skip
+        if len(there) >= min(fewest, len(jobs)):
+            return there
     return [*jobs]
 
 
