@@ -12,8 +12,6 @@ Array = npt.NDArray[Any]
 
 RATE = 20.0
 SAMPLES = 1000
-HANN_PEAK = 2 / 3
-"""Of a sinusoid on a bin, the Hann window leaves two thirds there and a sixth on either side."""
 
 
 def sinusoid(frequency: float, amplitude: float = 1.0, samples: int = SAMPLES) -> Array:
@@ -66,8 +64,25 @@ def test_peaks_are_the_sinusoids_by_strength() -> None:
     spectrum = periodogram(y, RATE)
     found = np.array(spectrum.peaks(3))
     np.testing.assert_allclose(found[:, 0], [4.0, 7.0, 0.5])
-    np.testing.assert_allclose(found[:, 1], HANN_PEAK * np.array([9, 4, 1]) / 14)
+    np.testing.assert_allclose(found[:, 1], np.array([9, 4, 1]) / 14)
     assert spectrum.peaks(1) == spectrum.peaks(3)[:1]
+
+
+@pytest.mark.parametrize("bins", [1, 25, 100.25, 100.5])
+def test_a_sinusoid_is_one_peak_with_all_of_the_power(bins: float) -> None:
+    """On a bin or between two, where the window spreads it over four."""
+    found = periodogram(sinusoid(bins * RATE / SAMPLES), RATE).peaks()
+    assert len(found) == 1
+    frequency, share = found[0]
+    assert frequency == pytest.approx(bins * RATE / SAMPLES, abs=RATE / SAMPLES)
+    assert share == pytest.approx(1, abs=2e-3)
+
+
+def test_shares_of_peaks_do_not_count_a_bin_twice() -> None:
+    noise = np.random.default_rng(0).standard_normal((SAMPLES, 1))
+    found = periodogram(noise, RATE).peaks(SAMPLES, least=0)
+    assert len(found) > 50
+    assert sum(share for _, share in found) <= 1 + 1e-12
 
 
 @pytest.mark.parametrize("frequency", [RATE / SAMPLES, RATE / 2])

@@ -12,6 +12,8 @@ from splitband.filters import ComplementaryPair, butterworth
 from splitband.metrics import rmse
 
 Array = npt.NDArray[np.float64]
+LOBE = 2
+"""Half the width of the Hann window's main lobe, in bins."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,16 +37,24 @@ class Spectrum:
         return float(self._power()[self.frequencies <= cutoff].sum() / total)
 
     def peaks(self, count: int = 5, least: float = 0.005) -> list[tuple[float, float]]:
-        """The strongest local maxima: `(frequency in Hz, share of the power in its bin)`.
+        """The strongest local maxima: `(frequency in Hz, share of the power in its main lobe)`.
 
-        At most `count`, each with a share of at least `least`.
+        The window spreads a sinusoid over `LOBE` bins on either side of the maximum; what lies
+        there belongs to the stronger one of two peaks. At most `count`, each with a share of at
+        least `least`.
         """
         power = self._power()
-        found = scipy.signal.find_peaks(np.concatenate([[0.0], power, [0.0]]))[0] - 1
-        strongest = found[np.argsort(-power[found], kind="stable")][:count]
-        total = power.sum()
-        found_peaks = [(float(self.frequencies[i]), float(power[i] / total)) for i in strongest]
-        return [(frequency, share) for frequency, share in found_peaks if share >= least]
+        total, left = power.sum(), power.copy()
+        maxima = scipy.signal.find_peaks(np.concatenate([[0.0], power, [0.0]]))[0] - 1
+        found: list[tuple[float, float]] = []
+        for i in maxima[np.argsort(-power[maxima], kind="stable")]:
+            if len(found) == count:
+                break
+            if left[i] > 0:  # otherwise it is part of a stronger peak
+                lobe = slice(max(i - LOBE, 0), i + LOBE + 1)
+                found.append((float(self.frequencies[i]), float(left[lobe].sum() / total)))
+                left[lobe] = 0.0
+        return [(frequency, share) for frequency, share in found if share >= least]
 
     def shares(self) -> Array:
         """The share of the power, mean excluded, in each bin, `(bins,)`; zeros for a constant."""

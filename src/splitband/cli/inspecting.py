@@ -18,7 +18,6 @@ from splitband.data import PUBLIC, Trajectory, fetch
 from splitband.defaults import Recipe
 from splitband.files import output_folder, write_json
 from splitband.filters import ComplementaryPair
-from splitband.methods import check_train
 from splitband.metrics import rmse
 from splitband.paper.settings import RECORD_SETTINGS
 from splitband.spectrum import coherence, oracle, oracle_cutoffs, periodogram
@@ -31,10 +30,14 @@ def spectrum(
     record: options.Record,
     train: Annotated[
         int | None,
-        typer.Option(help="Samples at the beginning to look at.", show_default="all"),
+        typer.Option(
+            help="Samples at the beginning to look at.",
+            show_default="all; the cut-off is chosen by three quarters of a file, as by `compare`",
+        ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for results and picture.")] = Path("out"),
     columns: options.Columns = None,
+    inputs: options.Inputs = None,
     time_column: options.TimeColumn = None,
     sampling_time: options.SamplingTime = None,
     gaps: options.GapsOption = "refuse",
@@ -51,20 +54,19 @@ def spectrum(
     puts the record together again. With a simulator, also how far it is off, where it is coherent
     with the record, and the oracle check: the RMSE a hybrid model could reach at each cut-off.
 
-    The cut-off is that of `compare` on the same samples, for the paper's records that of its tables
-    where --cutoff does not say auto.
+    The cut-off is the one that `compare` chooses with the same --train, for the paper's records
+    that of its tables where --cutoff does not say auto.
     """
-    trajectory = given.load_record(record, columns, None, time_column, sampling_time, gaps)
+    trajectory = given.load_record(record, columns, inputs, time_column, sampling_time, gaps)
     trajectory = with_simulator(
-        trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache, beyond=True
-    )
-    if train is not None:
-        check_train(trajectory, train, ahead=0)
-        trajectory = trajectory[:train]
+        trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache,
+        beyond=True, time_column=time_column,
+    )  # fmt: skip
+    recipe: Recipe = "paper" if record in RECORD_SETTINGS and cutoff is None else "default"
+    setup = given.setup(record, trajectory, train, 0, recipe, cutoff=cutoff, order=order)
+    trajectory = trajectory[:train]
     rate = trajectory.sampling_rate
     found = periodogram(trajectory.y, rate)
-    recipe: Recipe = "paper" if record in RECORD_SETTINGS and cutoff is None else "default"
-    setup = given.setup(record, trajectory, len(trajectory), 0, recipe, cutoff=cutoff, order=order)
     chosen = setup.cutoff
     pair = ComplementaryPair.butterworth(chosen, rate, setup.order)
     low, high = pair.split(trajectory.y)
@@ -74,6 +76,7 @@ def spectrum(
         "sampling_rate": rate,
         "cutoff": chosen,
         "order": pair.order,
+        "train": setup.train,
         "share_below": found.share_below(chosen),
         "choice": None if setup.choice is None else asdict(setup.choice),
         "reconstruction_rmse": rmse(trajectory.y, low + high),
@@ -84,8 +87,10 @@ def spectrum(
         facts["simulator"] = _show_simulator(trajectory, trajectory.y_sim, chosen, pair.order)
     write_json(out / "results.json", facts)
     if setup.choice is not None:
-        kept = f"the low band kept at every {showing.ordinal(setup.downsampling)} sample"
-        showing.console.print(f"{kept}: {setup.choice.reason}")
+        showing.console.print(
+            f"cut-off chosen by the first {setup.train} samples; the low band kept at every "
+            f"{showing.ordinal(setup.downsampling)} sample: {setup.choice.reason}"
+        )
     plots.save(plots.spectrum(trajectory, found, chosen, setup.choice), out / "spectrum.png")
     showing.console.print(f"picture: {out / 'spectrum.png'}")
 

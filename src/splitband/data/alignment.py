@@ -119,8 +119,8 @@ def _rows(own: Grid, onto: Grid) -> FloatArray:
 def _not_covered(what: str, own: Grid, onto: Grid) -> str:
     if own.start is not None and onto.start is not None:
         return (
-            f"{what} must cover {onto}, by the time stamps of both: it has {own} (files without "
-            "time stamps are put together from their first rows on)"
+            f"{what} must cover {onto}, by the time stamps of both: it has {own} (where one has no "
+            "time stamps, both are taken to begin together)"
         )
     return (
         f"{what} must cover {onto.samples} samples every {onto.step:.7g} s, got {own.samples}"

@@ -22,7 +22,7 @@ def as_stamp(value: Any) -> Stamp:
     if isinstance(value, datetime) and not pd.isna(value):
         return pd.Timestamp(value).as_unit("ns")
     try:
-        seconds = float(value)
+        seconds = math.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError):
         seconds = math.nan
     if not math.isfinite(seconds):

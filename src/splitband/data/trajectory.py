@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from splitband.data.gaps import BoolArray, FloatArray, filled, places
 from splitband.data.timing import Grid, Stamp, as_stamp, seconds_of, stamp_after, stamps_at
@@ -147,24 +146,6 @@ class Trajectory:
             self, y=y, u=u, y_true=y_true, y_sim=y_sim, beyond=beyond, measured=measured,
             start=start,
         )  # fmt: skip
-
-    def of_columns(self, columns: Sequence[str], name: str | None = None) -> Trajectory:
-        """The record with these channels only, in this order; it must have them."""
-        chosen = [self.columns.index(column) for column in columns]
-
-        def part(signal: NDArray[Any] | None) -> NDArray[Any] | None:
-            return None if signal is None else signal[:, chosen]
-
-        return replace(
-            self,
-            y=self.y[:, chosen],
-            y_true=part(self.y_true),
-            y_sim=part(self.y_sim),
-            beyond=part(self.beyond),
-            measured=part(self.measured),
-            columns=tuple(columns),
-            name=self.name if name is None else name,
-        )
 
     @property
     def seen(self) -> FloatArray:
