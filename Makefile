@@ -1,4 +1,5 @@
 # `make demo` runs the main job, `make test` every check; both set up .venv first if need be.
+# `make fuzz` looks for failures at random, `make soak` repeats what takes long: both for minutes.
 PYTHON ?= python3
 BIN := .venv/bin
 # The public records, where a copy lies beside the checkout; without one they are downloaded.
@@ -6,7 +7,7 @@ ifneq ($(wildcard ../shared/data),)
 export SPLITBAND_DATA_DIR ?= $(abspath ../shared/data)
 endif
 
-.PHONY: demo test check format bench fuzz memory clean
+.PHONY: demo test check format bench fuzz soak memory clean
 
 demo: .venv/.ready
 	$(BIN)/splitband demo --out demo
@@ -30,7 +31,11 @@ bench: .venv/.ready
 	$(BIN)/python -m benchmarks.system_i --out docs/benchmarks/system_i.json
 
 fuzz: .venv/.ready
+	$(BIN)/pytest -n auto -m hypothesis --hypothesis-profile explore
 	$(BIN)/python tests/fuzzing.py --inputs 10400 --out docs/benchmarks/fuzz.json
+
+soak: .venv/.ready
+	$(BIN)/pytest -n auto -m soak
 
 memory: .venv/.ready
 	$(BIN)/python -m benchmarks.memory --out docs/benchmarks/memory.json

@@ -1,9 +1,27 @@
 """Fixtures that several test files share."""
 
 import os
+import pkgutil
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+import torch
+from hypothesis import settings
+
+import splitband
+
+# Property tests see the same examples on every run, so that one commit has one verdict. The other
+# profile is for `make fuzz`, whose --hypothesis-profile counts more than what is loaded here.
+settings.register_profile("suite", derandomize=True, deadline=None, max_examples=60)
+settings.register_profile("explore", deadline=None, max_examples=3000, print_blob=True)
+settings.load_profile("suite")
+
+# Hypothesis also tries the constants that it finds in the modules imported so far. Import all of
+# them, or the examples would depend on which tests have run before in the same process.
+for _module in pkgutil.walk_packages(splitband.__path__, "splitband."):
+    if not _module.name.endswith("__main__"):
+        import_module(_module.name)
 
 _SLAVE = '''
 from pythonfmu import Fmi2Causality, Fmi2Initial, Fmi2Slave, Fmi2Variability, Real
@@ -46,6 +64,12 @@ class VanDerPol(Fmi2Slave):
             self.v += h / 6 * (a[1] + 2 * b[1] + 2 * c[1] + d[1])
         return True
 '''
+
+
+@pytest.fixture(autouse=True)
+def seeded() -> None:
+    """Networks begin with the same weights whatever ran before in the same process."""
+    torch.manual_seed(0)
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,7 @@
 """Inputs that nobody would think of, for the file readers, the model loader and the command line.
 
-    python tests/fuzzing.py [--inputs 12000] [--out docs/benchmarks/fuzz.json] [--atheris TARGET]
+    python tests/fuzzing.py [--inputs 12000] [--seed N] [--out docs/benchmarks/fuzz.json]
+        [--atheris TARGET]
 
 Each target makes inputs, mostly sound ones that were damaged somewhere, and checks what comes of
 them: a result or an error that says what is wrong, soon, and no file beside the output touched.
@@ -15,6 +16,7 @@ import hashlib
 import io
 import json
 import platform
+import random
 import shlex
 import signal
 import sys
@@ -354,7 +356,7 @@ def run(target: str, inputs: int, number: int = 0) -> None:
 def _run_all() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--inputs", type=int, default=12_000)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, help="as printed by an earlier run; random if left out")
     parser.add_argument("--out", type=Path, default=Path("docs/benchmarks/fuzz.json"))
     parser.add_argument("--atheris", choices=[*TARGETS], help="needs pip install atheris")
     arguments = parser.parse_args()
@@ -363,17 +365,21 @@ def _run_all() -> None:
         atheris.Setup(sys.argv[:1], one.hypothesis.fuzz_one_input)
         atheris.Fuzz()
         return
+    number = random.randrange(2**32) if arguments.seed is None else arguments.seed
+    print(f"seed {number}", flush=True)
     found: dict[str, Any] = {}
     for target, share in SHARES.items():
         began = time.perf_counter()
-        run(target, round(share * arguments.inputs), arguments.seed)
+        run(target, round(share * arguments.inputs), number)
         seconds = time.perf_counter() - began
         found[target] = {"inputs": outcomes[target].total(), **outcomes[target], "seconds": seconds}
         print(target, found[target], flush=True)
     total = sum(facts["inputs"] for facts in found.values())
     print(f"{total} inputs, none with a traceback, a hang or a file touched beside its output")
     machine = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
-    write_json(arguments.out, {"inputs": total, "targets": found, "machine": machine})
+    write_json(
+        arguments.out, {"inputs": total, "seed": number, "targets": found, "machine": machine}
+    )
 
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ def chosen(choice: Choice) -> tuple[float, int, int]:
     return candidate.cutoff, candidate.order, candidate.downsampling
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=settings().max_examples // 4)
 @given(
     y=hnp.arrays(
         np.float64,

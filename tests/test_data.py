@@ -367,7 +367,7 @@ def test_warnings_of_the_readers_do_not_escape(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read(path, sampling_time=1).y, Y)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(suppress_health_check=[HealthCheck.too_slow])
 @given(
     values=hnp.arrays(
         np.float64,

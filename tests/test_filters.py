@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 import scipy.signal
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from torch import Tensor
@@ -22,6 +22,8 @@ CUTOFF = 1.3
 ORDERS = range(1, 7)
 LENGTHS = [2, 3, 7, 64, 101]
 TIGHT = 1e-10
+SMALLEST = float(np.finfo(np.float64).tiny)
+"""Below it numbers lose their relative accuracy."""
 FLOAT32_STEPS = 4 * float(np.finfo(np.float32).eps)
 ONE_WAY: list[Start] = ["zeros", "steady"]
 BOTH_WAYS: list[Start] = ["zeros", "steady", "odd"]
@@ -65,6 +67,18 @@ def recurrence(b: Array, a: Array, x: Array, first: Array) -> Array:
         feedback = sum(a[k] * y[n - k] for k in range(1, len(a)))
         y[n] = (feedforward - feedback) / a[0]
     return y
+
+
+def rounding(b: Array, a: Array, x: Array) -> float:
+    """The most that rounding can add up to in a filtered signal, to a small factor.
+
+    Each step of the recurrence rounds the terms that it adds, and 1 / a amplifies what it rounds.
+    """
+    impulse = np.eye(1, len(x))[0]
+    y = scipy.signal.lfilter(b, a, x, axis=0)
+    terms = abs(b).sum() * abs(x).max() + abs(a).sum() * abs(y).max()
+    amplified = abs(scipy.signal.lfilter([1.0], a, impulse)).sum()
+    return float(10 * np.finfo(np.float64).eps * amplified * terms)
 
 
 def stable_filter(radii: list[float], angles: list[float]) -> Array:
@@ -365,7 +379,6 @@ def test_gradients_of_combine_reach_both_bands_and_first() -> None:
     assert torch.autograd.gradgradcheck(run, inputs)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     x=hnp.arrays(np.float64, 25, elements=values),
     v=hnp.arrays(np.float64, 25, elements=values),
@@ -379,11 +392,10 @@ def test_the_gradient_is_the_adjoint(x: Array, v: Array, order: int, start: Star
     for run in [filtfilt] if start == "odd" else [lfilter, filtfilt]:
         y = run(b, a, signal, start=start)
         (adjoint,) = torch.autograd.grad(y, signal, weights)
-        scale = 1 + np.abs(x).sum() * np.abs(v).sum()
-        assert abs(float(y.detach() @ weights) - float(signal.detach() @ adjoint)) < 1e-11 * scale
+        tolerance = SMALLEST + 1e-11 * np.abs(x).sum() * np.abs(v).sum()
+        assert abs(float(y.detach() @ weights) - float(signal.detach() @ adjoint)) <= tolerance
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     x=hnp.arrays(np.float64, (25, 2), elements=values),
     z=hnp.arrays(np.float64, (25, 2), elements=values),
@@ -393,9 +405,10 @@ def test_the_gradient_is_the_adjoint(x: Array, v: Array, order: int, start: Star
 )
 def test_a_pair_is_linear(x: Array, z: Array, scale: float, order: int, zero_phase: bool) -> None:
     pair = ComplementaryPair.butterworth(CUTOFF, RATE, order, zero_phase)
+    tolerance = SMALLEST + TIGHT * (abs(x).max() + abs(scale * z).max())
     for part in (pair.lowpass, pair.highpass):
         np.testing.assert_allclose(
-            part(x + scale * z), part(x) + scale * part(z), atol=1e-8, rtol=0
+            part(x + scale * z), part(x) + scale * part(z), atol=tolerance, rtol=0
         )
 
 
@@ -440,7 +453,6 @@ def test_the_first_order_pair_adds_up_everywhere_one_way(start: Start) -> None:
     np.testing.assert_allclose(sum(pair.split(y)), y, atol=TIGHT, rtol=0)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     radii=st.lists(st.floats(0, 0.9), min_size=1, max_size=2),
     angles=st.lists(st.floats(0, np.pi), min_size=2, max_size=2),
@@ -448,6 +460,7 @@ def test_the_first_order_pair_adds_up_everywhere_one_way(start: Start) -> None:
     band=st.sampled_from(["low", "high"]),
     start=st.sampled_from(ONE_WAY),
 )
+@example(radii=[0.75, 0.875], angles=[0.0, 0.0], numerator=[1.0], band="low", start="zeros")
 def test_any_stable_filter_is_completed_to_the_identity(
     radii: list[float],
     angles: list[float],
@@ -458,13 +471,13 @@ def test_any_stable_filter_is_completed_to_the_identity(
     a = stable_filter(radii, angles[: len(radii)])
     pair = ComplementaryPair.perfect(numerator, a, RATE, band, start=start)
     y = 5 + noise(200, 2)
-    parts = pair.split(y)
-    np.testing.assert_allclose(parts[0] + parts[1], y, atol=TIGHT, rtol=0)
-    designed = parts[0] if band == "low" else parts[1]
+    low, high = pair.split(y)
+    tolerance = rounding(pair.b_low, pair.a, y) + rounding(pair.b_high, pair.a, y)
+    np.testing.assert_allclose(low + high, y, atol=tolerance, rtol=0)
     width = max(len(numerator), len(a))
     padded = [np.pad(c, (0, width - len(c))) for c in (np.array(numerator), a)]
     expected = scipy_one_way(padded[0], padded[1], y, start)
-    np.testing.assert_allclose(designed, expected, atol=1e-9, rtol=0)
+    np.testing.assert_allclose(low if band == "low" else high, expected, atol=tolerance, rtol=0)
 
 
 def test_the_third_order_pair_does_not_add_up_one_way() -> None:

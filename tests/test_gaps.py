@@ -14,7 +14,7 @@ import pytest
 import scipy.optimize
 import scipy.stats
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from test_cli import A, B, assert_fails, call, results, rms, written
@@ -279,7 +279,6 @@ def records_with_gaps(draw: st.DrawFn) -> tuple[list[Array], int, int]:
     return ys, window, warmup
 
 
-@settings(max_examples=80, deadline=None)
 @given(drawn=records_with_gaps())
 def test_windows_begin_in_measured_samples_and_stay_in_their_record(
     drawn: tuple[list[Array], int, int],

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_processes import alive
+from test_processes import alive, eventually
 
 from splitband.isolation import Isolated
 from splitband.simulators import run
@@ -38,15 +38,15 @@ def raising(time):
 
 
 def hanging(time):
-    clock.sleep(60)
+    clock.sleep(600)
 
 
 def holding(time):  # keeps the interpreter to itself
-    ctypes.PyDLL(None).sleep(60)
+    ctypes.PyDLL(None).sleep(600)
 
 
 def leaving_threads(time):
-    threading.Thread(target=clock.sleep, args=(60,)).start()
+    threading.Thread(target=clock.sleep, args=(600,)).start()
     return time
 
 
@@ -94,7 +94,7 @@ def test_what_hangs_is_ended_not_left_behind(
     began = clock.monotonic()
     with pytest.raises(ValueError, match=r"simulator torque has not returned within 0\.3 s"):
         run(Isolated(file, function, timeout=0.3), 7, 0.1, name="torque")
-    assert clock.monotonic() - began < 30
+    assert clock.monotonic() - began < 300
     assert not any(b"splitband.isolation" in command for command in children())
 
 
@@ -114,7 +114,7 @@ def children() -> list[bytes]:
 def test_threads_that_it_leaves_running_keep_nobody_waiting(file: str) -> None:
     began = clock.monotonic()
     assert len(run(Isolated(file, "leaving_threads"), 5, 0.5)) == 5
-    assert clock.monotonic() - began < 30
+    assert clock.monotonic() - began < 300
 
 
 def test_the_cache_is_of_the_content(file: str, tmp_path: Path) -> None:
@@ -133,21 +133,18 @@ def test_the_cache_is_of_the_content(file: str, tmp_path: Path) -> None:
 def test_what_a_simulator_has_started_ends_with_it(
     file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("splitband.isolation._START", 3.0)
+    monkeypatch.setattr("splitband.isolation._START", 300.0)
     mark = tmp_path / "pid"
     source = Path(file).with_name("starting.py")
     source.write_text(
         "import subprocess\n\n\ndef starting(time):\n"
-        "    child = subprocess.Popen(['sleep', '60'])\n"
+        "    child = subprocess.Popen(['sleep', '600'])\n"
         f"    open({str(mark)!r}, 'w').write(str(child.pid))\n    child.wait()\n"
     )
     with pytest.raises(ValueError, match="has not returned"):
         run(Isolated(str(source), "starting", timeout=1.0), 5, 0.1)
     child = int(mark.read_text())
-    until = clock.monotonic() + 20  # it has been killed, and dies when its turn comes
-    while alive(child) and clock.monotonic() < until:
-        clock.sleep(0.1)
-    assert not alive(child)
+    eventually(lambda: not alive(child))  # it has been killed, and dies when its turn comes
 
 
 def test_nothing_in_the_working_directory_is_taken_for_a_module(

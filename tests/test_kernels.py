@@ -132,7 +132,7 @@ def test_samples_and_every_gradient_are_those_of_the_plain_loop(
 
 
 @CASES
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=settings().max_examples // 4)
 @given(
     sizes=st.tuples(
         st.integers(1, 9),
@@ -144,6 +144,7 @@ def test_samples_and_every_gradient_are_those_of_the_plain_loop(
     )
 )
 def test_any_sizes(case: Case, kernel: Run, loop: Run, sizes: Sizes) -> None:
+    torch.manual_seed(0)  # for each example, so that it can be found again
     args = case(sizes, torch.float64)
     if args[2]:
         found, expected = (samples_and_gradients(run, *args) for run in (kernel, loop))
@@ -393,11 +394,8 @@ def test_an_error_in_a_job_is_raised() -> None:
 
 def test_compiling_is_announced_once_and_only_then(tmp_path: Path) -> None:
     code = """
-import torch
-from splitband import GRU, rollout
-with torch.no_grad():
-    for dtype in (torch.float32, torch.float64):
-        rollout(GRU().to(dtype), torch.ones(1, 3, 1, dtype=dtype), 3)
+from splitband.filters import lfilter
+lfilter([0.5], [1.0, -0.5], [1.0, 2.0, 3.0])  # a kernel of several compiled parts
 """
 
     def stderr() -> str:

@@ -131,7 +131,7 @@ def test_a_stable_denominator_stays() -> None:
     np.testing.assert_array_equal(_stable(a), a)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=settings().max_examples // 3)
 @given(
     samples=st.integers(1, 30), nu=st.integers(1, 3), seed=st.integers(0, 99), same=st.booleans()
 )

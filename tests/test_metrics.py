@@ -59,8 +59,9 @@ def test_rmse_scales_with_the_unit_and_ignores_a_common_shift(
     y: Array, scale: float, shift: float
 ) -> None:
     prediction = np.roll(y, 1, axis=0)
+    rounding = 1e-14 * (scale * abs(y).max() + abs(shift))
     assert rmse(scale * y + shift, scale * prediction + shift) == pytest.approx(
-        scale * rmse(y, prediction), rel=1e-9, abs=1e-9
+        scale * rmse(y, prediction), rel=1e-9, abs=rounding
     )
 
 

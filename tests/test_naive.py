@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from splitband.harmonic import HarmonicRegression
@@ -134,7 +134,6 @@ def test_a_smooth_oversampled_signal_does_not_get_a_tiny_lag(level: float) -> No
         assert abs(SeasonalNaive.fit(y).lag - period) <= 500 * level
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     shape=st.sampled_from(SHAPES),
     period=st.integers(3, 40),

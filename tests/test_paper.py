@@ -23,6 +23,8 @@ from splitband.paper.specs import SPECS, lines
 from splitband.paper.tables import table
 from splitband.systems import double_mass_spring, double_mass_spring_oracle, double_torsion_pendulum
 
+pytestmark = pytest.mark.xdist_group("paper")  # its fixture is made once
+
 ROW = ["--systems", "i", "--seeds", "2", "--epochs", "2", "--jobs", "1"]
 METHODS = ["--methods", "split-gru,harmonic,oracle"]
 

@@ -32,7 +32,7 @@ def assert_multiple(found: float, period: float) -> None:
     assert found / period == pytest.approx(round(found / period), abs=1e-4)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=settings().max_examples // 4)
 @given(
     period=st.floats(25, 150),
     offset=st.floats(-1e4, 1e4),

@@ -14,6 +14,17 @@ import pytest
 
 from splitband.processes import over
 
+# What the scripts below import instead of torch, which every process would take seconds to load.
+NO_TORCH = "def set_num_threads(count): pass\n\n\ndef get_num_threads(): return 1\n"
+
+
+def eventually(condition: Callable[[], bool], seconds: float = 300) -> None:
+    """Wait until it holds; the limit is for what never comes, not for what is slow."""
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
 
 def square(job: int, report: Callable[[int], None]) -> int:
     report(job)
@@ -38,6 +49,7 @@ def test_a_process_ended_from_outside_is_an_error_that_says_so() -> None:
 
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="POSIX")
 def test_processes_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+    (tmp_path / "torch.py").write_text(NO_TORCH)
     script = tmp_path / "script.py"
     script.write_text(
         """
@@ -46,7 +58,7 @@ from splitband.processes import over
 
 def work(job, report):
     open(f"{sys.path[0]}/{job}", "w").write(str(os.getpid()))
-    time.sleep(60)
+    time.sleep(600)
 
 if __name__ == "__main__":
     list(over(work, [1, 2], 2))
@@ -54,20 +66,16 @@ if __name__ == "__main__":
     )
     parent = subprocess.Popen([sys.executable, str(script)])
     marks = [tmp_path / "1", tmp_path / "2"]
-    until = time.monotonic() + 60
-    while not all(m.exists() and m.read_text() for m in marks) and time.monotonic() < until:
-        time.sleep(0.1)
+    eventually(lambda: all(mark.exists() and mark.read_text() for mark in marks))
     pids = [int(mark.read_text()) for mark in marks]
     parent.send_signal(signal.SIGKILL)
     parent.wait()
-    until = time.monotonic() + 20
-    while any(alive(pid) for pid in pids) and time.monotonic() < until:
-        time.sleep(0.1)
-    assert not any(alive(pid) for pid in pids)
+    eventually(lambda: not any(alive(pid) for pid in pids))
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="POSIX")
 def test_a_process_does_not_hear_ctrl_c_while_it_loads(tmp_path: Path) -> None:
+    (tmp_path / "torch.py").write_text(NO_TORCH)
     script = tmp_path / "script.py"
     script.write_text(
         """
@@ -90,13 +98,11 @@ if __name__ == "__main__":
     parent = subprocess.Popen(
         [sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    until = time.monotonic() + 60
-    while len(loading := list(tmp_path.glob("*.loading"))) < 2 and time.monotonic() < until:
-        time.sleep(0.1)
-    for path in loading:
+    eventually(lambda: len([*tmp_path.glob("*.loading")]) == 2)
+    for path in tmp_path.glob("*.loading"):
         os.kill(int(path.stem), signal.SIGINT)
     (tmp_path / "go on").touch()
-    assert parent.communicate(timeout=60) == ("[1, 2]\n", "")
+    assert parent.communicate(timeout=300) == ("[1, 2]\n", "")
 
 
 def alive(pid: int) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from torch import Tensor
@@ -39,18 +39,21 @@ def interpolated(y: Array, k: int, shift: float) -> Array:
     return np.interp((np.arange(k * len(y)) - shift) / k, np.arange(len(y)), y)
 
 
-@settings(max_examples=60, deadline=None)
+def tolerance(y: Array) -> float:
+    """What a few roundings are, of numbers as large as these."""
+    return float(np.finfo(np.float64).tiny + 1e-14 * abs(y).max())
+
+
 @given(y=hnp.arrays(np.float64, st.integers(1, 12), elements=values), k=factors)
 def test_aligned_upsampling_is_linear_interpolation(y: Array, k: int) -> None:
-    np.testing.assert_allclose(upsample(y, k), interpolated(y, k, 0.0), atol=1e-11, rtol=0)
+    expected = interpolated(y, k, 0.0)
+    np.testing.assert_allclose(upsample(y, k), expected, atol=tolerance(y), rtol=0)
 
 
-@settings(max_examples=60, deadline=None)
 @given(y=hnp.arrays(np.float64, st.integers(1, 12), elements=values), k=factors)
 def test_the_paper_s_upsampling_lags_by_half_of_k_minus_one(y: Array, k: int) -> None:
-    np.testing.assert_allclose(
-        upsample(y, k, align="paper"), interpolated(y, k, (k - 1) / 2), atol=1e-11, rtol=0
-    )
+    expected = interpolated(y, k, (k - 1) / 2)
+    np.testing.assert_allclose(upsample(y, k, align="paper"), expected, atol=tolerance(y), rtol=0)
 
 
 @pytest.mark.parametrize("k", [1, 2, 3, 4, 7])
@@ -72,7 +75,6 @@ def test_the_paper_s_upsampling_is_torch_s(k: int) -> None:
     torch.testing.assert_close(upsample(y, k, align="paper"), expected, atol=1e-12, rtol=0)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     y=hnp.arrays(np.float64, hnp.array_shapes(min_dims=1, max_dims=3, max_side=6), elements=values),
     k=factors,
@@ -93,7 +95,6 @@ def test_upsampling_acts_on_each_channel_of_each_batch(
         np.testing.assert_allclose(one, upsample(expected, 3, align=align), atol=1e-14)
 
 
-@settings(max_examples=60, deadline=None)
 @given(n=st.integers(0, 20), k=factors, offset=st.integers(0, 12))
 def test_downsampling_takes_every_kth_sample_from_offset_on(n: int, k: int, offset: int) -> None:
     y = noise(2, n, 3)
@@ -185,7 +186,6 @@ def allowed(k: int, cutoff: float, rate: float) -> bool:
     return True
 
 
-@settings(max_examples=200, deadline=None)
 @given(k=st.integers(1, 60), rate=st.floats(0.01, 1e4), share=st.floats(0.02, 0.98))
 def test_downsampling_is_allowed_below_the_nyquist_frequency(
     k: int, rate: float, share: float
@@ -195,7 +195,6 @@ def test_downsampling_is_allowed_below_the_nyquist_frequency(
     assert allowed(k, cutoff, rate) == (2 * cutoff * k < rate)
 
 
-@settings(max_examples=200, deadline=None)
 @given(rate=st.floats(0.01, 1e4), share=st.floats(0.02, 0.98))
 def test_the_factor_that_will_do_is_the_largest_allowed(rate: float, share: float) -> None:
     cutoff = share * rate / 2
