@@ -96,7 +96,9 @@ class Trial:
             if m in self.early
         }
         intervals = {m: self.intervals[m].widened(final[m] - self.early[m]) for m in final}
-        return replace(self, final=final, intervals=intervals, failed={**self.failed, **runs.failed})
+        return replace(
+            self, final=final, intervals=intervals, failed={**self.failed, **runs.failed}
+        )
 
     def change(self, method: str) -> float:
         """RMSE between a method's early and final forecast, in the record's unit."""
