@@ -19,7 +19,7 @@ from splitband.checkpoints import Checkpoint
 from splitband.data import Trajectory
 from splitband.data.gaps import first_after, last_before
 from splitband.methods import FIXED, Setup, as_seen, build, check, prepared
-from splitband.metrics import leaves_range, rmse
+from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
 from splitband.models import Model
 from splitband.naive import Naive
 from splitband.processes import over
@@ -326,6 +326,12 @@ def ahead_of(record: Trajectory, steps: int, u: Array | None = None) -> Trajecto
         if record.measured is None
         else np.concatenate([record.measured, np.ones((steps, record.ny), dtype=np.bool_)]),
     )
+
+
+def inputs_beyond(training: Sequence[Trajectory], u: Array | None) -> list[Extrapolation]:
+    """Which inputs `u` `(time, nu)` ahead go beyond those of the training records."""
+    seen = [record.u for record in training if record.u is not None]
+    return [] if u is None or not seen else extrapolations(*input_range(seen), u)
 
 
 def by_channel(record: Trajectory, predicted: Array) -> list[float]:

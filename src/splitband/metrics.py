@@ -6,6 +6,9 @@ of different units first. Where y is NaN, nothing was measured, and nothing coun
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
@@ -61,6 +64,67 @@ def leaves_range(training: Array, prediction: Array) -> int | None:
     outside = ~(abs(prediction - (low + high) / 2) <= FARTHEST * reach) | ~np.isfinite(prediction)
     found = np.flatnonzero(outside.any(axis=1))
     return int(found[0]) if len(found) else None
+
+
+BEYOND = 0.1
+"""How far an input may go beyond what was seen of it in training, as a share of its range there."""
+
+
+class ExtrapolationWarning(UserWarning):
+    """A model is asked about inputs that it has not been trained on."""
+
+
+@dataclass(frozen=True)
+class Extrapolation:
+    """An input that goes beyond its range in training.
+
+    Attributes
+    ----------
+    channel : Of the input, counted from 0.
+    low, high : Its range in training.
+    farthest : The value that is farthest beyond.
+    after : Samples before the first one beyond.
+    """
+
+    channel: int
+    low: float
+    high: float
+    farthest: float
+    after: int
+
+    def describe(self, name: str = "") -> str:
+        """In words, with the input's name."""
+        trained = f"{self.low:g} to {self.high:g}" if self.low < self.high else f"{self.low:g} only"
+        return (
+            f"input {name or f'u{self.channel}'} is beyond its range in training ({trained}) from "
+            f"sample {self.after} on, up to {self.farthest:g}: predictions from there on are "
+            "extrapolations"
+        )
+
+
+def extrapolations(low: Array, high: Array, u: Array) -> list[Extrapolation]:
+    """The inputs `u` `(time, nu)` that go more than `BEYOND` beyond `low` to `high`, `(nu,)`.
+
+    An input that was constant in training may not change at all, but for rounding.
+    """
+    rounding = 1e-9 * np.maximum(abs(low), abs(high))
+    with np.errstate(invalid="ignore"):  # inf - inf, where no range is known
+        margin = np.nan_to_num(np.maximum(BEYOND * (high - low), rounding), nan=0.0)
+    beyond = np.maximum(low - margin - u, u - high - margin)
+    found = []
+    for i, of_input in enumerate(beyond.T):
+        outside = np.flatnonzero(of_input > 0)
+        if len(outside):
+            farthest = float(u[outside[of_input[outside].argmax()], i])
+            found.append(Extrapolation(i, float(low[i]), float(high[i]), farthest, int(outside[0])))
+    return found
+
+
+def input_range(inputs: Sequence[Array]) -> tuple[Array, Array]:
+    """Lowest and highest value of each input in training records `(time, nu)`, `(nu,)` each."""
+    return np.min([u.min(axis=0) for u in inputs], axis=0), np.max(
+        [u.max(axis=0) for u in inputs], axis=0
+    )
 
 
 def _range(y: Array) -> Array:

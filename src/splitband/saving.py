@@ -177,6 +177,10 @@ def _weights(path: Path, digest: Any, expected: Mapping[str, Tensor]) -> dict[st
         found = safetensors.torch.load(content)
     except _UNFIT as error:
         raise ValueError(f"{path} is damaged: {error}") from None
+    if not {"u_low", "u_high"} & found.keys() and {"u_low", "u_high"} <= expected.keys():
+        # Models from before it was kept know no range of their inputs: nothing is beyond it.
+        unknown = torch.full(tuple(expected["u_low"].shape), torch.inf, dtype=torch.float64)
+        found |= {"u_low": -unknown, "u_high": unknown}
     shapes, needed = ({k: tuple(t.shape) for k, t in of.items()} for of in (found, expected))
     if shapes != needed:
         name = min(k for k in shapes | needed if shapes.get(k) != needed.get(k))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -13,6 +14,7 @@ from splitband import plots, reporting
 from splitband.cli import given, options, showing
 from splitband.cli.simulating import each_with_simulator, with_simulator
 from splitband.comparison import compare as run_comparison
+from splitband.comparison import inputs_beyond
 from splitband.data import Trajectory
 from splitband.defaults import default_methods, usual_methods
 from splitband.files import CHECKPOINTS, output_folder, replacing, write_json
@@ -193,7 +195,10 @@ def _compare(
     trial = trial.settled(runs)
     found = periodogram(record[: setup.train].y, record.sampling_rate)
     arguments = {k: str(v) if isinstance(v, Path) else v for k, v in context.params.items()}
-    facts = {"command": context.info_name, "arguments": arguments}
+    facts: dict[str, Any] = {"command": context.info_name, "arguments": arguments}
+    ahead = None if record.u is None else record.u[setup.train :]
+    beyond = inputs_beyond([record[: setup.train], *more], ahead)
+    facts["inputs_beyond_training"] = [asdict(each) for each in beyond]
     write_json(out / "results.json", facts | reporting.results(record, setup, runs, trial))
     with replacing(out / "predictions.csv") as temporary:
         reporting.predictions(record, setup, runs, trial).to_csv(temporary, index=False)
@@ -220,6 +225,7 @@ def _compare(
     )
     if setup.choice and setup.choice.simulator_helps is False and not set(methods) & set(HYBRIDS):
         showing.console.print("hybrid models are left out; --methods brings them back")
+    showing.warn_of_inputs(beyond, given.names(context.params.get("inputs") or ""))
     showing.console.print(f"results and pictures: {out}/")
 
 

@@ -12,7 +12,7 @@ import typer
 from splitband import plots, reporting
 from splitband.cli import given, options, showing
 from splitband.cli.simulating import each_with_simulator, with_simulator
-from splitband.comparison import ahead_of, compare
+from splitband.comparison import ahead_of, compare, inputs_beyond
 from splitband.defaults import default_methods, usual_methods
 from splitband.files import CHECKPOINTS, output_folder, replacing, write_json
 from splitband.methods import (
@@ -112,6 +112,7 @@ def forecast(
     best = trial.recommended
     runs = found[best]
     left = min((run.leaves for run in runs if run.leaves is not None), default=None)
+    beyond = inputs_beyond([known, *further], u)
     table = reporting.forecast(known, runs, trial.intervals[best])
     with replacing(out / "forecast.csv") as temporary:
         table.to_csv(temporary, index=False)
@@ -121,6 +122,7 @@ def forecast(
         "gaps": int((~known.complete).sum()),
         "more": [other.name for other in further],
         "leaves_training_range_after": left,
+        "inputs_beyond_training": [asdict(each) for each in beyond],
         "steps": steps,
         "method": best,
         "description": runs[0].description,
@@ -137,6 +139,7 @@ def forecast(
     _say(trial, best, steps, out)
     if left is not None:
         showing.console.print(showing.leaving(left))
+    showing.warn_of_inputs(beyond, given.names(inputs or ""))
 
 
 def _say(trial: Trial, best: str, steps: int, out: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+import warnings
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -35,7 +36,7 @@ from splitband.methods import (
     prepared,
     with_variants,
 )
-from splitband.metrics import leaves_range, rmse
+from splitband.metrics import ExtrapolationWarning, leaves_range, rmse
 from splitband.models import Hybrid, Model
 from splitband.training import Progress
 from splitband.training import fit as train_model
@@ -255,7 +256,9 @@ def simulate(
     if u is not None and past.u is not None:
         u = np.concatenate([past.u[start - known.warmup :], u])
     since = len(past) - start
-    y = model.simulate(past.y[start - known.warmup : start], since + steps, u, y_sim)[since:]
+    with warnings.catch_warnings():  # said below, by the inputs' names
+        warnings.simplefilter("ignore", ExtrapolationWarning)
+        y = model.simulate(past.y[start - known.warmup : start], since + steps, u, y_sim)[since:]
     table = pd.DataFrame(y, columns=known.columns)
     table.insert(0, reporting.time_header(known.columns), reporting.time_ahead(past, steps))
     output_folder(out.parent)
@@ -265,6 +268,9 @@ def simulate(
     left = leaves_range(known.range, y)
     if left is not None:
         showing.console.print(showing.leaving(left))
+    if u is not None:
+        ahead_only = model.extrapolations(u[known.warmup + since :])
+        showing.warn_of_inputs(ahead_only, known.inputs)
 
 
 class _Facts:

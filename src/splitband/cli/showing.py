@@ -15,7 +15,7 @@ from rich.text import Text
 from splitband.comparison import Run, RunProgress, by_channel, ensemble
 from splitband.data import Trajectory
 from splitband.methods import Setup
-from splitband.metrics import FARTHEST, spread
+from splitband.metrics import FARTHEST, Extrapolation, spread
 from splitband.trial import Trial
 
 console = Console(
@@ -147,6 +147,13 @@ def leaving(samples: int) -> str:
         f"after {samples} samples more than {FARTHEST:g} times as far out as the training samples "
         "go: not to be trusted from there on"
     )
+
+
+def warn_of_inputs(found: Sequence[Extrapolation], names: Sequence[str]) -> None:
+    """Say which inputs of what is predicted go beyond their range in training."""
+    for beyond in found:
+        named = names[beyond.channel] if beyond.channel < len(names) else ""
+        console.print(f"warning: {beyond.describe(named)}", style="yellow")
 
 
 def ordinal(k: int) -> str:

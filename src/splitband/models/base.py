@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,7 +15,13 @@ from torch import Tensor, nn
 
 from splitband.cells import Cell
 from splitband.data import Trajectory
-from splitband.metrics import spread
+from splitband.metrics import (
+    Extrapolation,
+    ExtrapolationWarning,
+    extrapolations,
+    input_range,
+    spread,
+)
 
 Signal = TypeVar("Signal", npt.NDArray[Any], Tensor)
 
@@ -63,6 +70,8 @@ class Model(nn.Module, ABC):
     y_std: Tensor
     u_mean: Tensor
     u_std: Tensor
+    u_low: Tensor
+    u_high: Tensor
 
     def __init__(self, ny: int, nu: int) -> None:
         super().__init__()
@@ -70,6 +79,10 @@ class Model(nn.Module, ABC):
         for name, size in (("y", ny), ("u", nu)):
             self.register_buffer(f"{name}_mean", torch.zeros(size, dtype=torch.float64))
             self.register_buffer(f"{name}_std", torch.ones(size, dtype=torch.float64))
+        # The inputs' range in training; nothing is beyond it before the model has been trained.
+        unknown = torch.full((nu,), torch.inf, dtype=torch.float64)
+        self.register_buffer("u_low", -unknown)
+        self.register_buffer("u_high", unknown)
 
     @abstractmethod
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
@@ -99,12 +112,33 @@ class Model(nn.Module, ABC):
         -------
         Signal
             Shaped like `y_warmup`, with `steps` samples; in its units, dtype and device.
+
+        Warns
+        -----
+        ExtrapolationWarning
+            For inputs beyond their range in training.
         """
+        for beyond in [] if u is None else self.extrapolations(u):
+            warnings.warn(beyond.describe(), ExtrapolationWarning, stacklevel=2)
         parts = list(self.simulate_components(y_warmup, steps, u, y_sim).values())
         total = parts[0]
         for part in parts[1:]:
             total = total + part
         return total
+
+    def extrapolations(self, u: Signal) -> list[Extrapolation]:
+        """Where inputs, shaped as for `simulate`, go beyond their range in training."""
+        values = u.detach().cpu().numpy() if isinstance(u, Tensor) else np.asarray(u)
+        values = values.reshape(-1, values.shape[-2] if values.ndim > 1 else len(values), self.nu)
+        low, high = (x.cpu().numpy() for x in (self.u_low, self.u_high))
+        found = [beyond for of_one in values for beyond in extrapolations(low, high, of_one)]
+        return [
+            max(
+                (beyond for beyond in found if beyond.channel == channel),
+                key=lambda beyond: max(beyond.low - beyond.farthest, beyond.farthest - beyond.high),
+            )
+            for channel in sorted({beyond.channel for beyond in found})
+        ]
 
     def simulate_components(
         self,
@@ -155,9 +189,12 @@ class Model(nn.Module, ABC):
 
         With `normalize`, that is the mean and the standard deviation of each channel.
         """
+        inputs = [record.u for record in records if record.u is not None]
+        if inputs and self.nu:
+            for buffer, values in zip((self.u_low, self.u_high), input_range(inputs), strict=True):
+                buffer.copy_(torch.from_numpy(values))
         if not normalize:
             return
-        inputs = [record.u for record in records if record.u is not None]
         for name, signals in (("y", [record.seen for record in records]), ("u", inputs)):
             if signals:
                 values = np.concatenate(signals)
