@@ -57,13 +57,12 @@ def test_a_model_warns_of_inputs_that_it_was_not_trained_on(tmp_path: Path) -> N
     fit(model, training, Settings(30, 10, 1))
     save(model, tmp_path / "model")
     for trained in (model, load(tmp_path / "model")[0]):
-        with pytest.warns(
-            ExtrapolationWarning, match=r"input u0 .* from sample 29 on, up to 10000"
-        ):
+        with pytest.warns(ExtrapolationWarning, match=r"u0 .* from sample 29 on, up to 10000"):
             trained.simulate(training.y[:10], 20, np.r_[u[:29], [[1e4]]])
+        history = torch.from_numpy(np.stack([training.y[:10]] * 2))
+        batch = torch.from_numpy(np.stack([u[:30], np.r_[u[:29], [[-3.0]]]]))
         with pytest.warns(ExtrapolationWarning, match="up to -3"):
-            batch = torch.from_numpy(np.stack([u[:30], np.r_[u[:29], [[-3.0]]]]))
-            trained.simulate(torch.from_numpy(np.stack([training.y[:10]] * 2)), 20, batch)
+            trained.simulate(history, 20, batch)
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             trained.simulate(training.y[:10], 20, u[:30])
