@@ -15,10 +15,20 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from splitband.calibration import Calibration
 from splitband.checkpoints import Checkpoint
 from splitband.data import Trajectory
 from splitband.data.gaps import first_after, last_before
-from splitband.methods import FIXED, Setup, as_seen, build, check, prepared
+from splitband.methods import (
+    CALIBRATIONS,
+    FIXED,
+    Setup,
+    as_seen,
+    build,
+    calibrations_for,
+    check,
+    prepared,
+)
 from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
 from splitband.models import Model
 from splitband.naive import Naive
@@ -138,7 +148,7 @@ def run(
     training = [record[: setup.train], *more]
     history = fit(model, training, setup.settings_of(method), seed, reporter, checkpoint)
     notes = [] if calibration is None else [f"simulator: {calibration}"]
-    warmup = setup.settings.warmup
+    warmup = setup.settings_of(method).warmup
     first = first_start(record, warmup)
     components = predict(model, record, first - warmup, first)
     from_start, forecast = _total(components), _forecast(model, record, warmup, setup.train)
@@ -278,7 +288,10 @@ def compare(
     todo = sorted(((m, s) for m in methods for s in drawn[m]), key=lambda job: job[0] in FIXED)
     if checkpoints is not None:
         checkpoints.mkdir(parents=True, exist_ok=True)
-    work = partial(_work, record, setup, progress is None, later, checkpoints, more, cuts)
+    calibrations = calibrations_for(record, methods, setup.train, cuts)
+    work = partial(
+        _work, record, setup, progress is None, later, checkpoints, more, cuts, calibrations
+    )
     found = {(r.method, r.seed): r for r in over(work, todo, jobs, progress)}
     done = [found[m, s] for m in methods for s in drawn[m]]
     runs = {m: [r for r in done if isinstance(r, Run) and r.method == m] for m in methods}
@@ -382,11 +395,13 @@ def _work(
     checkpoints: Path | None,
     more: Sequence[Trajectory],
     cuts: Sequence[int],
+    calibrations: Mapping[str, Calibration],
     job: tuple[str, int],
     report: Callable[[RunProgress], None],
 ) -> Run | Failure:
     method, seed = job
     watch = None if silent else report
+    CALIBRATIONS.learn(calibrations)
     try:
         return run(method, record, setup, seed, watch, later, checkpoints, more, cuts)
     except OSError:

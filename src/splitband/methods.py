@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TypeAlias
@@ -22,6 +23,7 @@ from splitband.linear import OutputError
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
 from splitband.naive import Given, Mean, Naive, Persistence
 from splitband.periodic import PeriodicRegression
+from splitband.remembering import Remembered
 from splitband.seasonal import SeasonalNaive
 from splitband.training import Settings
 from splitband.windows import places_in
@@ -31,6 +33,8 @@ CALIBRATED, CONDITIONED = "-calibrated", "-conditioned"
 """Suffixes: the simulator is calibrated first; faster networks are told what is slower."""
 
 LARGEST_SIZE = 10_000
+CALIBRATIONS = Remembered(calibrate)
+"""Several methods, seeds and trials ask for the same calibration, which takes seconds."""
 
 Maker: TypeAlias = "Callable[[Trajectory, Setup, bool], Cell]"
 
@@ -75,6 +79,10 @@ class Setup:
     def settings_of(self, method: str) -> Settings:
         """How a method is trained."""
         return self.overrides.get(base(method), self.settings)
+
+    def only_for(self, method: str) -> Setup:
+        """The setup of one method, whose settings are those of all there is."""
+        return replace(self, settings=self.settings_of(method), overrides={})
 
 
 def base(method: str) -> str:
@@ -204,7 +212,7 @@ def build(method: str, record: Trajectory, setup: Setup, seed: int) -> Model:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         make = (WHOLE | SPLIT | HYBRID)[base(method)]
-        return make(record, setup, method.endswith(CONDITIONED))
+        return make(record, setup.only_for(method), method.endswith(CONDITIONED))
 
 
 def prepared(method: str, record: Trajectory, train: int) -> tuple[Trajectory, Calibration | None]:
@@ -212,8 +220,22 @@ def prepared(method: str, record: Trajectory, train: int) -> tuple[Trajectory, C
     if CALIBRATED not in method:
         return record, None
     y_sim, y = _simulated_beyond(record), record.seen[:train]
-    found = calibrate(y_sim, y, record.sampling_time, len(record))
+    found = CALIBRATIONS(y_sim, y, record.sampling_time, len(record))
     return as_seen(record, found), found
+
+
+def calibrations_for(
+    record: Trajectory, methods: Sequence[str], train: int, cuts: Sequence[int] = ()
+) -> dict[str, Calibration]:
+    """What `CALIBRATIONS` must know to run these methods, fitted here once for all processes."""
+    asking = [method for method in methods if CALIBRATED in method]
+    fitted_again = any(method in FIXED for method in asking)
+    for end in (train, *(cuts if fitted_again else ())):
+        if asking:
+            # What cannot be fitted fails once more, and is reported, in the methods that ask.
+            with suppress(ValueError):
+                prepared(asking[0], record, end)
+    return dict(CALIBRATIONS.results)
 
 
 def as_seen(record: Trajectory, calibration: Calibration | None) -> Trajectory:

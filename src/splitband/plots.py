@@ -47,9 +47,10 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None =
     rows = [(name, channel) for name in runs for channel in range(record.ny)]
     figure = Figure(figsize=(13, 1.1 + 1.25 * len(rows)), layout="constrained")
     grid = figure.subplots(len(rows), 2, sharex="col", sharey="row", squeeze=False)
-    warmup, end, times = setup.settings.warmup, setup.train, _times(record)
-    starts = first_start(record, warmup), last_start(record, warmup, end)
+    end, times = setup.train, _times(record)
     for axes, (name, channel) in zip(grid, rows, strict=True):
+        warmup = setup.settings_of(name).warmup
+        starts = first_start(record, warmup), last_start(record, warmup, end)
         mean = ensemble(runs[name], record, setup)
         sides = (axes[0], starts[0], mean.from_start), (axes[1], starts[1], mean.forecast)
         for ax, start, prediction in sides:
@@ -127,14 +128,15 @@ def components(
         raise ValueError(f"none of {', '.join(runs)} has {what} to draw")
     figure = Figure(figsize=(13, 0.9 + 1.7 * len(rows)), layout="constrained")
     grid = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
-    start, times = first_start(record, setup.settings.warmup), _times(record)
+    times = _times(record)
     says = "components before they are added" if what == "components" else "before the filters"
     for ax, (name, channel) in zip(grid, rows, strict=True):
         _draw_record(ax, record, channel, 0)
+        warmup = setup.settings_of(name).warmup
+        start = first_start(record, warmup)
         for color, (part, values) in zip(_PALETTE, parts[name].items(), strict=False):
             ax.plot(times[start:], values[:, channel], color=color, lw=1, label=part)
-        warmed_up = times[start - setup.settings.warmup], times[start - 1]
-        ax.axvspan(*warmed_up, color="0.93", zorder=0)
+        ax.axvspan(times[start - warmup], times[start - 1], color="0.93", zorder=0)
         ax.axvline(times[setup.train], color="0.4", ls=":", lw=1)
         ax.set_title(f"{name}: {says}", fontsize=9, loc="left", pad=3)
         ax.set_ylabel(_literal(record.columns[channel]))

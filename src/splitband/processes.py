@@ -14,9 +14,7 @@ from multiprocessing.connection import wait
 from multiprocessing.queues import SimpleQueue
 from typing import Any, TypeVar
 
-import torch
-
-from splitband.threads import use_threads
+from splitband.threads import one_thread, use_one_thread
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -47,13 +45,10 @@ def over(
     if processes > 1 and len(jobs) > 1:
         yield from _in_processes(work, jobs, min(processes, len(jobs)), progress)
         return
-    threads = torch.get_num_threads()
-    use_threads(1)
-    try:
-        for job in jobs:
-            yield work(job, progress or _ignore)
-    finally:
-        use_threads(threads)
+    for job in jobs:
+        with one_thread():
+            result = work(job, progress or _ignore)
+        yield result
 
 
 def _ignore(_: Any) -> None:
@@ -67,7 +62,7 @@ def _start_worker(queue: Any) -> None:
     global _to_parent  # noqa: PLW0603  set once, when the process starts
     _to_parent = queue
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends them
-    use_threads(1)
+    use_one_thread()
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

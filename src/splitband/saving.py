@@ -32,7 +32,11 @@ _UNFIT = (
     RuntimeError, TypeError, KeyError, ValueError, AttributeError, OverflowError, MemoryError,
     safetensors.SafetensorError,
 )  # fmt: skip
-_DESCRIPTION, _WEIGHTS = "model.json", "weights.safetensors"
+_DESCRIPTION, _WEIGHTS, _PREVIOUS = (
+    "model.json",
+    "weights.safetensors",
+    "weights-previous.safetensors",
+)
 
 
 def _is_number(value: Any) -> bool:
@@ -93,6 +97,8 @@ _SCHEMA: dict[type, dict[str, Kind]] = {
 def save(model: Model, folder: str | Path, facts: Mapping[str, Any] | None = None) -> None:
     """Write `model.json` and `weights.safetensors` into `folder`.
 
+    Whenever it is interrupted, the folder holds the model that was there before, or this one.
+
     Parameters
     ----------
     model : Built from the package's cells, or from cells that have `arguments`, a dict of the
@@ -102,7 +108,8 @@ def save(model: Model, folder: str | Path, facts: Mapping[str, Any] | None = Non
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    state = {name: value.contiguous().cpu() for name, value in model.state_dict().items()}
+    # Clones, as the format does not store tensors that share their memory.
+    state = {name: value.cpu().contiguous().clone() for name, value in model.state_dict().items()}
     weights = safetensors.torch.save(state)
     description = {
         "format": FORMAT,
@@ -111,10 +118,24 @@ def save(model: Model, folder: str | Path, facts: Mapping[str, Any] | None = Non
         "facts": dict(facts or {}),
     }
     text = to_json(description)
-    # Both are written before either takes the place of its predecessor.
+    # The weights are replaced first, and then the description, which says whose they are.
     with replacing(folder / _DESCRIPTION) as new, replacing(folder / _WEIGHTS) as new_weights:
         new_weights.write_bytes(weights)
         new.write_text(text, encoding="utf-8")
+        _keep_previous(folder)
+    (folder / _PREVIOUS).unlink(missing_ok=True)
+
+
+def _keep_previous(folder: Path) -> None:
+    """Copy the weights of the model that is there to where `load` finds them, too."""
+    try:
+        digest = json.loads((folder / _DESCRIPTION).read_text(encoding="utf-8"))["weights_sha256"]
+        content = (folder / _WEIGHTS).read_bytes()
+    except (OSError, ValueError, KeyError, TypeError):
+        return  # there is no whole model
+    if hashlib.sha256(content).hexdigest() == digest:
+        with replacing(folder / _PREVIOUS) as temporary:
+            temporary.write_bytes(content)
 
 
 def load(
@@ -155,14 +176,37 @@ def load(
             expected = _model(spec, known).state_dict()
     except _UNFIT as error:
         raise ValueError(f"{folder / _DESCRIPTION} describes no model: {error}") from None
-    weights = _weights(folder / _WEIGHTS, digest, expected)
+    weights = _weights(_of_digest(folder, digest), digest, expected)
     try:
         model = _model(spec, known)
+        tied = _tied(model)
         # `assign` keeps the precision that was saved.
         model.load_state_dict(weights, assign=True)
+        for first, *others in tied:
+            for name in others:
+                owner, _, attribute = name.rpartition(".")
+                setattr(model.get_submodule(owner), attribute, model.get_parameter(first))
     except _UNFIT as error:
         raise ValueError(f"{folder / _DESCRIPTION} describes no model: {error}") from None
     return model, facts
+
+
+def _tied(model: Model) -> list[list[str]]:
+    """Names of parameters that are one and the same, for each that has several."""
+    names: dict[int, list[str]] = {}
+    for name, parameter in model.named_parameters(remove_duplicate=False):
+        names.setdefault(id(parameter), []).append(name)
+    return [of_one for of_one in names.values() if len(of_one) > 1]
+
+
+def _of_digest(folder: Path, digest: Any) -> Path:
+    """The weights' file; the previous one where `save` was interrupted before it was done."""
+    previous = folder / _PREVIOUS
+    if previous.is_file():
+        with previous.open("rb") as file:
+            if hashlib.file_digest(file, "sha256").hexdigest() == digest:
+                return previous
+    return folder / _WEIGHTS
 
 
 def _weights(path: Path, digest: Any, expected: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -10,13 +10,20 @@ import threadpoolctl
 import torch
 
 
-def use_threads(count: int) -> None:
-    """Let this process compute on `count` threads; parallel runs are processes of one each.
+def use_one_thread() -> None:
+    """Let this process compute on one thread from now on; parallel runs are processes of one each.
 
     That goes for torch, whose count the fused kernels take, and for the BLAS of NumPy and SciPy.
     """
-    torch.set_num_threads(count)
-    threadpoolctl.threadpool_limits(count, user_api="blas")
+    torch.set_num_threads(1)
+    threadpoolctl.threadpool_limits(1, user_api="blas")
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Compute on one thread, as with `use_one_thread`, and then on as many as before."""
+    with one_torch_thread(), threadpoolctl.threadpool_limits(1, user_api="blas"):
+        yield
 
 
 @contextmanager

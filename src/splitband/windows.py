@@ -96,8 +96,11 @@ def windows(task: Task, window: int, warmup: int) -> tuple[Signals, Tensor]:
 
 
 def targets(signal: Tensor, task: Task, window: int, warmup: int) -> Tensor:
-    """Of a signal `(time, n)`, the samples of every window that the task's network predicts."""
-    return _views(signal, window)[:, warmup :: task.stride]
+    """Of a signal `(time, n)`, the samples of every window that the task's network predicts.
+
+    They lie on the device of the task's target.
+    """
+    return _views(signal.to(task.target.device), window)[:, warmup :: task.stride]
 
 
 def select(known: Signals, batch: Tensor) -> Signals:

@@ -110,7 +110,7 @@ def fit(
         learning_rate=learning_rate,
         milestones=lr_milestones,
         hidden=hidden,
-    )
+    ).only_for(method)
     further = each_with_simulator(
         given.load_further(more, trajectory, inputs, time_column, gaps),
         [method],
@@ -133,8 +133,7 @@ def fit(
 
         (out / CHECKPOINTS).mkdir(exist_ok=True)
         checkpoint = Checkpoint(out / CHECKPOINTS / f"{method}-{seed}.safetensors")
-        settings = setup.settings_of(method)
-        history = train_model(model, records, settings, seed, update, checkpoint)
+        history = train_model(model, records, setup.settings, seed, update, checkpoint)
     within = _training_error(model, training, setup.settings.warmup)
     seen = np.concatenate([each.seen for each in records])
     facts = {

@@ -112,7 +112,7 @@ class _Rollout(torch.autograd.Function):
         jobs = []
         for i, rows in enumerate(ctx.rows):
             n = rows.stop - rows.start
-            dgates = dy.new_empty(4, -(-_GATHER // n), n, whh.shape[2])
+            dgates = dy.new_empty(4, -(-_GATHER // max(n, 1)), n, whh.shape[2])
             saved = (*kept[3 * i : 3 * i + 3], dgates, wih, whh, wy)
             jobs.append((wanted, dy[rows], *saved, *sums[i], dy_warmup[rows], du[rows]))
         run_rows(_backward, jobs)

@@ -182,7 +182,7 @@ class Model(nn.Module, ABC):
         """`(batch, steps, ny)` as the caller's kind of array."""
         values = values.reshape(*like.shape[:-2], values.shape[1], self.ny)
         values = values[:, 0] if like.ndim == 1 else values
-        return values.to(like) if isinstance(like, Tensor) else values.numpy()
+        return values.to(like) if isinstance(like, Tensor) else values.cpu().numpy()
 
     def adapt_to(self, records: Sequence[Trajectory], normalize: bool = True) -> None:
         """Take from the training records what is not learned by gradient: here, the units.

@@ -129,11 +129,11 @@ class Job:
     def setup(self, record: Trajectory) -> Setup:
         """The paper's settings with what this job changes."""
         setup = SYSTEMS[self.system].column.setup(record.sampling_rate)
-        settings = setup.settings_of(self.method)
+        setup = setup.only_for(self.method)
         if self.epochs is not None:
-            settings = replace(settings, epochs=self.epochs)
+            setup = replace(setup, settings=replace(setup.settings, epochs=self.epochs))
         if self.cutoff is not None:
             setup = replace(setup, cutoff=in_hz(self.cutoff, record.sampling_rate))
         if self.downsampling is not None:
             setup = replace(setup, downsampling=self.downsampling)
-        return replace(setup, settings=settings, overrides={})
+        return setup

@@ -1,0 +1,58 @@
+"""Batches of nothing, and models on a GPU."""
+
+import numpy as np
+import pytest
+import torch
+
+from splitband import GRU, EulerMLP, Settings, Trajectory, fit
+from splitband.methods import Setup, build
+from splitband.models import Signals, Task
+from splitband.rollouts import Backend, rollout
+from splitband.windows import targets
+
+SETTINGS = Settings(30, 10, 2, 16)
+SETUP = Setup(80, SETTINGS, cutoff=0.6, hidden_high=4, hidden_low=3)
+gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+
+
+@pytest.mark.parametrize("nu", [0, 2])
+@pytest.mark.parametrize("kind", ["gru", "euler"])
+@pytest.mark.parametrize("backend", ["plain", "fused"])
+def test_a_batch_of_nothing_has_gradients_of_zero(kind: str, nu: int, backend: Backend) -> None:
+    cell = GRU(1, 3, nu) if kind == "gru" else EulerMLP(1, 4, 2, 5, 5, nu=nu)
+    y = torch.zeros(0, 4, 1, requires_grad=True)
+    found = rollout(cell, y, 6, torch.zeros(0, 10, nu) if nu else None, backend)
+    assert found.shape == (0, 6, 1)
+    found.sum().backward()
+    for parameter in cell.parameters():
+        assert parameter.grad is not None
+        assert not parameter.grad.any()
+
+
+def test_what_was_measured_lies_where_the_target_does() -> None:
+    """On a device without memory, as a GPU is not everywhere."""
+    y = torch.zeros(40, 1, device="meta")
+    task = Task("network", GRU(1, 3), Signals(y), y, lambda known, steps: known.y)
+    assert targets(torch.ones(40, 1, dtype=torch.bool), task, 30, 10).device == y.device
+
+
+def record(gaps: bool) -> Trajectory:
+    t = 0.1 * np.arange(120)[:, None]
+    y = np.sin(1.3 * t) + 0.1 * np.random.default_rng(0).standard_normal(t.shape)
+    if gaps:
+        y[[25, 60]] = np.nan
+    return Trajectory.with_gaps(y, 0.1, y_sim=np.sin(1.3 * t))
+
+
+@gpu
+@pytest.mark.parametrize("gaps", [False, True])
+@pytest.mark.parametrize("method", ["gru", "split-gru-conditioned", "filtered-gru-conditioned"])
+def test_a_model_on_a_gpu_is_trained_and_takes_and_gives_arrays(method: str, gaps: bool) -> None:
+    found = []
+    for device in ("cpu", "cuda"):
+        r = record(gaps)
+        model = build(method, r, SETUP, seed=0).to(device)
+        fit(model, r[:80], SETTINGS)
+        y_sim = r.y_sim[70:] if "filtered" in method and r.y_sim is not None else None
+        found.append(model.simulate(r.y[70:80], 40, y_sim=y_sim))
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-2, atol=1e-2)
