@@ -33,9 +33,10 @@ from splitband.intervals import Interval
 from splitband.methods import FIXED, Setup, build, check
 from splitband.metrics import cumulative_rmse, leaves_range, nrmse, rmse, spread
 from splitband.models import Signals, Task
-from splitband.naive import LONGEST, Naive, SeasonalNaive, _last_period, recent
+from splitband.naive import LONGEST, Naive, recent
 from splitband.periodic import PeriodicRegression
 from splitband.saving import load
+from splitband.seasonal import SeasonalNaive, _last_period
 from splitband.training import MOST_BATCHES, STEPS
 from splitband.trial import try_out
 from splitband.windows import joined, places_in, select, windows

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splitband.naive import SeasonalNaive
 from splitband.periodic import PeriodicRegression
+from splitband.seasonal import SeasonalNaive
 
 Array = npt.NDArray[Any]
 TRAINING, AHEAD = 600, 1400

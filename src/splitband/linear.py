@@ -1,9 +1,9 @@
-"""A linear model from the known inputs to what is measured: the output-error model.
+"""A linear model from the known inputs to the measured channels: the output-error model.
 
-A naive baseline (see `splitband.naive`) for records with inputs, and where the system is linear
-the best there is. It is simulated from the beginning of the record, so that no measured sample but
-those it was fitted to is needed: the output-error structure of L. Ljung, System Identification,
-2nd ed., Sec. 4.2.
+A naive baseline (see `splitband.naive`) for records with inputs; for a linear system with white
+measurement noise no other model does better. It is simulated from the beginning of the record and
+needs no measured samples but those it was fitted to. See L. Ljung, System Identification, 2nd ed.,
+Sec. 4.2.
 """
 
 from __future__ import annotations
@@ -22,17 +22,25 @@ from splitband.naive import known, recent, units
 Array = npt.NDArray[np.float64]
 
 ORDERS = (1, 2, 3, 4, 6, 8)
+"""Numbers of poles that are tried."""
 ROUNDS = 20
-"""Of the iteration by which the search begins; the best of them counts."""
+"""Iterations that look for a denominator; the search goes on from the best one."""
 FARTHEST_POLE = 0.9999
-"""Largest size of a pole: what decays slower than that grows, for all that a record can tell."""
+"""Largest absolute value of a pole: a record hardly tells a slower decay from growth."""
 _CUTS = (0.6, 0.7, 0.8, 0.9)
-_RANK, _GONE = 1e-10, 0.1
+"""Shares of the samples that are fitted, to see how well the model forecasts the others."""
+_RANK = 1e-10
+"""Singular values below this share of the largest one are cut."""
+_GONE = 0.1
+"""A response to the initial state below this share of its peak is taken to have died out."""
 
 
 @dataclass(frozen=True, eq=False)
 class OutputError:
-    """y = (B u + C δ) / A + offset for each channel, δ the unit impulse at index 0; use `fit`.
+    """y = (B u + C δ) / A + offset for each channel; use `fit`.
+
+    A, B and C are polynomials of the delay operator, δ is the unit impulse at index 0: C δ / A is
+    the response to the initial state.
 
     Attributes
     ----------
@@ -47,20 +55,20 @@ class OutputError:
     def fit(cls, y: Array, u: Array) -> OutputError:
         """Fit to the first samples of a record, by least squares of the simulation error.
 
-        Each channel has a model of its own, with poles that are stable and as many as predict best
-        what follows the samples they are fitted to, over several cuts of `y`. Of a long record the
-        last samples are fitted, see `naive.recent`.
+        Each channel has a model of its own. Its poles are stable, and as many as forecast held-out
+        samples best, over several cuts of `y`. Of a long record the last samples are fitted, see
+        `naive.recent`.
 
         Parameters
         ----------
         y : `(train, ny)`; NaN is what was not measured.
-        u : Inputs of the whole record, `(time, nu)`, as far as it shall be predicted.
+        u : Inputs `(time, nu)`, of the samples to be predicted too.
         """
         u = (u - u[: len(y)].mean(axis=0)) / spread(u[: len(y)])
         return cls(tuple(_fit_channel(channel, u[: len(y)]) for channel in y.T), u)
 
     def predict(self, start: int, steps: int, last: Array) -> Array:
-        """See `Naive`; not beyond the inputs that are known."""
+        """See `Naive`; raises ValueError beyond the known inputs."""
         end = start + steps
         if end > len(self.u):
             raise ValueError(f"u must reach to sample {end}, got {len(self.u)} samples")
@@ -73,7 +81,7 @@ class OutputError:
 
 
 class Channel(NamedTuple):
-    """Polynomials of the delay operator: a `(n + 1,)`, b `(nu, n + 1)`, c `(n,)`; the offset."""
+    """A `(n + 1,)`, B `(nu, n + 1)`, C `(n,)` and the offset of `OutputError`."""
 
     a: Array
     b: Array
@@ -87,7 +95,7 @@ class Channel(NamedTuple):
 
 
 def _fit_channel(y: Array, u: Array) -> Channel:
-    """In its units; found in units of its own range."""
+    """The model of one channel; found with the channel scaled to its range."""
     offset, scale = units(y)
     y = (y - offset) / scale
     begin, end = recent(y[:, None])
@@ -98,7 +106,7 @@ def _fit_channel(y: Array, u: Array) -> Channel:
 
 
 def _denominator(y: Array, u: Array) -> Array:
-    """Of the order that predicts best what follows the samples it is fitted to."""
+    """The denominator A, of the order that forecasts held-out samples best."""
     most = max((len(known(y)) // 3 - u.shape[1] - 1) // (2 + u.shape[1]), 1)
     orders = [order for order in ORDERS if order <= most]
     errors = {order: _held_out(y, u, order) for order in orders}
@@ -106,7 +114,7 @@ def _denominator(y: Array, u: Array) -> Array:
 
 
 def _held_out(y: Array, u: Array, order: int) -> float:
-    """Mean squared error of what follows the samples that were fitted, over several cuts."""
+    """Mean squared error of the forecasts of held-out samples, over several cuts."""
     errors, rows = [], known(y)
     for share in _CUTS:
         later = rows[max(int(share * len(rows)), 1) :]
@@ -118,15 +126,16 @@ def _held_out(y: Array, u: Array, order: int) -> float:
 
 
 def _of_order(y: Array, u: Array, order: int) -> Array:
-    """The denominator that leaves least, out of those that are tried."""
+    """The denominator of this order that fits best, out of those that are tried."""
     return min(_tried(y, u, order), key=lambda at: at[0])[1]
 
 
 def _tried(y: Array, u: Array, order: int) -> Iterator[tuple[float, Array]]:
     """Mean squared errors and denominators, by the iteration of Steiglitz and McBride (1965).
 
-    y and what explains it pass 1/A before A is fitted, once more, to what comes of it. In the gaps
-    of y there is what the model before says; straight lines at first.
+    Output, inputs and offset are filtered by 1/A, and the next A is fitted to the filtered signals
+    by least squares. Gaps of y are filled by the simulation of the model before, by straight lines
+    at first.
     """
     whole = np.interp(np.arange(len(y)), known(y), y[known(y)])
     a = np.append(1.0, np.zeros(order))
@@ -143,7 +152,7 @@ def _tried(y: Array, u: Array, order: int) -> Iterator[tuple[float, Array]]:
 
 
 def _refined(a: Array, y: Array, u: Array) -> Array:
-    """The denominator nearby that leaves least."""
+    """The denominator nearby that fits best."""
 
     def left(moved: Array) -> Array:
         simulated = _solved(_stable(np.append(1.0, moved)), y, u)[1]
@@ -154,12 +163,12 @@ def _refined(a: Array, y: Array, u: Array) -> Array:
 
 
 def _solved(a: Array, y: Array, u: Array, begin: int = 0) -> tuple[Array, Array]:
-    """B, C and the offset of a denominator for y from `begin` on, and what they simulate."""
+    """B, C and offset that fit y from `begin` on best, given A, and the simulation with them."""
     rows = known(y)
     rows = rows[rows >= begin]
     basis = np.hstack([_driven(a, u), np.ones((len(u), 1))])
     fitted = basis[rows]
-    # Where what C is multiplied with has died out by then, C could be anything.
+    # Where the response to the initial state has died out before `begin`, C could be anything.
     of_c = slice(-len(a), -1)
     gone = abs(fitted[:, of_c]).max(axis=0) < _GONE * abs(basis[:, of_c]).max(axis=0)
     fitted[:, of_c] = np.where(gone, 0.0, fitted[:, of_c])
@@ -168,7 +177,7 @@ def _solved(a: Array, y: Array, u: Array, begin: int = 0) -> tuple[Array, Array]
 
 
 def _driven(a: Array, u: Array) -> Array:
-    """What each coefficient of B, input by input, and of C is multiplied with, `(time, ...)`."""
+    """Regressors `(time, ...)` of the coefficients of B, input by input, and of C."""
     order = len(a) - 1
     passed = scipy.signal.lfilter([1.0], a, np.hstack([u, _impulse(u)[:, None]]), axis=0).T
     return np.stack(
@@ -187,14 +196,14 @@ def _delayed(x: Array, samples: int) -> Array:
 
 
 def _stable(a: Array) -> Array:
-    """With the poles outside of the unit circle mirrored into it, `FARTHEST_POLE` at most."""
+    """With poles outside of the unit circle mirrored into it, to `FARTHEST_POLE` at most."""
     poles = np.roots(a)
     size = abs(poles)
     if (size <= FARTHEST_POLE).all():
         return a
     inside = np.minimum(np.where(size > 1, 1 / np.maximum(size, 1), size), FARTHEST_POLE)
     a = np.real(np.poly(np.where(size > 0, poles * inside / np.maximum(size, 1e-300), 0)))
-    # Poles close to each other are known to fewer digits, and may lie outside once more.
+    # Poles close to each other are known to fewer digits, and may lie outside after all.
     while (largest := abs(np.roots(a)).max(initial=0.0)) > 1:
         a = a * (0.999 / largest) ** np.arange(len(a))
     return a

@@ -16,9 +16,9 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 LONGEST = 4000
-"""Samples that what is fitted by least squares is fitted to at most: its time grows with them."""
+"""Measured samples of a channel that least squares fits use at most, to bound their time."""
 FARTHEST_BACK = 10 * LONGEST
-"""Rows of a record in which they lie, where some were not measured."""
+"""Rows before the end of a record in which these are looked for, where there are gaps."""
 
 
 class Naive(Protocol):
@@ -42,7 +42,7 @@ class Persistence:
 
 @dataclass(frozen=True, eq=False)
 class Mean:
-    """The mean of the training samples: what is left where nothing can be foreseen.
+    """The mean of the training samples, the best forecast where nothing can be foreseen.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Mean:
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """A trajectory that somebody else predicted: a simulator, taken as it is.
+    """A trajectory that is given, that of a simulator.
 
     Attributes
     ----------
@@ -81,10 +81,10 @@ class Given:
 
 
 def recent(y: Array) -> tuple[int, Array]:
-    """Where the end of `y` `(time, ny)` begins that is fitted, and that end.
+    """The index from which on `y` `(time, ny)` is fitted, and `y` from there on.
 
-    Each channel has its last `LONGEST` samples there, those of the last `FARTHEST_BACK` if any is
-    among these.
+    Of each channel the last `LONGEST` measured samples are kept, those among them that are farther
+    back than `FARTHEST_BACK` rows only where there are no others; the rest becomes NaN.
     """
     y = y.copy()
     for channel in y.T:
@@ -101,6 +101,6 @@ def known(y: Array) -> npt.NDArray[np.int_]:
 
 
 def units(y: Array) -> tuple[float, float]:
-    """Mean and range of a channel; a constant one has its value and 1."""
+    """Mean and range of a channel; of a constant one its value, and 1."""
     low, high = float(np.nanmin(y)), float(np.nanmax(y))
     return (float(np.nanmean(y)), high - low) if low < high else (low, 1.0)

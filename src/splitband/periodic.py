@@ -1,8 +1,8 @@
-"""Periodic regression: a Fourier series over the record's own period, a trend, what dies out.
+"""Periodic regression: a Fourier series of the record's own period, a trend and free vibrations.
 
-A naive baseline (see `splitband.naive`): what a system that is driven periodically does, once its
-free vibrations are gone, whether it is linear or not. Seasonal-naive repeats one period and its
-noise; this takes the mean of all, and a period that is no whole number of samples.
+A naive baseline (see `splitband.naive`). A system that is driven periodically, linear or not,
+repeats itself once its free vibrations have died out. Seasonal-naive repeats one period and its
+noise; this takes the mean of all periods, which need not be a whole number of samples.
 """
 
 from __future__ import annotations
@@ -22,17 +22,18 @@ Array = npt.NDArray[np.float64]
 
 MOST_HARMONICS = 30
 VIBRATIONS = 4
-"""That die out, at most."""
+"""Decaying sinusoids, at most."""
 _WORTH = 0.5
-"""A freer candidate must have less than this of the held-out error of the stiffer one: a period
-that is a little off, and vibrations that are none, cost the more the longer the forecast."""
+"""A candidate with more freedom must have less than this share of the held-out error of one with
+less: a slightly wrong period and needless vibrations cost the more, the longer the forecast."""
 _CUTS = (0.75, 0.8, 0.85, 0.9)
-"""Near the end, so that nearly as many periods are known as to the fit itself."""
+"""Shares of the samples that are fitted, to see how well the rest is forecast. They are near 1, so
+that nearly as many periods are seen as by the final fit."""
 
 
 @dataclass(frozen=True, eq=False)
 class PeriodicRegression:
-    """A Fourier series for each channel, and vibrations that die out; use `fit`.
+    """A Fourier series, a trend and decaying vibrations for each channel; use `fit`.
 
     Attributes
     ----------
@@ -49,11 +50,11 @@ class PeriodicRegression:
     def fit(cls, y: Array) -> PeriodicRegression:
         """Fit `y` `(time, ny)`, each channel by itself; NaN is what was not measured.
 
-        A lag at which the channel resembles itself, or a whole fraction of it, is the period, and
-        as many harmonics are taken as the Bayesian information criterion pays for. The period may
-        then move, and vibrations that die out may be added, where that pays on what follows the
-        samples that were fitted, for several cuts of `y`. Of a long record the last
-        `naive.LONGEST` samples are used.
+        A trend is kept where it pays on held-out samples (`trend.find`). The period is a lag at
+        which the channel resembles itself, or a whole fraction of it, with as many harmonics as the
+        Bayesian information criterion selects. The period may then move, and vibrations that die
+        out may be added, where that halves the error on held-out samples. Of a long record the
+        last `naive.LONGEST` samples are used.
         """
         begin, y = recent(y)
         channels = [_fit_channel(channel) for channel in y.T]
@@ -82,7 +83,7 @@ class PeriodicRegression:
 
 
 def _fit_channel(y: Array) -> Modes:
-    """In its units; found in units of its own range."""
+    """The fit of one channel; found with the channel scaled to its range."""
     offset, scale = units(y)
     scaled = (y - offset) / scale
     trend = find(scaled)
@@ -96,7 +97,7 @@ def _fit_channel(y: Array) -> Modes:
 
 
 def _held_out(y: Array, shape: Shape | None) -> list[float]:
-    """Of each candidate, the mean RMSE of what follows the samples that were fitted."""
+    """The mean RMSE of each candidate on held-out samples, over several cuts."""
     errors, index = [], known(y)
     for share in _CUTS:
         later = index[int(share * len(index)) :]
@@ -107,13 +108,13 @@ def _held_out(y: Array, shape: Shape | None) -> list[float]:
 
 
 def _candidates(y: Array, shape: Shape | None) -> tuple[Modes, Modes, Modes]:
-    """From the stiffest to the freest: any period nearby, and vibrations as long as they pay."""
+    """The series of a whole lag; with its period moved; with vibrations as well."""
     series = _best_series(y, shape)
     if not len(series.frequencies):
         return series, series, series
     refined = dying = modes = series.refined(y)
     for _ in range(VIBRATIONS):
-        # The early samples show best what dies out.
+        # Early samples count more: there the vibrations are largest.
         modes = modes.with_another(y, damping=3 / len(y), weight=3)
         if modes.information(y) < dying.information(y):
             dying = modes
@@ -150,7 +151,7 @@ def _series(y: Array, lag: int, shape: Shape | None) -> Modes:
     pairs = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(index), -1)
     level = none.basis(index)
     directions = np.linalg.qr(np.hstack([level, pairs]))[0]
-    # What is left after each harmonic more.
+    # What is left of the power with each further harmonic.
     power = np.nansum(y**2)
     left = power - np.cumsum((directions.T @ y[index]) ** 2)[level.shape[1] - 1 :: 2]
     left = np.maximum(left, 1e-16 * power + 1e-300)
@@ -158,7 +159,8 @@ def _series(y: Array, lag: int, shape: Shape | None) -> Modes:
     kept = strongest[: int(np.argmin(information))]
     if not len(kept):
         return none
-    # Those of a whole fraction of the lag: then that is the period. Weak ones between count too.
+    # Where all of them are harmonics of a fraction of the lag, that fraction is the period. Weak
+    # harmonics between them are kept too.
     whole = int(np.gcd.reduce(kept))
     order = np.arange(1, min(kept.max() // whole, MOST_HARMONICS) + 1)
     return Modes.solved(order * whole / lag, np.zeros(len(order)), y, shape, len(order))

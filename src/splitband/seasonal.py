@@ -16,7 +16,8 @@ from splitband.trend import Trend, described, find, trending
 Array = npt.NDArray[np.float64]
 
 ENOUGH_PAIRS = 0.25
-"""Of measured samples a lag apart, as a share of the most at any lag: fewer agree by chance."""
+"""Share of the largest number of pairs of measured samples at any lag. A lag with fewer pairs is
+left out: they may agree by chance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +70,9 @@ def last_period(y: Array) -> Array:
 
 
 def self_similar_lags(y: Array, most: int = 200) -> list[int]:
-    """Lags up to half of `y` with the smallest local minima of mean (y_n - y_{n+lag})^2.
+    """Lags at which the mean of (y_n - y_{n+lag})^2 has a local minimum, the least one first.
 
-    The mean is over the pairs of measured samples, each channel by itself.
+    They are half of `y` at most. The mean is over pairs of measured samples; channels are added.
     """
     n = len(y)
     lags = np.arange(1, n // 2 + 1)
@@ -79,7 +80,7 @@ def self_similar_lags(y: Array, most: int = 200) -> list[int]:
     for channel in y.T:
         measured = (~np.isnan(channel)).astype(np.float64)
         centred = np.nan_to_num(channel - np.nanmean(channel))
-        # Of a square and its two mixed products: (a - b)^2 = a^2 + b^2 - 2 a b.
+        # (a - b)^2 = a^2 - 2 a b + b^2, each term a correlation.
         pairs, before, after, products = (
             scipy.signal.correlate(a, b, mode="full", method="fft")[n - 1 :][lags]
             for a, b in (
@@ -93,7 +94,8 @@ def self_similar_lags(y: Array, most: int = 200) -> list[int]:
         doubtful |= pairs < ENOUGH_PAIRS * pairs.max()
         difference += (before + after - 2 * products) / np.maximum(pairs, 1)
     difference[doubtful] = np.inf
-    minima = scipy.signal.argrelmin(np.append(difference, np.inf))[0]  # the last lag may be one
+    # With infinity behind it, the last lag can be a minimum too.
+    minima = scipy.signal.argrelmin(np.append(difference, np.inf))[0]
     ranked = minima[np.argsort(difference[minima], kind="stable")]
     return [int(lags[i]) for i in ranked[:most]] or [int(lags[-1])]
 
@@ -107,7 +109,7 @@ def seasons(y: Array, lag: int) -> Array:
 
 
 def all_around(period: Array) -> Array:
-    """A period `(lag, ny)`, with straight lines across what is NaN, round from end to begin."""
+    """A period `(lag, ny)` with NaN filled by straight lines, from its end on to its beginning."""
     found, phase = period.copy(), np.arange(len(period))
     for channel in found.T:
         seen = ~np.isnan(channel)

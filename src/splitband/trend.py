@@ -36,7 +36,10 @@ SINUSOIDS = 6
 """That are fitted along with a trend, at most."""
 EVIDENCE = 3.0
 """Of a sinusoid, per logarithm of the number of blocks: noise alone has peaks, too."""
+NEGLIGIBLE = 1e-16
+"""Mean square, in units of the record's range."""
 _RANK = 0.03
+"""Of the sinusoids fitted along with a trend: singular values below this share are cut."""
 
 
 class Shape(NamedTuple):
@@ -189,7 +192,9 @@ class _Sketch(NamedTuple):
             left[rows] = values - basis @ coefficients
             power = abs(np.fft.rfft(left, 8 * count)[: 4 * count]) ** 2
             peak = 8 + int(np.argmax(power[8:]))
-            gained, remaining = 2 * float(power[peak]) / len(rows), float(np.mean(left[rows] ** 2))
+            gained = 2 * float(power[peak]) / len(rows)
+            # Of what rounding leaves of a record without noise, nothing is explained.
+            remaining = max(float(np.mean(left[rows] ** 2)), NEGLIGIBLE)
             too_weak = gained <= EVIDENCE * np.log(len(rows)) * remaining
             if too_weak or len(frequencies) == min(SINUSOIDS, (len(rows) - 4) // 3):
                 return cls(shape, frequencies, coefficients)
