@@ -188,6 +188,15 @@ def test_intervals_of_many_records_hold_nine_tenths_on_average() -> None:
     assert np.mean(width) <= 1.3 * 0.2 * scipy.stats.norm.ppf(0.95)
 
 
+def test_fits_to_too_few_samples_do_not_widen_an_interval() -> None:
+    """A period of 40 samples is not found in 75, which hold less than two of them."""
+    noise = 0.02 * np.random.default_rng(3).standard_normal((LENGTH, 1))
+    season = np.sin(2 * np.pi * np.arange(LENGTH) / 40)[:, None] ** 3
+    r = Trajectory(season + noise, DT)
+    interval = try_out(r, ["seasonal-naive"], SETUP).intervals["seasonal-naive"]
+    assert interval.half_widths(1).max() < 0.15
+
+
 def test_errors_of_several_seeds_cancel_in_their_mean() -> None:
     """Its error is that of the mean prediction, not the mean of the errors."""
     r = record()

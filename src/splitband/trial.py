@@ -23,6 +23,8 @@ Array = npt.NDArray[np.float64]
 
 LEAST_FITTED = 20
 """Measured samples of each channel that a baseline is fitted to for the intervals."""
+FAILED = 5.0
+"""Times the usual error of a method's first forecast samples: such a fit says nothing of others."""
 HELD_OUT = 0.25
 """Share of the training part by which the recommended method is chosen."""
 CUTS = (0.25, 0.2, 0.15, 0.1)
@@ -164,14 +166,30 @@ def try_out(
         for method, of_method in forecasts.items()
     }
     scored = {m: [e for at, e in of_m.items() if at >= shorter.train] for m, of_m in left.items()}
+    longer_ones = {
+        m: [e for at, e in sorted(of_m.items(), reverse=True) if at < shorter.train]
+        for m, of_m in left.items()
+    }
     return Trial(
         {m: _size(e) for m, e in scored.items()},
         {m: _size([error / scale for error in e]) for m, e in scored.items()},
-        {m: Interval.fit([*of_m.values()], seen) for m, of_m in left.items()},
+        {m: Interval.fit(_sound(scored[m], longer_ones[m], scale), seen) for m in left},
         {m: of_m[shorter.train][held:] for m, of_m in forecasts.items()},
         scale,
         failed=runs.failed,
     )
+
+
+def _sound(scored: Sequence[Array], longer: Sequence[Array], scale: Array) -> list[Array]:
+    """All errors, but no `longer` ones from the first fit on that failed for want of samples.
+
+    `longer` begins with the fit to the most samples. A fit that does not know the record's period
+    yet is wrong from its first forecast samples on; growth alone shows later.
+    """
+    near = min(map(len, scored))
+    usual = _size([e[:near] / scale for e in scored])
+    sound = [_size([e[:near] / scale]) <= FAILED * usual for e in longer]
+    return [*scored, *longer[: [*sound, False].index(False)]]
 
 
 def _longer_cuts(part: Trajectory) -> list[int]:
