@@ -88,7 +88,7 @@ def spectrum(
     write_json(out / "results.json", facts)
     if setup.choice is not None:
         showing.console.print(
-            f"cut-off chosen by the first {setup.train} samples; the low band kept at every "
+            f"by the first {setup.train} samples, the low band kept at every "
             f"{showing.ordinal(setup.downsampling)} sample: {setup.choice.reason}"
         )
     plots.save(plots.spectrum(trajectory, found, chosen, setup.choice), out / "spectrum.png")
