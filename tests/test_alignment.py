@@ -331,6 +331,16 @@ def test_a_simulator_that_begins_later_than_the_record_is_refused(
     assert all(words in said for words in ("sim.csv", "0 s to 23.9 s", "2 s to 25.9 s"))
 
 
+def test_dates_beside_seconds_are_refused_with_the_name_of_the_file(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    dates = pd.Timestamp("2024-05-01") + pd.to_timedelta(times(), unit="s")
+    write(Path("record.csv"), dates, y=signal(times()))
+    write(Path("sim.csv"), times(20), y=signal(times()))
+    said = refused("compare record.csv --methods simulator,mean --simulator sim.csv", capsys)
+    assert all(words in said for words in ("sim.csv", "20 s", "2024-05-01", "all be dates"))
+
+
 def test_a_named_time_column_is_that_of_the_simulator_too() -> None:
     for name, start, samples in (("record.csv", 20, SAMPLES), ("sim.csv", 15, SAMPLES + 100)):
         time = times(start, samples=samples)

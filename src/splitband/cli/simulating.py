@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,7 +53,8 @@ def with_simulator(
     samples = samples_needed(least, len(record)) if beyond else least
     grid = Grid(record.start, record.sampling_time, samples)
     if isinstance(opened, Recorded):
-        samples = min(samples, max(least, opened.reach(grid)))
+        with _named(simulator):
+            samples = min(samples, max(least, opened.reach(grid)))
     elif grid.start:
         showing.console.print(f"{simulator} is run on {_times(grid)}")
     try:
@@ -79,15 +81,22 @@ def simulated(
 ) -> npt.NDArray[np.float64]:
     """The simulator's trajectory at the times of the grid, `(samples, ny)`."""
     if isinstance(opened, Recorded):
-        try:
+        with _named(name):
             found = opened.on(grid)
-        except ValueError as error:
-            raise ValueError(f"simulator {name}: {error}") from None
         if found.note:
             showing.console.print(f"{name}: {found.note}")
         return found.values
     within = None if isinstance(opened, Isolated) else timeout
     return run(opened, grid.samples, grid.step, ny, within, cache, name, grid.start)
+
+
+@contextmanager
+def _named(simulator: str) -> Iterator[None]:
+    """Errors name the simulator."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"simulator {simulator}: {error}") from None
 
 
 def simulated_again(

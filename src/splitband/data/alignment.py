@@ -48,7 +48,10 @@ def aligned(what: str, values: FloatArray, own: Grid, onto: Grid, smooth: bool =
     ValueError
         Where the signal does not cover the times; the message has the time stamps of both.
     """
-    rows = _rows(own, onto)
+    try:
+        rows = _rows(own, onto)
+    except ValueError as error:
+        raise ValueError(f"{what}: {error}") from None
     last, slack = len(values) - 1, 0.5 * onto.step / own.step
     if rows[0] < -slack or rows[-1] > last + slack:
         raise ValueError(_not_covered(what, own, onto))
@@ -64,7 +67,7 @@ def aligned(what: str, values: FloatArray, own: Grid, onto: Grid, smooth: bool =
 def reach(own: Grid, onto: Grid) -> int:
     """How many of the times, counted on from the first of `onto`, a signal of times `own` covers.
 
-    The length of `onto` does not matter.
+    The length of `onto` does not matter. Raises ValueError if just one of them has dates.
     """
     begin = _rows(own, replace(onto, samples=1))[0]
     return max(0, int(np.floor((own.samples - 1 - begin) * own.step / onto.step + NEAR)) + 1)
