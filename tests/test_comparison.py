@@ -176,14 +176,13 @@ def test_the_held_out_error_of_a_baseline_is_that_of_fits_to_four_shares() -> No
 def test_intervals_of_many_records_hold_nine_tenths_on_average() -> None:
     """And are at most 1.3 times as wide as the noise alone calls for."""
     covered, width = [], []
-    for seed in range(12):
+    for seed in range(8):
         r = record(seed, noise=0.2)
         runs = compare(r, ["harmonic"], SETUP)
         interval = try_out(r, ["harmonic"], SETUP).settled(runs).intervals["harmonic"]
         left = r.y[TRAIN:] - runs["harmonic"][0].forecast
         covered.append(interval.coverage(left))
         width.append(interval.half_widths(len(left)).mean())
-    print(np.mean(covered), np.mean(width) / (0.2 * scipy.stats.norm.ppf(0.95)))
     assert 0.85 <= np.mean(covered) <= 0.95
     assert np.mean(width) <= 1.3 * 0.2 * scipy.stats.norm.ppf(0.95)
 

@@ -29,7 +29,7 @@ HELD_OUT = 0.25
 """Share of the training part by which the recommended method is chosen."""
 CUTS = (0.25, 0.2, 0.15, 0.1)
 """Such shares for what needs no training and is fitted again for each, the first as above."""
-LONGER_CUTS = (0.625, 0.5, 0.375)
+LONGER_CUTS = (0.5, 0.375)
 """More of them for the intervals alone: how errors grow shows over long horizons."""
 TRIED = 2
 """Seeds of each network that are tried out, where more are asked for in the end."""
