@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -143,6 +143,13 @@ class ComplementaryPair:
         low, high = (b, a - b) if band == "low" else (a - b, b)
         start = start or ("odd" if zero_phase else "steady")
         return cls(low, high, a, sampling_rate, cutoff, zero_phase, start)
+
+    def one_way(self) -> ComplementaryPair:
+        """The same filters, forwards in time only: their gains are the square roots."""
+        if not self.zero_phase:
+            return self
+        start: Start = "steady" if self.start == "odd" else self.start
+        return replace(self, zero_phase=False, start=start)
 
     @property
     def order(self) -> int:

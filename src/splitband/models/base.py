@@ -244,31 +244,58 @@ class Model(nn.Module, ABC):
         return ((values - mean) / std).to(next(self.parameters()).dtype)
 
 
-def conditioning(slow: Tensor, scale: Tensor, k: int = 1, offset: int = 0) -> Tensor:
+def conditioning(
+    slow: Tensor, scale: Tensor, k: int = 1, offset: int = 0, driven: bool = False
+) -> Tensor:
     """What a slower signal tells a faster network: its value and its slope, side by side.
 
-    The row that acts on a step holds those of the sample that the step leads to.
+    Without known inputs the slow signal depends on time alone. The row that acts on the step from
+    one of the network's samples to the next holds value and slope of the latter, and the slope is
+    that between the neighbours on both sides. With known inputs it would then know inputs that
+    come after the samples it acts on. There the row holds those of the first sample after the one
+    that the step begins with, and the slope is that to the sample before.
 
     Parameters
     ----------
     slow : `(..., time, ny)`.
     scale : Of each channel's slope, `(ny,)`, see `slope_scale`.
     k, offset : The network sees every k-th sample from `offset` on.
+    driven : Whether the slow signal may depend on known inputs.
+
+    Returns
+    -------
+    Tensor
+        `(..., rows, 2 ny)`; the last row acts on no step.
     """
-    values = torch.cat([slow, _slope(slow) / scale.to(slow)], dim=-1)[..., offset::k, :]
-    return torch.cat([values[..., 1:, :], values[..., -1:, :]], dim=-2)
+    values = torch.cat([slow, _slope(slow, driven) / scale.to(slow)], dim=-1)
+    values = values[..., offset + 1 :: k, :] if driven else values[..., offset::k, :][..., 1:, :]
+    return torch.cat([values, values[..., -1:, :]], dim=-2)
 
 
-def slope_scale(slow: Sequence[Tensor]) -> Tensor:
-    """The standard deviation of each channel's slope in records `(time, ny)`; 1 for a constant."""
-    spread = torch.cat([_slope(of_record.double()) for of_record in slow]).std(dim=0)
+def beside(u: Tensor | None, given: Tensor) -> Tensor:
+    """The known inputs, if any, and `given` behind them, as far as both go: `(..., time, n)`."""
+    if u is None:
+        return given
+    rows = min(u.shape[-2], given.shape[-2])
+    return torch.cat([u[..., :rows, :], given[..., :rows, :]], dim=-1)
+
+
+def slope_scale(slow: Sequence[Tensor], driven: bool = False) -> Tensor:
+    """The standard deviation of each channel's slope in records `(time, ny)`; 1 for a constant.
+
+    `driven` as for `conditioning`.
+    """
+    spread = torch.cat([_slope(of_record.double(), driven) for of_record in slow]).std(dim=0)
     return torch.where(spread > 0, spread, torch.ones_like(spread))
 
 
-def _slope(x: Tensor) -> Tensor:
-    """By sample, from the neighbours on both sides."""
+def _slope(x: Tensor, backward: bool) -> Tensor:
+    """By sample, from the neighbours on both sides, or from the sample before."""
     if x.shape[-2] < 2:
         return torch.zeros_like(x)
+    if backward:
+        steps = x.diff(dim=-2)
+        return torch.cat([steps[..., :1, :], steps], dim=-2)
     return torch.gradient(x, dim=-2)[0]
 
 

@@ -11,7 +11,15 @@ from torch import Tensor
 from splitband.cells import Cell
 from splitband.data import Trajectory
 from splitband.filters import ComplementaryPair
-from splitband.models.base import Model, Signals, Task, as_module, conditioning, slope_scale
+from splitband.models.base import (
+    Model,
+    Signals,
+    Task,
+    as_module,
+    beside,
+    conditioning,
+    slope_scale,
+)
 from splitband.rollouts import rollout
 
 
@@ -43,17 +51,15 @@ class Hybrid(Model):
         """Take the units from the training records, those of the simulator's slope too."""
         super().adapt_to(records, normalize)
         simulated = [_required(self.normalised(record)) for record in records]
-        self.slope_scale.copy_(slope_scale(simulated))
+        self.slope_scale.copy_(slope_scale(simulated, driven=self.nu > 0))
 
     def _conditioned(self, known: Signals) -> Signals:
         """The simulator's output among the known inputs, where the network wants it."""
         if not self.conditioned:
             return known
-        u, given = known.u, conditioning(_required(known), self.slope_scale)
-        if u is not None:
-            samples = min(u.shape[-2], given.shape[-2])
-            given = torch.cat([u[..., :samples, :], given[..., :samples, :]], dim=-1)
-        return replace(known, u=given)
+        # A simulator of a record with inputs may know them, as an FMU does.
+        given = conditioning(_required(known), self.slope_scale, driven=self.nu > 0)
+        return replace(known, u=beside(known.u, given))
 
 
 class Filtered(Hybrid):

@@ -12,7 +12,15 @@ from torch import Tensor, nn
 from splitband.cells import Cell
 from splitband.data import Trajectory
 from splitband.filters import ComplementaryPair
-from splitband.models.base import Model, Signals, Task, as_module, conditioning, slope_scale
+from splitband.models.base import (
+    Model,
+    Signals,
+    Task,
+    as_module,
+    beside,
+    conditioning,
+    slope_scale,
+)
 from splitband.resampling import check_downsampling, downsample, upsample
 from splitband.rollouts import rollout
 
@@ -46,13 +54,17 @@ class Split(Model):
     later samples through the zero-phase filter, and the networks learn to start from a history
     whose ends are distorted (docs/deviations.md).
 
+    Known inputs act on nothing before them: the step of a slower band from a sample to the next,
+    k samples later, knows the inputs up to the former, as the mean of each k.
+
     Parameters
     ----------
     networks : From the slowest band to the fastest, two at least.
     pairs : Where one band ends and the next begins, by rising cut-off; for two bands just the pair.
     downsampling : k of each band but the fastest: its network sees every k-th sample. One number
         is for all of them.
-    filter_output : High-pass the fastest network's output too, the paper's "+HP".
+    filter_output : High-pass the fastest network's output too, the paper's "+HP"; with known inputs
+        one way only.
     conditioned : Each network but the slowest receives what the slower bands predict, value and
         slope of each channel, as known inputs behind its own; it has 2 ny more of them.
 
@@ -122,7 +134,8 @@ class Split(Model):
         super().adapt_to(records, normalize)
         seen = [self.normalised(record).y for record in records]
         for i, pair in enumerate(self.pairs):
-            self.slope_scale[i].copy_(slope_scale([pair.lowpass(y) for y in seen]))
+            low = [pair.lowpass(y) for y in seen]
+            self.slope_scale[i].copy_(slope_scale(low, driven=self.nu > 0))
 
     def _in_training(self, band: int, known: Signals, steps: int) -> Tensor:
         """`steps` samples of a band at its rate, the slower bands being as they are."""
@@ -135,10 +148,22 @@ class Split(Model):
 
     def _bands(self, count: int, known: Signals, steps: int) -> dict[str, Tensor]:
         """The `count` slowest bands, each at the full rate."""
+        lengths = [steps] * count
+        for band in range(count - 1, 0, -1):
+            lengths[:band] = [max(lengths[band - 1], self._told_for(band, lengths[band]))] * band
         found: dict[str, Tensor] = {}
         for band, name in enumerate(self._names()[:count]):
-            found[name] = self._at_full_rate(band, known, steps, _sum(found))
-        return found
+            slower = _sum({n: part[:, : lengths[band - 1]] for n, part in found.items()})
+            found[name] = self._at_full_rate(band, known, lengths[band], slower)
+        return {name: part[:, :steps] for name, part in found.items()}
+
+    def _told_for(self, band: int, steps: int) -> int:
+        """Samples of the slower bands that `steps` samples of a band depend on."""
+        if not self.conditioned or self.nu:
+            return steps
+        # To the last sample of the band, and one more for the slope there.
+        k = self._factor(band)
+        return ((steps - 2) // k + 1) * k + 2
 
     def _at_full_rate(self, band: int, known: Signals, steps: int, slower: Tensor | None) -> Tensor:
         k = self._factor(band)
@@ -155,19 +180,19 @@ class Split(Model):
         k, warmup = self._factor(band), known.y.shape[1]
         offset = warmup % k
         history = self._band_of(band, known.y)
-        u = known.u
-        if u is not None and k > 1:  # an input holds until the next sample of the band
-            held = u[:, offset:].transpose(1, 2)
-            u = nn.functional.avg_pool1d(held, k, ceil_mode=True).transpose(1, 2)
+        u = None if known.u is None else _mean_before(known.u, k, offset)
         if self.conditioned and slower is not None:
             whole = torch.cat([self.pairs[band - 1].lowpass(known.y), slower], dim=1)
-            given = conditioning(whole, self.slope_scale[band - 1], k, offset)
-            u = given if u is None else torch.cat([u[:, : given.shape[1]], given], dim=2)
+            scale = self.slope_scale[band - 1]
+            given = conditioning(whole, scale, k, offset, driven=self.nu > 0)
+            u = beside(u, given)
         y = rollout(self._network(band), downsample(history, k, offset), steps, u)
         if not self.filter_output or band < len(self.pairs):
             return y
+        # Forwards and backwards, the filter would let inputs act on what was before them.
+        pair = self.pairs[-1].one_way() if self.nu else self.pairs[-1]
         # With its own history in front the filter has settled before the first prediction.
-        return self.pairs[-1].highpass(torch.cat([history, y], dim=1))[:, warmup:]
+        return pair.highpass(torch.cat([history, y], dim=1))[:, warmup:]
 
     def _band_of(self, band: int, y: Tensor) -> Tensor:
         """The share of a signal that is a band's."""
@@ -202,6 +227,22 @@ class Split(Model):
         for k, pair in zip(self.downsampling, self.pairs, strict=True):
             if pair.cutoff is not None:
                 check_downsampling(k, pair.cutoff, pair.sampling_rate)
+
+
+def _mean_before(u: Tensor, k: int, offset: int) -> Tensor:
+    """For every k-th sample from `offset` on, the mean input of the k samples that end with it.
+
+    A band's sample n + k, and with it what is interpolated from n on, must depend on no input
+    after n. Before the first sample the input is taken to have been the same.
+
+    Parameters
+    ----------
+    u : `(batch, time, nu)`.
+    k, offset : The band's down-sampling and first sample, `offset < k`.
+    """
+    before = u[:, :1].expand(-1, k - 1 - offset, -1)
+    blocks = torch.cat([before, u], dim=1).transpose(1, 2)
+    return nn.functional.avg_pool1d(blocks, k).transpose(1, 2)
 
 
 def _sum(parts: dict[str, Tensor]) -> Tensor | None:

@@ -1,0 +1,195 @@
+"""A simulation's samples depend on no input after their own time, and on no number of steps."""
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import scipy.signal
+import torch
+from torch import Tensor, nn
+
+from splitband import GRU, ComplementaryPair, EulerMLP, Filtered, Model, Recurrent, Residual, Split
+from splitband.filters import butterworth
+from splitband.models import Signals
+
+Array = npt.NDArray[np.float64]
+
+WARMUPS, STEPS, NY, NU = (40, 47), 25, 2, 2
+RNG = np.random.default_rng(7)
+Y, Y_SIM = RNG.standard_normal((2, 50, NY)), RNG.standard_normal((47 + STEPS, NY))
+U = RNG.standard_normal((47 + STEPS, NU))
+PAIRS = [ComplementaryPair.butterworth(cutoff, 10.0) for cutoff in (0.2, 0.4)]
+ONE_WAY = ComplementaryPair.perfect(*butterworth(0.5, 10.0, 2), 10.0)
+
+
+def gru(nu: int, told: int = 0) -> GRU:
+    return GRU(NY, 5, nu + told)
+
+
+def split(k: int, conditioned: bool = False, hp: bool = False) -> Callable[[int], Model]:
+    told = 2 * NY if conditioned else 0
+    return lambda nu: Split([gru(nu), gru(nu, told)], PAIRS[0], k, hp, conditioned)
+
+
+def three_bands(*k: int) -> Callable[[int], Model]:
+    def make(nu: int) -> Model:
+        return Split([gru(nu), gru(nu, 4), gru(nu, 4)], PAIRS, k, conditioned=True)
+
+    return make
+
+
+LEARNED: dict[str, Callable[[int], Model]] = {
+    "gru": lambda nu: Recurrent(gru(nu)),
+    "rnn": lambda nu: Recurrent(EulerMLP(NY, 40, 3, 6, 4, 0.3, nu)),
+    **{f"split, k = {k}": split(k) for k in range(1, 11)},
+    **{f"split, k = {k}, conditioned": split(k, conditioned=True) for k in (1, 2, 5, 10)},
+    "three bands, k = 10 and 5": three_bands(10, 5),
+    "three bands, k = 7 and 3": three_bands(7, 3),
+}
+FILTERED_AFTERWARDS = {"split + HP, k = 3": split(3, hp=True)}
+HYBRID: dict[str, Callable[[int], Model]] = {
+    "filtered": lambda nu: Filtered(gru(nu), ONE_WAY),
+    "residual": lambda nu: Residual(gru(nu)),
+}
+CONDITIONED: dict[str, Callable[[int], Model]] = {
+    "filtered, conditioned": lambda nu: Filtered(gru(nu, 4), ONE_WAY, conditioned=True),
+    "residual, conditioned": lambda nu: Residual(gru(nu, 4), conditioned=True),
+}
+ALL = LEARNED | FILTERED_AFTERWARDS | HYBRID | CONDITIONED
+
+
+def built(name: str, nu: int) -> Model:
+    """With large weights, so that what acts on an output is seen there."""
+    torch.manual_seed(3)
+    model = ALL[name](nu)
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.mul_(2.0)
+    return model
+
+
+def simulated(
+    model: Model, warmup: int, u: Array | None, y_sim: Array = Y_SIM, steps: int = STEPS
+) -> Array:
+    hybrid = isinstance(model, Filtered | Residual)
+    return model.simulate(Y[0, :warmup], steps, u, y_sim if hybrid else None)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_an_input_acts_on_nothing_before_it(name: str) -> None:
+    """To the bit; and it does act on what follows."""
+    model = built(name, NU)
+    for warmup in WARMUPS:
+        before = simulated(model, warmup, U)
+        for n in range(warmup + 1, warmup + STEPS):
+            changed, changed_sim = U.copy(), Y_SIM.copy()
+            changed[n:] += 1
+            changed_sim[n:] += 1
+            after = simulated(model, warmup, changed, changed_sim)
+            np.testing.assert_array_equal(after[: n - warmup], before[: n - warmup], err_msg=f"{n}")
+        late = U.copy()
+        late[warmup + 2] += 1
+        assert (simulated(model, warmup, late)[-1] != before[-1]).any()
+
+
+@pytest.mark.parametrize("name", HYBRID)
+def test_a_simulators_sample_acts_on_nothing_before_it_without_inputs_either(name: str) -> None:
+    model, warmup = built(name, 0), 40
+    before = simulated(model, warmup, None)
+    for n in range(warmup + 1, warmup + STEPS):
+        changed = Y_SIM.copy()
+        changed[n:] += 1
+        after = simulated(model, warmup, None, changed)
+        np.testing.assert_array_equal(after[: n - warmup], before[: n - warmup])
+
+
+@pytest.mark.parametrize("name", CONDITIONED)
+def test_without_inputs_a_slope_may_look_one_sample_of_the_simulator_ahead(name: str) -> None:
+    """Its trajectory depends on time alone there, and is known beforehand."""
+    model, warmup = built(name, 0), 40
+    before = simulated(model, warmup, None)
+    for n in range(warmup + 2, warmup + STEPS):
+        changed = Y_SIM.copy()
+        changed[n:] += 1
+        after = simulated(model, warmup, None, changed)
+        np.testing.assert_array_equal(after[: n - warmup - 1], before[: n - warmup - 1])
+
+
+@pytest.mark.parametrize("nu", [0, NU])
+@pytest.mark.parametrize("name", ALL)
+def test_samples_do_not_depend_on_how_many_follow(name: str, nu: int) -> None:
+    """Nor on inputs that are given for them."""
+    if name in FILTERED_AFTERWARDS and not nu:
+        pytest.skip("the paper's +HP filters the whole prediction forwards and backwards")
+    model = built(name, nu)
+    ahead = 1 if name in CONDITIONED and not nu else 0  # of the simulator, for its slope
+    for warmup in WARMUPS:
+        whole = simulated(model, warmup, U if nu else None)
+        for steps in range(1, STEPS):
+            end = warmup + steps
+            found = simulated(model, warmup, U[:end] if nu else None, Y_SIM[: end + ahead], steps)
+            # Vector loops round the samples at their ends differently from those within.
+            np.testing.assert_allclose(found, whole[:steps], rtol=0, atol=2e-6)
+
+
+class _Watched(nn.Module):
+    """A cell that says nothing and keeps its inputs."""
+
+    ny = 1
+
+    def __init__(self, nu: int) -> None:
+        super().__init__()
+        self.nu, self.weight = nu, nn.Parameter(torch.zeros(1, dtype=torch.float64))
+        self.inputs: list[Tensor] = []
+
+    def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
+        self.inputs = [] if u is None else [*u.unbind(dim=1)]
+        return y_warmup[:, 0] * self.weight
+
+    def step(self, h: Tensor, y: Tensor, u: Tensor | None = None) -> Tensor:
+        if u is not None:
+            self.inputs.append(u)
+        return h
+
+    def observe(self, h: Tensor) -> Tensor:
+        return h
+
+
+@pytest.mark.parametrize("k", range(1, 11))
+def test_a_slow_band_is_given_the_mean_of_the_inputs_up_to_each_of_its_samples(k: int) -> None:
+    """The moving average of SciPy, which stands still before the first sample."""
+    for warmup in WARMUPS:
+        low = _Watched(1)
+        model = Split([low, _Watched(1)], PAIRS[0], k).double()
+        u = torch.from_numpy(U[None, :, :1])
+        model.components(Signals(torch.from_numpy(Y[:1, :warmup, :1]), u), STEPS)
+        before = np.concatenate([np.full(k - 1, U[0, 0]), U[:, 0]])
+        mean: Array = scipy.signal.lfilter(np.ones(k) / k, [1.0], before)[k - 1 :]
+        expected = mean[warmup % k :: k]
+        found = torch.cat(low.inputs)[:, 0].numpy()
+        assert warmup // k < len(found) <= len(expected)
+        np.testing.assert_allclose(found, expected[: len(found)], rtol=0, atol=1e-12)
+
+
+def test_with_inputs_the_conditioning_is_the_next_sample_and_the_slope_up_to_it() -> None:
+    cell = _Watched(3)
+    model = Residual(cell, conditioned=True).double()
+    model.slope_scale.fill_(0.5)
+    y_sim, warmup = torch.from_numpy(Y_SIM[None, :, :1]), 40
+    u = torch.from_numpy(U[None, :, :1])
+    model.components(Signals(torch.from_numpy(Y[:1, :warmup, :1]), u, y_sim), STEPS)
+    found = torch.cat(cell.inputs).numpy()
+    end = warmup + STEPS
+    value = Y_SIM[1:end, 0]
+    expected = np.stack([U[: end - 1, 0], value, np.diff(Y_SIM[:end, 0]) / 0.5], axis=1)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+
+
+def test_one_way_filters_have_the_square_root_of_the_gain() -> None:
+    pair, frequencies = PAIRS[1], np.linspace(0.01, 4.9, 20)
+    for both, single in zip(
+        pair.response(frequencies), pair.one_way().response(frequencies), strict=True
+    ):
+        np.testing.assert_allclose(abs(single) ** 2, both, rtol=1e-9)
+    assert ONE_WAY.one_way() is ONE_WAY
