@@ -36,7 +36,7 @@ Rng = np.random.Generator
 
 BASELINES = tuple(name for name in FIXED if not name.startswith("simulator") and name != "linear")
 TRAINING, AHEAD = (250, 600), 500
-DEVELOPMENT, REPORT = range(6), range(100, 108)
+DEVELOPMENT, REPORT = range(6), range(100, 106)
 
 
 class Record(NamedTuple):

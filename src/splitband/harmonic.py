@@ -18,7 +18,9 @@ from splitband.trend import Shape, described, find
 Array = npt.NDArray[np.float64]
 
 STRONG_EVIDENCE = 6.0
-"""By which the information criterion must fall for decays: noise taken for one is carried on."""
+"""By how much the information criterion must prefer decays to sinusoids that go on for ever. Where
+two of these beat more slowly than the record is long, decays may be worse by as much: such a pair
+describes a decay within the record, and grows again after it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +44,7 @@ class HarmonicRegression:
         one at the peak of the residual's spectrum and then moved together to the least squares. By
         default as many as the Bayesian information criterion is willing to pay for, at most 10.
         With `damped` each may decay where that pays too, as the free vibrations of a driven system
-        do: without, two that beat against each other take the place of one that decays, and grow
-        again after the record. Of a long record the last `naive.LONGEST` samples are fitted.
+        do. Of a long record the last `naive.LONGEST` samples are fitted.
         """
         begin, y = recent(y)
         return cls(tuple(_fit_channel(channel, sinusoids, damped) for channel in y.T), begin)
@@ -70,7 +71,8 @@ def _fit_channel(y: Array, sinusoids: int | None, damped: bool) -> Modes:
     best = _greedy(scaled, sinusoids, 0.0, shape)
     if damped:
         decaying = _sustained(_greedy(scaled, sinusoids, 0.3 / len(y), shape), scaled)
-        if decaying.information(scaled) < best.information(scaled) - STRONG_EVIDENCE:
+        needed = -STRONG_EVIDENCE if best.beat_slowly else STRONG_EVIDENCE
+        if best.information(scaled) - decaying.information(scaled) > needed:
             best = decaying
     return best.in_units(offset, scale)
 

@@ -99,6 +99,11 @@ class Modes(NamedTuple):
         """The samples of these indices, counted from the first that was fitted."""
         return np.asarray(self.basis(index) @ self.coefficients)
 
+    @property
+    def beat_slowly(self) -> bool:
+        """Whether two frequencies are less than a cycle apart over the record."""
+        return bool((np.diff(np.sort(self.frequencies)) * self.samples < 1).any())
+
     def residual(self, y: Array) -> Array:
         """What they leave of `y`."""
         return y - self.predict(np.arange(len(y)))

@@ -23,8 +23,9 @@ CUTS = (0.4, 0.5, 0.6, 0.7, 0.8)
 ahead one and a half times as far as it has seen: what is straight for a short time only, as a part
 of a slow wave is, is found out there."""
 WORTH = 0.8
-"""The held-out error of a trend must be below this share of that of a constant and of the last
-value: a needless trend costs the more, the longer the forecast."""
+"""The held-out error of a line must be below this share of that of a constant and of the last
+value, and that of an exponential below this share of the line's as well: what is needless costs
+the more, the longer the forecast."""
 SLOWEST, FASTEST = 0.5, 20.0
 """E-foldings of an exponential within the record. A slower one is as good as a straight line, a
 faster one is over before there is much to fit."""
@@ -61,14 +62,13 @@ class Shape(NamedTuple):
         folds = self.rate * self.samples
         if not folds:
             return np.asarray(np.sqrt(12) * (elapsed - 0.5))
-        mean = -np.expm1(-folds) / folds
-        deviation = np.sqrt(-np.expm1(-2 * folds) / (2 * folds) - mean**2)
+        mean, deviation = self._moments()
         return np.asarray((np.exp(-folds * elapsed) - mean) / deviation)
 
     def by_rate(self, index: npt.NDArray[np.number]) -> Array:
-        """An exponential's derivative by its rate at fixed mean and deviation, `(len(index),)`.
+        """The derivative of an exponential by its rate, `(len(index),)`.
 
-        What the rate changes of these, the fit of offset and size makes up for.
+        Mean and deviation count as fixed: offset and size, which are fitted, make up for them.
         """
         since = np.maximum(index - self.begin, 0)
         return np.asarray(-since * np.exp(-self.rate * since) / self._moments()[1])
@@ -100,9 +100,10 @@ class Trend(NamedTuple):
 def find(y: Array) -> Trend | None:
     """The trend of a channel `(time,)`, or None where none pays; NaN is what was not measured.
 
-    From each of several cuts on the rest of the record is forecast, by a line and by an
-    exponential, each with the strongest sinusoids of what comes before the cut, by these sinusoids
-    without a trend, and by the last value before the cut, held.
+    The record is cut at several places, and what follows each cut is forecast from what comes
+    before it: by the last value; by a constant, by a line and by an exponential, to each of which
+    the strongest sinusoids are added. A trend is kept if it is clearly better than both the last
+    value and the constant over all cuts, and better than the constant at every one.
     """
     begin, end = recent(y[:, None])
     offset, scale = units(end[:, 0])
@@ -118,10 +119,10 @@ def find(y: Array) -> Trend | None:
     last = np.array([np.nanmean((blocks[cut:] - _last(blocks[:cut])) ** 2) for cut in cuts])
     least = WORTH**2 * min(without.mean(), last.mean())
     best = None
-    for shapes in (line, exponentials):
+    for shapes in (line, exponentials):  # the simpler one first
         errors = _held_out(at, blocks, cuts, shapes)
         if errors.mean() < least and (errors < without).all():
-            best, least = shapes, errors.mean()
+            best, least = shapes, WORTH**2 * errors.mean()
     if best is None:
         return None
     fitted = _Sketch.fit(at, blocks, best)
@@ -193,7 +194,7 @@ class _Sketch(NamedTuple):
             power = abs(np.fft.rfft(left, 8 * count)[: 4 * count]) ** 2
             peak = 8 + int(np.argmax(power[8:]))
             gained = 2 * float(power[peak]) / len(rows)
-            # Of what rounding leaves of a record without noise, nothing is explained.
+            # Without noise what is left is rounding error, whatever its spectrum.
             remaining = max(float(np.mean(left[rows] ** 2)), NEGLIGIBLE)
             too_weak = gained <= EVIDENCE * np.log(len(rows)) * remaining
             if too_weak or len(frequencies) == min(SINUSOIDS, (len(rows) - 4) // 3):
