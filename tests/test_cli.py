@@ -29,6 +29,7 @@ from splitband.comparison import compare
 from splitband.files import CHECKPOINTS
 from splitband.methods import Setup
 from splitband.models import Filtered
+from splitband.processes import over
 from splitband.saving import load
 from splitband.training import Settings
 
@@ -337,26 +338,22 @@ def test_compare_takes_several_channels_and_known_inputs(
     assert_pictures(tmp_path, "rollouts.png", "error.png", "spectrum.png", "components.png")
 
 
-def test_the_numbers_do_not_depend_on_the_number_of_jobs(tmp_path: Path) -> None:
-    found, predicted = [], []
-    line = (
-        "compare record.csv --columns a --simulator simulated.csv --methods gru,filtered-gru,mean "
-        f"{QUICK} --seeds 2 --jobs"
-    )
-    for jobs in ("1", "2"):
-        call(f"{line} {jobs}", tmp_path / jobs)
-        found.append(results(tmp_path / jobs)["methods"])
-        predicted.append(written(tmp_path / jobs / "predictions.csv").to_numpy())
-    # Not to the bit: torch rounds some sums by where in memory their terms lie.
-    np.testing.assert_allclose(predicted[1], predicted[0], rtol=1e-5, atol=1e-6)
-    for name, seeds in (("gru", [0, 1]), ("filtered-gru", [0, 1]), ("mean", [0])):
-        alone, together = (methods[name] for methods in found)
-        assert alone["seeds"] == together["seeds"] == seeds
-        for key in ("total_rmse", "forecast_rmse"):
-            assert alone[key] == pytest.approx(together[key], rel=1e-6)
-            assert len({*alone[key]}) == len(seeds)
-    errors = found[0]["gru"]["total_rmse"]
-    assert found[0]["gru"]["total_rmse_std"] == pytest.approx(np.std(errors, ddof=1))
+def test_several_seeds_are_run_by_as_many_processes_as_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def in_this_process(work: Any, jobs: Any, processes: int, progress: Any) -> Any:
+        asked.append((len(jobs), processes))
+        return over(work, jobs, 1, progress)
+
+    monkeypatch.setattr("splitband.comparison.over", in_this_process)
+    call(f"compare record.csv --columns a --methods gru {QUICK} --seeds 3 --jobs 2", tmp_path)
+    assert asked == [(2, 2), (3, 2)]  # two seeds are tried out, three trained
+    found = results(tmp_path)["methods"]["gru"]
+    assert found["seeds"] == [0, 1, 2]
+    assert len({*found["total_rmse"]}) == 3
+    assert found["total_rmse_std"] == pytest.approx(np.std(found["total_rmse"], ddof=1))
 
 
 # ---------------------------------------------------------------- compare with a simulator

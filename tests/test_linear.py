@@ -115,10 +115,18 @@ def test_inputs_must_be_known_as_far_as_is_predicted() -> None:
 
 
 @given(poles=st.lists(st.floats(0, 5), min_size=1, max_size=4), angle=st.floats(0.1, 3))
-def test_a_pole_outside_of_the_unit_circle_is_mirrored(poles: list[float], angle: float) -> None:
+def test_no_pole_stays_outside_of_the_unit_circle(poles: list[float], angle: float) -> None:
     pair = np.array(poles) * np.exp(1j * angle)
     found = np.roots(_stable(polynomial([*pair, *pair.conj()])))
     assert (abs(found) <= 1).all()
+
+
+@pytest.mark.parametrize("radius", [0.5, 0.9, 1.05, 1.5, 4.0])
+def test_a_pole_and_its_mirror_image_have_one_angle_and_inverse_radii(radius: float) -> None:
+    inside = min(radius, 1 / radius)
+    found = _stable(polynomial([radius * np.exp(0.7j), radius * np.exp(-0.7j), 0.3]))
+    expected = polynomial([inside * np.exp(0.7j), inside * np.exp(-0.7j), 0.3])
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
 
 
 @pytest.mark.parametrize("poles", [[1.0001] * 8, [1.00001] * 6, np.linspace(1, 1.01, 8)])

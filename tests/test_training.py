@@ -12,6 +12,7 @@ from test_models import LENGTH, QUICK, SETUP, TRAIN, _Scripted, record
 from torch import Tensor
 
 from splitband import GRU, History, Model, Progress, Recurrent, Settings, Trajectory, fit
+from splitband.comparison import compare
 from splitband.methods import build
 from splitband.models import Signals, Task
 from splitband.windows import windows
@@ -233,3 +234,16 @@ def test_settings_that_cannot_be_are_refused(change: Any, message: Any) -> None:
 def test_a_record_of_other_channels_is_refused() -> None:
     with pytest.raises(ValueError, match=r"model's 1 channel\(s\) and 0 input\(s\), got 2 and 1"):
         fit(Recurrent(GRU(1, 4)), record(2, 1), QUICK)
+
+
+def test_comparing_in_processes_gives_the_numbers_of_comparing_in_one() -> None:
+    methods = ["gru", "filtered-gru", "mean"]
+    alone, together = (
+        compare(record(), methods, SETUP, seeds=(0, 1), jobs=jobs) for jobs in (1, 2)
+    )
+    for method in methods:
+        for a, b in zip(alone[method], together[method], strict=True):
+            assert a.seed == b.seed
+            # Not to the bit: torch rounds some sums by where in memory their terms lie.
+            assert a.total_rmse == pytest.approx(b.total_rmse, rel=1e-6)
+            np.testing.assert_allclose(a.forecast, b.forecast, rtol=1e-5, atol=1e-6)
