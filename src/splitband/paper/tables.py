@@ -73,13 +73,15 @@ def settles(row: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> bool |
     """Whether the row of the same method with the next more epochs has as low a training loss.
 
     That is `SETTLED` of it at least, for every network; the loss is `final_losses`', the median
-    over seeds. None for the row with the most epochs.
+    over seeds. None for the row with the most epochs, or where every run diverged.
     """
     more = [other for other in rows
             if other["method"] == row["method"] and other["epochs"] > row["epochs"]]  # fmt: skip
     if not more:
         return None
     longer = min(more, key=lambda other: other["epochs"])["losses"]
+    if not longer or not row["losses"]:
+        return None
     return all(
         statistics.median(longer[name]) >= SETTLED * statistics.median(losses)
         for name, losses in row["losses"].items()
