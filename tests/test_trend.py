@@ -187,16 +187,9 @@ def test_slopes_are_those_of_the_sum_of_squares() -> None:
     refinement = _Refinement(modes, y)
     at = np.array([0.021, 0.11, 0.004, 1 / 50])
 
-<<<<<<< HEAD
-    def half_sum_of_squares(moved: Array) -> float:
-        return 0.5 * float(np.sum(refinement.left(moved) ** 2))
-
-    wanted = scipy.optimize.approx_fprime(at, half_sum_of_squares, 1e-8)
-=======
     def half_of_squares(moved: Array) -> float:
         return float(0.5 * np.sum(refinement.left(moved) ** 2))
 
     wanted = scipy.optimize.approx_fprime(at, half_of_squares, 1e-8)
->>>>>>> baselines
     found = refinement.slopes(at).T @ refinement.left(at)
     np.testing.assert_allclose(found, wanted, rtol=1e-3)
