@@ -29,8 +29,7 @@ with TemporaryDirectory() as folder:  # two files with a time column and one nam
     record = read(Path(folder) / "record.csv")
     simulator = Recorded.of(read(Path(folder) / "simulation.csv"))
 
-# Aligned by the time stamps of both files, and checked.
-y_sim = run(simulator, len(record), record.sampling_time, start=record.start)
+y_sim = run(simulator, len(record), record.sampling_time, start=record.start)  # by time stamps
 record = replace(record, y_sim=y_sim)
 b, a = butterworth(cutoff=1.5, sampling_rate=record.sampling_rate)
 torch.manual_seed(0)

@@ -19,6 +19,7 @@ LAYERS = (
     "processes",
     "defaults",
     "methods",
+    "remembering",
     "saving",
     "training",
     "checkpoints",

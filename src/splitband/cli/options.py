@@ -99,7 +99,8 @@ FutureInputs = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Known inputs of the samples to come, where the record has any.",
+        help="Known inputs of the samples to come, where the record has any: by their time stamps; "
+        "without any, from the first of these samples on.",
         rich_help_panel=_RECORD,
         show_default=False,
     ),
@@ -110,7 +111,8 @@ SimulatorOption = Annotated[
         "--simulator",
         metavar="FILE|NAME",
         help="A simulator of the record: an exported trajectory (any file a record can be), an "
-        ".fmu, FILE.py:FUNCTION (called with the times in s), or one of "
+        ".fmu, FILE.py:FUNCTION (called with the record's time stamps in s; with seconds from 0 "
+        "where these are dates, or missing), or one of "
         f"{', '.join(SIMULATORS)}.",
         rich_help_panel=_SIMULATOR,
         show_default="a named record's own",
