@@ -654,13 +654,14 @@ def test_an_interval_is_fitted_to_the_errors_that_are_known() -> None:
     cut = Interval.fit([part[: 100 + i] for i, part in enumerate(parts)], y)
     found = Interval.fit(ends, y).half_widths(500)
     np.testing.assert_allclose(found, cut.half_widths(500), rtol=1e-9)
-    # What is known counts at its own horizon: with holes it is nearly the same interval.
+    # What is known counts at its own horizon: with holes it is nearly the same interval, which it
+    # is not when the samples after a hole move into it.
     scattered = [holed(holed(p, slice(3, 40), channel=0), 0, 77, channel=1) for p in parts]
-    found = Interval.fit(scattered, y).half_widths(500)
-    np.testing.assert_allclose(found, Interval.fit(parts, y).half_widths(500), rtol=0.25)
+    found, whole = (Interval.fit(each, y).half_widths(150)[50:] for each in (scattered, parts))
+    np.testing.assert_allclose(found, whole, rtol=0.05)
     closed = [p[~np.isnan(p[:, 0])][:, :1] for p in scattered]
-    moved = Interval.fit(closed, y[:, :1]).half_widths(500)[:, 0]
-    assert (moved[100:] > 1.1 * found[100:, 0]).all()
+    moved = Interval.fit(closed, y[:, :1]).half_widths(150)[50:, 0]
+    assert (moved > 1.1 * whole[:, 0]).all()
 
 
 def test_the_coverage_is_a_share_of_the_errors_that_are_known() -> None:
@@ -952,7 +953,7 @@ def test_gaps_that_leave_no_warm_up_for_a_forecast_are_refused() -> None:
 
 
 def test_an_interval_is_limited_by_the_spread_of_what_was_measured() -> None:
-    y = holed(record().y, slice(20, 60))
+    y = holed(np.random.default_rng(6).standard_normal((LENGTH, 1)), slice(20, 60))
     apart = np.sqrt(2) * scipy.stats.norm.ppf(0.95)
     interval = try_out(with_gaps(y), ["mean"], SETUP).intervals["mean"]
     assert interval.most[0] == pytest.approx(apart * np.nanstd(y[:TRAIN]))
