@@ -89,8 +89,8 @@ def _compared() -> Iterator[Quote]:
     for name, facts in of.items():
         cells = "| {} | {:.3f} | {:.3f} | {:.3f} | {:.3f} | {:.0f} % |"
         if name == recommended:
-            cells = "| **{}** (recommended) | **{:.3f}** | {:.3f} "
-            cells += "| **{:.3f}** | **{:.3f}** | {:.0f} % |"
+            errors = " | ".join(["**{:.3f}**", "{:.3f}", "**{:.3f}**", "**{:.3f}**"])
+            cells = f"| **{{}}** (recommended) | {errors} | {{:.0f}} % |"
         elif facts["change"] == 0:
             cells = "| {} | {:.3f} | {:.0f} | {:.3f} | {:.3f} | {:.0f} % |"
         figures = (facts["held_out_rmse"], facts["change"], facts["total_rmse_mean"],

@@ -157,6 +157,14 @@ def test_a_loss_has_settled_where_more_epochs_leave_it(folder: Path, tmp_path: P
     assert [line.value for line in lines("epochs", methods=["gru"], epochs=7)] == [7]
 
 
+def test_a_table_over_epochs_says_what_has_not_been_run(folder: Path, tmp_path: Path) -> None:
+    _copies(folder, tmp_path, Job("i", "gru", 1, epochs=1000))
+    made = table("epochs", lines("epochs", methods=["gru"], seeds=3), tmp_path)
+    assert [row[3] == "not run" for row in made.rows] == [True, False, True]
+    assert [row[-1] for row in made.rows] == ["0 of 3", "1 of 3", "0 of 3"]
+    assert [row["settled"] for row in made.facts] == [None, None, None]
+
+
 def test_seconds_are_the_median_of_runs_that_had_a_core(folder: Path, tmp_path: Path) -> None:
     row = lines("runtime-learning-based", ["i"], ["split-gru"], 5)
     found = [(10.0, 9.0, {}), (12.0, 11.0, {}), (17.0, 16.0, {}), (90.0, 30.0, {}),

@@ -138,10 +138,10 @@ class Page:
 
     def longer(self, method: str) -> str:
         """What more epochs do to a method on (i), and where its loss has settled."""
-        rows = [row for row in self.rows_of["epochs"] if row["method"] == method]
+        rows = [r for r in self.rows_of["epochs"] if r["method"] == method and r["total_rmse"]]
         values = _listed(f"{spread(r['total_rmse'])} after {r['epochs']}" for r in rows)
         settled = [row["epochs"] for row in rows if row["settled"]]
-        where = f"settled after {settled[0]}" if settled else "not settled yet"
+        where = f"settled after {settled[0]}" if settled else "not been seen to settle"
         return f"{values}; the loss has {where}"
 
     def settled_share(self) -> str:
@@ -150,7 +150,8 @@ class Page:
 
     def naive(self) -> str:
         """Where the best network at the paper's settings beats the best naive baseline."""
-        won, lost = [], []
+        won: list[str] = []
+        lost: list[str] = []
         for system in dict.fromkeys(row["system"] for row in self.rows.values()):
             rows = [row for row in self.rows.values() if row["system"] == system]
             baseline = min((r for r in rows if r["method"] in NAIVE), key=_mean)

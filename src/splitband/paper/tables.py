@@ -53,7 +53,8 @@ def table(name: str, of: Iterable[Line], folder: Path) -> Table:
     """Make a table of the runs in `folder`; raises what `load` does.
 
     A row whose jobs leave the epochs to the paper, but have not all been run, is made of those that
-    have, see `finished`; its last columns say how many seeds and epochs these are.
+    have, see `finished`; its last columns say how many seeds and epochs these are. A table over
+    epochs shows what has been run so far.
     """
     spec = SPECS[name]
     facts = [_facts(spec, line, folder) for line in of]
@@ -73,15 +74,13 @@ def settles(row: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> bool |
     """Whether the row of the same method with the next more epochs has as low a training loss.
 
     That is `SETTLED` of it at least, for every network; the loss is `final_losses`', the median
-    over seeds. None for the row with the most epochs, or where every run diverged.
+    over seeds. None for the row with the most epochs, and for one without runs.
     """
-    more = [other for other in rows
-            if other["method"] == row["method"] and other["epochs"] > row["epochs"]]  # fmt: skip
-    if not more:
+    more = [other for other in rows if other["method"] == row["method"] and other["losses"]
+            and other["epochs"] > row["epochs"]]  # fmt: skip
+    if not more or not row["losses"]:
         return None
     longer = min(more, key=lambda other: other["epochs"])["losses"]
-    if not longer or not row["losses"]:
-        return None
     return all(
         statistics.median(longer[name]) >= SETTLED * statistics.median(losses)
         for name, losses in row["losses"].items()
@@ -91,6 +90,9 @@ def settles(row: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> bool |
 def _facts(spec: Spec, line: Line, folder: Path) -> dict[str, Any]:
     fewest = len(line.jobs) if spec.shows == "quantiles" else FEWEST_SEEDS
     jobs = finished(line.jobs, folder, fewest)
+    if spec.shows == "losses":
+        jobs = [job for job in jobs if (folder / job.path).exists()]
+    first = (jobs or line.jobs)[0]
     runs = [load(job, folder) for job in jobs]
     good = [(job, run) for job, run in zip(jobs, runs, strict=True) if "diverged" not in run]
     timed = [(run["seconds"], disturbed(run)) for _, run in good]
@@ -114,8 +116,8 @@ def _facts(spec: Spec, line: Line, folder: Path) -> dict[str, Any]:
         "runs": len(runs),
         "asked": len(line.jobs),
         "diverged": len(runs) - len(good),
-        "epochs": None if fixed else jobs[0].epochs or jobs[0].full_epochs,
-        "paper_epochs": jobs[0].full_epochs,
+        "epochs": None if fixed else first.epochs or first.full_epochs,
+        "paper_epochs": first.full_epochs,
         "paper": None if known is None else {"mean": known.mean, "std": known.std},
         "paper_text": "" if known is None else str(known),
         "oracle": _oracle(line, folder) if spec.shows == "quantiles" else None,
@@ -141,6 +143,8 @@ def _whole_error_cells(facts: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _loss_cells(facts: dict[str, Any]) -> tuple[str, ...]:
+    if not facts["runs"]:
+        return ("not run", "", "", "", _seeds(facts))
     losses = [f"{name} {statistics.median(values):.3f}" for name, values in facts["losses"].items()]
     settled = {None: "", True: "yes", False: "no"}[facts["settled"]]
     return (spread(facts["total_rmse"]), spread(facts["forecast_rmse"]), ", ".join(losses),
