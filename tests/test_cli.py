@@ -1198,24 +1198,24 @@ if "spawn_main" in " ".join(sys.orig_argv):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a signal to a group of processes")
 @pytest.mark.parametrize(
-    "files",
+    ("jobs", "files"),
     [
-        pytest.param("*.loading", id="while they are loading"),
-        pytest.param("out/*/*/*.safetensors", id="while they train"),
+        pytest.param(1, "out/*/*/*.safetensors", id="while it trains"),
+        pytest.param(2, "*.loading", id="while its processes are loading"),
+        pytest.param(2, "out/*/*/*.safetensors", id="while its processes train"),
     ],
 )
-def test_ctrl_c_stops_several_processes_and_leaves_nothing_half_written(
-    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, files: str
+def test_ctrl_c_stops_at_once_and_leaves_nothing_half_written(
+    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jobs: int, files: str
 ) -> None:
-    """In a single process: test_resuming.py."""
     (tmp_path / "sitecustomize.py").write_text(ANNOUNCE)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
     line = (
         f"compare {workspace}/record.csv --columns a --methods gru,split-gru --epochs 100000 "
-        f"--seeds 2 --jobs 2 --out {tmp_path / 'out'}"
+        f"--seeds 2 --jobs {jobs} --out {tmp_path / 'out'}"
     )
     running = command_line(line)
-    eventually(lambda: len([*tmp_path.glob(files)]) >= 2)
+    eventually(lambda: len([*tmp_path.glob(files)]) >= jobs)
     assert interrupted(running) == [
         "error: stopped; no file is half written, and the same command goes on from here"
     ]
