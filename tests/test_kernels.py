@@ -394,8 +394,9 @@ def test_an_error_in_a_job_is_raised() -> None:
 
 def test_compiling_is_announced_once_and_only_then(tmp_path: Path) -> None:
     code = """
+import numpy as np
 from splitband.filters import lfilter
-lfilter([0.5], [1.0, -0.5], [1.0, 2.0, 3.0])  # a kernel of several compiled parts
+lfilter([0.5], [1.0, -0.5], np.arange(3.0))  # a kernel of several compiled parts
 """
 
     def stderr() -> str:

@@ -204,8 +204,10 @@ def test_the_list_counts_the_runs_and_estimates_the_missing_ones(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for seed in range(2):
-        _copies(folder, tmp_path / "runs", Job("i", "split-gru", seed, epochs=2), seconds=2.0)
-    _copies(folder, tmp_path / "runs", Job("i", "split-gru", 0), seconds=300.0)
+        two = Job("i", "split-gru", seed, epochs=2)
+        _copies(folder, tmp_path / "runs", two, seconds=2.0, cpu_seconds=2.0)
+    whole = Job("i", "split-gru", 0)
+    _copies(folder, tmp_path / "runs", whole, seconds=300.0, cpu_seconds=300.0)
     row = lines("learning-based", ["i"], ["split-gru"], 5)
     state = progress(row[0].jobs, tmp_path / "runs")
     assert (state.there, state.needed, state.measured) == (1, 5, True)

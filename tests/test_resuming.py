@@ -112,9 +112,9 @@ def assert_same(command: str, folder: Path, whole: Path) -> None:
 
 
 def without_times(found: Any) -> Any:
-    """Facts without how long they took and the name of the folder they are in."""
+    """Facts without what an interruption changes: times, its mark, and the folder's name."""
     if isinstance(found, dict):
-        kept = found.keys() - {"seconds", "out"}
+        kept = found.keys() - {"seconds", "cpu_seconds", "resumed", "out"}
         return {key: without_times(found[key]) for key in sorted(kept, key=str)}
     return [*map(without_times, found)] if isinstance(found, list | tuple) else found
 
