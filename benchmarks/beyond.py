@@ -135,12 +135,19 @@ def page(found: dict[str, Facts]) -> str:
     """All that was measured, in Markdown."""
     parts = [
         __doc__.strip().splitlines()[0],
+        _made(found),
         _recommended(found),
         _draws(found),
         _shares(found),
         _right_edge(found),
     ]
     return "# Beyond the paper\n\n" + "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _made(found: dict[str, Facts]) -> str:
+    """By which commits: what has changed since then is not in the figures."""
+    commits = sorted({str(facts["environment"]["commit"]) for facts in found.values()})
+    return f"The files behind it were made at commit {', '.join(commits)}."
 
 
 def _recommended(found: dict[str, Facts]) -> str:
