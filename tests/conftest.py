@@ -1,6 +1,11 @@
 """Fixtures that several test files share."""
 
 import os
+
+# One core for each process of the suite: with several, the threads of BLAS wait for each other, and
+# what takes seconds takes a minute. It is read when NumPy and SciPy are loaded, below.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import pkgutil
 from importlib import import_module
 from pathlib import Path
