@@ -173,6 +173,7 @@ def test_the_held_out_error_of_a_baseline_is_that_of_fits_to_four_shares() -> No
     assert trial.errors["mean"] == pytest.approx(np.sqrt(np.mean(left**2)))
 
 
+@pytest.mark.soak
 def test_intervals_of_many_records_hold_nine_tenths_on_average() -> None:
     """And are at most 1.3 times as wide as the noise alone calls for."""
     covered, width = [], []

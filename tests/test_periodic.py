@@ -32,6 +32,7 @@ def assert_multiple(found: float, period: float) -> None:
     assert found / period == pytest.approx(round(found / period), abs=1e-4)
 
 
+@pytest.mark.soak
 @settings(max_examples=settings().max_examples // 4)
 @given(
     period=st.floats(25, 150),
