@@ -26,10 +26,10 @@ import numpy.typing as npt
 import scipy
 
 from splitband.data import Trajectory
-from splitband.files import write_json
-from splitband.methods import FIXED
+from splitband.forecasters.methods import FIXED
 from splitband.metrics import rmse
-from splitband.processes import over
+from splitband.runtime.files import write_json
+from splitband.runtime.processes import over
 
 Array = npt.NDArray[np.float64]
 Rng = np.random.Generator

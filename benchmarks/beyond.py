@@ -20,24 +20,25 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from splitband.calibration import samples_needed
-from splitband.comparison import compare, run_baseline
 from splitband.data import Trajectory, double_torsion, drill_string
-from splitband.defaults import default_methods, default_setup, paper_settings
-from splitband.files import write_json
-from splitband.methods import Setup, with_variants
+from splitband.evaluation.comparison import compare, run_baseline
+from splitband.evaluation.defaults import default_methods, default_setup
+from splitband.evaluation.selection import try_out
+from splitband.forecasters.methods import Setup, with_variants
 from splitband.metrics import rmse
 from splitband.paper.settings import HYBRID, LEARNING_BASED
-from splitband.reporting import results
-from splitband.simulators import run as simulate
-from splitband.systems import (
+from splitband.paper.systems import (
     double_mass_spring,
     double_mass_spring_oracle,
     double_torsion_pendulum,
     van_der_pol,
     van_der_pol_simulator,
 )
-from splitband.trial import try_out
+from splitband.report.results import results
+from splitband.runtime.files import write_json
+from splitband.simulators import run as simulate
+from splitband.simulators.calibration import samples_needed
+from splitband.training.recipes import paper_settings
 
 DRAWS = 20
 Array = npt.NDArray[np.float64]

@@ -17,18 +17,18 @@ import torch
 from torch import Tensor
 
 from benchmarks.beyond import SYSTEMS
-from splitband.cells import GRU
-from splitband.comparison import predict
 from splitband.data import Trajectory
-from splitband.defaults import default_setup
-from splitband.files import write_json
+from splitband.evaluation.comparison import predict
+from splitband.evaluation.defaults import default_setup
+from splitband.evaluation.selection import hold_out
 from splitband.filters import ComplementaryPair
-from splitband.methods import Setup
+from splitband.forecasters.methods import Setup
 from splitband.metrics import rmse, spread
 from splitband.models import Split
 from splitband.models.base import Signals
+from splitband.networks import GRU
+from splitband.runtime.files import write_json
 from splitband.training import fit
-from splitband.trial import hold_out
 
 STUDIED = ("double-torsion record", "pendulum ii", "pendulum iii", "i, draw 0", "i, draw 1")
 

@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.comparison import compare
 from splitband.data import Trajectory
-from splitband.defaults import default_setup, usual_methods
-from splitband.files import write_json
-from splitband.reporting import results
-from splitband.trial import try_out
+from splitband.evaluation.comparison import compare
+from splitband.evaluation.defaults import default_setup, usual_methods
+from splitband.evaluation.selection import try_out
+from splitband.report.results import results
+from splitband.runtime.files import write_json
 
 Array = npt.NDArray[np.float64]
 SAMPLES, TRAINING = 2000, 1200

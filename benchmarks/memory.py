@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from splitband.files import write_json
+from splitband.runtime.files import write_json
 
 LIMIT = 2 * 2**30
 METHODS = ("gru", "split-gru-conditioned", "filtered-gru-conditioned")

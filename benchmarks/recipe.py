@@ -20,12 +20,13 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks.beyond import SYSTEMS
-from splitband.comparison import compare
-from splitband.defaults import default_setup, paper_settings
-from splitband.files import write_json
-from splitband.methods import CALIBRATED, CONDITIONED, Setup
+from splitband.evaluation.comparison import compare
+from splitband.evaluation.defaults import default_setup
+from splitband.evaluation.selection import hold_out
+from splitband.forecasters.methods import CALIBRATED, CONDITIONED, Setup
 from splitband.metrics import spread
-from splitband.trial import hold_out
+from splitband.runtime.files import write_json
+from splitband.training.recipes import paper_settings
 
 STUDIED = ("i, draw 0", "i, draw 1", "double-torsion record", "pendulum ii", "v", "vi")
 HYBRID = ("gru", "filtered-gru" + CALIBRATED + CONDITIONED)

@@ -29,16 +29,16 @@ import numpy.typing as npt
 
 from benchmarks import inputs
 from benchmarks.kinds import DEVELOPMENT, KINDS, REPORTED, WITH_INPUTS, drawn, driven
-from splitband.comparison import compare
 from splitband.data import Trajectory, double_torsion, drill_string
-from splitband.defaults import default_setup, usual_methods
-from splitband.files import write_json
-from splitband.intervals import Interval
-from splitband.methods import FIXED
+from splitband.evaluation.comparison import compare
+from splitband.evaluation.defaults import default_setup, usual_methods
+from splitband.evaluation.intervals import Interval
+from splitband.evaluation.selection import Trial, try_out
+from splitband.forecasters.methods import FIXED
 from splitband.metrics import rmse
-from splitband.processes import over
-from splitband.systems import double_mass_spring, double_torsion_pendulum, van_der_pol
-from splitband.trial import Trial, try_out
+from splitband.paper.systems import double_mass_spring, double_torsion_pendulum, van_der_pol
+from splitband.runtime.files import write_json
+from splitband.runtime.processes import over
 
 Array = npt.NDArray[Any]
 Facts = dict[str, Any]

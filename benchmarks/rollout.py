@@ -21,9 +21,8 @@ from torch import Tensor, nn
 
 from benchmarks.peers import installed, jax_gru, tsfast_gru, tsfast_state_space
 from benchmarks.timing import circumstances, medians, threads, write
-from splitband.cells import GRU, EulerMLP
-from splitband.rollouts import rollout
-from splitband.threads import one_torch_thread
+from splitband.networks import GRU, EulerMLP, rollout
+from splitband.runtime.threads import one_torch_thread
 
 WARMUP, WINDOW, BATCH, HIDDEN = 30, 150, 50, 64
 EULER_WARMUP, EULER_WINDOW, EULER_HIDDEN = 20, 200, 500

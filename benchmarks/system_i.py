@@ -11,11 +11,11 @@ from pathlib import Path
 from unittest import mock
 
 from benchmarks.timing import circumstances, threads, write
-from splitband.cells import GRU
-from splitband.comparison import run
+from splitband.evaluation.comparison import run
+from splitband.networks import GRU
 from splitband.paper import published
 from splitband.paper.settings import LEARNING_BASED
-from splitband.systems import double_mass_spring
+from splitband.paper.systems import double_mass_spring
 
 
 def seconds(epochs: int) -> float:

@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from splitband import GRU, EulerMLP, Settings, Trajectory, fit
-from splitband.methods import Setup, build
+from splitband.forecasters.methods import Setup, build
 from splitband.models import Signals, Task
-from splitband.rollouts import Backend, rollout
-from splitband.windows import targets
+from splitband.networks import Backend, rollout
+from splitband.training.windows import targets
 
 SETTINGS = Settings(30, 10, 2, 16)
 SETUP = Setup(80, SETTINGS, cutoff=0.6, hidden_high=4, hidden_low=3)

@@ -51,7 +51,7 @@ def test_the_python_of_the_readme_runs_as_it_stands(
 ) -> None:
     """On a record of two sinusoids; the default recipe takes fewer steps here."""
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    monkeypatch.setattr("splitband.training.STEPS", 20)
+    monkeypatch.setattr("splitband.training.settings.STEPS", 20)
     monkeypatch.chdir(tmp_path)
     time = 0.1 * np.arange(2000)
     y = np.sin(0.4 * time) + 0.3 * np.sin(7 * time)

@@ -18,8 +18,8 @@ from typing import Any
 
 from splitband.cli import main as splitband
 from splitband.metrics import rmse
+from splitband.paper.systems import double_mass_spring
 from splitband.paper.tables import SETTLED, epochs, full_seconds, spread
-from splitband.systems import double_mass_spring
 
 HERE = Path(__file__).parent
 Row = Mapping[str, Any]

@@ -4,22 +4,20 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from splitband.cells import GRU, Cell, EulerMLP
     from splitband.data import Trajectory, read
     from splitband.filters import ComplementaryPair
     from splitband.models import Filtered, Model, Recurrent, Residual, Split
-    from splitband.rollouts import rollout
+    from splitband.networks import GRU, Cell, EulerMLP, rollout
     from splitband.training import History, Progress, Settings, fit
 
 __version__ = "0.1.0"
 
 # Loaded on first use: torch and pandas take seconds.
-_MODULES = {
-    "cells": ("GRU", "Cell", "EulerMLP"),
+_PACKAGES = {
     "data": ("Trajectory", "read"),
     "filters": ("ComplementaryPair",),
     "models": ("Filtered", "Model", "Recurrent", "Residual", "Split"),
-    "rollouts": ("rollout",),
+    "networks": ("GRU", "Cell", "EulerMLP", "rollout"),
     "training": ("History", "Progress", "Settings", "fit"),
 }
 __all__ = [
@@ -43,9 +41,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    for module, names in _MODULES.items():
+    for package, names in _PACKAGES.items():
         if name in names:
-            found = getattr(import_module(f"splitband.{module}"), name)
+            found = getattr(import_module(f"splitband.{package}"), name)
             globals()[name] = found
             return found
     raise AttributeError(f"module 'splitband' has no attribute {name!r}")

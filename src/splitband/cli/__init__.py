@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from typer.exceptions import TyperException
 
-from splitband.cli import comparing, forecasting, inspecting, modelling, reproducing
+from splitband.cli import compare, data, fit, forecast, paper, simulate, spectrum
 
 app = typer.Typer(
     name="splitband",
@@ -20,14 +20,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
-app.command()(comparing.demo)
-app.command()(comparing.compare)
-app.command()(forecasting.forecast)
-app.command()(modelling.fit)
-app.command()(modelling.simulate)
-app.command()(inspecting.spectrum)
-app.add_typer(inspecting.data, name="data")
-app.add_typer(reproducing.paper, name="paper")
+app.command()(compare.demo)
+app.command()(compare.compare)
+app.command()(forecast.forecast)
+app.command()(fit.fit)
+app.command()(simulate.simulate)
+app.command()(spectrum.spectrum)
+app.add_typer(data.data, name="data")
+app.add_typer(paper.paper, name="paper")
 
 
 INTERRUPTED = 130

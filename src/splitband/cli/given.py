@@ -16,11 +16,12 @@ from splitband.data import Grid, Trajectory, aligned, read, resampled
 from splitband.data.gaps import Gaps, places
 from splitband.data.reading import ColumnError
 from splitband.data.timing import same_sampling
-from splitband.defaults import Recipe, default_setup, recipe_settings
-from splitband.methods import Setup, check_train
+from splitband.evaluation.defaults import default_setup
+from splitband.forecasters.methods import Setup, check_train
 from splitband.paper.settings import RECORD_SETTINGS
-from splitband.systems import RECORDS
+from splitband.paper.systems import RECORDS
 from splitband.training import Settings, default_warmup
+from splitband.training.recipes import Recipe, recipe_settings
 
 
 def names(text: str) -> list[str]:

@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from splitband.data.gaps import Gaps
-from splitband.defaults import Recipe
-from splitband.systems import RECORDS, SIMULATORS
+from splitband.paper.systems import RECORDS, SIMULATORS
+from splitband.training.recipes import Recipe
 
 _RECORD, _SIMULATOR, _FILTER, _TRAINING = "Record", "Simulator", "Filter", "Training"
 

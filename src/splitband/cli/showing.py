@@ -12,11 +12,11 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from rich.table import Table
 from rich.text import Text
 
-from splitband.comparison import Run, RunProgress, by_channel, ensemble
 from splitband.data import Trajectory
-from splitband.methods import Setup
+from splitband.evaluation.comparison import Run, RunProgress, by_channel, ensemble
+from splitband.evaluation.selection import Trial
+from splitband.forecasters.methods import Setup
 from splitband.metrics import FARTHEST, Extrapolation, spread
-from splitband.trial import Trial
 
 console = Console(
     soft_wrap=not sys.stdout.isatty(),

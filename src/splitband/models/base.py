@@ -13,7 +13,6 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from splitband.cells import Cell
 from splitband.data import Trajectory
 from splitband.metrics import (
     Extrapolation,
@@ -22,6 +21,7 @@ from splitband.metrics import (
     input_range,
     spread,
 )
+from splitband.networks import Cell
 
 Signal = TypeVar("Signal", npt.NDArray[Any], Tensor)
 

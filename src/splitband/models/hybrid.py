@@ -8,7 +8,6 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from splitband.cells import Cell
 from splitband.data import Trajectory
 from splitband.filters import ComplementaryPair
 from splitband.models.base import (
@@ -20,7 +19,7 @@ from splitband.models.base import (
     conditioning,
     slope_scale,
 )
-from splitband.rollouts import rollout
+from splitband.networks import Cell, rollout
 
 
 class Hybrid(Model):

@@ -9,9 +9,9 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from splitband.cells import Cell
 from splitband.data import Trajectory
 from splitband.filters import ComplementaryPair
+from splitband.filters.resampling import check_downsampling, downsample, upsample
 from splitband.models.base import (
     Model,
     Signals,
@@ -21,8 +21,7 @@ from splitband.models.base import (
     conditioning,
     slope_scale,
 )
-from splitband.resampling import check_downsampling, downsample, upsample
-from splitband.rollouts import rollout
+from splitband.networks import Cell, rollout
 
 
 class Recurrent(Model):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from splitband.methods import FIXED
+from splitband.forecasters.methods import FIXED
 from splitband.paper import published
 from splitband.paper.jobs import ORACLE, Job
 from splitband.paper.runs import disturbed, missing

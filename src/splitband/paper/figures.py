@@ -5,33 +5,33 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from splitband import plots
-from splitband.comparison import Run
 from splitband.data import Trajectory
-from splitband.methods import FIXED, Setup
+from splitband.evaluation.comparison import Run
+from splitband.filters.spectrum import periodogram
+from splitband.forecasters.methods import FIXED, Setup
 from splitband.paper.jobs import ORACLE, SYSTEMS, Job
 from splitband.paper.runs import as_run, finished, load
 from splitband.paper.specs import SPECS, Line, chosen, lines
-from splitband.spectrum import periodogram
+from splitband.report import pictures
 
 Runs = dict[str, list[Run]]
 
 
-def _spectrum(record: Trajectory, setup: Setup, _: Runs) -> plots.Picture:
+def _spectrum(record: Trajectory, setup: Setup, _: Runs) -> pictures.Picture:
     found = periodogram(record.y, record.sampling_rate)
-    return plots.spectrum(record, found, setup.cutoff)
+    return pictures.spectrum(record, found, setup.cutoff)
 
 
-def _unfiltered(record: Trajectory, setup: Setup, runs: Runs) -> plots.Picture:
-    return plots.components(record, setup, runs, "unfiltered")
+def _unfiltered(record: Trajectory, setup: Setup, runs: Runs) -> pictures.Picture:
+    return pictures.components(record, setup, runs, "unfiltered")
 
 
-FIGURES: dict[str, Callable[[Trajectory, Setup, Runs], plots.Picture]] = {
+FIGURES: dict[str, Callable[[Trajectory, Setup, Runs], pictures.Picture]] = {
     "spectrum": _spectrum,
-    "rollouts": plots.rollouts,
-    "components": plots.components,
+    "rollouts": pictures.rollouts,
+    "components": pictures.components,
     "unfiltered": _unfiltered,
-    "errors": plots.errors,
+    "errors": pictures.errors,
 }
 """By the name that the command line takes."""
 
@@ -60,7 +60,7 @@ def needed(
     return found
 
 
-def figure(name: str, system: str, of: Sequence[Line], folder: Path) -> plots.Picture:
+def figure(name: str, system: str, of: Sequence[Line], folder: Path) -> pictures.Picture:
     """Draw one figure of the runs in `folder`; raises what `load` does."""
     runs: Runs = {}
     for line in of:

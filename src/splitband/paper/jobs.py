@@ -9,9 +9,9 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 from splitband.data import Trajectory, double_torsion, drill_string, read
-from splitband.methods import FIXED, METHODS, Setup
+from splitband.forecasters.methods import FIXED, METHODS, Setup
 from splitband.paper.settings import HYBRID, LEARNING_BASED, Hybrid, LearningBased, in_hz
-from splitband.systems import double_mass_spring, double_torsion_pendulum, van_der_pol
+from splitband.paper.systems import double_mass_spring, double_torsion_pendulum, van_der_pol
 
 ORACLE = "oracle"
 """Method on system (i): least squares on the true form."""

@@ -15,15 +15,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from splitband.comparison import Run, RunProgress, run, run_baseline
 from splitband.data import Trajectory
-from splitband.files import CHECKPOINTS, write_json_lines
-from splitband.methods import FIXED, Setup
+from splitband.evaluation.comparison import Run, RunProgress, run, run_baseline
+from splitband.forecasters.methods import FIXED, Setup
 from splitband.metrics import rmse
 from splitband.paper.jobs import ORACLE, Job
-from splitband.processes import over
-from splitband.reporting import environment
-from splitband.systems import double_mass_spring_oracle
+from splitband.paper.systems import double_mass_spring_oracle
+from splitband.report.results import environment
+from splitband.runtime.files import CHECKPOINTS, write_json_lines
+from splitband.runtime.processes import over
 
 Array = npt.NDArray[np.float64]
 FORMAT = 1

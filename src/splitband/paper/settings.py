@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from splitband.methods import Setup
+from splitband.forecasters.methods import Setup
 from splitband.training import Settings
 
 SAMPLE_FREQUENCY = 10.0

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from splitband.methods import FIXED
+from splitband.forecasters.methods import FIXED
 from splitband.paper import published
 from splitband.paper.jobs import ORACLE, Job
 from splitband.paper.published import Row

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from splitband.methods import FIXED
+from splitband.forecasters.methods import FIXED
 from splitband.paper.jobs import ORACLE, SYSTEMS, Job
 from splitband.paper.runs import (
     FEWEST_SEEDS,

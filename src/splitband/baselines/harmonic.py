@@ -1,0 +1,99 @@
+"""Harmonic regression: sinusoids that may decay and a trend, by least squares on a record.
+
+A naive baseline (see `baselines.naive`), and a strong one: what a driven linear system does is a
+sum of such sinusoids and of exponentials.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.baselines.modes import Modes
+from splitband.baselines.naive import known, recent, units
+from splitband.baselines.trend import Shape, described, find
+
+Array = npt.NDArray[np.float64]
+
+STRONG_EVIDENCE = 6.0
+"""By how much the information criterion must prefer decays to sinusoids that go on for ever. Where
+two of these beat more slowly than the record is long, decays may be worse by as much: such a pair
+describes a decay within the record, and grows again after it."""
+
+
+@dataclass(frozen=True, eq=False)
+class HarmonicRegression:
+    """Sinusoids, an offset and a trend for each channel; use `HarmonicRegression.fit`.
+
+    Attributes
+    ----------
+    channels : The sinusoids of each.
+    begin : Index of the first sample that was fitted, from which they decay.
+    """
+
+    channels: tuple[Modes, ...]
+    begin: int = 0
+
+    @classmethod
+    def fit(cls, y: Array, sinusoids: int | None = None, damped: bool = True) -> HarmonicRegression:
+        """Fit `y` `(time, ny)`, each channel by itself; NaN is what was not measured.
+
+        A trend is kept where it pays on held-out samples (`trend.find`). Sinusoids are added one by
+        one at the peak of the residual's spectrum and then moved together to the least squares. By
+        default as many as the Bayesian information criterion is willing to pay for, at most 10.
+        With `damped` each may decay where that pays too, as the free vibrations of a driven system
+        do. Of a long record the last `naive.LONGEST` samples are fitted.
+        """
+        begin, y = recent(y)
+        return cls(tuple(_fit_channel(channel, sinusoids, damped) for channel in y.T), begin)
+
+    def predict(self, start: int, steps: int, last: Array) -> Array:
+        """See `Naive`."""
+        index = np.arange(start, start + steps) - self.begin
+        return np.stack([modes.predict(index) for modes in self.channels], axis=1)
+
+    def __str__(self) -> str:
+        counts = "+".join(str(len(modes.frequencies)) for modes in self.channels)
+        decaying = sum(int((modes.dampings > 0).sum()) for modes in self.channels)
+        some = f", {decaying} of them decaying," if decaying else ""
+        trends = described([modes.shape for modes in self.channels])
+        return f"{counts} sinusoid(s){some} and an offset{trends}"
+
+
+def _fit_channel(y: Array, sinusoids: int | None, damped: bool) -> Modes:
+    """What fits a channel best, in its units; found in units of its own range."""
+    offset, scale = units(y)
+    scaled = (y - offset) / scale
+    trend = find(scaled)
+    shape = trend.shape if trend else None
+    best = _greedy(scaled, sinusoids, 0.0, shape)
+    if damped:
+        decaying = _sustained(_greedy(scaled, sinusoids, 0.3 / len(y), shape), scaled)
+        needed = -STRONG_EVIDENCE if best.beat_slowly else STRONG_EVIDENCE
+        if best.information(scaled) - decaying.information(scaled) > needed:
+            best = decaying
+    return best.in_units(offset, scale)
+
+
+def _greedy(y: Array, sinusoids: int | None, damping: float, shape: Shape | None) -> Modes:
+    """Add sinusoids one by one; each begins with `damping`, which stays if it is zero."""
+    n = len(known(y))
+    most = min(10 if sinusoids is None else sinusoids, max((n - 2) // (4 if damping else 3), 0))
+    modes = best = Modes.none(y, shape).refined(y)
+    for _ in range(most):
+        modes = modes.with_another(y, damping)
+        if sinusoids is not None or modes.information(y) < best.information(y):
+            best = modes
+    return best
+
+
+def _sustained(modes: Modes, y: Array) -> Modes:
+    """Drop each damping that does not pay for itself, the slowest decay first."""
+    for i in np.argsort(modes.dampings):
+        kept = np.where(np.arange(len(modes.dampings)) == i, 0.0, modes.dampings)
+        without = modes._replace(dampings=kept).refined(y)
+        if without.information(y) < modes.information(y):
+            modes = without
+    return modes

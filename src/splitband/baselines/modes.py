@@ -1,0 +1,229 @@
+"""Sinusoids that may decay, on an offset and a trend: their least squares fit to one channel."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from splitband.baselines.naive import known
+from splitband.baselines.trend import FASTEST, SLOWEST, Shape
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int_]
+
+RESOLUTION = 0.1
+"""Sinusoids too close to be told apart are fitted as one: singular values below this are cut."""
+AS_HIGH = 0.95
+"""Peaks of the spectrum of at least this share of the highest one's power count as equally high."""
+FASTEST_DECAY = 20.0
+"""E-foldings of a sinusoid within the record, at most: there is little to fit of a faster one."""
+FEWEST_CYCLES = 0.5
+"""Of a sinusoid within the record: a constant would be hard to tell from a slower one."""
+
+
+class Modes(NamedTuple):
+    """Sinusoids of one channel `y` `(time,)`, NaN in its gaps, with an offset and a trend.
+
+    A frequency of which the record shows less than one cycle is no oscillation, as far as anyone
+    can tell. Such a sinusoid describes how the level moved within the record; before and after the
+    record it is held.
+
+    Attributes
+    ----------
+    frequencies : In cycles per sample.
+    dampings : Decay rates per sample; zero for what goes on for ever.
+    coefficients : Offset, cosine and sine amplitudes, and the size of the trend if there is one.
+    samples : Of the record that was fitted, from index 0 on.
+    shape : Of the trend.
+    harmonics : The first so many are multiples of the first one, and move with it.
+    """
+
+    frequencies: Array
+    dampings: Array
+    coefficients: Array
+    samples: int
+    shape: Shape | None = None
+    harmonics: int = 1
+
+    @classmethod
+    def solved(
+        cls,
+        frequencies: Array,
+        dampings: Array,
+        y: Array,
+        shape: Shape | None = None,
+        harmonics: int = 1,
+    ) -> Modes:
+        """With the coefficients that fit `y` best."""
+        return cls(frequencies, dampings, np.empty(0), len(y), shape, harmonics)._solve(y)
+
+    @classmethod
+    def none(cls, y: Array, shape: Shape | None = None) -> Modes:
+        """No sinusoids, the offset and the trend that fit `y` best."""
+        return cls.solved(np.empty(0), np.empty(0), y, shape)
+
+    def _solve(self, y: Array) -> Modes:
+        rows = known(y)
+        found = np.linalg.lstsq(self.basis(rows), y[rows], rcond=RESOLUTION)[0]
+        return self._replace(coefficients=found.astype(np.float64))
+
+    def refined(self, y: Array) -> Modes:
+        """With the frequencies, dampings and rate of the trend nearby that fit `y` best."""
+        return _Refinement(self, y).result()
+
+    def with_another(self, y: Array, damping: float, weight: float = 0.0) -> Modes:
+        """With one more, at the peak of the residual's spectrum, and refined.
+
+        A damping of zero stays. A `weight` lets the beginning of the record count more.
+        """
+        left = np.nan_to_num(self.residual(y)) * np.exp(-weight * np.arange(len(y)) / len(y))
+        frequencies, power = scipy.signal.periodogram(left, nfft=8 * len(y), detrend=False)
+        found = frequencies[_highest(power, whole=not np.isnan(y).any())]
+        more = np.append(self.frequencies, found), np.append(self.dampings, damping)
+        return self._replace(frequencies=more[0], dampings=more[1]).refined(y)
+
+    def basis(self, index: Index) -> Array:
+        """What each coefficient is multiplied with, `(len(index), coefficients)`."""
+        slow = self.frequencies * self.samples < 1
+        within = np.clip(index, 0, self.samples - 1)
+        at = np.where(slow, within[:, None], index[:, None])
+        phase = 2 * np.pi * at * self.frequencies
+        size = np.exp(-np.maximum(at, 0) * self.dampings)  # no growth backwards
+        columns = [np.ones((len(index), 1)), size * np.cos(phase), size * np.sin(phase)]
+        return np.hstack(columns if self.shape is None else [*columns, self.shape(index)[:, None]])
+
+    def predict(self, index: Index) -> Array:
+        """The samples of these indices, counted from the first that was fitted."""
+        return np.asarray(self.basis(index) @ self.coefficients)
+
+    @property
+    def beat_slowly(self) -> bool:
+        """Whether two frequencies are less than a cycle apart over the record."""
+        return bool((np.diff(np.sort(self.frequencies)) * self.samples < 1).any())
+
+    def residual(self, y: Array) -> Array:
+        """What they leave of `y`."""
+        return y - self.predict(np.arange(len(y)))
+
+    def information(self, y: Array) -> float:
+        """Bayesian information criterion of a Gaussian residual, taken as 1e-8 of y at least."""
+        samples, left = len(known(y)), float(np.nanmean(self.residual(y) ** 2))
+        variance = max(left, 1e-16 * float(np.nanmean(y**2)), 1e-300)
+        count = len(self.frequencies)
+        moving = count - max(min(self.harmonics, count) - 1, 0) + int((self.dampings > 0).sum())
+        parameters = 1 + 2 * count + moving
+        return samples * float(np.log(variance)) + parameters * float(np.log(samples))
+
+    def in_units(self, offset: float, scale: float) -> Modes:
+        """Those of `offset + scale * y`."""
+        coefficients = self.coefficients * scale
+        coefficients[0] += offset
+        return self._replace(coefficients=coefficients)
+
+
+def _highest(power: Array, whole: bool) -> int:
+    """Of a spectrum's peaks; with gaps the first of those that are as good as equally high.
+
+    What is measured now and then has images of its frequencies above them.
+    """
+    highest = 1 + int(np.argmax(power[1:]))
+    if whole:
+        return highest
+    peaks = scipy.signal.argrelmax(power)[0]
+    as_high = peaks[power[peaks] >= AS_HIGH * power[highest]]
+    return int(as_high[0]) if len(as_high) else highest
+
+
+class _Refinement:
+    """The least squares of all that is not linear, the coefficients being eliminated.
+
+    What moves are the frequencies, of which the harmonics stay multiples of the first, then the
+    dampings that are not zero, then the rate of the trend where it is an exponential.
+    """
+
+    def __init__(self, modes: Modes, y: Array) -> None:
+        self.modes, self.y, self.rows = modes, y, known(y)
+        self.decaying = modes.dampings > 0
+        self.bent = modes.shape is not None and modes.shape.rate > 0
+        count = len(modes.frequencies)
+        tied = min(modes.harmonics, count)
+        self.free = np.delete(modes.frequencies, np.arange(1, tied))
+        self.multiples = np.eye(count)
+        if tied > 1:
+            ratios = (modes.frequencies[:tied] / modes.frequencies[0])[:, None]
+            self.multiples = scipy.linalg.block_diag(ratios, np.eye(count - tied))
+
+    def result(self) -> Modes:
+        """The modes at the minimum nearby."""
+        begin, low, high, scale = (np.concatenate(values) for values in self._limits())
+        if not len(begin):
+            return self.modes._solve(self.y)
+        found = scipy.optimize.least_squares(
+            self.left,
+            np.clip(begin, low, high),
+            jac=self.slopes,
+            bounds=(low, high),
+            x_scale=scale,
+            ftol=1e-12,
+            xtol=1e-12,
+            max_nfev=50,
+        )
+        return self.at(np.asarray(found.x))
+
+    def _limits(self) -> tuple[list[Array], list[Array], list[Array], list[Array]]:
+        """Where each value begins, its least and its largest, and the scale of its steps."""
+        reach = 1 / len(self.y)
+        # What moves the fundamental moves its highest harmonic by a multiple of that.
+        around = reach / self.multiples.max(axis=0, initial=1)
+        slowest = FEWEST_CYCLES * reach
+        low = np.clip(self.free - around, slowest, 0.5)
+        high = np.clip(self.free + around, 1.01 * slowest, 0.5 + 1e-9)
+        dampings = self.modes.dampings[self.decaying]
+        rate = np.array([self.modes.shape.rate] if self.modes.shape and self.bent else [])
+        each = np.full(len(dampings), reach)
+        return (
+            [self.free, np.clip(dampings, 1e-3 * reach, 0.99 * FASTEST_DECAY * reach), rate],
+            [low, 0 * each, np.full(len(rate), SLOWEST * reach)],
+            [high, FASTEST_DECAY * each, np.full(len(rate), FASTEST * reach)],
+            [around, each, np.full(len(rate), reach)],
+        )
+
+    def at(self, moved: Array) -> Modes:
+        """The modes with these values, and the coefficients that belong to them."""
+        modes, free = self.modes, len(self.free)
+        rates = np.zeros(len(modes.frequencies))
+        rates[self.decaying] = moved[free : free + self.decaying.sum()]
+        shape = modes.shape
+        if shape is not None and self.bent:
+            shape = shape._replace(rate=float(moved[-1]))
+        frequencies = np.asarray(self.multiples @ moved[:free])
+        return modes._replace(frequencies=frequencies, dampings=rates, shape=shape)._solve(self.y)
+
+    def left(self, moved: Array) -> Array:
+        """The residual of the measured samples."""
+        modes = self.at(moved)
+        return np.asarray(self.y[self.rows] - modes.predict(self.rows))
+
+    def slopes(self, moved: Array) -> Array:
+        """What the residual does when each of the values moves.
+
+        The derivative of the basis, as far as the basis itself cannot make up for it (Kaufman's
+        approximation of variable projection).
+        """
+        modes, index = self.at(moved), self.rows
+        basis = modes.basis(index)
+        left, sizes, _ = np.linalg.svd(basis, full_matrices=False)
+        left = left[:, sizes > RESOLUTION * sizes[0]]
+        count = len(modes.frequencies)
+        cosine, sine = basis[:, 1 : 1 + count], basis[:, 1 + count : 1 + 2 * count]
+        a, b = modes.coefficients[1 : 1 + count], modes.coefficients[1 + count : 1 + 2 * count]
+        turned = 2 * np.pi * index[:, None] * (b * cosine - a * sine)
+        shrunk = -index[:, None] * (a * cosine + b * sine)
+        columns = [turned @ self.multiples, shrunk[:, self.decaying]]
+        if modes.shape is not None and self.bent:
+            columns.append((modes.coefficients[-1] * modes.shape.by_rate(index))[:, None])
+        by_value = np.hstack(columns)
+        return np.asarray(left @ (left.T @ by_value) - by_value)

@@ -1,0 +1,166 @@
+"""Periodic regression: a Fourier series of the record's own period, a trend and free vibrations.
+
+A naive baseline (see `baselines.naive`). A system that is driven periodically, linear or not,
+repeats itself once its free vibrations have died out. Seasonal-naive repeats one period and its
+noise; this takes the mean of all periods, which need not be a whole number of samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.baselines.harmonic import HarmonicRegression
+from splitband.baselines.modes import Modes
+from splitband.baselines.naive import known, recent, units
+from splitband.baselines.seasonal import all_around, last_period, seasons, self_similar_lags
+from splitband.baselines.trend import Shape, described, find
+
+Array = npt.NDArray[np.float64]
+
+MOST_HARMONICS = 30
+VIBRATIONS = 4
+"""Decaying sinusoids, at most."""
+_WORTH = 0.5
+"""A candidate with more freedom must have less than this share of the held-out error of one with
+less: a slightly wrong period and needless vibrations cost the more, the longer the forecast."""
+_CUTS = (0.75, 0.8, 0.85, 0.9)
+"""Shares of the samples that are fitted, to see how well the rest is forecast. They are near 1, so
+that nearly as many periods are seen as by the final fit."""
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicRegression:
+    """A Fourier series, a trend and decaying vibrations for each channel; use `fit`.
+
+    Attributes
+    ----------
+    sinusoids : All of them; those of a series come first.
+    periods : In samples, by channel; 0 for a channel that has none and is constant here.
+    vibrations : How many die out, by channel.
+    """
+
+    sinusoids: HarmonicRegression
+    periods: tuple[float, ...]
+    vibrations: tuple[int, ...]
+
+    @classmethod
+    def fit(cls, y: Array) -> PeriodicRegression:
+        """Fit `y` `(time, ny)`, each channel by itself; NaN is what was not measured.
+
+        A trend is kept where it pays on held-out samples (`trend.find`). The period is a lag at
+        which the channel resembles itself, or a whole fraction of it, with as many harmonics as the
+        Bayesian information criterion selects. The period may then move, and vibrations that die
+        out may be added, where that halves the error on held-out samples. Of a long record the
+        last `naive.LONGEST` samples are used.
+        """
+        begin, y = recent(y)
+        channels = [_fit_channel(channel) for channel in y.T]
+        return cls(
+            HarmonicRegression(tuple(channels), begin),
+            tuple(1 / m.frequencies[0] if len(m.frequencies) else 0.0 for m in channels),
+            tuple(max(len(m.frequencies) - m.harmonics, 0) for m in channels),
+        )
+
+    def predict(self, start: int, steps: int, last: Array) -> Array:
+        """See `Naive`."""
+        return self.sinusoids.predict(start, steps, last)
+
+    def __str__(self) -> str:
+        trends = described([modes.shape for modes in self.sinusoids.channels])
+        if not any(self.periods):
+            return f"no period found, a constant{trends}"
+        frequencies = [modes.frequencies for modes in self.sinusoids.channels]
+        periods = ", ".join(f"{period:.6g}" for period in self.periods)
+        counts = "+".join(
+            str(len(f) - v) for f, v in zip(frequencies, self.vibrations, strict=True)
+        )
+        dying = sum(self.vibrations)
+        some = f", and {dying} vibration(s) that die out" if dying else ""
+        return f"{counts} harmonic(s) of a period of {periods} samples{some}{trends}"
+
+
+def _fit_channel(y: Array) -> Modes:
+    """The fit of one channel; found with the channel scaled to its range."""
+    offset, scale = units(y)
+    scaled = (y - offset) / scale
+    trend = find(scaled)
+    shape = trend.shape if trend else None
+    stiffest, *freer = zip(_candidates(scaled, shape), _held_out(scaled, shape), strict=True)
+    best, least = stiffest
+    for candidate, error in freer:
+        if error < _WORTH * least:
+            best, least = candidate, error
+    return best.in_units(offset, scale)
+
+
+def _held_out(y: Array, shape: Shape | None) -> list[float]:
+    """The mean RMSE of each candidate on held-out samples, over several cuts."""
+    errors, index = [], known(y)
+    for share in _CUTS:
+        later = index[int(share * len(index)) :]
+        fitted = _candidates(y[: max(later[0], index[0] + 1)], shape)
+        left = [y[later] - candidate.predict(later) for candidate in fitted]
+        errors.append([np.sqrt(np.mean(error**2)) for error in left])
+    return [float(error) for error in np.mean(errors, axis=0)]
+
+
+def _candidates(y: Array, shape: Shape | None) -> tuple[Modes, Modes, Modes]:
+    """The series of a whole lag; with its period moved; with vibrations as well."""
+    series = _best_series(y, shape)
+    if not len(series.frequencies):
+        return series, series, series
+    refined = dying = modes = series.refined(y)
+    for _ in range(VIBRATIONS):
+        # Early samples count more: there the vibrations are largest.
+        modes = modes.with_another(y, damping=3 / len(y), weight=3)
+        if modes.information(y) < dying.information(y):
+            dying = modes
+    return series, refined, dying
+
+
+def _best_series(y: Array, shape: Shape | None, lags: int = 4) -> Modes:
+    """The Fourier series of a lag at which the record resembles itself, or of a part of it."""
+    level = Modes.none(y, shape)
+    if len(known(y)) < 2:
+        return level
+    channel = level.residual(y)[:, None]
+    # Of multiples of a period that tie, seasonal-naive takes the shortest.
+    periods = {len(last_period(channel)), *self_similar_lags(channel, lags)}
+    found = [_series(y, lag, shape) for lag in sorted(periods)]
+    return min(found, key=lambda modes: modes.information(y))
+
+
+def _series(y: Array, lag: int, shape: Shape | None) -> Modes:
+    """The Fourier series of a period, of as many harmonics as pay, the strongest first."""
+    none = Modes.none(y, shape)
+    index = known(y)
+    most = min(MOST_HARMONICS, (lag - 1) // 2, (len(index) - 2) // 4)
+    complete = none.residual(y)[len(y) % lag :]
+    if most < 1 or not len(known(complete)):
+        return none
+    by_season = seasons(complete[:, None], lag)
+    with np.errstate(invalid="ignore"):  # a phase that was never measured
+        mean_period = np.nansum(by_season, axis=0) / (~np.isnan(by_season)).sum(axis=0)
+    mean_period = all_around(mean_period)[:, 0]
+    strength = abs(np.fft.rfft(mean_period)[1 : (lag - 1) // 2 + 1])
+    strongest = 1 + np.argsort(-strength, kind="stable")[:most]
+    phase = 2 * np.pi * np.outer(index, strongest) / lag
+    pairs = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(index), -1)
+    level = none.basis(index)
+    directions = np.linalg.qr(np.hstack([level, pairs]))[0]
+    # What is left of the power with each further harmonic.
+    power = np.nansum(y**2)
+    left = power - np.cumsum((directions.T @ y[index]) ** 2)[level.shape[1] - 1 :: 2]
+    left = np.maximum(left, 1e-16 * power + 1e-300)
+    information = len(index) * np.log(left) + 2 * np.arange(len(left)) * np.log(len(index))
+    kept = strongest[: int(np.argmin(information))]
+    if not len(kept):
+        return none
+    # Where all of them are harmonics of a fraction of the lag, that fraction is the period. Weak
+    # harmonics between them are kept too.
+    whole = int(np.gcd.reduce(kept))
+    order = np.arange(1, min(kept.max() // whole, MOST_HARMONICS) + 1)
+    return Modes.solved(order * whole / lag, np.zeros(len(order)), y, shape, len(order))

@@ -1,0 +1,129 @@
+"""Seasonal-naive: the last period, repeated, on top of a trend where there is one.
+
+A naive baseline (see `splitband.baselines.naive`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from splitband.baselines.trend import Trend, described, find, trending
+
+Array = npt.NDArray[np.float64]
+
+ENOUGH_PAIRS = 0.25
+"""Share of the largest number of pairs of measured samples at any lag. A lag with fewer pairs is
+left out: they may agree by chance."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeasonalNaive:
+    """The last period of the training samples, repeated; use `SeasonalNaive.fit`.
+
+    Attributes
+    ----------
+    period : The samples that repeat, without the trend, `(lag, ny)`.
+    end : Index after the last of them.
+    trends : Of each channel, where it has one.
+    """
+
+    period: Array
+    end: int
+    trends: tuple[Trend | None, ...]
+
+    @classmethod
+    def fit(cls, y: Array) -> SeasonalNaive:
+        """Choose the lag whose last period, repeated backwards, fits `y` `(time, ny)` best.
+
+        A trend that pays (see `trend.find`) is taken out first. Where `y` is NaN nothing was
+        measured, and the period before has to do. Compared are the lags up to half the record at
+        which the record resembles itself: the local minima of its mean squared difference at a lag.
+        """
+        trends = tuple(find(channel) for channel in y.T)
+        return cls(last_period(y - trending(trends, np.arange(len(y)))), len(y), trends)
+
+    @property
+    def lag(self) -> int:
+        """Samples in a period."""
+        return len(self.period)
+
+    def predict(self, start: int, steps: int, last: Array) -> Array:
+        """See `Naive`."""
+        index = np.arange(start, start + steps)
+        return np.asarray(self.period[(index - self.end) % self.lag] + trending(self.trends, index))
+
+    def __str__(self) -> str:
+        return f"the last {self.lag} training samples, repeated{described(self.trends)}"
+
+
+def last_period(y: Array) -> Array:
+    """The last period of `y` `(time, ny)`, `(lag, ny)`, of the lag that fits best, see `fit`."""
+    found = {lag: _last_period(y, lag) for lag in sorted(self_similar_lags(y))}
+    # A period and its multiples tie up to rounding: the shortest one is meant.
+    least = min(error for _, error in found.values())
+    good_enough = least * (1 + 1e-9) + 1e-24 * float(np.nanmean(y**2))
+    return next(period for period, error in found.values() if error <= good_enough)
+
+
+def self_similar_lags(y: Array, most: int = 200) -> list[int]:
+    """Lags at which the mean of (y_n - y_{n+lag})^2 has a local minimum, the least one first.
+
+    They are half of `y` at most. The mean is over pairs of measured samples; channels are added.
+    """
+    n = len(y)
+    lags = np.arange(1, n // 2 + 1)
+    difference, doubtful = np.zeros(len(lags)), np.zeros(len(lags), dtype=np.bool_)
+    for channel in y.T:
+        measured = (~np.isnan(channel)).astype(np.float64)
+        centred = np.nan_to_num(channel - np.nanmean(channel))
+        # (a - b)^2 = a^2 - 2 a b + b^2, each term a correlation.
+        pairs, before, after, products = (
+            scipy.signal.correlate(a, b, mode="full", method="fft")[n - 1 :][lags]
+            for a, b in (
+                (measured, measured),
+                (measured, centred**2),
+                (centred**2, measured),
+                (centred, centred),
+            )
+        )
+        pairs = np.rint(pairs)
+        doubtful |= pairs < ENOUGH_PAIRS * pairs.max()
+        difference += (before + after - 2 * products) / np.maximum(pairs, 1)
+    difference[doubtful] = np.inf
+    # With infinity behind it, the last lag can be a minimum too.
+    minima = scipy.signal.argrelmin(np.append(difference, np.inf))[0]
+    ranked = minima[np.argsort(difference[minima], kind="stable")]
+    return [int(lags[i]) for i in ranked[:most]] or [int(lags[-1])]
+
+
+def seasons(y: Array, lag: int) -> Array:
+    """`y` `(time, ny)` as `(season, lag, ny)`, the last season ending with it; NaN in the first."""
+    count = -(-len(y) // lag)
+    found = np.full((count * lag, y.shape[1]), np.nan)
+    found[-len(y) :] = y
+    return found.reshape(count, lag, -1)
+
+
+def all_around(period: Array) -> Array:
+    """A period `(lag, ny)` with NaN filled by straight lines, from its end on to its beginning."""
+    found, phase = period.copy(), np.arange(len(period))
+    for channel in found.T:
+        seen = ~np.isnan(channel)
+        channel[~seen] = np.interp(phase[~seen], phase[seen], channel[seen], period=len(period))
+    return found
+
+
+def _last_period(y: Array, lag: int) -> tuple[Array, float]:
+    """The last measured sample at each phase, and its mean squared error for all earlier ones."""
+    by_season = seasons(y, lag)
+    count = len(by_season)
+    last = count - 1 - (~np.isnan(by_season))[::-1].argmax(axis=0)
+    period = np.take_along_axis(by_season, last[None], axis=0)[0]
+    errors = by_season - period
+    errors[np.arange(count)[:, None, None] >= last] = np.nan
+    compared = len(errors.ravel()) - np.count_nonzero(np.isnan(errors))
+    return all_around(period), float(np.nansum(errors**2) / compared) if compared else np.inf

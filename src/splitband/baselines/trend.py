@@ -1,0 +1,248 @@
+"""The trend of a channel: a straight line, or an exponential that settles at a limit.
+
+A trend is kept only if forecasts with it are clearly better on held-out samples than forecasts of
+a constant and of the last value. Oscillations are fitted along with it, so that neither is taken
+for the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from splitband.baselines.naive import known, recent, units
+
+Array = npt.NDArray[np.float64]
+
+CUTS = (0.4, 0.5, 0.6, 0.7, 0.8)
+"""Shares of the record after which forecasts of the rest of it are tried. The first one looks
+ahead one and a half times as far as it has seen: what is straight for a short time only, as a part
+of a slow wave is, is found out there."""
+WORTH = 0.8
+"""The held-out error of a line must be below this share of that of a constant and of the last
+value, and that of an exponential below this share of the line's as well: what is needless costs
+the more, the longer the forecast."""
+SLOWEST, FASTEST = 0.5, 20.0
+"""E-foldings of an exponential within the record. A slower one is as good as a straight line, a
+faster one is over before there is much to fit."""
+MOST_BLOCKS = 256
+"""A trend is slow: means over so many blocks show it, at a small part of the work."""
+FEWEST = 15
+"""Blocks without which nothing is held out."""
+SINUSOIDS = 6
+"""That are fitted along with a trend, at most."""
+EVIDENCE = 3.0
+"""Of a sinusoid, per logarithm of the number of blocks: noise alone has peaks, too."""
+NEGLIGIBLE = 1e-16
+"""Mean square, in units of the record's range."""
+_RANK = 0.03
+"""Of the sinusoids fitted along with a trend: singular values below this share are cut."""
+
+
+class Shape(NamedTuple):
+    """A function of time, of mean 0 and deviation 1 over the samples that were fitted.
+
+    Attributes
+    ----------
+    rate : Decay of the exponential per sample; 0 for a straight line.
+    begin, samples : What was fitted: from which sample on, and how many. It is constant before.
+    """
+
+    rate: float
+    begin: int
+    samples: int
+
+    def __call__(self, index: npt.NDArray[np.number]) -> Array:
+        """At these samples, `(len(index),)`."""
+        elapsed = np.maximum(index - self.begin, 0) / self.samples
+        folds = self.rate * self.samples
+        if not folds:
+            return np.asarray(np.sqrt(12) * (elapsed - 0.5))
+        mean, deviation = self._moments()
+        return np.asarray((np.exp(-folds * elapsed) - mean) / deviation)
+
+    def by_rate(self, index: npt.NDArray[np.number]) -> Array:
+        """The derivative of an exponential by its rate, `(len(index),)`.
+
+        Mean and deviation count as fixed: offset and size, which are fitted, make up for them.
+        """
+        since = np.maximum(index - self.begin, 0)
+        return np.asarray(-since * np.exp(-self.rate * since) / self._moments()[1])
+
+    def _moments(self) -> tuple[float, float]:
+        """Mean and deviation of the exponential over the samples that were fitted."""
+        folds = self.rate * self.samples
+        mean = -np.expm1(-folds) / folds
+        return float(mean), float(np.sqrt(-np.expm1(-2 * folds) / (2 * folds) - mean**2))
+
+    def __str__(self) -> str:
+        if self.rate == 0:
+            return "a straight line"
+        return f"an exponential with a time constant of {1 / self.rate:.4g} samples"
+
+
+class Trend(NamedTuple):
+    """`offset + size * shape`; see `find`."""
+
+    shape: Shape
+    offset: float
+    size: float
+
+    def predict(self, index: npt.NDArray[np.number]) -> Array:
+        """At these samples, `(len(index),)`."""
+        return self.offset + self.size * self.shape(index)
+
+
+def find(y: Array) -> Trend | None:
+    """The trend of a channel `(time,)`, or None where none pays; NaN is what was not measured.
+
+    The record is cut at several places, and what follows each cut is forecast from what comes
+    before it: by the last value; by a constant, by a line and by an exponential, to each of which
+    the strongest sinusoids are added. A trend is kept if it is clearly better than both the last
+    value and the constant over all cuts, and better than the constant at every one.
+    """
+    begin, end = recent(y[:, None])
+    offset, scale = units(end[:, 0])
+    at, blocks = _blocks((end[:, 0] - offset) / scale, begin)
+    rows = known(blocks)
+    if len(rows) < FEWEST:
+        return None
+    line = [Shape(0.0, begin, len(end))]
+    folds = np.geomspace(SLOWEST, FASTEST, 25)
+    exponentials = [Shape(float(rate), begin, len(end)) for rate in folds / len(end)]
+    cuts = [int(rows[int(share * len(rows))]) for share in CUTS]
+    without = _held_out(at, blocks, cuts, [])
+    last = np.array([np.nanmean((blocks[cut:] - _last(blocks[:cut])) ** 2) for cut in cuts])
+    least = WORTH**2 * min(without.mean(), last.mean())
+    best = None
+    for shapes in (line, exponentials):  # the simpler one first
+        errors = _held_out(at, blocks, cuts, shapes)
+        if errors.mean() < least and (errors < without).all():
+            best, least = shapes, WORTH**2 * errors.mean()
+    if best is None:
+        return None
+    fitted = _Sketch.fit(at, blocks, best)
+    return fitted.trend(offset, scale)
+
+
+def trending(trends: Sequence[Trend | None], index: npt.NDArray[np.number]) -> Array:
+    """The trends of channels, 0 where there is none, `(len(index), ny)`."""
+    none = np.zeros(len(index))
+    return np.stack([trend.predict(index) if trend else none for trend in trends], axis=1)
+
+
+def described(trends: Sequence[Trend | Shape | None]) -> str:
+    """What is to be said of channels with trends, or nothing."""
+    shapes = [trend.shape if isinstance(trend, Trend) else trend for trend in trends]
+    kinds = [str(shape) for shape in shapes if shape is not None]
+    return f", on {' and '.join(dict.fromkeys(kinds))}" if kinds else ""
+
+
+def _blocks(y: Array, begin: int) -> tuple[Array, Array]:
+    """Middles and means of blocks of equal length, NaN where nothing was measured."""
+    length = -(-len(y) // MOST_BLOCKS)
+    first = len(y) % length
+    by_block = y[first:].reshape(-1, length)
+    counts = (~np.isnan(by_block)).sum(axis=1)
+    means = np.full(len(counts), np.nan)
+    np.divide(np.nansum(by_block, axis=1), counts, out=means, where=counts > 0)
+    return begin + first + (length - 1) / 2 + length * np.arange(len(means), dtype=float), means
+
+
+def _last(blocks: Array) -> float:
+    return float(blocks[known(blocks)[-1]])
+
+
+def _held_out(at: Array, blocks: Array, cuts: list[int], shapes: list[Shape]) -> Array:
+    """Mean squared errors of what follows each cut, forecast from what comes before it."""
+    errors = []
+    for cut in cuts:
+        fitted = _Sketch.fit(at[:cut], blocks[:cut], shapes)
+        errors.append(np.nanmean((blocks[cut:] - fitted.predict(at[cut:])) ** 2))
+    return np.array(errors)
+
+
+class _Sketch(NamedTuple):
+    """A trend or none, and the strongest sinusoids, at frequencies in cycles per sample."""
+
+    shape: Shape | None
+    frequencies: list[float]
+    coefficients: Array
+
+    @classmethod
+    def fit(cls, at: Array, y: Array, shapes: list[Shape]) -> _Sketch:
+        """With the shape out of `shapes` that fits best; by orthogonal matching pursuit.
+
+        One sinusoid after the other is taken at the peak of the residual's spectrum, where it has
+        a cycle or more in the record.
+        """
+        rows = known(y)
+        times, values = at[rows], y[rows]
+        step, count = float(at[1] - at[0]), len(y)
+        frequencies: list[float] = []
+        while True:
+            sinusoids = _sinusoids(times, frequencies)
+            shape = _best(shapes, times, values, sinusoids)
+            basis = _with(shape, times, sinusoids)
+            coefficients = np.linalg.lstsq(basis, values, rcond=_RANK)[0].astype(np.float64)
+            left = np.zeros(count)
+            left[rows] = values - basis @ coefficients
+            power = abs(np.fft.rfft(left, 8 * count)[: 4 * count]) ** 2
+            peak = 8 + int(np.argmax(power[8:]))
+            gained = 2 * float(power[peak]) / len(rows)
+            # Without noise what is left is rounding error, whatever its spectrum.
+            remaining = max(float(np.mean(left[rows] ** 2)), NEGLIGIBLE)
+            too_weak = gained <= EVIDENCE * np.log(len(rows)) * remaining
+            if too_weak or len(frequencies) == min(SINUSOIDS, (len(rows) - 4) // 3):
+                return cls(shape, frequencies, coefficients)
+            frequencies.append(peak / (8 * count * step))
+
+    def predict(self, at: Array) -> Array:
+        """At these times, in samples."""
+        return np.asarray(
+            _with(self.shape, at, _sinusoids(at, self.frequencies)) @ self.coefficients
+        )
+
+    def trend(self, offset: float, scale: float) -> Trend:
+        """The trend of `offset + scale * y`."""
+        if self.shape is None:
+            raise ValueError("shape must be that of a trend, got None")
+        constant, size = float(self.coefficients[0]), float(self.coefficients[-1])
+        return Trend(self.shape, offset + scale * constant, scale * size)
+
+
+def _sinusoids(at: Array, frequencies: list[float]) -> Array:
+    """And a constant in front, `(time, 1 + 2 * frequencies)`."""
+    phase = 2 * np.pi * np.outer(at, frequencies)
+    return np.hstack([np.ones((len(at), 1)), np.cos(phase), np.sin(phase)])
+
+
+def _with(shape: Shape | None, at: Array, sinusoids: Array) -> Array:
+    return sinusoids if shape is None else np.column_stack([sinusoids, shape(at)])
+
+
+def _best(shapes: list[Shape], at: Array, y: Array, sinusoids: Array) -> Shape | None:
+    """The shape that leaves least of `y` beside the sinusoids; an exponential's rate is refined."""
+    if len(shapes) < 2:
+        return shapes[0] if shapes else None
+    directions = np.linalg.qr(sinusoids)[0]
+    left = y - directions @ (directions.T @ y)
+
+    def explained(shape: Shape) -> float:
+        column = shape(at)
+        column = column - directions @ (directions.T @ column)
+        return float(column @ left) ** 2 / max(float(column @ column), 1e-12)
+
+    best = int(np.argmax([explained(shape) for shape in shapes]))
+    around = [np.log(shape.rate) for shape in shapes[max(best - 1, 0) : best + 2]]
+    found = scipy.optimize.minimize_scalar(
+        lambda rate: -explained(shapes[0]._replace(rate=float(np.exp(rate)))),
+        bounds=(around[0], around[-1]),
+        method="bounded",
+        options={"xatol": 1e-3},
+    )
+    return shapes[0]._replace(rate=float(np.exp(found.x)))

@@ -1,0 +1,39 @@
+"""`splitband data`: the public records of the paper."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from splitband.cli import showing
+from splitband.data import PUBLIC, fetch
+from splitband.paper.systems import RECORDS
+
+data = typer.Typer(help="The public records of the paper.", no_args_is_help=True)
+
+
+@data.command("list")
+def list_records() -> None:
+    """List the named records and the public files behind them."""
+    table = Table()
+    for heading in ("file", "what", "licence", "size"):
+        table.add_column(heading, justify="right" if heading == "size" else "left")
+    for public in PUBLIC.values():
+        size = f"{public.size / 1000:.0f} kB"
+        table.add_row(public.name, public.description, public.licence, size)
+    showing.console.print(table)
+    showing.console.print(f"named records: {', '.join(RECORDS)}")
+
+
+@data.command("fetch")
+def fetch_records(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(help="Files to fetch.", show_default="all"),
+    ] = None,
+) -> None:
+    """Download public files, or find them in SPLITBAND_DATA_DIR, and check them."""
+    for name in names or PUBLIC:
+        showing.console.print(f"{name}: {fetch(name)}")

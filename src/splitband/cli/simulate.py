@@ -1,0 +1,154 @@
+"""`splitband simulate`."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pandas as pd
+import typer
+
+from splitband.cli import given, options, showing
+from splitband.cli.simulators import (
+    opened_simulator,
+    simulated_again,
+)
+from splitband.data import read
+from splitband.data.timing import from_json
+from splitband.evaluation.comparison import last_start
+from splitband.metrics import ExtrapolationWarning, leaves_range
+from splitband.models import Hybrid, Model, saving
+from splitband.report import results
+from splitband.runtime.files import output_folder, replacing
+from splitband.simulators.calibration import Calibration
+
+
+def simulate(
+    model_dir: Annotated[
+        Path, typer.Argument(metavar="MODEL_DIR", help="What `fit` wrote.", show_default=False)
+    ],
+    history: Annotated[
+        Path,
+        typer.Option(
+            metavar="FILE",
+            help="Measured samples up to now, with the columns of the training record; the last "
+            "ones warm the model up.",
+            show_default=False,
+        ),
+    ],
+    steps: Annotated[
+        int, typer.Option(min=1, help="Samples to simulate after them.", show_default=False)
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(metavar="FILE.csv", help="Where to write the samples.", show_default=False),
+    ],
+    future_inputs: options.FutureInputs = None,
+    gaps: options.GapsOption = "refuse",
+    time_column: options.TimeColumn = None,
+    simulator: options.SimulatorOption = None,
+    simulator_columns: options.SimulatorColumns = None,
+    simulator_timeout: options.SimulatorTimeout = options.PATIENCE,
+    simulator_cache: options.SimulatorCache = None,
+) -> None:
+    """Simulate a saved model beyond a measured history.
+
+    A hybrid model also needs --simulator, which reaches --steps samples beyond the history. Where
+    training record and history have time stamps, the model knows how much later the history
+    begins: a function or an FMU is run from the beginning of the training record on, and a
+    calibrated delay or clock counts from there. Otherwise the history is taken to begin where the
+    training record did. An exported trajectory has to cover the warm-up and what follows, by its
+    time stamps. The CSV has a column `time`, which goes on with the time stamps of the history
+    (without any: seconds after its last sample), and one for each measured channel.
+    """
+    model, facts = saving.load(model_dir)
+    known = _Facts(model_dir, model, facts)
+    if out.is_dir():
+        raise ValueError(f"--out must be a file, got the folder {out}")
+    past = read(
+        history,
+        columns=known.columns,
+        inputs=known.inputs,
+        time_column=time_column,
+        fallback_sampling_time=known.sampling_time,
+        gaps=gaps,
+    )
+    if given.differs(past.sampling_time, known.sampling_time):
+        raise ValueError(
+            f"--history must be sampled like the training record, every {known.sampling_time:g} s, "
+            f"got every {past.sampling_time:g} s in {history}"
+        )
+    past = given.like(past, known.sampling_time, str(history))
+    if len(past) < known.warmup:
+        raise ValueError(
+            f"--history must have at least the {known.warmup} samples of the model's warm-up, "
+            f"got {len(past)}"
+        )
+    start = last_start(past, known.warmup, len(past))
+    y_sim = None
+    if isinstance(model, Hybrid):
+        if simulator is None:
+            raise ValueError(
+                f"--simulator must be given for a hybrid model, this is {known.method}"
+            )
+        opened = opened_simulator(
+            simulator, past, simulator_columns, simulator_timeout, time_column
+        )
+        y_sim = simulated_again(
+            opened, simulator, past, start - known.warmup, steps, known.start, known.calibration,
+            simulator_timeout, simulator_cache,
+        )  # fmt: skip
+    ahead = past.grid.after(steps)
+    u = given.inputs_ahead(future_inputs, known.inputs, ahead, time_column)
+    if u is not None and past.u is not None:
+        u = np.concatenate([past.u[start - known.warmup :], u])
+    since = len(past) - start
+    with warnings.catch_warnings():  # said below, by the inputs' names
+        warnings.simplefilter("ignore", ExtrapolationWarning)
+        y = model.simulate(past.y[start - known.warmup : start], since + steps, u, y_sim)[since:]
+    table = pd.DataFrame(y, columns=known.columns)
+    table.insert(0, results.time_header(known.columns), results.time_ahead(past, steps))
+    output_folder(out.parent)
+    with replacing(out) as temporary:
+        table.to_csv(temporary, index=False)
+    showing.console.print(f"{steps} samples after {history}: {out}")
+    left = leaves_range(known.range, y)
+    if left is not None:
+        showing.console.print(showing.leaving(left))
+    if u is not None:
+        ahead_only = model.extrapolations(u[known.warmup + since :])
+        showing.warn_of_inputs(ahead_only, known.inputs)
+
+
+class _Facts:
+    """What `fit` saved with the model and `simulate` needs."""
+
+    def __init__(self, folder: Path, model: Model, facts: dict[str, Any]) -> None:
+        try:
+            self.method = str(facts["method"])
+            self.columns = [str(name) for name in facts["columns"]]
+            self.inputs = [str(name) for name in facts["inputs"]]
+            self.sampling_time = float(facts["sampling_time"])
+            self.warmup = int(facts["setup"]["settings"]["warmup"])
+            # Models from before these were kept have no start, and leave no range.
+            self.start = from_json(facts.get("start"))
+            nothing = [[0.0] * model.ny] * 2
+            self.range = np.array(facts.get("range", nothing), dtype=np.float64)
+            self.calibration = Calibration(**(facts["calibration"] or {}))
+            self.calibration.check(model.ny)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{folder} was not written by `splitband fit`: {error!r}") from None
+        if self.range.shape != (2, model.ny) or not np.isfinite(self.range).all():
+            raise ValueError(f"{folder} is damaged: its range is {facts['range']}")
+        if not 0 < self.sampling_time < math.inf:
+            raise ValueError(f"{folder} is damaged: its sampling time is {self.sampling_time}")
+        if self.warmup < 1:
+            raise ValueError(f"{folder} is damaged: its warmup is {self.warmup}")
+        if (len(self.columns), len(self.inputs)) != (model.ny, model.nu):
+            raise ValueError(
+                f"{folder} is damaged: its columns {self.columns} and inputs {self.inputs} are not "
+                f"the model's {model.ny} and {model.nu}"
+            )

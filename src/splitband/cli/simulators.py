@@ -1,0 +1,250 @@
+"""The `--simulator` option: a file or a name becomes the record's simulated trajectory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from splitband.cli import showing
+from splitband.cli.given import names, read_beside
+from splitband.data import Grid, Trajectory
+from splitband.data.alignment import NEAR
+from splitband.data.timing import Stamp, in_words, seconds_between, stamp_after
+from splitband.forecasters.methods import CALIBRATED, HYBRIDS
+from splitband.paper.systems import SIMULATORS
+from splitband.simulators import Recorded, Simulator, SimulatorTimeoutError, run
+from splitband.simulators.calibration import Calibration, samples_needed
+from splitband.simulators.isolation import Isolated
+
+LONGEST = 10**8
+"""Samples from the training record to a history, over which a simulator is run."""
+
+
+def with_simulator(
+    record: Trajectory,
+    simulator: str | None,
+    columns: str | None,
+    timeout: float,
+    cache: Path | None,
+    ahead: int = 0,
+    beyond: bool = False,
+    time_column: str | None = None,
+) -> Trajectory:
+    """The record with the trajectory of the simulator that the options name.
+
+    It has to reach `ahead` samples beyond the record. `beyond` asks for more, for its calibration;
+    one that cannot say more is taken as it is. `time_column` is the record's.
+    """
+    if not math.isfinite(timeout):
+        raise ValueError(f"--simulator-timeout must be a number of seconds, got {timeout:g}")
+    if simulator is None and (beyond or ahead) and record.y_sim is not None:
+        simulator = record.name  # a named record's own, for longer
+    if simulator is None:
+        return record
+    opened = opened_simulator(simulator, record, columns, timeout, time_column)
+    least = len(record) + ahead
+    samples = samples_needed(least, len(record)) if beyond else least
+    grid = Grid(record.start, record.sampling_time, samples)
+    if isinstance(opened, Recorded):
+        with _named(simulator):
+            samples = min(samples, max(least, opened.reach(grid)))
+    elif grid.start:
+        showing.console.print(f"{simulator} is run on {_times(grid)}")
+    try:
+        y_sim = simulated(
+            opened, simulator, replace(grid, samples=samples), record.ny, timeout, cache
+        )
+    except ValueError as error:
+        if samples == least or isinstance(error.__cause__, SimulatorTimeoutError):
+            raise
+        y_sim = simulated(
+            opened, simulator, replace(grid, samples=least), record.ny, timeout, cache
+        )
+    rest = y_sim[len(record) :]
+    return replace(record, y_sim=y_sim[: len(record)], beyond=rest if len(rest) else None)
+
+
+def simulated(
+    opened: Simulator,
+    name: str,
+    grid: Grid,
+    ny: int,
+    timeout: float,
+    cache: Path | None,
+) -> npt.NDArray[np.float64]:
+    """The simulator's trajectory at the times of the grid, `(samples, ny)`."""
+    if isinstance(opened, Recorded):
+        with _named(name):
+            found = opened.on(grid)
+        if found.note:
+            showing.console.print(f"{name}: {found.note}")
+        return found.values
+    within = None if isinstance(opened, Isolated) else timeout
+    return run(opened, grid.samples, grid.step, ny, within, cache, name, grid.start)
+
+
+@contextmanager
+def _named(simulator: str) -> Iterator[None]:
+    """Errors name the simulator."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"simulator {simulator}: {error}") from None
+
+
+def simulated_again(
+    opened: Simulator,
+    name: str,
+    past: Trajectory,
+    warm: int,
+    steps: int,
+    origin: Stamp | None,
+    calibration: Calibration,
+    timeout: float,
+    cache: Path | None,
+) -> npt.NDArray[np.float64]:
+    """A saved model's calibrated simulator, from row `warm` of a history to `steps` samples after.
+
+    What keeps a state is run from `origin` on, the first time stamp of the training record, where
+    the time of the calibration begins, too.
+    """
+    begin, start = _since_training(past, origin, calibration)
+    step, count = past.sampling_time, len(past) - warm + steps
+    places = calibration.places(count, step, begin + warm)
+    if not isinstance(opened, Recorded):
+        first = min(begin, 0.0)
+        _check_length(begin)
+        if begin:
+            showing.console.print(
+                f"the history begins {begin * step:+.7g} s after the training record: {name} is "
+                f"run from {'the latter' if begin > 0 else 'the former'} on"
+            )
+    elif opened.start is None or start is None:
+        first = begin  # it is taken to begin with the history
+    else:
+        # Whole steps from the history's own samples, so that it is interpolated just once.
+        first = begin + math.floor(places[0] - begin + 1e-6)
+    samples = math.ceil(places[-1] - first - 1e-6) + 1
+    if start is not None:
+        start = stamp_after(start, first * step)
+    y_sim = simulated(opened, name, Grid(start, step, samples), past.ny, timeout, cache)
+    return calibration.apply(y_sim, count, step, begin + warm, first)
+
+
+def _since_training(
+    past: Trajectory, origin: Stamp | None, calibration: Calibration
+) -> tuple[float, Stamp | None]:
+    """How many samples after the training record a history begins, and when that record began."""
+    if origin is None or past.start is None:
+        if past.start is None and origin is not None:
+            showing.console.print(
+                "the history has no time stamps: it is taken to begin where the training record "
+                f"did, at {in_words(origin)}"
+            )
+        elif past.start is not None and not calibration.stays:
+            showing.console.print(
+                "the model does not know when its training record began: its calibration "
+                f"({calibration}) counts from the beginning of the history"
+            )
+        return 0.0, origin if past.start is None else past.start
+    begin = seconds_between(origin, past.start) / past.sampling_time
+    begin = round(begin) if abs(begin - round(begin)) < NEAR else begin
+    if begin < 0 and not calibration.stays:
+        raise ValueError(
+            f"--history must not begin before the training record, at {in_words(origin)}, from "
+            f"which the time of the simulator's calibration ({calibration}) counts: it begins at "
+            f"{in_words(past.start)}"
+        )
+    return begin, origin
+
+
+def _check_length(begin: float) -> None:
+    if begin > LONGEST:
+        raise ValueError(
+            f"--history must begin within {LONGEST} samples of the training record, as the "
+            f"simulator is run from there, got {begin:.0f}; without time stamps (--time-column '') "
+            "both are taken to begin together"
+        )
+
+
+def each_with_simulator(
+    records: Sequence[Trajectory],
+    methods: Sequence[str],
+    simulators: Sequence[str] | None,
+    columns: str | None,
+    timeout: float,
+    cache: Path | None,
+    time_column: str | None = None,
+) -> list[Trajectory]:
+    """The records of --more, with their simulators where a method is a hybrid model."""
+    simulators, hybrid = simulators or [], any(method in HYBRIDS for method in methods)
+    if (hybrid or simulators) and len(simulators) != len(records):
+        raise ValueError(
+            f"--more-simulator must be given once for each --more, got {len(simulators)} for "
+            f"{len(records)}"
+        )
+    if not hybrid:
+        return [*records]
+    beyond = any(CALIBRATED in method for method in methods)
+    return [
+        with_simulator(
+            record, simulator, columns, timeout, cache, beyond=beyond, time_column=time_column
+        )
+        for record, simulator in zip(records, simulators, strict=True)
+    ]
+
+
+def opened_simulator(
+    text: str,
+    record: Trajectory,
+    chosen: str | None,
+    timeout: float,
+    time_column: str | None = None,
+) -> Simulator:
+    """What --simulator names; of a file with the columns that --simulator-columns chooses."""
+    columns = names(chosen or "")
+    file, _, function = text.partition(".py:")
+    file += ".py" if function else ""
+    if text in SIMULATORS:
+        return SIMULATORS[text]()
+    if text.endswith(".py"):
+        raise ValueError(f"--simulator needs a function of the file, {text}:FUNCTION, got {text}")
+    if not Path(file).is_file():
+        raise FileNotFoundError(
+            f"--simulator must be a file, FILE.py:FUNCTION or one of {', '.join(SIMULATORS)}, "
+            f"got {text}"
+        )
+    if function:
+        return Isolated(file, function, timeout=timeout)
+    if text.lower().endswith(".fmu"):
+        return Isolated(file, outputs=tuple(columns), timeout=timeout)
+    return _exported(text, record, columns, time_column)
+
+
+def _times(grid: Grid) -> str:
+    """What a function or an FMU is called with, for its user."""
+    if isinstance(grid.start, pd.Timestamp):
+        return f"seconds since the record's first sample, {in_words(grid.start)}"
+    return f"the record's time stamps, {grid}"
+
+
+def _exported(
+    path: str, record: Trajectory, columns: list[str], time_column: str | None
+) -> Simulator:
+    found = read_beside(path, record.sampling_time, time_column, columns=columns or None)
+    if not columns and set(record.columns) <= set(found.columns):
+        chosen = [found.columns.index(name) for name in record.columns]
+        return Recorded(found.y[:, chosen], found.sampling_time, found.start)
+    if found.ny != record.ny:
+        raise ValueError(
+            f"--simulator-columns must choose {record.ny} column(s), as many as the record has, "
+            f"out of {', '.join(found.columns)} in {path}"
+        )
+    return Recorded.of(found)

@@ -1,0 +1,138 @@
+"""`splitband spectrum` and `splitband data`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+import typer
+from rich.table import Table
+
+from splitband.cli import given, options, showing
+from splitband.cli.simulators import with_simulator
+from splitband.data import Trajectory
+from splitband.filters import ComplementaryPair
+from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
+from splitband.metrics import rmse
+from splitband.paper.settings import RECORD_SETTINGS
+from splitband.report import pictures
+from splitband.runtime.files import output_folder, write_json
+from splitband.training.recipes import Recipe
+
+
+def spectrum(
+    record: options.Record,
+    train: Annotated[
+        int | None,
+        typer.Option(
+            help="Samples at the beginning to look at.",
+            show_default="all; the cut-off is chosen by three quarters of a file, as by `compare`",
+        ),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for results and picture.")] = Path("out"),
+    columns: options.Columns = None,
+    inputs: options.Inputs = None,
+    time_column: options.TimeColumn = None,
+    sampling_time: options.SamplingTime = None,
+    gaps: options.GapsOption = "refuse",
+    simulator: options.SimulatorOption = None,
+    simulator_columns: options.SimulatorColumns = None,
+    simulator_timeout: options.SimulatorTimeout = options.PATIENCE,
+    simulator_cache: options.SimulatorCache = None,
+    cutoff: options.Cutoff = None,
+    order: options.Order = None,
+) -> None:
+    """Show where the power of a record lies, and what a cut-off would part.
+
+    Prints the strongest peaks, the share of the power in either band and how well the filter pair
+    puts the record together again. With a simulator, also how far it is off, where it is coherent
+    with the record, and the oracle check: the RMSE a hybrid model could reach at each cut-off.
+
+    The cut-off is the one that `compare` chooses with the same --train, for the paper's records
+    that of its tables where --cutoff does not say auto.
+    """
+    trajectory = given.load_record(record, columns, inputs, time_column, sampling_time, gaps)
+    trajectory = with_simulator(
+        trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache,
+        beyond=True, time_column=time_column,
+    )  # fmt: skip
+    recipe: Recipe = "paper" if record in RECORD_SETTINGS and cutoff is None else "default"
+    setup = given.setup(record, trajectory, train, 0, recipe, cutoff=cutoff, order=order)
+    trajectory = trajectory[:train]
+    rate = trajectory.sampling_rate
+    found = periodogram(trajectory.y, rate)
+    chosen = setup.cutoff
+    pair = ComplementaryPair.butterworth(chosen, rate, setup.order)
+    low, high = pair.split(trajectory.y)
+    output_folder(out)
+    facts: dict[str, Any] = {
+        "record": trajectory.name,
+        "sampling_rate": rate,
+        "cutoff": chosen,
+        "order": pair.order,
+        "train": setup.train,
+        "share_below": found.share_below(chosen),
+        "choice": None if setup.choice is None else asdict(setup.choice),
+        "reconstruction_rmse": rmse(trajectory.y, low + high),
+        "peaks": [{"frequency": f, "share": s} for f, s in found.peaks()],
+    }
+    _show_peaks(trajectory, facts)
+    if trajectory.y_sim is not None:
+        facts["simulator"] = _show_simulator(trajectory, trajectory.y_sim, chosen, pair.order)
+    write_json(out / "results.json", facts)
+    if setup.choice is not None:
+        showing.console.print(
+            f"by the first {setup.train} samples, the low band kept at every "
+            f"{showing.ordinal(setup.downsampling)} sample: {setup.choice.reason}"
+        )
+    pictures.save(pictures.spectrum(trajectory, found, chosen, setup.choice), out / "spectrum.png")
+    showing.console.print(f"picture: {out / 'spectrum.png'}")
+
+
+def _show_peaks(record: Trajectory, facts: dict[str, Any]) -> None:
+    table = Table(title=f"{record.name}: strongest peaks", title_justify="left")
+    for heading in ("frequency (Hz)", "period (s)", "share of power"):
+        table.add_column(heading, justify="right")
+    for peak in facts["peaks"]:
+        frequency, share = peak["frequency"], peak["share"]
+        table.add_row(f"{frequency:.4g}", f"{1 / frequency:.4g}", f"{share:.1%}")
+    below, nyquist = facts["share_below"], record.sampling_rate / 2
+    showing.console.print(table)
+    showing.console.print(
+        f"cut-off {facts['cutoff']:.4g} Hz of {nyquist:g} Hz (Nyquist), order {facts['order']}: "
+        f"{below:.1%} of the power below, {1 - below:.1%} above\n"
+        f"low and high band add up to the record with RMSE {facts['reconstruction_rmse']:.2g}, "
+        "all of it at the ends",
+    )
+
+
+def _show_simulator(
+    record: Trajectory, y_sim: npt.NDArray[np.float64], cutoff: float, order: int
+) -> dict[str, Any]:
+    """Print and return how the simulator compares with the record."""
+    rate, total = record.sampling_rate, rmse(record.seen, y_sim)
+    cutoffs = sorted({*oracle_cutoffs(len(record), rate), cutoff})
+    checks = [oracle(record.y, y_sim, rate, c, order, record.seen) for c in cutoffs]
+    title = f"oracle check of the hybrid model; the simulator itself has RMSE {total:.4f}"
+    table = Table(title=title, title_justify="left")
+    for heading in ("cut-off (Hz)", "H(record) + L(simulator)", "L(simulator) alone"):
+        table.add_column(heading, justify="right")
+    for check in checks:
+        style = "bold" if check.cutoff == cutoff else ""
+        values = (check.perfect_network, check.no_network)
+        table.add_row(f"{check.cutoff:g}", *(f"{v:.4f}" for v in values), style=style)
+    showing.console.print(table)
+    frequencies, found = coherence(record.y, y_sim, rate)
+    agree = float(found[frequencies <= cutoff].mean()) if (frequencies <= cutoff).any() else 0.0
+    showing.console.print(
+        f"a lower cut-off leaves more to the network; mean coherence of simulator and record up "
+        f"to {cutoff:.4g} Hz: {agree:.2f}",
+    )
+    return {
+        "total_rmse": total,
+        "mean_coherence_below_cutoff": agree,
+        "oracle": [asdict(check) for check in checks],
+    }

@@ -1,0 +1,1 @@
+"""Comparing forecasters: both protocols, held-out trials, selection, prediction intervals."""

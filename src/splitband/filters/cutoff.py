@@ -1,0 +1,298 @@
+"""Choosing the filter pair by the training samples: cut-off, order and down-sampling.
+
+Not in the paper, which sets them by eye. No network is trained for it; docs/deviations.md says what
+the rules were tried on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from splitband.filters import ComplementaryPair, butterworth
+from splitband.filters.resampling import check_downsampling
+from splitband.filters.spectrum import periodogram
+from splitband.metrics import spread
+
+Array = npt.NDArray[np.float64]
+
+ORDERS = (1, 2)
+"""The second only where the first does not do: on held-out samples it is no better, on the
+simulated pendulum (iii) and on (vi) it is worse (0.31 and 0.17, 0.35 and 0.28)."""
+MOST_DOWNSAMPLING = 10
+LEAST_WARMUP = 10
+"""Samples that a warm-up must leave to the down-sampled low band."""
+LEAST_BELOW = 0.5
+"""Of the power: the low band is to hold the long term."""
+MOST_LOST = 0.15
+"""Of the power: to both bands at once, or to the distorted end of a warm-up."""
+MOST_ALIASED = 1e-3
+"""Of the power: beyond the Nyquist frequency of the down-sampled low band."""
+LEFT_BY_NETWORK = 0.02
+"""Of the power: what a network that is told the simulator is expected not to predict."""
+WORTH_USING = 0.5
+"""A simulator's low band must be wrong by less than this share of the power that is there."""
+_CUTOFFS = 24
+_NYQUIST_MARGIN = 0.8
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A filter pair that was looked at.
+
+    Attributes
+    ----------
+    cutoff : In Hz.
+    order : Of each Butterworth filter.
+    downsampling : The largest k that keeps the low band, and enough samples of a warm-up.
+    below : Share of the power in the low band.
+    loss : What is compared: shares of the power, see `choose` and `choose_with_simulator`.
+    rejected : Why it is not used; empty for the one that is.
+    """
+
+    cutoff: float
+    order: int
+    downsampling: int
+    below: float
+    loss: float
+    rejected: str = ""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A filter pair and why it was chosen.
+
+    Attributes
+    ----------
+    cutoff, order, downsampling : See `Candidate`.
+    reason : In words.
+    loss : What `Candidate.loss` is, in words.
+    candidates : All that were looked at, the chosen one among them.
+    simulator_helps : Whether the simulator's low band is worth using; None without a simulator.
+    """
+
+    cutoff: float
+    order: int
+    downsampling: int
+    reason: str
+    loss: str
+    candidates: tuple[Candidate, ...]
+    simulator_helps: bool | None = None
+
+
+def choose(
+    y: Array,
+    sampling_rate: float,
+    warmup: int,
+    cutoff: float | None = None,
+    order: int | None = None,
+    downsampling: int | None = None,
+) -> Choice:
+    """The filter pair of networks that are learned from a record alone.
+
+    The lowest cut-off that leaves half of the power below it, and at most `MOST_LOST` of it to both
+    bands (2 |L H|, which neither network sees as it is) and to the ends of filtered warm-ups: the
+    lower it is, the fewer samples the low-band network has to look ahead by.
+
+    Parameters
+    ----------
+    y : The training samples, `(time, ny)`; constant channels do not count.
+    sampling_rate : In Hz.
+    warmup : R, in samples.
+    cutoff, order, downsampling : Already decided.
+
+    Raises
+    ------
+    ValueError
+        For constant samples, where the cut-off is not decided, and for a decision that breaks the
+        Nyquist condition.
+    """
+    y = y[:, _varying(y)]
+    spectrum = periodogram(y, sampling_rate)
+    power = spectrum.shares()
+    found = []
+    for candidate in _grid(y, sampling_rate, warmup, cutoff, order, downsampling):
+        gain = _gain(spectrum.frequencies, sampling_rate, *candidate) ** 2  # forward and backward
+        k = downsampling or _downsampling(
+            power * gain**2, spectrum.frequencies, candidate[0], warmup
+        )
+        both = float(np.sum(2 * power * gain * (1 - gain)))
+        lost = both + _distortion(y, warmup, sampling_rate, *candidate)
+        found.append(Candidate(*candidate, k, float(np.sum(power * gain**2)), lost))
+    able = [c for c in found if c.below >= LEAST_BELOW]
+    good = [c for c in able if c.loss <= MOST_LOST]
+    if good:
+        best, rule = min(good, key=lambda c: (c.order, c.cutoff)), "the lowest one that will do"
+    elif able:
+        best, rule = min(able, key=lambda c: c.loss), "none loses little, this one the least"
+    else:
+        best, rule = max(found, key=lambda c: c.below), "no low band holds half of the power"
+
+    def why_not(candidate: Candidate) -> str:
+        if candidate.below < LEAST_BELOW:
+            return f"just {candidate.below:.0%} of the power below"
+        if candidate.loss > MOST_LOST:
+            return f"{candidate.loss:.0%} of the power lost"
+        return (
+            "a lower one will do" if candidate.cutoff > best.cutoff else "the other order is better"
+        )
+
+    facts = (
+        f"{best.below:.0%} of the power below, {best.loss:.0%} lost to both bands at once and to "
+        "the ends of warm-ups"
+    )
+    reason = f"{'as given' if cutoff is not None else rule}: {facts}"
+    loss = "share of the power in both bands, or lost at ends"
+    return _chosen(best, found, reason, loss, why_not)
+
+
+def choose_with_simulator(
+    y: Array,
+    y_sim: Array,
+    sampling_rate: float,
+    warmup: int,
+    cutoff: float | None = None,
+    order: int | None = None,
+    downsampling: int | None = None,
+) -> Choice:
+    """The filter pair of a hybrid model, of which the simulator has the low band.
+
+    Where record and simulator agree, the simulator is to have the say: the pair that lets the least
+    through of the simulator's error, low-passed, and of what a network is expected to leave
+    (`LEFT_BY_NETWORK`), high-passed. Both filters work one way, as in the model. A simulator that
+    is wrong even there (`WORTH_USING`) is better left out.
+
+    Parameters as for `choose`; `y_sim` is aligned with `y`, and calibrated if that is what is used.
+    """
+    varying = _varying(y)
+    scale = spread(y)[varying]
+    y, wrong = y[:, varying], (y - y_sim)[:, varying] / scale
+    spectrum, errors = periodogram(y / scale, sampling_rate), periodogram(wrong, sampling_rate)
+    total = float(spectrum.density[1:].sum()) or 1.0
+    power, error = (s.density.sum(axis=1) / total for s in (spectrum, errors))
+    power[0] = error[0] = 0.0
+    offset = float(np.mean(wrong.mean(axis=0) ** 2))
+    found, wrongness = [], {}
+    for candidate in _grid(y, sampling_rate, warmup, cutoff, order, downsampling):
+        b, a = butterworth(candidate[0], sampling_rate, candidate[1])
+        response = scipy.signal.freqz(b, a, spectrum.frequencies, fs=sampling_rate)[1]
+        low, high = abs(response) ** 2, abs(1 - response) ** 2
+        k = downsampling or _downsampling(power * low, spectrum.frequencies, candidate[0], warmup)
+        below, wrong_below = float(np.sum(low * power)), float(np.sum(low * error)) + offset
+        left = wrong_below + LEFT_BY_NETWORK * float(np.sum(high * power))
+        found.append(Candidate(*candidate, k, below, left))
+        wrongness[candidate] = wrong_below / (below or 1.0)
+    lowest = min(c.order for c in found)
+    best = min((c for c in found if c.order == lowest), key=lambda c: c.loss)
+    other = min(found, key=lambda c: c.loss)
+    best = other if other.loss < best.loss / 2 else best
+    share = wrongness[best.cutoff, best.order]
+    helps = share < WORTH_USING
+    rule = "as given" if cutoff is not None else "where the least error is expected"
+    reason = (
+        f"{rule}: the simulator is wrong by {share:.0%} of the power below, a network that is told "
+        f"of it by {LEFT_BY_NETWORK:.0%} above"
+    )
+    if not helps:
+        reason = (
+            f"no band of the simulator is worth using: up to {best.cutoff:g} Hz it is wrong by "
+            f"{share:.0%} of the power"
+        )
+
+    def why_not(candidate: Candidate) -> str:
+        return f"expected error {candidate.loss:.2g}, against {best.loss:.2g}"
+
+    loss = "expected error, as a share of the power"
+    return _chosen(best, found, reason, loss, why_not, helps)
+
+
+def _chosen(
+    best: Candidate,
+    found: Iterable[Candidate],
+    reason: str,
+    loss: str,
+    why_not: Callable[[Candidate], str],
+    simulator_helps: bool | None = None,
+) -> Choice:
+    """The choice, with the reason why each other candidate is not."""
+    listed = tuple(c if c is best else replace(c, rejected=why_not(c)) for c in found)
+    return Choice(best.cutoff, best.order, best.downsampling, reason, loss, listed, simulator_helps)
+
+
+def _varying(y: Array) -> npt.NDArray[np.bool_]:
+    """The channels that vary; all of them where none does."""
+    found = np.ptp(y, axis=0) > 0
+    return found if found.any() else ~found
+
+
+def _grid(
+    y: Array,
+    sampling_rate: float,
+    warmup: int,
+    cutoff: float | None,
+    order: int | None,
+    downsampling: int | None,
+) -> list[tuple[float, int]]:
+    """Cut-offs and orders to look at, from three cycles of the record on."""
+    orders = [order] if order is not None else [n for n in ORDERS if _shortest(n) <= warmup] or [1]
+    if cutoff is not None:
+        butterworth(cutoff, sampling_rate, orders[0])
+    check_downsampling(1 if downsampling is None else downsampling, cutoff or 0.0, sampling_rate)
+    if cutoff is not None:
+        return [(cutoff, n) for n in orders]
+    if not np.ptp(y, axis=0).any():
+        raise ValueError("the training samples are constant: there is no band to split off")
+    highest = _NYQUIST_MARGIN * sampling_rate / 2 / (downsampling or 2)
+    lowest = min(3 * sampling_rate / len(y), highest / 2)
+    cutoffs = [float(f"{value:.3g}") for value in np.geomspace(lowest, highest, _CUTOFFS)]
+    # A high order is not stable in floating point at a low cut-off.
+    found = [(c, n) for c in cutoffs for n in orders if _exists(c, sampling_rate, n)]
+    if not found:
+        butterworth(cutoffs[-1], sampling_rate, orders[0])
+    return found
+
+
+def _exists(cutoff: float, sampling_rate: float, order: int) -> bool:
+    try:
+        butterworth(cutoff, sampling_rate, order)
+    except ValueError:
+        return False
+    return True
+
+
+def _gain(frequencies: Array, sampling_rate: float, cutoff: float, order: int) -> Array:
+    b, a = butterworth(cutoff, sampling_rate, order)
+    return np.asarray(abs(scipy.signal.freqz(b, a, frequencies, fs=sampling_rate)[1]))
+
+
+def _downsampling(low: Array, frequencies: Array, cutoff: float, warmup: int) -> int:
+    """The largest k whose Nyquist frequency is above the cut-off and nearly all that is left."""
+    nyquist = frequencies[-1]
+    for k in range(max(2, min(MOST_DOWNSAMPLING, warmup // LEAST_WARMUP)), 1, -1):
+        aliased = float(np.sum(low[frequencies > nyquist / k]))
+        if cutoff <= _NYQUIST_MARGIN * nyquist / k and aliased < MOST_ALIASED:
+            return k
+    return 2 if cutoff <= _NYQUIST_MARGIN * nyquist / 2 else 1
+
+
+def _shortest(order: int) -> int:
+    """Samples that can be filtered: zero-phase, three times the coefficients are padded."""
+    return 3 * (order + 1) + 1
+
+
+def _distortion(
+    y: Array, warmup: int, sampling_rate: float, cutoff: float, order: int, count: int = 40
+) -> float:
+    """How far the end of a filtered warm-up is off, as a share of the power."""
+    warmup = max(warmup, _shortest(order))
+    if len(y) < warmup:
+        return 0.0
+    pair = ComplementaryPair.butterworth(cutoff, sampling_rate, order)
+    begins = np.unique(np.linspace(0, len(y) - warmup, count).astype(int))
+    index = begins[:, None] + np.arange(warmup)
+    wrong = (pair.lowpass(y[index]) - pair.lowpass(y)[index])[:, -max(1, warmup // 10) :]
+    return float(np.mean((wrong / spread(y)) ** 2))

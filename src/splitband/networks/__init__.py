@@ -1,0 +1,8 @@
+"""Recurrent networks, and their free runs: the plain loop is the definition."""
+
+from splitband.networks.cell import Cell
+from splitband.networks.euler_mlp import EulerMLP
+from splitband.networks.gru import GRU
+from splitband.networks.rollout import Backend, free_run, rollout
+
+__all__ = ["GRU", "Backend", "Cell", "EulerMLP", "free_run", "rollout"]

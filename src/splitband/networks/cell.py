@@ -1,0 +1,54 @@
+"""Recurrent cells: one step of the dynamics, and what is seen of the state (paper, Eq. 8).
+
+Any `nn.Module` with these three methods works wherever a `GRU` does. State is passed and
+returned, never kept on the module.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, runtime_checkable
+
+from torch import Tensor, nn
+
+
+@runtime_checkable
+class Cell(Protocol):
+    """What a rollout asks of a recurrent network.
+
+    Attributes
+    ----------
+    ny, nu : Number of measured channels and of known inputs.
+    """
+
+    ny: int
+    nu: int
+
+    def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Any:
+        """The state h_R after the measured `y_warmup` `(batch, R, ny)`, `u` `(batch, R, nu)`."""
+
+    def step(self, h: Any, y: Tensor, u: Tensor | None = None) -> Any:
+        """h_{n+1} = f(h_n, y_n, u_n) for `y` `(batch, ny)` and `u` `(batch, nu)`."""
+
+    def observe(self, h: Any) -> Tensor:
+        """y_n = C h_n, shape `(batch, ny)`."""
+
+
+def are_plain(*modules: tuple[nn.Module, type[nn.Module]]) -> bool:
+    """Whether each module is of exactly its type, has its biases, and no hooks."""
+    return all(
+        type(module) is kind
+        and getattr(module, "bias", True) is not None
+        and getattr(module, "bias", True) is not False
+        and not module._forward_hooks
+        and not module._forward_pre_hooks
+        for module, kind in modules
+    )
+
+
+def check_sizes(nu: int, **sizes: int) -> None:
+    """Check the sizes of a network; raises ValueError that names what is too small."""
+    if nu < 0:
+        raise ValueError(f"nu must not be negative, got {nu}")
+    for name, size in sizes.items():
+        if size < 1:
+            raise ValueError(f"{name} must be at least 1, got {size}")

@@ -1,0 +1,101 @@
+"""The recurrent multilayer perceptron, the paper's "RNN"."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from splitband.networks.cell import are_plain, check_sizes
+
+
+class EulerMLP(nn.Module):
+    """A recurrent multilayer perceptron, the paper's "RNN" (supplement, "MLP training").
+
+    h_{n+1} = h_n + dt f(h_n, u_n) with three layers and tanh between them; the observation is
+    fixed: y is the first `ny` entries of h. A recognition network maps the whole warm-up to h_R,
+    so its length is part of the cell. The state is not corrected by y.
+
+    Parameters
+    ----------
+    ny : Measured channels.
+    warmup : R, samples of the warm-up.
+    state_size : Size of h, at least `ny` (the paper's input_dim).
+    hidden_size : Width of f.
+    recognition_size : Width of the recognition network (the paper's rec_dim).
+    step_size : dt, in whatever unit of time suits f.
+    nu : Known inputs of f.
+    """
+
+    def __init__(
+        self,
+        ny: int = 1,
+        warmup: int = 10,
+        state_size: int = 4,
+        hidden_size: int = 500,
+        recognition_size: int = 100,
+        step_size: float = 1.0,
+        nu: int = 0,
+    ) -> None:
+        super().__init__()
+        check_sizes(
+            nu,
+            ny=ny,
+            warmup=warmup,
+            state_size=state_size,
+            hidden_size=hidden_size,
+            recognition_size=recognition_size,
+        )
+        if state_size < ny:
+            raise ValueError(f"state_size must be at least ny = {ny}, got {state_size}")
+        self.ny, self.nu, self.warmup = ny, nu, warmup
+        self.state_size, self.hidden_size = state_size, hidden_size
+        self.recognition_size, self.step_size = recognition_size, step_size
+        self.dynamics = nn.Sequential(
+            nn.Linear(state_size + nu, hidden_size),
+            nn.Tanh(),
+            nn.Linear(hidden_size, hidden_size),
+            nn.Tanh(),
+            nn.Linear(hidden_size, state_size),
+        )
+        self.recognition = nn.Sequential(
+            nn.Linear(warmup * (ny + nu), recognition_size),
+            nn.Tanh(),
+            nn.Linear(recognition_size, recognition_size),
+            nn.Tanh(),
+            nn.Linear(recognition_size, state_size),
+            nn.Tanh(),
+        )
+
+    def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
+        """h_R, recognised from the last R measured samples; raises ValueError for fewer."""
+        if y_warmup.shape[1] < self.warmup:
+            raise ValueError(
+                f"the warm-up must have at least {self.warmup} samples, got {y_warmup.shape[1]}"
+            )
+        seen = y_warmup if u is None else torch.cat([y_warmup, u], dim=-1)
+        return self.recognition(seen[:, -self.warmup :].flatten(1))
+
+    def step(self, h: Tensor, y: Tensor, u: Tensor | None = None) -> Tensor:
+        """One Euler step of h, shape `(batch, state_size)`; `y` is not used."""
+        return h + self.step_size * self.dynamics(h if u is None else torch.cat([h, u], dim=-1))
+
+    def observe(self, h: Tensor) -> Tensor:
+        """The first `ny` entries of h."""
+        return h[:, : self.ny]
+
+    def fusable(self) -> bool:
+        """Whether the parts are what they were built as, and nothing listens to them."""
+        kinds = (nn.Linear, nn.Tanh, nn.Linear, nn.Tanh, nn.Linear)
+        return len(self.dynamics) == len(kinds) and are_plain(
+            (self.dynamics, nn.Sequential), *zip(self.dynamics.children(), kinds, strict=True)
+        )
+
+    def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
+        """What `splitband.rollout` computes step by step, in one compiled call on the CPU."""
+        from splitband.kernels import euler_rollout  # noqa: PLC0415  numba loads on first use
+
+        warmup = y_warmup.shape[1]
+        past, future = (None, None) if u is None else (u[:, :warmup], u[:, warmup:])
+        h = self.initial_state(y_warmup, past)
+        weights = (p for layer in self.dynamics.children() for p in layer.parameters())
+        return euler_rollout(h, steps, self.ny, self.step_size, future, *weights)

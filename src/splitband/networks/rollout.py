@@ -1,0 +1,102 @@
+"""Free-running simulation of a cell: warm up on measured samples, then feed predictions back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal, get_args
+
+import torch
+from torch import Tensor
+
+from splitband.networks.cell import Cell
+
+Backend = Literal["auto", "plain", "fused"]
+
+
+def rollout(
+    cell: Cell, y_warmup: Tensor, steps: int, u: Tensor | None = None, backend: Backend = "auto"
+) -> Tensor:
+    """Warm up on measured samples, then simulate (paper, Eq. 9, with the start of NOTES 7).
+
+    The warm-up feeds y_0..y_{R-1} and leaves h_R; the first prediction is C h_R, and each
+    prediction is fed back in place of a measurement.
+
+    Parameters
+    ----------
+    cell : The network.
+    y_warmup : Measured samples `(batch, R, ny)`, R >= 1.
+    steps : How many samples to simulate.
+    u : Known inputs `(batch, R + steps, nu)` or longer, where the cell takes any. Row n acts on
+        the step from n to n + 1, so the last row is not used.
+    backend : `"plain"` is the loop over steps, the definition. `"fused"` is a compiled kernel,
+        for cells that have a `fused_rollout`, on the CPU. `"auto"` takes the kernel where it can.
+
+    Returns
+    -------
+    Tensor
+        The simulated samples R..R+steps-1, shape `(batch, steps, ny)`.
+    """
+    _check(cell, y_warmup, steps, u)
+    warmup = y_warmup.shape[1]
+    if backend not in get_args(Backend):
+        raise ValueError(f"backend must be one of {get_args(Backend)}, got {backend!r}")
+    fused = _kernel(cell, y_warmup, steps)
+    if backend == "fused" and fused is None:
+        raise ValueError(
+            f'backend="fused" needs a cell with a kernel, the CPU, float32 or float64 throughout '
+            f"and a step, got {type(cell).__name__} on {y_warmup.device.type} in {y_warmup.dtype} "
+            f"for {steps} steps"
+        )
+    if fused is not None and backend != "plain":
+        return fused(y_warmup, steps, u)
+    past, future = (None, None) if u is None else (u[:, :warmup], u[:, warmup:])
+    return free_run(cell, cell.initial_state(y_warmup, past), steps, future)[0]
+
+
+def free_run(cell: Cell, h: Any, steps: int, u: Tensor | None = None) -> tuple[Tensor, Any]:
+    """Simulate from the state `h`; return the samples `(batch, steps, ny)` and the last state.
+
+    The last state belongs to the last sample returned: `step(h, observe(h), u)` goes on from it.
+    """
+    y = cell.observe(h)
+    samples = [y]
+    for n in range(steps - 1):
+        h = cell.step(h, y, None if u is None else u[:, n])
+        y = cell.observe(h)
+        samples.append(y)
+    return torch.stack(samples[:steps], dim=1) if steps else y[:, None][:, :0], h
+
+
+def _kernel(cell: Cell, y_warmup: Tensor, steps: int) -> Callable[..., Tensor] | None:
+    """The cell's fused rollout where it computes what the loop would.
+
+    A subclass may step differently, so that only the class that declares a kernel is served.
+    """
+    if "fused_rollout" not in vars(type(cell)) or not cell.fusable():  # type: ignore[attr-defined]
+        return None
+    dtypes = {y_warmup.dtype, *(p.dtype for p in cell.parameters())}  # type: ignore[attr-defined]
+    served = y_warmup.device.type == "cpu" and steps > 0 and len(dtypes) == 1
+    if served and dtypes <= {torch.float32, torch.float64}:
+        return cell.fused_rollout  # type: ignore[attr-defined]
+    return None
+
+
+def _check(cell: Cell, y_warmup: Tensor, steps: int, u: Tensor | None) -> None:
+    if y_warmup.ndim != 3 or y_warmup.shape[-1] != cell.ny or not y_warmup.shape[1]:
+        raise ValueError(
+            f"y_warmup must be (batch, R >= 1, ny = {cell.ny}), got {tuple(y_warmup.shape)}"
+        )
+    if steps < 0:
+        raise ValueError(f"steps must not be negative, got {steps}")
+    if (u is not None) != bool(cell.nu):
+        raise ValueError(f"u must be given exactly where the cell takes inputs, nu = {cell.nu}")
+    if u is not None:
+        batch, warmup, _ = y_warmup.shape
+        if u.ndim != 3 or u.shape[0] != batch or u.shape[2] != cell.nu:
+            raise ValueError(
+                f"u must be (batch = {batch}, time, nu = {cell.nu}), got {tuple(u.shape)}"
+            )
+        if u.shape[1] < warmup + max(steps - 1, 0):
+            raise ValueError(
+                f"u must cover warm-up and simulation, {warmup} + {steps} samples, got {u.shape[1]}"
+            )

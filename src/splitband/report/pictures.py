@@ -1,0 +1,299 @@
+"""Pictures of comparisons and spectra; the only importer of matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from splitband.data import Trajectory
+from splitband.evaluation.comparison import Run, by_channel, ensemble, first_start, last_start
+from splitband.evaluation.intervals import Interval
+from splitband.evaluation.selection import Trial
+from splitband.filters.cutoff import LEAST_BELOW, Choice
+from splitband.filters.spectrum import Spectrum, coherence, periodogram
+from splitband.forecasters.methods import Setup
+from splitband.metrics import cumulative_rmse
+from splitband.runtime.files import replacing
+
+Array = npt.NDArray[np.float64]
+Picture: TypeAlias = Figure
+Runs = Mapping[str, Sequence[Run]]
+
+_MEASURED, _TRUTH = "0.72", "0.25"
+_PALETTE = (
+    "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00",
+    "#56B4E9", "#8C564B", "#6A3D9A", "#7F7F00", "#1B7837",
+)  # fmt: skip
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG, whole or not at all."""
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110)
+
+
+def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None = None) -> Figure:
+    """Every method's prediction over the record, one row each; a column for each protocol.
+
+    With a `trial`, each forecast has its interval around it, and the recommended method is named.
+    """
+    rows = [(name, channel) for name in runs for channel in range(record.ny)]
+    figure = Figure(figsize=(13, 1.1 + 1.25 * len(rows)), layout="constrained")
+    grid = figure.subplots(len(rows), 2, sharex="col", sharey="row", squeeze=False)
+    end, times = setup.train, _times(record)
+    for axes, (name, channel) in zip(grid, rows, strict=True):
+        warmup = setup.settings_of(name).warmup
+        starts = first_start(record, warmup), last_start(record, warmup, end)
+        mean = ensemble(runs[name], record, setup)
+        sides = (axes[0], starts[0], mean.from_start), (axes[1], starts[1], mean.forecast)
+        for ax, start, prediction in sides:
+            _draw_record(ax, record, channel, start - warmup)
+            time = times[-len(prediction) :]
+            ax.plot(time, prediction[:, channel], color=_color(runs, name), lw=1.1)
+            ax.axvspan(times[start - warmup], times[start - 1], color="0.93", zorder=0)
+            ax.axvline(times[end], color="0.4", ls=":", lw=1)
+            chosen = trial is not None and name == trial.recommended
+            error = by_channel(record, prediction)[channel]
+            title = f"{name}{' (recommended)' if chosen else ''}   RMSE {error:.3g}"
+            ax.set_title(title, fontsize=9, loc="left", pad=3)
+            ax.margins(x=0.01)
+        if trial is not None:
+            middle = mean.forecast[:, channel]
+            half = trial.intervals[name].half_widths(len(middle))[:, channel]
+            color = _color(runs, name)
+            axes[1].fill_between(
+                times[end:], middle - half, middle + half, color=color, alpha=0.18, lw=0
+            )
+        axes[0].set_ylabel(_literal(record.columns[channel]))
+        axes[0].set_ylim(*_limits(record.seen[:, channel]))
+    for ax in grid[-1]:
+        ax.set_xlabel(_time_label(record))
+    figure.suptitle(
+        f"{_literal(record.name)}: free runs (colour, mean of the seeds) over the record (grey)\n"
+        "left: from the start; right: forecast from the end of the training part "
+        "(dotted line)"
+        + (f", in {_interval(trial.intervals.values())}" if trial is not None else "")
+        + "; shaded grey: warm-up",
+        fontsize=10,
+    )
+    return figure
+
+
+def forecast(record: Trajectory, table: pd.DataFrame, method: str) -> Figure:
+    """The end of a record and what `reporting.forecast` says comes after it."""
+    figure = Figure(figsize=(11, 0.8 + 2.2 * record.ny), layout="constrained")
+    grid = figure.subplots(record.ny, 1, sharex=True, squeeze=False)[:, 0]
+    time, ahead = _times(record), _drawn(pd.Index(table.iloc[:, 0]))
+    if record.start is None:  # the table counts from the record's end
+        ahead = time[-1] + ahead
+    shown = max(len(record) - 2 * len(table), 0)
+    for i, (ax, column) in enumerate(zip(grid, record.columns, strict=True)):
+        ax.plot(time[shown:], record.seen[shown:, i], color="0.35", lw=0.9, label="measured")
+        ax.plot(ahead, table[column], color=_PALETTE[0], lw=1.2, label=_literal(method))
+        edges = table[f"{column}, lower"], table[f"{column}, upper"]
+        ax.fill_between(
+            ahead, *edges, color=_PALETTE[0], alpha=0.18, lw=0, label="should hold 90 %"
+        )
+        ax.set_ylabel(_literal(column))
+        ax.margins(x=0.01)
+    grid[0].legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
+    title = f"{_literal(record.name)}: {len(table)} samples ahead"
+    grid[0].set_title(title, fontsize=10, loc="left")
+    grid[-1].set_xlabel(_time_label(record))
+    return figure
+
+
+def components(
+    record: Trajectory,
+    setup: Setup,
+    runs: Runs,
+    what: Literal["components", "unfiltered"] = "components",
+) -> Figure:
+    """What each prediction from the start is the sum of, a row for each method of several parts.
+
+    With "unfiltered", what the filters of a method were fed with instead.
+    """
+    parts: dict[str, Mapping[str, Array]] = {
+        name: getattr(of_method[0], what) for name, of_method in runs.items()
+    }
+    rows = [(name, channel) for name in runs if parts[name] for channel in range(record.ny)]
+    if not rows:
+        raise ValueError(f"none of {', '.join(runs)} has {what} to draw")
+    figure = Figure(figsize=(13, 0.9 + 1.7 * len(rows)), layout="constrained")
+    grid = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+    times = _times(record)
+    says = "components before they are added" if what == "components" else "before the filters"
+    for ax, (name, channel) in zip(grid, rows, strict=True):
+        _draw_record(ax, record, channel, 0)
+        warmup = setup.settings_of(name).warmup
+        start = first_start(record, warmup)
+        for color, (part, values) in zip(_PALETTE, parts[name].items(), strict=False):
+            ax.plot(times[start:], values[:, channel], color=color, lw=1, label=part)
+        ax.axvspan(times[start - warmup], times[start - 1], color="0.93", zorder=0)
+        ax.axvline(times[setup.train], color="0.4", ls=":", lw=1)
+        ax.set_title(f"{name}: {says}", fontsize=9, loc="left", pad=3)
+        ax.set_ylabel(_literal(record.columns[channel]))
+        ax.margins(x=0.01)
+        ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    grid[-1].set_xlabel(_time_label(record))
+    return figure
+
+
+def errors(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
+    """The cumulative RMSE e_n over time under both protocols, mean and range over seeds."""
+    figure = Figure(figsize=(13, 4.6), layout="constrained")
+    protocols = (("from the start", _from_start), ("forecast", _forecast))
+    times = _times(record)
+    for ax, (title, prediction) in zip(figure.subplots(1, 2), protocols, strict=True):
+        for name, of_method in runs.items():
+            steps = len(prediction(of_method[0]))
+            truth, time = record.truth[-steps:], times[-steps:]
+            curves = np.stack([cumulative_rmse(truth, prediction(r)) for r in of_method])
+            color = _color(runs, name)
+            ax.plot(time, curves.mean(axis=0), color=color, lw=1.4, label=name)
+            if len(curves) > 1:
+                ax.fill_between(time, curves.min(0), curves.max(0), color=color, alpha=0.15, lw=0)
+        ax.axvline(times[setup.train], color="0.4", ls=":", lw=1)
+        ax.set_yscale("log")
+        # The first samples after a warm-up say little, and would set the scale.
+        settled = [line.get_ydata()[10:] for line in ax.lines if len(line.get_ydata()) > 20]
+        lowest = [float(y[y > 0].min()) for y in map(np.asarray, settled) if (y > 0).any()]
+        ax.set_ylim(bottom=0.7 * min(lowest, default=1e-3))
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.set_title(f"{_literal(record.name)}, {title}", fontsize=10)
+        ax.set_xlabel(_time_label(record))
+        ax.set_ylabel("RMSE since the warm-up (e_n)")
+        ax.grid(True, which="both", color="0.93", lw=0.6)
+    ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1))
+    return figure
+
+
+def spectrum(
+    record: Trajectory, found: Spectrum, cutoff: float | None, choice: Choice | None = None
+) -> Figure:
+    """The power spectral density of every channel with the cut-off marked.
+
+    With a simulator, its spectrum beside them and the coherence of both below; with a `choice`,
+    what each cut-off that was looked at would lose.
+    """
+    heights = [2.2, *[1] * (record.y_sim is not None), *[1] * (choice is not None)]
+    figure = Figure(figsize=(8, 2 + 2 * len(heights)), layout="constrained")
+    axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+    _draw_spectrum(axes[0], record, found)
+    if record.y_sim is not None:
+        simulated = periodogram(record.y_sim, record.sampling_rate)
+        frequencies, agreement = coherence(record.y, record.y_sim, record.sampling_rate)
+        for i, name in enumerate(record.columns):
+            label = f"simulator's {_literal(name)}"
+            style = {"color": _PALETTE[-1 - i % len(_PALETTE)], "lw": 1.0}
+            axes[0].loglog(
+                simulated.frequencies[1:], simulated.density[1:, i], label=label, **style
+            )
+            axes[1].semilogx(frequencies[1:], agreement[1:, i], **style)
+        axes[1].set_ylim(0, 1.02)
+        axes[1].set_ylabel("coherence")
+        axes[1].grid(True, which="both", color="0.93", lw=0.6)
+    if cutoff is not None:
+        share = found.share_below(cutoff)
+        said = f"cut-off {cutoff:.4g} Hz: {share:.1%} of the power below"
+        for ax in axes:
+            first = ax is axes[0]
+            ax.axvline(cutoff, color="#D55E00", ls="--", lw=1.2, label=said if first else None)
+    if choice is not None:
+        _draw_choice(axes[-1], choice)
+    axes[0].set_title(f"{_literal(record.name)}: spectrum", fontsize=10)
+    axes[0].legend(fontsize=8, loc="lower left")
+    axes[-1].set_xlabel("frequency (Hz)")
+    axes[-1].xaxis.set_major_formatter("{x:g}")
+    return figure
+
+
+def _draw_choice(ax: Axes, choice: Choice) -> None:
+    """What each candidate would lose, and where the low band would not hold enough."""
+    for order in sorted({c.order for c in choice.candidates}):
+        of_order = [c for c in choice.candidates if c.order == order]
+        enough = [c.below >= LEAST_BELOW or choice.simulator_helps is True for c in of_order]
+        color = _PALETTE[order % len(_PALETTE)]
+        x, loss = [c.cutoff for c in of_order], [c.loss for c in of_order]
+        ax.semilogx(x, loss, "o-", ms=3, lw=0.8, color=color, label=f"order {order}")
+        few = [(c.cutoff, c.loss) for c, ok in zip(of_order, enough, strict=True) if not ok]
+        if few:
+            label = "little below" if order == choice.order else None
+            ax.semilogx(*zip(*few, strict=True), "x", color="0.4", ms=5, label=label)
+    best = next(c for c in choice.candidates if not c.rejected)
+    ax.semilogx([best.cutoff], [best.loss], "D", color="#D55E00", ms=6, label="chosen")
+    ax.set_ylim(bottom=0)
+    ax.set_title(choice.loss, fontsize=8, loc="left", pad=3)
+    ax.set_ylabel("of a cut-off")
+    ax.grid(True, which="both", color="0.93", lw=0.6)
+    ax.legend(fontsize=8, loc="upper right")
+
+
+def _draw_spectrum(ax: Axes, record: Trajectory, found: Spectrum) -> None:
+    for name, density in zip(record.columns, found.density.T, strict=True):
+        ax.loglog(
+            found.frequencies[1:], np.maximum(density[1:], 1e-300), lw=1, label=_literal(name)
+        )
+    top = found.density[1:].max()
+    if top > 0:
+        ax.set_ylim(max(found.density[1:].min(), top * 1e-9), top * 3)
+    ax.set_ylabel("power spectral density (squared units per Hz)")
+    ax.grid(True, which="both", color="0.93", lw=0.6)
+
+
+def _from_start(run: Run) -> Array:
+    return run.from_start
+
+
+def _forecast(run: Run) -> Array:
+    return run.forecast
+
+
+def _interval(intervals: Iterable[Interval]) -> str:
+    share = next(iter(intervals)).share
+    return f"the interval that should hold {share:.0%} of what is measured"
+
+
+def _literal(name: str) -> str:
+    """A user's name, whose dollar signs are not for formulas."""
+    return name.replace("$", r"\$")
+
+
+def _draw_record(ax: Axes, record: Trajectory, channel: int, begin: int) -> None:
+    time = _times(record)[begin:]
+    ax.plot(time, record.seen[begin:, channel], color=_MEASURED, lw=0.9)
+    if record.y_true is not None:
+        ax.plot(time, record.y_true[begin:, channel], color=_TRUTH, lw=0.7)
+
+
+def _times(record: Trajectory) -> npt.NDArray[Any]:
+    """What is drawn along the axis of time: the time stamps, or seconds from the beginning."""
+    return _drawn(pd.Index(record.stamps))
+
+
+def _drawn(stamps: pd.Index[Any]) -> npt.NDArray[Any]:
+    """Time stamps as matplotlib takes them; dates as they read in their own time zone."""
+    if isinstance(stamps, pd.DatetimeIndex):
+        stamps = stamps.tz_localize(None)
+    return np.asarray(stamps)
+
+
+def _time_label(record: Trajectory) -> str:
+    return "time" if isinstance(record.start, pd.Timestamp) else "time (s)"
+
+
+def _color(runs: Runs, name: str) -> str:
+    return _PALETTE[list(runs).index(name) % len(_PALETTE)]
+
+
+def _limits(y: Array) -> tuple[float, float]:
+    low, high = float(np.nanmin(y)), float(np.nanmax(y))
+    margin = 0.25 * (high - low or 1.0)
+    return low - margin, high + margin

@@ -1,0 +1,19 @@
+"""Black-box simulators: recorded, function, ODE, FMU, in a process of their own; calibration."""
+
+from splitband.simulators.base import Simulator, SimulatorError, SimulatorTimeoutError, run, within
+from splitband.simulators.fmu import Fmu
+from splitband.simulators.function import Function
+from splitband.simulators.ode import Ode
+from splitband.simulators.recorded import Recorded
+
+__all__ = [
+    "Fmu",
+    "Function",
+    "Ode",
+    "Recorded",
+    "Simulator",
+    "SimulatorError",
+    "SimulatorTimeoutError",
+    "run",
+    "within",
+]

@@ -1,0 +1,154 @@
+"""Black-box simulators: whatever turns a time grid into a trajectory.
+
+Nothing about gradients or an inner state is asked of a simulator (paper, Sec. 4.3). `run` calls
+one and checks what comes back.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.data import Grid, Stamp
+from splitband.data.timing import seconds_of
+from splitband.runtime.files import replacing
+from splitband.simulators.recorded import Recorded
+
+Array = npt.NDArray[np.float64]
+
+
+class SimulatorError(RuntimeError):
+    """What went wrong in a simulator, in words for its user."""
+
+
+class SimulatorTimeoutError(TimeoutError):
+    """A simulator has not returned in time."""
+
+
+class Simulator(Protocol):
+    """What `run` asks of a simulator."""
+
+    def simulate(self, time: Array) -> npt.ArrayLike:
+        """The measured channels at the evenly spaced `time` in s: `(time,)` or `(time, ny)`.
+
+        `time` is the record's own, see `run`. An initial state is that of its first sample.
+        """
+
+
+def run(
+    simulator: Simulator,
+    samples: int,
+    sampling_time: float,
+    ny: int = 1,
+    timeout: float | None = None,
+    cache: str | Path | None = None,
+    name: str | None = None,
+    start: Stamp | None = None,
+) -> Array:
+    """Call a simulator and check what it returns.
+
+    Parameters
+    ----------
+    simulator : Anything with a `simulate(time)`.
+    samples, sampling_time : How many samples, and the time between two of them in s.
+    ny : Channels of the record.
+    timeout : Seconds to wait; what runs on then is left behind in a thread.
+    cache : Folder to keep trajectories in, for a simulator whose `fingerprint()` gives a string
+        that changes with whatever its trajectory depends on; an FMU's is its content.
+    name : What messages call the simulator, by default its class.
+    start : The record's first time stamp. In seconds, the simulator is asked for start, start + dt,
+        start + 2 dt, ...; where it is a date, or there is none, for 0, dt, 2 dt, ... An exported
+        trajectory is aligned by its time stamps.
+
+    Returns
+    -------
+    Array
+        `(samples, ny)`, finite.
+
+    Raises
+    ------
+    ValueError
+        When the simulator raises, takes too long, or returns another shape or NaN. The message
+        names the simulator.
+    """
+    name = name or type(simulator).__name__
+    begin = seconds_of(start)
+    stored = _cache_file(simulator, (samples, sampling_time, ny, begin), cache)
+    if stored is not None and stored.is_file():
+        return np.asarray(np.load(stored, allow_pickle=False))
+    # A grid has two points at least, from which a simulator can tell its step.
+    time: Array = begin + np.arange(max(samples, 2), dtype=np.float64) * sampling_time
+
+    def simulate() -> npt.ArrayLike:
+        if isinstance(simulator, Recorded):  # `time` does not say what is a date
+            return simulator.on(Grid(start, sampling_time, len(time))).values
+        return simulator.simulate(time)
+
+    try:
+        found = np.asarray(within(timeout, simulate))
+        if np.iscomplexobj(found):
+            raise TypeError("its values must be real")
+        y = np.asarray(found, float)
+    except SimulatorTimeoutError as error:
+        waited = getattr(simulator, "timeout", None) if timeout is None else timeout
+        within_time = "in time" if waited is None else f"within {waited:g} s"
+        raise ValueError(f"simulator {name} has not returned {within_time}") from error
+    except (Exception, SystemExit) as error:
+        kind = "" if isinstance(error, SimulatorError) else f"{type(error).__name__}: "
+        raise ValueError(
+            f"simulator {name} failed on {samples} samples every {sampling_time:g} s: {kind}{error}"
+        ) from error
+    y = y[:, None] if y.ndim == 1 else y
+    if y.shape != (len(time), ny):
+        raise ValueError(f"simulator {name} must return {(len(time), ny)} values, got {y.shape}")
+    y = y[:samples]
+    bad = ~np.isfinite(y).all(axis=1)
+    if bad.any():
+        raise ValueError(
+            f"simulator {name} must return finite values: {bad.sum()} samples are not, "
+            f"the first at {time[:samples][bad][0]:g} s"
+        )
+    if stored is not None:
+        stored.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(stored) as temporary:
+            np.save(temporary, y)
+    return y
+
+
+def within(timeout: float | None, call: Callable[[], Any]) -> Any:
+    """Call in a thread of its own that can be given up on; raises SimulatorTimeoutError then."""
+    if timeout is None:
+        return call()
+    outcome: list[Any] = []
+
+    def work() -> None:
+        try:
+            outcome.extend((True, call()))
+        except BaseException as error:  # Ctrl-C too is for the caller
+            outcome.extend((False, error))
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    thread.join(min(timeout, threading.TIMEOUT_MAX))
+    if not outcome:
+        raise SimulatorTimeoutError
+    returned, value = outcome
+    if not returned:
+        raise value
+    return value
+
+
+def _cache_file(
+    simulator: Simulator, grid: tuple[Any, ...], cache: str | Path | None
+) -> Path | None:
+    fingerprint = getattr(simulator, "fingerprint", lambda: None)()
+    if cache is None or fingerprint is None:
+        return None
+    key = hashlib.sha256(f"{fingerprint} {grid}".encode()).hexdigest()
+    return Path(cache) / f"{key[:32]}.npy"

@@ -1,0 +1,162 @@
+"""A user's own simulator in a process of its own: it may hang or crash, and this one goes on.
+
+`python -m splitband.simulators.isolation FOLDER` is that process. What to run and for which times
+lies in the folder, and what comes of it goes there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import runpy
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time as clock
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.data.trajectory import one_line
+from splitband.simulators.base import SimulatorError, SimulatorTimeoutError, within
+from splitband.simulators.fmu import Fmu
+
+Array = npt.NDArray[np.float64]
+
+_START = 20.0
+"""Seconds in which such a process must have begun, beside the simulator's own."""
+_TASK, _TIME, _VALUES, _FAILURE = "task.json", "time.npy", "values.npy", "failure.json"
+
+
+@dataclass(frozen=True)
+class Isolated:
+    """An FMU, or a function of a Python file, as a simulator that can be ended at any time.
+
+    Attributes
+    ----------
+    path : Of the file.
+    function : Of a Python file; None for an FMU.
+    outputs : Of an FMU; none for all.
+    timeout : Seconds to wait; None for ever.
+    """
+
+    path: str
+    function: str | None = None
+    outputs: tuple[str, ...] = ()
+    timeout: float | None = None
+
+    def simulate(self, time: Array) -> npt.ArrayLike:
+        """See `Simulator`.
+
+        Raises
+        ------
+        SimulatorTimeoutError
+            When it has not returned in time; it has been ended.
+        SimulatorError
+            When it failed, in its own words, or ended its process.
+        """
+        with tempfile.TemporaryDirectory(prefix="splitband-") as name:
+            folder = Path(name)
+            (folder / _TASK).write_text(json.dumps(asdict(self)), encoding="utf-8")
+            np.save(folder / _TIME, time)
+            patience = None if self.timeout is None else self.timeout + _START
+            status = _run_in(folder, patience)
+            if (folder / _VALUES).is_file():
+                return np.asarray(np.load(folder / _VALUES, allow_pickle=False))
+            if not (folder / _FAILURE).is_file():
+                how = f"signal {-status}" if status < 0 else f"exit status {status}"
+                raise SimulatorError(f"it ended its process ({how})")
+            kind, said = json.loads((folder / _FAILURE).read_text(encoding="utf-8"))
+        if kind == "KeyboardInterrupt":
+            raise KeyboardInterrupt
+        if kind == SimulatorTimeoutError.__name__:
+            raise SimulatorTimeoutError
+        raise SimulatorError(said)
+
+    def fingerprint(self) -> str:
+        """What the trajectory depends on besides the time grid: modules beside the file, too."""
+        files = [Path(self.path)]
+        if self.function is not None:
+            files += sorted(files[0].resolve().parent.glob("*.py"))
+        content = hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
+        return f"{content} {self.function} {self.outputs}"
+
+
+def _run_in(folder: Path, patience: float | None) -> int:
+    """The exit status of the process that does what the folder says."""
+    package = str(Path(__file__).resolve().parents[1])
+    known = os.environ.get("PYTHONPATH")
+    search = os.pathsep.join([package, known] if known else [package])
+    process = subprocess.Popen(
+        # -P: nothing in the working directory is taken for a module.
+        [sys.executable, "-P", "-m", "splitband.simulators.isolation", str(folder)],
+        env=os.environ | {"PYTHONPATH": search, "TMPDIR": str(folder)},
+        start_new_session=True,
+    )
+    try:
+        return process.wait(patience)
+    except subprocess.TimeoutExpired:
+        raise SimulatorTimeoutError from None
+    finally:
+        if hasattr(os, "killpg"):  # what it has started, too
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(process.pid, signal.SIGKILL)
+        process.kill()
+        process.wait()
+
+
+def function_of(path: str, name: str) -> Callable[[Array], Any]:
+    """A function of the user's own file, which runs that file."""
+    sys.path.insert(0, str(Path(path).resolve().parent))
+    try:
+        function = runpy.run_path(path, run_name=Path(path).stem).get(name)
+    except (Exception, SystemExit) as error:
+        raise ValueError(f"{path} cannot be run: {type(error).__name__}: {error}") from error
+    if not callable(function):
+        raise ValueError(f"{path} must define a function {name}")
+    return function
+
+
+def _simulate(task: Isolated, time: Array) -> npt.ArrayLike:
+    if task.function is not None:
+        return function_of(task.path, task.function)(time)
+    with Fmu(task.path, task.outputs or None) as fmu:
+        return fmu.simulate(time)
+
+
+def _end_with_parent(parent: int) -> None:
+    """Do not go on for nobody when the parent has been killed."""
+    while os.getppid() == parent:
+        clock.sleep(1)
+    os._exit(1)
+
+
+def _main(folder: Path) -> None:
+    threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
+    facts = json.loads((folder / _TASK).read_text(encoding="utf-8"))
+    task = Isolated(**(facts | {"outputs": tuple(facts["outputs"])}))
+    time = np.load(folder / _TIME, allow_pickle=False)
+    try:
+        found = np.asarray(within(task.timeout, lambda: _simulate(task, time)))
+        if found.dtype == object:
+            found = found.astype(float)
+        np.save(folder / "partial.npy", found, allow_pickle=False)
+        (folder / "partial.npy").rename(folder / _VALUES)
+    except BaseException as error:
+        kind = type(error).__name__
+        said = one_line(error) if isinstance(error, ValueError) else f"{kind}: {one_line(error)}"
+        (folder / _FAILURE).write_text(json.dumps([kind, said]), encoding="utf-8")
+    sys.stdout.flush()
+    os._exit(0)  # whatever it left running
+
+
+if __name__ == "__main__":
+    _main(Path(sys.argv[1]))

@@ -1,0 +1,6 @@
+"""Training networks: windows, settings and recipes, the fit, checkpoints."""
+
+from splitband.training.fit import History, Progress, fit
+from splitband.training.settings import Settings, default_warmup
+
+__all__ = ["History", "Progress", "Settings", "default_warmup", "fit"]

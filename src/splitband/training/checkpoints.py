@@ -1,0 +1,84 @@
+"""Checkpoints: where a training that was cut off goes on, to the bit.
+
+One safetensors file, replaced as a whole; no code comes out of it. What is damaged, or of another
+training, is as good as none.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import safetensors
+import safetensors.torch
+from torch import Tensor
+
+from splitband.runtime.files import replacing
+
+MOST_OVERHEAD = 0.05
+"""Share of the time that may go into checkpoints."""
+
+State = dict[str, Tensor]
+
+
+class Checkpoint:
+    """A file that holds the state of one training.
+
+    Parameters
+    ----------
+    path : Of the file, in a folder that exists.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._next = 0.0
+
+    def load(self, key: str) -> State | None:
+        """The state of the training that `key` says, if the file holds it."""
+        try:
+            with safetensors.safe_open(self.path, framework="pt") as file:
+                said = file.metadata() or {}
+                found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            whole = said.get("key") == key and said.get("sum") == _sum(found)
+            return found if whole else None
+        except (OSError, safetensors.SafetensorError):
+            return None
+
+    def offer(self, key: str, state: Callable[[], Mapping[str, Tensor]], last: bool) -> None:
+        """Write the state if it is the last one, or writing has not taken much time so far.
+
+        Where it cannot be written, as the disk is full, training goes on and the file stays.
+        """
+        began = time.monotonic()
+        if began < self._next and not last:
+            return
+        tensors = {name: value.detach().cpu().contiguous() for name, value in state().items()}
+        try:
+            with replacing(self.path) as temporary:
+                facts = {"key": key, "sum": _sum(tensors)}
+                safetensors.torch.save_file(tensors, temporary, metadata=facts)
+        except (OSError, safetensors.SafetensorError) as error:
+            warnings.warn(f"no checkpoint could be written to {self.path}: {error}", stacklevel=2)
+        took = time.monotonic() - began
+        self._next = began + took / MOST_OVERHEAD
+
+
+def _sum(state: Mapping[str, Tensor]) -> str:
+    """By which a damaged state is known."""
+    return key_of(*(part for name in sorted(state) for part in (name, state[name])))
+
+
+def key_of(*parts: object) -> str:
+    """What two trainings have in common only if they are the same."""
+    digest = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, Tensor):
+            digest.update(str((part.dtype, tuple(part.shape))).encode())
+            digest.update(part.detach().cpu().contiguous().numpy().tobytes())
+        else:
+            digest.update(repr(part).encode())
+        digest.update(b"\0")
+    return digest.hexdigest()

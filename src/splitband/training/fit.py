@@ -1,0 +1,261 @@
+"""Training on windows of a record: free runs from a warm-up, compared with what was measured."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from splitband.data import Trajectory
+from splitband.models import Model, Task
+from splitband.runtime.threads import one_torch_thread
+from splitband.training.checkpoints import Checkpoint, State, key_of
+from splitband.training.settings import Settings
+from splitband.training.windows import Places, joined, places_in, select, targets, windows
+
+DIVERGED = 100.0
+"""Loss, in multiples of the target's RMS or of the untrained network's loss, whichever is larger,
+that is treated as divergence."""
+
+
+MOST_RESTARTS = 3
+"""Times that an epoch which diverged is repeated, each time with half the learning rate, before
+the training is given up."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a training run is: sent after each epoch."""
+
+    task: str
+    epoch: int
+    epochs: int
+    loss: float
+    share: float
+    """Of the whole training, 0 to 1."""
+
+
+@dataclass
+class History:
+    """What a training run did: the mean loss of each epoch by task, and its run time."""
+
+    losses: dict[str, list[float]] = field(default_factory=dict)
+    seconds: float = 0.0
+    notes: list[str] = field(default_factory=list)
+    """What went wrong and was mended."""
+
+
+def fit(
+    model: Model,
+    trajectory: Trajectory | Sequence[Trajectory],
+    settings: Settings | None = None,
+    seed: int = 0,
+    progress: Callable[[Progress], None] | None = None,
+    checkpoint: Checkpoint | None = None,
+) -> History:
+    """Train a model in place (paper, Eqs. 12 and 14).
+
+    A window lies in one record, its warm-up in measured samples, and its loss counts what was
+    measured. An epoch whose loss is no longer finite, or diverges (see `DIVERGED`), is repeated
+    from where it began with half the learning rate; the history says so.
+
+    Parameters
+    ----------
+    model : What to train; its initial parameters are the caller's.
+    trajectory : The training record, and nothing else: cut it before. Several of the same system
+        train one model.
+    settings : How; by default `Settings.of` the shortest record's samples.
+    seed : For the order of the windows.
+    progress : Called after each epoch.
+    checkpoint : Where the same training goes on if it was cut off, with the same numbers to the
+        bit; nothing is trained again if it was not.
+
+    Raises
+    ------
+    ValueError
+        For records of other channels than the model's, or in which no window has its place.
+    FloatingPointError
+        When one network's loss diverges for the fourth time (`MOST_RESTARTS`).
+    """
+    records = [trajectory] if isinstance(trajectory, Trajectory) else [*trajectory]
+    if not records:
+        raise ValueError("trajectory must be a record or several, got none")
+    settings = settings or Settings.of(min(map(len, records)))
+    for record in records:
+        _check_channels(model, record)
+    places = places_in(records, settings.window, settings.warmup)
+    model.adapt_to(records, settings.normalize)
+    began = time.perf_counter()
+    history = History()
+    seen = [model.normalised(record) for record in records]
+    key = key_of(
+        torch.__version__, DIVERGED, MOST_RESTARTS, settings, seed, _built(model),
+        *model.state_dict().values(),
+        *(signal for record in seen for signal in vars(record).values() if signal is not None),
+        places.starts, *([] if places.measured is None else [places.measured]),
+    )  # fmt: skip
+    saved = (checkpoint.load(key) if checkpoint else None) or {}
+    tasks = [joined(of_records) for of_records in zip(*map(model.tasks, seen), strict=True)]
+    states: State = {}
+    for done, task in enumerate(tasks):
+        # The seed is for each: a network does not depend on the others.
+        training = _Training(task, places, settings, seed)
+        prefix = f"{done}."
+        if f"{prefix}losses" in saved:
+            training.restore({k.removeprefix(prefix): v for k, v in saved.items()
+                              if k.startswith(prefix)})  # fmt: skip
+        losses = history.losses[task.name] = training.losses
+        while len(losses) < settings.epochs:
+            training.epoch()
+            if progress is not None:
+                share = (done + len(losses) / settings.epochs) / len(tasks)
+                progress(Progress(task.name, len(losses), settings.epochs, losses[-1], share))
+            if checkpoint is not None:
+                last = done + 1 == len(tasks) and len(losses) == settings.epochs
+                now = partial(_prefixed, states, prefix, training)
+                checkpoint.offer(key, now, last)
+        states = _prefixed(states, prefix, training)
+        history.notes += [f"{task.name}: {note}" for note in training.notes]
+    history.seconds = time.perf_counter() - began
+    return history
+
+
+def _built(model: Model) -> list[tuple[str, dict[str, Any]]]:
+    """What a model is besides its weights: filters, down-sampling, step sizes."""
+    return [
+        (type(m).__name__, {k: v for k, v in vars(m).items() if k[0] != "_" and k != "training"})
+        for m in model.modules()
+    ]
+
+
+def _prefixed(before: State, prefix: str, training: _Training) -> State:
+    """The states of earlier networks, and of this one as it is now."""
+    return before | {prefix + name: value for name, value in training.state().items()}
+
+
+class _Training:
+    """One network's training, epoch by epoch; an epoch depends on `state` and on nothing else."""
+
+    def __init__(self, task: Task, places: Places, settings: Settings, seed: int) -> None:
+        self.task, self.settings, self.starts = task, settings, places.starts
+        self.known, self.target = windows(task, settings.window, settings.warmup)
+        self.measured: Tensor | None = None
+        if places.measured is not None:
+            self.measured = targets(places.measured, task, settings.window, settings.warmup)
+        parameters = task.network.parameters()
+        self.optimizer = torch.optim.Adam(parameters, lr=settings.learning_rate)
+        self.generator = torch.Generator().manual_seed(seed)
+        size = float(torch.linalg.vector_norm(task.target)) / task.target.numel() ** 0.5
+        self.target_rms = size or 1.0
+        self.first_loss = 0.0
+        """Of the untrained network: what a good simulator leaves to learn may be much smaller than
+        any untrained network's output, so that the target's RMS alone would not do."""
+        self.losses: list[float] = []
+        self.restarts: list[int] = []
+        """Epochs that diverged and were repeated with half the learning rate."""
+
+    @property
+    def notes(self) -> list[str]:
+        """What a user should know."""
+        return [
+            f"the loss diverged in epoch {epoch}, repeated with half the learning rate"
+            for epoch in self.restarts
+        ]
+
+    def state(self) -> State:
+        """All that the next epoch depends on, and the losses so far."""
+        moments = self.optimizer.state_dict()["state"]
+        return {
+            **{f"network.{k}": v.clone() for k, v in self.task.network.state_dict().items()},
+            **{f"adam.{i}.{k}": v.clone() for i, m in moments.items() for k, v in m.items()},
+            "generator": self.generator.get_state(),
+            "losses": torch.tensor(self.losses, dtype=torch.float64),
+            "restarts": torch.tensor(self.restarts, dtype=torch.int64),
+            "first_loss": torch.tensor(self.first_loss, dtype=torch.float64),
+        }
+
+    def restore(self, state: State) -> None:
+        """Go on where `state` was taken."""
+        network = {k.removeprefix("network."): v for k, v in state.items() if k[:8] == "network."}
+        self.task.network.load_state_dict(network)
+        moments: dict[int, dict[str, Tensor]] = {}
+        for name, value in state.items():
+            if name.startswith("adam."):
+                _, i, moment = name.split(".")
+                moments.setdefault(int(i), {})[moment] = value.clone()
+        groups = self.optimizer.state_dict()["param_groups"]
+        self.optimizer.load_state_dict({"state": moments, "param_groups": groups})
+        self.generator.set_state(state["generator"])
+        self.losses[:] = state["losses"].tolist()
+        self.restarts[:] = state["restarts"].tolist()
+        self.first_loss = float(state["first_loss"])
+
+    def epoch(self) -> None:
+        """Train an epoch; repeat it with a smaller learning rate where it diverges."""
+        good = self.state()
+        while True:
+            loss = self._pass()
+            most = DIVERGED * max(self.target_rms, self.first_loss)
+            if loss <= most:
+                self.losses.append(loss)
+                return
+            epoch, restarts = len(self.losses) + 1, [*self.restarts, len(self.losses) + 1]
+            if len(restarts) > MOST_RESTARTS:
+                raise FloatingPointError(
+                    f"training of the {self.task.name} diverged in epoch {epoch}: the loss is "
+                    f"{loss:.4g} (at most {most:.4g} is allowed), after halving the learning rate "
+                    f"{MOST_RESTARTS} times; lower it ({self.settings.learning_rate:g})"
+                )
+            self.restore(good)
+            self.restarts[:] = restarts
+
+    def _pass(self) -> float:
+        """One pass over all windows; the mean loss."""
+        settings, epoch = self.settings, len(self.losses)
+        total, slower = 0.0, 0.5 ** len(self.restarts)
+        order = torch.randperm(len(self.starts), generator=self.generator)
+        if settings.most_batches is not None:
+            order = order[: settings.most_batches * settings.batch_size]
+        batches = order.split(settings.batch_size)
+        for i, chosen in enumerate(batches):
+            batch = self.starts[chosen]
+            share = (epoch + i / len(batches)) / settings.epochs
+            steps = settings.reach(share, self.target.shape[1])
+            for group in self.optimizer.param_groups:
+                group["lr"] = settings.rate(epoch, share) * slower
+            with one_torch_thread():
+                seen, wanted = select(self.known, batch), self.target[batch, :steps]
+                counted = None if self.measured is None else self.measured[batch, :steps]
+            self.optimizer.zero_grad(set_to_none=True)
+            loss = _rmse(self.task.simulate(seen, steps), wanted, counted)
+            loss.backward()
+            with one_torch_thread():
+                if settings.clip is not None:
+                    nn.utils.clip_grad_norm_(self.task.network.parameters(), settings.clip)
+                self.optimizer.step()
+            if epoch == 0 and i == 0 and math.isfinite(loss.item()):
+                self.first_loss = loss.item()
+            total += loss.item() * len(batch)
+        return total / len(order)
+
+
+def _rmse(prediction: Tensor, target: Tensor, counted: Tensor | None = None) -> Tensor:
+    # A norm, not the root of a mean: its gradient at zero error is zero, not NaN.
+    if counted is None:
+        return torch.linalg.vector_norm(prediction - target) / target.numel() ** 0.5
+    left = torch.linalg.vector_norm((prediction - target) * counted)
+    return left / max(int(counted.sum()), 1) ** 0.5
+
+
+def _check_channels(model: Model, record: Trajectory) -> None:
+    if (record.ny, record.nu) != (model.ny, model.nu):
+        raise ValueError(
+            f"the record must have the model's {model.ny} channel(s) and {model.nu} input(s), "
+            f"got {record.ny} and {record.nu}"
+        )

@@ -1,0 +1,41 @@
+"""Training settings for a record of which nothing is known but its samples."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+from splitband.data import Trajectory
+from splitband.training.settings import Settings, default_warmup
+from splitband.training.windows import window_starts
+
+Recipe = Literal["default", "paper"]
+
+
+ENOUGH_WINDOWS = 0.25
+"""Share of the windows that gaps must leave for the usual warm-up."""
+
+
+def recipe_settings(recipe: Recipe, training: Trajectory) -> Settings:
+    """How a recipe trains on a record; with a shorter warm-up where gaps leave it little room."""
+    samples = len(training)
+    settings = Settings.of(samples) if recipe == "default" else paper_settings(samples)
+    if training.measured is None or samples < settings.window:
+        return settings
+    found = []
+    for part in (1, 2, 4):
+        warmup = max(settings.warmup // part, 1)
+        starts = window_starts([training], settings.window, warmup)
+        found.append((len(starts), warmup))
+        if len(starts) >= ENOUGH_WINDOWS * (samples - settings.window + 1):
+            break
+    windows, warmup = max(found)
+    if recipe == "default" and windows:
+        settings = Settings.of(samples, windows)
+    return replace(settings, warmup=warmup)
+
+
+def paper_settings(train: int) -> Settings:
+    """The paper's way of training, for a record of one's own: a constant rate, whole windows."""
+    window = min(250, max(2, train // 2))
+    return Settings(window, default_warmup(window))

@@ -1,0 +1,117 @@
+"""How a network is trained: windows, epochs, learning rate, and the default recipe."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+STEPS = 1000
+"""Gradient steps of the default recipe, for each network."""
+
+
+MOST_BATCHES = 100
+"""Steps of an epoch in the default recipe: of a long record it does not take every window."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to train; the defaults are the paper's for its system (i), `Settings.of` is our recipe.
+
+    Attributes
+    ----------
+    window : Samples of a sub-trajectory, warm-up included; one starts at every sample.
+    warmup : R, its measured samples that set the initial state.
+    epochs : Passes over all windows (the paper's "training steps").
+    batch_size : Windows to a step.
+    learning_rate : Of Adam, at the beginning.
+    milestones : `(epoch, learning rate)` pairs: the rate from that epoch on.
+    one_cycle : The rate rises to `learning_rate` over the first tenth of the steps and falls along
+        a cosine to a hundredth of it; in place of milestones.
+    clip : Largest norm of a gradient.
+    growth : Share of the training over which the free run grows from a tenth of its length to all.
+    normalize : Scale each channel by mean and standard deviation of the training record.
+    most_batches : Steps of an epoch: of a long record it takes some windows, drawn anew each time.
+    """
+
+    window: int = 150
+    warmup: int = 30
+    epochs: int = 300
+    batch_size: int = 50
+    learning_rate: float = 1e-3
+    milestones: tuple[tuple[int, float], ...] = ()
+    one_cycle: bool = False
+    clip: float | None = None
+    growth: float = 0.0
+    normalize: bool = True
+    most_batches: int | None = None
+
+    def __post_init__(self) -> None:
+        """Check ranges."""
+        for name in ("warmup", "epochs", "batch_size"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.window <= self.warmup:
+            raise ValueError(
+                f"window must be longer than the warm-up of {self.warmup} samples, "
+                f"got {self.window}"
+            )
+        for epoch, _ in self.milestones:
+            if epoch < 0:
+                raise ValueError(f"milestones must be at epochs from 0 on, got {epoch}")
+        for rate in (self.learning_rate, *(rate for _, rate in self.milestones)):
+            if not 0 < rate < float("inf"):
+                raise ValueError(f"learning rates must be positive, got {rate}")
+        if self.one_cycle and self.milestones:
+            raise ValueError(f"milestones need one_cycle=False, got {self.milestones}")
+        if self.most_batches is not None and self.most_batches < 1:
+            raise ValueError(f"most_batches must be at least 1, got {self.most_batches}")
+        if self.clip is not None and not self.clip > 0:
+            raise ValueError(f"clip must be positive, got {self.clip}")
+        if not 0 <= self.growth <= 1:
+            raise ValueError(f"growth must be a share of the training, 0 to 1, got {self.growth}")
+
+    @classmethod
+    def of(cls, samples: int, windows: int | None = None) -> Settings:
+        """The default recipe for a training record of so many samples; not in the paper.
+
+        Windows of two fifths of it, 150 to 400 samples; one cycle of the learning rate, clipped
+        gradients, free runs that grow, and about `STEPS` steps for each network, at most
+        `MOST_BATCHES` of them from one pass over the windows to the next. Gaps leave fewer
+        `windows` than samples.
+        """
+        window = max(2, min(400, max(150, 2 * samples // 5), 3 * samples // 5))
+        batch = 25
+        windows = max(samples - window + 1, 1) if windows is None else windows
+        batches = min(-(-windows // batch), MOST_BATCHES)
+        return cls(
+            window,
+            default_warmup(window),
+            epochs=max(1, round(STEPS / batches)),
+            batch_size=batch,
+            learning_rate=1e-2,
+            one_cycle=True,
+            clip=1.0,
+            growth=0.6,
+            most_batches=batches,
+        )
+
+    def rate(self, epoch: int, share: float) -> float:
+        """The learning rate in an epoch, when `share` (0 to 1) of all steps are done."""
+        if self.one_cycle:
+            rise = 0.1
+            if share < rise:
+                return self.learning_rate * (0.1 + 0.9 * share / rise)
+            fall = 0.5 * (1 + math.cos(math.pi * (share - rise) / (1 - rise)))
+            return self.learning_rate * (0.01 + 0.99 * fall)
+        reached = [rate for start, rate in sorted(self.milestones) if start <= epoch]
+        return reached[-1] if reached else self.learning_rate
+
+    def reach(self, share: float, steps: int) -> int:
+        """How many of a window's `steps` are simulated when `share` of all batches are done."""
+        done = min(1.0, share / self.growth) if self.growth else 1.0
+        return max(1, round(steps * (0.1 + 0.9 * done)))
+
+
+def default_warmup(window: int, most: int = 50) -> int:
+    """At most a third of the window, and no more than `most`."""
+    return min(most, max(1, window // 3))

@@ -1,0 +1,155 @@
+"""The linear baseline, against linear systems of SciPy."""
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import scipy.signal
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from splitband.baselines.linear import OutputError, _stable
+
+Array = npt.NDArray[np.float64]
+TRAIN, LENGTH = 400, 600
+LAST = np.zeros(1)
+
+
+def polynomial(roots: npt.ArrayLike) -> Array:
+    return np.real(np.poly(np.asarray(roots))).astype(np.float64)
+
+
+def inputs(samples: int = LENGTH, nu: int = 1, seed: int = 0) -> Array:
+    """Steps of random height and length."""
+    rng = np.random.default_rng(seed)
+    u: Array = rng.standard_normal((samples, nu))
+    held = np.maximum.accumulate(np.where(rng.random(samples) < 0.2, np.arange(samples), 0))
+    return u[held]
+
+
+def oscillators(u: Array, begin: float = 0.0) -> Array:
+    """Two masses driven by all inputs, their two positions; SciPy's simulation."""
+    a = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-9, 4, -0.4, 0.1], [4, -6, 0.1, -0.3]])
+    b = np.zeros((4, u.shape[1]))
+    b[2:] = np.arange(1, 2 * u.shape[1] + 1).reshape(2, -1)
+    c = np.eye(2, 4)
+    system = scipy.signal.cont2discrete((a, b, c, np.zeros((2, u.shape[1]))), 0.2)
+    _, y, _ = scipy.signal.dlsim((*system[:4], 0.2), u, x0=begin * np.arange(1, 5))
+    return np.asarray(y)
+
+
+@pytest.mark.parametrize("nu", [1, 2])
+@pytest.mark.parametrize("begin", [0.0, 1.0], ids=["at rest", "in motion"])
+def test_a_linear_system_is_found_and_goes_on_as_it_does(nu: int, begin: float) -> None:
+    u = inputs(nu=nu)
+    y = oscillators(u, begin)
+    found = OutputError.fit(y[:TRAIN], u)
+    np.testing.assert_allclose(found.predict(TRAIN, LENGTH - TRAIN, LAST), y[TRAIN:], atol=1e-5)
+    np.testing.assert_allclose(found.predict(0, LENGTH, LAST), y, atol=1e-5)
+
+
+def test_units_and_offsets_do_not_matter() -> None:
+    u, noise = inputs(), np.random.default_rng(1).standard_normal((LENGTH, 2))
+    y = oscillators(u) + 0.01 * noise
+    plain = OutputError.fit(y[:TRAIN], u).predict(0, LENGTH, LAST)
+    moved = OutputError.fit(1e6 + 1e-3 * y[:TRAIN], 300 - 50 * u).predict(0, LENGTH, LAST)
+    np.testing.assert_allclose(moved, 1e6 + 1e-3 * plain, atol=1e-6)
+
+
+def test_noise_is_averaged_out() -> None:
+    u, noise = inputs(), np.random.default_rng(1).standard_normal((LENGTH, 2))
+    y = oscillators(u, 1.0)
+    found = OutputError.fit((y + 0.1 * noise)[:TRAIN], u).predict(TRAIN, LENGTH - TRAIN, LAST)
+    assert np.sqrt(np.mean((found - y[TRAIN:]) ** 2)) < 0.03
+
+
+def test_what_was_not_measured_is_gone_around() -> None:
+    u, noise = inputs(), np.random.default_rng(1).standard_normal((LENGTH, 2))
+    y = oscillators(u, 1.0)
+    seen = y + 0.1 * noise
+    seen[:20] = seen[100:150] = seen[200:240, 1] = seen[390:400] = np.nan
+    found = OutputError.fit(seen[:TRAIN], u).predict(TRAIN, LENGTH - TRAIN, LAST)
+    assert np.sqrt(np.mean((found - y[TRAIN:]) ** 2)) < 0.04
+
+
+def test_the_poles_are_those_of_the_system() -> None:
+    a = polynomial([0.9 * np.exp(0.5j), 0.9 * np.exp(-0.5j)])
+    u = inputs()
+    y = scipy.signal.lfilter([0.5, -0.2], a, u[:, 0])[:, None] + 3
+    (channel,) = OutputError.fit(y[:TRAIN], u).channels
+    poles = np.roots(channel.a)
+    for pole in np.roots(a):
+        assert abs(poles - pole).min() < 1e-5
+
+
+def test_of_a_long_record_the_end_is_fitted() -> None:
+    u = inputs(9000)
+    y = oscillators(u, 1.0)
+    y[:3000] = 5 * np.sin(np.arange(3000))[:, None]
+    found = OutputError.fit(y[:8500], u)
+    np.testing.assert_allclose(found.predict(8500, 500, LAST), y[8500:], atol=1e-5)
+    np.testing.assert_allclose(found.predict(5000, 4000, LAST), y[5000:], atol=1e-4)
+
+
+@pytest.mark.parametrize("pole", [0.995, 0.999])
+def test_what_has_died_out_before_the_samples_that_are_fitted_is_not_made_up(pole: float) -> None:
+    rng = np.random.default_rng(3)
+    u = rng.standard_normal((9000, 1))
+    y = scipy.signal.lfilter([1 - pole], [1, -pole], u[:, 0])[:, None]
+    noisy = y + 0.1 * y.std() * rng.standard_normal(y.shape)
+    found = OutputError.fit(noisy[:8500], u).predict(0, 9000, LAST)
+    assert np.sqrt(np.mean((found - y) ** 2)) < 0.2 * y.std()
+
+
+def test_an_input_that_was_stronger_before_still_counts() -> None:
+    u = inputs(9000)
+    u[:3000] *= 50
+    y = oscillators(u)
+    found = OutputError.fit(y[:8500], u).predict(8500, 500, LAST)
+    np.testing.assert_allclose(found, y[8500:], atol=1e-5)
+
+
+def test_inputs_must_be_known_as_far_as_is_predicted() -> None:
+    u = inputs(50)
+    with pytest.raises(ValueError, match="u must reach to sample 51, got 50"):
+        OutputError.fit(oscillators(u)[:40], u).predict(40, 11, LAST)
+
+
+@given(poles=st.lists(st.floats(0, 5), min_size=1, max_size=4), angle=st.floats(0.1, 3))
+def test_no_pole_stays_outside_of_the_unit_circle(poles: list[float], angle: float) -> None:
+    pair = np.array(poles) * np.exp(1j * angle)
+    found = np.roots(_stable(polynomial([*pair, *pair.conj()])))
+    assert (abs(found) <= 1).all()
+
+
+@pytest.mark.parametrize("radius", [0.5, 0.9, 1.05, 1.5, 4.0])
+def test_a_pole_and_its_mirror_image_have_one_angle_and_inverse_radii(radius: float) -> None:
+    inside = min(radius, 1 / radius)
+    found = _stable(polynomial([radius * np.exp(0.7j), radius * np.exp(-0.7j), 0.3]))
+    expected = polynomial([inside * np.exp(0.7j), inside * np.exp(-0.7j), 0.3])
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("poles", [[1.0001] * 8, [1.00001] * 6, np.linspace(1, 1.01, 8)])
+def test_poles_close_to_each_other_come_inside_too(poles: npt.ArrayLike) -> None:
+    assert (abs(np.roots(_stable(polynomial(poles)))) <= 1).all()
+
+
+def test_a_stable_denominator_stays() -> None:
+    a = polynomial([0.5, -0.9, 0.99])
+    np.testing.assert_array_equal(_stable(a), a)
+
+
+@settings(max_examples=settings().max_examples // 3)
+@given(
+    samples=st.integers(1, 30), nu=st.integers(1, 3), seed=st.integers(0, 99), same=st.booleans()
+)
+def test_short_and_constant_records_give_finite_numbers(
+    samples: int, nu: int, seed: int, same: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    u = np.ones((samples + 20, nu)) if same else rng.standard_normal((samples + 20, nu))
+    for y in (np.full((samples, 1), 7.0), rng.standard_normal((samples, 1))):
+        assert np.isfinite(OutputError.fit(y, u).predict(samples, 20, LAST)).all()
+    np.testing.assert_allclose(
+        OutputError.fit(np.full((samples, 1), 7.0), u).predict(samples, 20, LAST), 7, atol=1e-6
+    )

@@ -1,0 +1,337 @@
+"""The naive baselines on signals whose period and frequencies are known."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from splitband.baselines.harmonic import HarmonicRegression
+from splitband.baselines.naive import Naive, Persistence
+from splitband.baselines.seasonal import SeasonalNaive
+from splitband.paper.systems import double_mass_spring
+
+Array = npt.NDArray[Any]
+
+SHAPES = ["sine", "overtones", "sawtooth", "square", "random"]
+SPRING_FREQUENCIES = np.array([0.0115, 0.057])
+SPRING_AMPLITUDES = np.array([1.28, 0.677])
+SPRING_OFFSET = -0.009
+TRAINING = 250
+NOTHING = np.full(2, np.nan)
+"""A last measured sample that no baseline but persistence may look at."""
+
+
+def one_period(shape: str, period: int, seed: int = 0) -> Array:
+    phase = np.arange(period) / period
+    return {
+        "sine": np.sin(2 * np.pi * phase + 1),
+        "overtones": np.sin(2 * np.pi * phase) + 0.5 * np.cos(4 * np.pi * phase + 1),
+        "sawtooth": 2 * phase,
+        "square": np.where(phase < 0.4, 1.0, -1.0),
+        "random": np.random.default_rng(seed).standard_normal(period),
+    }[shape]
+
+
+def repeated(period: Array, start: int, steps: int) -> Array:
+    return period[np.arange(start, start + steps) % len(period)][:, None]
+
+
+def noise(*shape: int, seed: int = 0) -> Array:
+    return np.random.default_rng(seed).standard_normal(shape)
+
+
+class Tones:
+    """A sum of sinusoids of well separated frequencies, drawn from a seed."""
+
+    def __init__(self, count: int, samples: int, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        self.frequencies = np.sort(rng.uniform(0.02, 0.48, count))
+        while count > 1 and np.diff(self.frequencies).min() < 4 / samples:
+            self.frequencies = np.sort(rng.uniform(0.02, 0.48, count))
+        self.amplitudes = rng.uniform(0.7, 2, count)
+        self.phases = rng.uniform(-np.pi, np.pi, count)
+        self.offset = rng.normal()
+
+    def __call__(self, start: int, steps: int) -> Array:
+        angles = 2 * np.pi * np.outer(np.arange(start, start + steps), self.frequencies)
+        return (self.offset + np.cos(angles + self.phases) @ self.amplitudes)[:, None]
+
+
+def amplitudes(model: HarmonicRegression, channel: int = 0) -> Array:
+    cosines, sines = np.split(model.channels[channel].coefficients[1:], 2)
+    return np.hypot(cosines, sines)
+
+
+def by_frequency(model: HarmonicRegression, channel: int = 0) -> tuple[Array, Array]:
+    order = np.argsort(model.channels[channel].frequencies)
+    return model.channels[channel].frequencies[order], amplitudes(model, channel)[order]
+
+
+def true_form_fit(y: Array, frequencies: Array) -> tuple[Array, Array]:
+    """Least squares at known frequencies: coefficients and residual."""
+    angles = 2 * np.pi * np.outer(np.arange(len(y)), frequencies)
+    basis = np.hstack([np.ones((len(y), 1)), np.cos(angles), np.sin(angles)])
+    coefficients = np.linalg.lstsq(basis, y, rcond=None)[0]
+    return coefficients, y - basis @ coefficients
+
+
+def test_persistence_holds_the_last_sample() -> None:
+    last = np.array([3.0, -1.0])
+    prediction = Persistence().predict(17, 4, last)
+    np.testing.assert_array_equal(prediction, [last] * 4)
+    assert Persistence().predict(17, 0, last).shape == (0, 2)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("period", [3, 4, 7, 41, 160])
+def test_the_period_of_a_clean_signal_is_found(shape: str, period: int) -> None:
+    base = one_period(shape, period)
+    for samples in (2 * period + 2, 3 * period - 1, 4 * period - 1):
+        assert SeasonalNaive.fit(repeated(base, 0, samples)).lag == period
+
+
+@pytest.mark.parametrize("shape", ["sine", "sawtooth"])
+@pytest.mark.parametrize("period", [7, 41])
+def test_the_shortest_period_of_a_long_clean_signal_is_chosen(shape: str, period: int) -> None:
+    assert SeasonalNaive.fit(repeated(one_period(shape, period), 0, 9 * period + 2)).lag == period
+
+
+@pytest.mark.parametrize("period", [5, 7, 41])
+@pytest.mark.parametrize("extra", [0, 1])
+def test_two_periods_are_enough(period: int, extra: int) -> None:
+    y = repeated(one_period("random", period), 0, 2 * period + extra)
+    assert SeasonalNaive.fit(y).lag == period
+
+
+@pytest.mark.parametrize("shape", ["overtones", "sawtooth", "square", "random"])
+@pytest.mark.parametrize("period", [7, 13, 37])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_period_of_a_noisy_signal_is_found(shape: str, period: int, seed: int) -> None:
+    base = one_period(shape, period)
+    level = 0.1 * base.std()
+    for samples in (3 * period + 1, 4 * period - 1):
+        y = repeated(base, 0, samples) + level * noise(samples, 1, seed=seed)
+        assert SeasonalNaive.fit(y).lag == period
+    y = repeated(base, 0, 20 * period) + level * noise(20 * period, 1, seed=seed)
+    assert SeasonalNaive.fit(y).lag % period == 0
+
+
+def test_the_period_of_several_channels_is_common_to_all() -> None:
+    samples = 40
+    y = np.hstack([repeated(one_period("random", p, seed=p), 0, samples) for p in (3, 5)])
+    model = SeasonalNaive.fit(y)
+    assert model.lag == 15
+    assert model.period.shape == (15, 2)
+
+
+@pytest.mark.parametrize("level", [0.0, 0.01])
+def test_a_smooth_oversampled_signal_does_not_get_a_tiny_lag(level: float) -> None:
+    period = 500
+    for shape in ("sine", "overtones"):
+        y = repeated(one_period(shape, period), 0, 1800) + level * noise(1800, 1)
+        assert abs(SeasonalNaive.fit(y).lag - period) <= 500 * level
+
+
+@given(
+    shape=st.sampled_from(SHAPES),
+    period=st.integers(3, 40),
+    periods=st.floats(2.5, 12),
+    channels=st.integers(1, 2),
+    start=st.integers(-100, 300) | st.just(10**9),
+)
+def test_seasonal_predictions_continue_the_phase(
+    shape: str, period: int, periods: float, channels: int, start: int
+) -> None:
+    base, samples = one_period(shape, period), int(periods * period)
+    scales = [1.0, -3.0][:channels]
+    model = SeasonalNaive.fit(repeated(base, 0, samples) * scales)
+    np.testing.assert_allclose(
+        model.predict(start, 2 * period + 1, NOTHING),
+        repeated(base, start, 2 * period + 1) * scales,
+        atol=1e-9,
+    )
+
+
+def test_the_repeated_period_is_the_last_one_as_measured() -> None:
+    y = repeated(one_period("sawtooth", 10), 0, 38) + 0.01 * noise(38, 1)
+    kept = y.copy()
+    model = SeasonalNaive.fit(y)
+    y[:] = 0
+    assert (model.lag, model.end) == (10, 38)
+    np.testing.assert_array_equal(model.predict(38, 20, NOTHING), np.tile(kept[-10:], (2, 1)))
+    np.testing.assert_array_equal(model.predict(28, 10, NOTHING), kept[-10:])
+
+
+@pytest.mark.parametrize("samples", [2, 3])
+def test_the_shortest_records_still_give_a_prediction(samples: int) -> None:
+    y = noise(samples, 2)
+    for model in (SeasonalNaive.fit(y), HarmonicRegression.fit(y)):
+        prediction = model.predict(samples, 5, NOTHING)
+        assert prediction.shape == (5, 2)
+        assert np.isfinite(prediction).all()
+
+
+@pytest.mark.parametrize("value", [0.0, 2.5, 1 / 3, -1e6])
+@pytest.mark.parametrize("samples", [5, 100])
+def test_a_constant_record_stays_constant(value: float, samples: int) -> None:
+    y = np.full((samples, 2), value)
+    models: list[Naive] = [SeasonalNaive.fit(y), HarmonicRegression.fit(y)]
+    for model in models:
+        np.testing.assert_allclose(
+            model.predict(samples, 50, NOTHING), value, atol=1e-12 * (1 + abs(value)), rtol=0
+        )
+
+
+@pytest.mark.parametrize("value", [0.0, 2.5, 1 / 3])
+def test_a_constant_record_has_no_sinusoids(value: float) -> None:
+    model = HarmonicRegression.fit(np.full((100, 1), value))
+    assert [len(modes.frequencies) for modes in model.channels] == [0]
+    assert model.channels[0].coefficients == pytest.approx([value])
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+@pytest.mark.parametrize("seed", range(6))
+def test_harmonic_regression_recovers_clean_sinusoids(count: int, seed: int) -> None:
+    samples = 150 + 40 * seed
+    tones = Tones(count, samples, seed)
+    model = HarmonicRegression.fit(tones(0, samples), count)
+    frequencies, found = by_frequency(model)
+    np.testing.assert_allclose(frequencies, tones.frequencies, atol=1e-9, rtol=0)
+    np.testing.assert_allclose(found, tones.amplitudes, atol=1e-7, rtol=0)
+    assert model.channels[0].coefficients[0] == pytest.approx(tones.offset, abs=1e-7)
+    for start in (-50, 10, 3 * samples):
+        np.testing.assert_allclose(
+            model.predict(start, 100, NOTHING), tones(start, 100), atol=1e-6, rtol=0
+        )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_clean_sinusoids_are_continued_when_their_number_is_not_given(seed: int) -> None:
+    tones = Tones(2, 200, seed)
+    model = HarmonicRegression.fit(tones(0, 200))
+    np.testing.assert_allclose(model.predict(200, 400, NOTHING), tones(200, 400), atol=1e-6, rtol=0)
+
+
+def test_clean_sinusoids_are_counted() -> None:
+    for seed in range(4):
+        tones = Tones(2, 200, seed)
+        assert len(HarmonicRegression.fit(tones(0, 200)).channels[0].frequencies) == 2
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3])
+def test_sinusoids_in_noise_are_counted(count: int) -> None:
+    draws = 10
+    found = []
+    for seed in range(draws):
+        y = Tones(count, 250, seed)(0, 250) + 0.2 * noise(250, 1, seed=seed + 1000)
+        found.append(len(HarmonicRegression.fit(y).channels[0].frequencies))
+    assert min(found) == count
+    assert found.count(count) >= 0.8 * draws
+
+
+def test_a_sinusoid_weaker_than_the_noise_is_still_found() -> None:
+    for seed in range(5):
+        weak = 0.6 * np.cos(2 * np.pi * 0.123 * np.arange(250))[:, None]
+        model = HarmonicRegression.fit(weak + noise(250, 1, seed=seed))
+        assert abs(model.channels[0].frequencies - 0.123).min() < 0.001
+
+
+@pytest.mark.parametrize(
+    ("unit", "offset"),
+    [
+        (1e-3, 0.0),
+        (1e-6, 0.0),
+        (1e-12, 0.0),
+        (1e6, 0.0),
+        (1.0, 1e6),
+    ],
+)
+def test_harmonic_regression_does_not_depend_on_unit_and_offset(unit: float, offset: float) -> None:
+    y = Tones(2, 250, 3)(0, 250) + 0.2 * noise(250, 1)
+    expected = HarmonicRegression.fit(y).predict(250, 250, NOTHING)
+    found = HarmonicRegression.fit(unit * y + offset).predict(250, 250, NOTHING)
+    np.testing.assert_allclose((found - offset) / unit, expected, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_the_seasonal_lag_does_not_depend_on_unit_and_offset(unit: float) -> None:
+    y = repeated(one_period("overtones", 37), 0, 140) + 0.1 * noise(140, 1)
+    assert SeasonalNaive.fit(unit * (y + 1e7)).lag == SeasonalNaive.fit(y).lag == 37
+
+
+@pytest.mark.parametrize("sinusoids", [0, 1, 3])
+def test_a_given_number_of_sinusoids_is_kept(sinusoids: int) -> None:
+    model = HarmonicRegression.fit(noise(100, 1), sinusoids)
+    assert model.channels[0].frequencies.shape == (sinusoids,)
+    assert model.channels[0].coefficients.shape == (1 + 2 * sinusoids,)
+
+
+def test_channels_are_fitted_by_themselves() -> None:
+    y = np.hstack([Tones(1, 200, 0)(0, 200), Tones(3, 200, 1)(0, 200)]) + 0.1 * noise(200, 2)
+    together = HarmonicRegression.fit(y)
+    assert [len(modes.frequencies) for modes in together.channels] == [1, 3]
+    for channel in range(2):
+        alone = HarmonicRegression.fit(y[:, [channel]])
+        np.testing.assert_array_equal(
+            together.predict(150, 100, NOTHING)[:, channel], alone.predict(150, 100, NOTHING)[:, 0]
+        )
+
+
+def test_the_clean_double_mass_spring_is_solved() -> None:
+    record = double_mass_spring(1000, noise_variance=0.0)
+    model = HarmonicRegression.fit(record.y[:TRAINING], 2)
+    frequencies, found = by_frequency(model)
+    np.testing.assert_allclose(frequencies, SPRING_FREQUENCIES, atol=1e-12, rtol=0)
+    np.testing.assert_allclose(found, SPRING_AMPLITUDES, atol=1e-10)
+    assert model.channels[0].coefficients[0] == pytest.approx(SPRING_OFFSET, abs=1e-10)
+    np.testing.assert_allclose(model.predict(0, 1000, NOTHING), record.y, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_free_frequencies_fit_no_worse_than_the_true_ones(seed: int) -> None:
+    y = double_mass_spring(TRAINING, seed=seed).y
+    model = HarmonicRegression.fit(y, 2)
+    residual = y - model.predict(0, TRAINING, NOTHING)
+    oracle = true_form_fit(y[:, 0], SPRING_FREQUENCIES)[1]
+    assert np.sum(residual**2) <= np.sum(oracle**2)
+    at_found = true_form_fit(y[:, 0], model.channels[0].frequencies)
+    np.testing.assert_allclose(model.channels[0].coefficients, at_found[0], atol=1e-9)
+
+
+def test_frequencies_in_noise_reach_the_cramer_rao_bound() -> None:
+    variance, draws = 0.1, 25
+    bound = np.sqrt(24 * variance / (SPRING_AMPLITUDES**2 * TRAINING**3)) / (2 * np.pi)
+    errors = []
+    for seed in range(draws):
+        y = double_mass_spring(TRAINING, variance, seed).y
+        errors.append(by_frequency(HarmonicRegression.fit(y, 2))[0] - SPRING_FREQUENCIES)
+    spread = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert (spread < 1.4 * bound).all()
+    assert (spread > 0.6 * bound).all()
+
+
+def test_the_noisy_double_mass_spring_scores_as_in_the_notes() -> None:
+    scores = []
+    for seed in range(25):
+        record = double_mass_spring(1000, seed=seed)
+        assert record.y_true is not None
+        model = HarmonicRegression.fit(record.y[:TRAINING], 2)
+        error = model.predict(0, 1000, NOTHING) - record.y_true
+        scores.append(np.sqrt(np.mean(error**2)))
+    assert 0.12 < np.median(scores) < 0.21
+
+
+def test_a_drifting_record_is_extrapolated_along_a_line_at_most() -> None:
+    for seed in range(4):
+        y = np.cumsum(noise(200, 1, seed=seed), axis=0)
+        prediction = HarmonicRegression.fit(y).predict(200, 2000, NOTHING)
+        assert abs(prediction).max() < 2 * 2200 / 200 * np.ptp(y)
+
+
+def test_descriptions_name_lag_and_number_of_sinusoids() -> None:
+    y = np.hstack([Tones(1, 200, 0)(0, 200), Tones(3, 200, 1)(0, 200)]) + 0.1 * noise(200, 2)
+    assert str(HarmonicRegression.fit(y)).startswith("1+3 sinusoid")
+    assert "10 training samples" in str(SeasonalNaive.fit(repeated(one_period("sine", 10), 0, 38)))

@@ -1,0 +1,98 @@
+"""Periodic regression on signals whose period, harmonics and vibrations are known."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from splitband.baselines.periodic import PeriodicRegression
+from splitband.baselines.seasonal import SeasonalNaive
+
+Array = npt.NDArray[Any]
+TRAINING, AHEAD = 600, 1400
+NOTHING = np.full(1, np.nan)
+"""A last measured sample that it may not look at."""
+
+
+def wave(period: float, index: Array, harmonics: int = 5) -> Array:
+    """A sawtooth's Fourier series."""
+    order = np.arange(1, harmonics + 1)
+    return np.sin(2 * np.pi * np.outer(index, order) / period) @ (1 / order)
+
+
+def noise(samples: int, seed: int) -> Array:
+    return np.random.default_rng(seed).standard_normal(samples)
+
+
+def assert_multiple(found: float, period: float) -> None:
+    """A multiple of a period is one, too."""
+    assert found / period == pytest.approx(round(found / period), abs=1e-4)
+
+
+@pytest.mark.soak
+@settings(max_examples=settings().max_examples // 4)
+@given(
+    period=st.floats(25, 150),
+    offset=st.floats(-1e4, 1e4),
+    unit=st.floats(1e-6, 1e6),
+    harmonics=st.integers(1, 11),
+    training=st.sampled_from([TRAINING, 2000]),
+)
+def test_a_clean_series_goes_on_exactly(
+    period: float, offset: float, unit: float, harmonics: int, training: int
+) -> None:
+    y = offset * unit + unit * wave(period, np.arange(training + AHEAD), harmonics)
+    found = PeriodicRegression.fit(y[:training, None])
+    ahead = found.predict(training, AHEAD, NOTHING)[:, 0]
+    assert np.abs(ahead - y[training:]).max() < 2e-3 * unit
+    assert_multiple(found.periods[0], period)
+
+
+def test_what_dies_out_is_told_from_what_stays() -> None:
+    index = np.arange(TRAINING + AHEAD)
+    y = wave(80, index) + np.exp(-index / 90) * np.cos(2 * np.pi * index / 13)
+    y += 0.01 * noise(len(y), 0)
+    found = PeriodicRegression.fit(y[:TRAINING, None])
+    assert found.vibrations[0] >= 1
+    assert_multiple(found.periods[0], 80)
+    assert np.std(found.predict(TRAINING, AHEAD, NOTHING)[:, 0] - y[TRAINING:]) < 0.012
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_it_takes_the_mean_over_noisy_periods(seed: int) -> None:
+    y = wave(100, np.arange(TRAINING + AHEAD))[:, None]
+    seen = y[:TRAINING] + 0.3 * noise(TRAINING, seed)[:, None]
+    errors = [
+        np.std(method.predict(TRAINING, AHEAD, NOTHING) - y[TRAINING:])
+        for method in (PeriodicRegression.fit(seen), SeasonalNaive.fit(seen))
+    ]
+    assert errors[0] < 0.6 * errors[1]
+
+
+def test_noise_alone_gets_no_vibrations_and_stays_within_its_range() -> None:
+    for seed in range(5):
+        y = noise(400, seed)[:, None]
+        found = PeriodicRegression.fit(y)
+        assert found.vibrations == (0,)
+        assert np.abs(found.predict(400, 2000, NOTHING)).max() < np.ptp(y)
+
+
+@pytest.mark.parametrize("samples", [2, 3, 4, 7, 20])
+@pytest.mark.parametrize("constant", [True, False])
+def test_short_and_constant_records(samples: int, constant: bool) -> None:
+    y = np.full((samples, 2), 3.5) if constant else noise(2 * samples, 1).reshape(samples, 2)
+    ahead = PeriodicRegression.fit(y).predict(samples, 50, np.zeros(2))
+    assert ahead.shape == (50, 2)
+    assert np.isfinite(ahead).all()
+    if constant:
+        np.testing.assert_allclose(ahead, 3.5)
+
+
+def test_channels_have_their_own_periods_and_the_description_says_them() -> None:
+    index = np.arange(TRAINING)
+    found = PeriodicRegression.fit(np.stack([wave(50, index), wave(80, index)], axis=1))
+    np.testing.assert_allclose(found.periods, [50, 80], rtol=1e-4)
+    assert str(found) == "5+5 harmonic(s) of a period of 50, 80 samples"

@@ -1,0 +1,195 @@
+"""Trends, and frequencies of less than a cycle, of which the truth or SciPy's fit is known."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import scipy
+
+from splitband.baselines.harmonic import HarmonicRegression
+from splitband.baselines.modes import Modes, _Refinement
+from splitband.baselines.naive import LONGEST, Naive
+from splitband.baselines.periodic import PeriodicRegression
+from splitband.baselines.seasonal import SeasonalNaive
+from splitband.baselines.trend import Shape, find
+
+Array = npt.NDArray[Any]
+NOTHING = np.full(1, np.nan)
+"""A last measured sample that none of these may look at."""
+TRAINING, SAMPLES = 400, 1000
+N = np.arange(SAMPLES)
+FITS: list[Callable[[Array], Naive]] = [
+    SeasonalNaive.fit,
+    PeriodicRegression.fit,
+    HarmonicRegression.fit,
+]
+"""The first one repeats noise, so that its error is larger by a factor of 1.4."""
+
+
+def noise(samples: int = SAMPLES, seed: int = 0) -> Array:
+    return np.random.default_rng(seed).standard_normal(samples)
+
+
+def cooling(index: Array, limit: float, size: float, rate: float) -> Array:
+    return np.asarray(limit + size * np.exp(-rate * index))
+
+
+def season(index: Array, period: float = 50.0) -> Array:
+    angle = 2 * np.pi * index / period
+    return np.asarray(np.sin(angle) + 0.4 * np.cos(2 * angle))
+
+
+def error(fit: Callable[[Array], Naive], y: Array, training: int = TRAINING) -> float:
+    ahead = fit(y[:training, None]).predict(training, len(y) - training, NOTHING)
+    return float(np.sqrt(np.mean((ahead[:, 0] - y[training:]) ** 2)))
+
+
+@pytest.mark.parametrize("fit", FITS)
+@pytest.mark.parametrize("level", [0.02, 0.2, 0.5])
+def test_a_cooling_curve_is_forecast_to_its_noise(
+    fit: Callable[[Array], Naive], level: float
+) -> None:
+    y = cooling(N, 20, 60, 1 / 300) + level * noise()
+    assert error(fit, y) < 1.6 * level
+
+
+@pytest.mark.parametrize("fit", FITS)
+@pytest.mark.parametrize("level", [0.02, 0.1, 0.3])
+def test_a_season_on_a_line_is_forecast_to_its_noise(
+    fit: Callable[[Array], Naive], level: float
+) -> None:
+    assert error(fit, N / 250 + season(N) + level * noise()) < 1.7 * level
+
+
+@pytest.mark.parametrize("fit", FITS[1:])
+def test_a_season_on_an_exponential_goes_on_exactly(fit: Callable[[Array], Naive]) -> None:
+    assert error(fit, cooling(N, -3, 5, 1 / 150) + season(N)) < 1e-4
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_exponential_is_the_least_squares_fit(seed: int) -> None:
+    y = cooling(N[:TRAINING], 20, 6, 1 / 130) + 0.3 * noise(TRAINING, seed)
+    wanted = scipy.optimize.curve_fit(cooling, N[:TRAINING], y, (19, 5, 1 / 100))[0]
+    found = HarmonicRegression.fit(y[:, None], sinusoids=0)
+    shape = found.channels[0].shape
+    assert shape is not None
+    assert shape.rate == pytest.approx(wanted[2], rel=1e-4)
+    ahead = found.predict(TRAINING, 600, NOTHING)[:, 0]
+    np.testing.assert_allclose(ahead, cooling(N[TRAINING:], *wanted), atol=1e-4)
+
+
+def test_a_line_is_the_least_squares_fit() -> None:
+    y = 3 - 0.01 * N[:TRAINING] + 0.3 * noise(TRAINING)
+    ahead = HarmonicRegression.fit(y[:, None], sinusoids=0).predict(TRAINING, 600, NOTHING)[:, 0]
+    wanted = np.polynomial.Polynomial.fit(N[:TRAINING], y, 1)
+    np.testing.assert_allclose(ahead, wanted(N[TRAINING:]), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "signal",
+    [
+        lambda seed: noise(TRAINING, seed),
+        lambda seed: season(N[:TRAINING]) + 0.2 * noise(TRAINING, seed),
+        lambda seed: (1 + N[:TRAINING] / 400) * season(N[:TRAINING]) + 0.1 * noise(TRAINING, seed),
+        lambda seed: scipy.signal.lfilter([1], [1, -0.95], noise(TRAINING, seed)),
+        lambda seed: np.full(TRAINING, seed / 3),
+    ],
+    ids=["noise", "season", "swelling season", "autoregression", "constant"],
+)
+def test_what_has_no_trend_gets_none(signal: Callable[[int], Array]) -> None:
+    assert [find(signal(seed)) for seed in range(8)] == [None] * 8
+
+
+def test_a_line_in_a_random_walk_is_the_exception() -> None:
+    found = [find(np.cumsum(noise(TRAINING, seed))) for seed in range(20)]
+    assert sum(trend is not None for trend in found) <= 5
+
+
+@pytest.mark.parametrize("training", [3, 10, 30])
+def test_a_short_record_is_fitted_without_a_trend_or_with_one(training: int) -> None:
+    for fit in FITS:
+        ahead = fit(N[:training, None] + 0.1 * noise(training)[:, None])
+        assert np.isfinite(ahead.predict(training, 20, NOTHING)).all()
+
+
+def test_each_channel_has_its_own_trend_around_gaps() -> None:
+    y = np.stack([N / 100 + season(N), cooling(N, 9, 5, 1 / 90), season(N)], axis=1)
+    y += 0.1 * noise(3 * SAMPLES).reshape(-1, 3)
+    seen = y[:TRAINING].copy()
+    seen[50:120, 0] = seen[200:260, 1] = seen[::3, 2] = np.nan
+    for fit in FITS:
+        found = fit(seen)
+        left = found.predict(TRAINING, 600, np.full(3, np.nan)) - y[TRAINING:]
+        assert (np.sqrt(np.mean(left**2, axis=0)) < 0.2).all()
+        assert "a straight line and an exponential with a time constant of" in str(found)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_a_trend_does_not_depend_on_unit_and_offset(unit: float) -> None:
+    y = cooling(N[:TRAINING], 0, 3, 1 / 100) + season(N[:TRAINING]) + 0.1 * noise(TRAINING)
+    one, other = find(y), find(unit * (y + 1e4))
+    assert one is not None
+    assert other is not None
+    np.testing.assert_allclose(other.predict(N) / unit - 1e4, one.predict(N), atol=1e-4)
+
+
+def test_of_a_long_record_the_end_is_fitted_and_the_trend_is_held_before_it() -> None:
+    n = np.arange(3 * LONGEST)
+    found = find(np.where(n < 2 * LONGEST, 5.0, 5 + (n - 2 * LONGEST) / 1000))
+    assert found is not None
+    np.testing.assert_allclose(found.predict(n[-3:] + 10), 9 + (n[-3:] + 10 - n[-1]) / 1000,
+                               atol=2e-3)  # fmt: skip
+    np.testing.assert_allclose(found.predict(n[: 2 * LONGEST]), 5.0, atol=2e-3)
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.6 / TRAINING, 19.0 / TRAINING])
+def test_a_shape_has_mean_0_and_deviation_1_and_settles(rate: float) -> None:
+    shape = Shape(rate, 10, TRAINING)
+    values = shape(np.linspace(10, 10 + TRAINING, 200_001))
+    assert values.mean() == pytest.approx(0, abs=1e-4)
+    assert values.std() == pytest.approx(1, abs=1e-4)
+    far = shape(np.array([1e7, 1e8]))
+    assert rate == 0 or far[0] == pytest.approx(far[1])
+
+
+@pytest.mark.parametrize("level", [0.0, 0.05])
+def test_a_part_of_a_cycle_is_no_oscillation(level: float) -> None:
+    """A sine of period 900, seen for 500 samples."""
+    y = np.sin(2 * np.pi * N / 900) + level * noise()
+    persistence = float(np.sqrt(np.mean((y[500:] - y[499]) ** 2)))
+    found = HarmonicRegression.fit(y[:500, None])
+    ahead = found.predict(500, 500, NOTHING)
+    assert np.ptp(ahead) == 0
+    assert error(HarmonicRegression.fit, y, 500) < 1.1 * persistence
+
+
+def test_a_part_of_a_cycle_does_not_hide_a_fast_sinusoid() -> None:
+    y = 2 * np.sin(2 * np.pi * N / 900) + season(N, 31) + 0.05 * noise()
+    found = HarmonicRegression.fit(y[:500, None])
+    fast = found.channels[0].frequencies[found.channels[0].frequencies * 500 >= 1]
+    np.testing.assert_allclose(np.sort(fast), [1 / 31, 2 / 31], rtol=1e-3)
+    assert np.ptp(found.predict(500, 500, NOTHING)) == pytest.approx(np.ptp(season(N, 31)), rel=0.1)
+
+
+def test_slopes_are_those_of_the_sum_of_squares() -> None:
+    """Kaufman's slopes leave out what the gradient of the sum of squares does not need."""
+    y = cooling(N[:200], 0, 3, 1 / 60) + season(N[:200]) + 0.1 * noise(200)
+    y[20:30] = np.nan
+    modes = Modes.solved(
+        np.array([0.021, 0.042, 0.11]),
+        np.array([0.0, 0.0, 0.004]),
+        y,
+        Shape(1 / 50, 0, 200),
+        harmonics=2,
+    )
+    refinement = _Refinement(modes, y)
+    at = np.array([0.021, 0.11, 0.004, 1 / 50])
+
+    def half_of_squares(moved: Array) -> float:
+        return float(0.5 * np.sum(refinement.left(moved) ** 2))
+
+    wanted = scipy.optimize.approx_fprime(at, half_of_squares, 1e-8)
+    found = refinement.slopes(at).T @ refinement.left(at)
+    np.testing.assert_allclose(found, wanted, rtol=1e-3)

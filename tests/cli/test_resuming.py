@@ -1,0 +1,158 @@
+"""Commands that are killed at any moment: the same command ends with the same numbers."""
+
+import json
+import os
+import shlex
+import shutil
+import signal
+import sys
+import time
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from splitband.cli import main
+from splitband.runtime.files import CHECKPOINTS
+
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "fork") or sys.platform == "darwin",
+    reason="kills a forked process; on macOS forking after threads is unsafe",
+)
+
+QUICK = "--epochs 10 --hidden 8,6 --window 40 --warmup 12 --train 150"
+COMMANDS = {
+    "fit": f"fit record.csv --method split-gru-conditioned {QUICK}",
+    "compare": f"compare record.csv --methods gru,split-gru,mean {QUICK} --seeds 1 --jobs 1",
+    "paper": "paper table learning-based --systems i --methods split-gru --seeds 1 --epochs 8 "
+    "--jobs 1",
+}
+OPERATIONS = {"open", "os.mkdir", "os.rename", "os.remove", "shutil.rmtree"}
+"""Audit events of Python for what can be done to a file."""
+
+
+@pytest.fixture(autouse=True)
+def inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every command runs beside a record, and writes a checkpoint after each epoch."""
+    t = 0.1 * np.arange(200)
+    y = np.sin(2 * np.pi * 0.2 * t) + 0.4 * np.sin(2 * np.pi * 1.3 * t)
+    y += 0.05 * np.random.default_rng(0).standard_normal(200)
+    pd.DataFrame({"time": t, "a": y}).to_csv(tmp_path / "record.csv", index=False)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("splitband.training.checkpoints.MOST_OVERHEAD", 1e9)
+
+
+def begin(line: str, operation: Callable[[], None] | None = None) -> int:
+    """Begin a command in a process of its own, which says nothing; its id.
+
+    `operation` is called in that process before each operation on a file of the output.
+    """
+    child = os.fork()
+    if child:
+        return child
+    words = shlex.split(line)
+
+    def hook(event: str, arguments: tuple[Any, ...]) -> None:
+        if event in OPERATIONS and any(words[-1] in str(each) for each in arguments):
+            assert operation is not None
+            operation()
+
+    try:
+        silent = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(silent, 1)
+        os.dup2(silent, 2)
+        if operation is not None:
+            sys.addaudithook(hook)
+        os._exit(main(words))
+    finally:
+        os._exit(99)
+
+
+def killed(child: int) -> bool:
+    """Whether a process was killed when it ended; otherwise it must have ended well."""
+    status = os.waitpid(child, 0)[1]
+    assert os.WIFSIGNALED(status) or status == 0
+    return os.WIFSIGNALED(status)
+
+
+def operations_of(line: str, killed_before: int | None = None) -> int:
+    """How many file operations a command does; it is killed before the given one."""
+    reading, writing = os.pipe()
+    number = count(1)
+
+    def operation() -> None:
+        if next(number) == killed_before:
+            os.kill(os.getpid(), signal.SIGKILL)
+        os.write(writing, b".")
+
+    assert killed(begin(line, operation)) == (killed_before is not None)
+    os.close(writing)
+    with os.fdopen(reading, "rb") as pipe:
+        return len(pipe.read())
+
+
+def assert_same(command: str, folder: Path, whole: Path) -> None:
+    """The results of a command that was killed, and of one that was not."""
+    if command == "fit":
+        for name in ("weights.safetensors", "model.json"):
+            assert (folder / name).read_bytes() == (whole / name).read_bytes()
+    if command == "compare":
+        name = "predictions.csv"
+        assert (folder / name).read_bytes() == (whole / name).read_bytes()
+    files, expected = (
+        {path.relative_to(each): json.loads(path.read_text()) for path in each.rglob("*.json")}
+        for each in (folder, whole)
+    )
+    assert [*map(without_times, files.items())] == [*map(without_times, expected.items())]
+    assert not [*folder.rglob(f"*{CHECKPOINTS}*")]
+
+
+def without_times(found: Any) -> Any:
+    """Facts without what an interruption changes: times, its mark, and the folder's name."""
+    if isinstance(found, dict):
+        kept = found.keys() - {"seconds", "cpu_seconds", "resumed", "out"}
+        return {key: without_times(found[key]) for key in sorted(kept, key=str)}
+    return [*map(without_times, found)] if isinstance(found, list | tuple) else found
+
+
+@pytest.mark.parametrize(
+    "kills", [3, pytest.param(20, marks=pytest.mark.soak)], ids="{} kills".format
+)
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_killed_between_file_operations_ends_with_the_same_numbers(
+    command: str, kills: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("splitband.report.pictures.save", lambda figure, path: None)
+    line = f"{COMMANDS[command]} --out {tmp_path}"
+    operations = operations_of(f"{line}/whole")
+    for _ in range(kills):
+        operations_of(f"{line}/killed", killed_before=operations // (kills + 1))
+    rest = operations_of(f"{line}/killed")
+    assert rest < 0.6 * operations  # it has gone on, and not begun anew
+    assert_same(command, tmp_path / "killed", tmp_path / "whole")
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_killed_at_random_moments_ends_with_the_same_numbers(
+    command: str, tmp_path: Path
+) -> None:
+    line, rng = f"{COMMANDS[command]} --out {tmp_path}", np.random.default_rng()
+    began = time.monotonic()
+    assert not killed(begin(f"{line}/whole"))
+    most = time.monotonic() - began
+    kills = 0
+    while kills < 20 or (tmp_path / "killed").exists():
+        child = begin(f"{line}/killed")
+        if kills < 20:
+            time.sleep(rng.uniform(0, most))
+            os.kill(child, signal.SIGKILL)
+        if killed(child):
+            kills += 1
+        else:
+            assert_same(command, tmp_path / "killed", tmp_path / "whole")
+            shutil.rmtree(tmp_path / "killed")

@@ -1,0 +1,233 @@
+"""What is chosen and promised before any sample after the training part is looked at."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy
+
+from splitband import Settings, Trajectory
+from splitband.evaluation.comparison import Run, by_channel, compare, ensemble
+from splitband.evaluation.defaults import default_methods, default_setup, usual_methods
+from splitband.evaluation.selection import Trial, hold_out, try_out
+from splitband.forecasters.methods import CALIBRATED, HYBRIDS, Setup
+from splitband.report.pictures import rollouts
+
+DT, TRAIN, LENGTH, WARMUP = 0.1, 120, 200, 10
+SETUP = Setup(TRAIN, Settings(40, WARMUP, 1, 16), cutoff=0.6, hidden_high=4, hidden_low=3)
+SINES = ("persistence", "seasonal-naive", "harmonic")
+
+
+def record(seed: int = 0, noise: float = 0.05) -> Trajectory:
+    rng = np.random.default_rng(seed)
+    t = DT * np.arange(LENGTH)[:, None]
+    y = np.sin(2 * np.pi * 0.2 * t) + 0.4 * np.sin(2 * np.pi * 1.13 * t)
+    y_sim = 0.5 * y + 0.3
+    return Trajectory(y + noise * rng.standard_normal(y.shape), DT, y_true=y, y_sim=y_sim)
+
+
+def test_the_held_out_part_is_the_end_of_the_training_part() -> None:
+    part, shorter = hold_out(record(), SETUP)
+    np.testing.assert_array_equal(part.y, record().y[:TRAIN])
+    assert part.y_true is None  # nobody has it
+    assert (shorter.train, shorter.settings.window) == (90, 30)
+    assert replace(shorter, train=TRAIN, settings=SETUP.settings) == SETUP
+
+
+def test_a_window_never_shrinks_below_its_warmup() -> None:
+    tight = replace(SETUP, settings=Settings(11, 10, 1), overrides={"rnn": Settings(24, 10, 1)})
+    shorter = hold_out(record(), tight)[1]
+    assert (shorter.settings.window, shorter.overrides["rnn"].window) == (11, 18)
+
+
+def test_the_trial_looks_at_nothing_after_the_training_part() -> None:
+    methods = ["split-gru-conditioned", "simulator-calibrated", "filtered-gru", "seasonal-naive"]
+    y = record().y.copy()
+    y[TRAIN:] += 100
+    expected = try_out(record(), methods, SETUP)
+    found = try_out(replace(record(), y=y), methods, SETUP)
+    assert found.recommended == expected.recommended
+    assert found.intervals == expected.intervals
+    assert found.errors == expected.errors
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_the_setup_looks_at_nothing_after_the_training_part(simulated: bool) -> None:
+    r = record() if simulated else replace(record(), y_sim=None)
+    y = r.y.copy()
+    y[TRAIN:] += 100
+    assert default_setup(replace(r, y=y), TRAIN) == default_setup(r, TRAIN)
+
+
+def test_a_simulator_that_does_not_help_leaves_the_learned_models() -> None:
+    useless = np.random.default_rng(1).standard_normal((LENGTH, 1))
+    r = replace(record(), y_sim=useless)
+    setup = default_setup(r, TRAIN)
+    assert setup.choice is not None
+    assert setup.choice.simulator_helps is False
+    assert setup.cutoff == default_setup(replace(r, y_sim=None), TRAIN).cutoff
+    methods = usual_methods(r, setup)
+    assert "split-gru-conditioned" in methods
+    assert "simulator" in methods
+    assert not set(methods) & set(HYBRIDS)
+    good = default_setup(record(), TRAIN)
+    assert usual_methods(record(), good) == default_methods(with_simulator=True)
+
+
+def test_a_record_with_inputs_is_compared_with_a_linear_model_too() -> None:
+    u = np.random.default_rng(2).standard_normal((LENGTH, 1))
+    r = replace(record(), u=u)
+    methods = usual_methods(r, default_setup(r, TRAIN))
+    assert methods == [*default_methods(with_simulator=True), "linear"]
+    driven = replace(r, y=np.cumsum(0.3 * u - 0.1, axis=0), y_true=None)
+    (found,) = compare(driven, ["linear"], SETUP)["linear"]
+    assert "1 input(s)" in found.description
+
+
+def test_methods_without_a_simulator_get_the_pair_they_would_get_without_one() -> None:
+    alone = default_setup(replace(record(), y_sim=None), TRAIN)
+    assert default_setup(record(), TRAIN, methods=["split-gru", "mean"]) == alone
+    assert default_setup(record(), TRAIN, methods=["filtered-gru"]) != alone
+
+
+def test_what_forecasts_the_held_out_part_best_is_recommended() -> None:
+    trial = try_out(record(), SINES, SETUP)
+    assert trial.recommended == "harmonic"
+    simulated = try_out(record(noise=0.3), [*SINES, "simulator", "simulator" + CALIBRATED], SETUP)
+    assert simulated.recommended == "simulator" + CALIBRATED
+    assert simulated.errors[simulated.recommended] == min(simulated.errors.values())
+
+
+@pytest.mark.parametrize(("network", "chosen"), [(0.95, "harmonic"), (0.85, "gru")])
+def test_a_network_has_to_be_a_tenth_better_than_what_needs_no_training(
+    network: float, chosen: str
+) -> None:
+    scores = {"gru": network, "harmonic": 1.0, "mean": 1.2}
+    trial = Trial(scores, scores, {}, {}, np.ones(1))
+    assert trial.recommended == chosen
+    assert trial.best_network == "gru"
+
+
+def test_a_forecast_that_changes_by_more_than_its_error_is_not_recommended() -> None:
+    scores = {"harmonic": 0.1, "mean": 1.0}
+    early = {name: np.zeros((5, 1)) for name in scores}
+    trial = Trial(scores, scores, {}, early, np.full(1, 2.0))
+    final = {"harmonic": np.full((5, 1), 4.0), "mean": np.full((5, 1), 0.1)}
+    changed = replace(trial, final=final)
+    assert (trial.recommended, changed.recommended) == ("harmonic", "mean")
+    assert changed.change("harmonic") == pytest.approx(4.0)
+    # What is not fitted in the end cannot be recommended.
+    assert replace(trial, final={"mean": final["mean"]}).recommended == "mean"
+
+
+def test_learning_from_the_held_out_part_is_no_fault() -> None:
+    """A forecast that was wrong by its held-out error, and no longer is, changes by that much."""
+    scores = {"gru": 0.157, "linear": 0.184}
+    early = {name: np.zeros((5, 1)) for name in scores}
+    trial = Trial(scores, scores, {}, early, np.ones(1))
+    for change, chosen in ((0.158, "gru"), (0.4, "linear")):
+        final = {"gru": np.full((5, 1), change), "linear": np.full((5, 1), 0.005)}
+        assert replace(trial, final=final).recommended == chosen
+
+
+def test_the_change_is_that_of_the_forecast_beyond_the_training_part() -> None:
+    r = record()
+    methods = ["persistence", "mean"]
+    trial = try_out(r, methods, SETUP).settled(compare(r, methods, SETUP))
+    assert trial.change("persistence") == pytest.approx(abs(r.y[TRAIN - 1, 0] - r.y[89, 0]))
+    assert trial.change("mean") == pytest.approx(abs(r.y[:TRAIN].mean() - r.y[:90].mean()))
+
+
+def test_what_draws_nothing_runs_once() -> None:
+    runs = compare(record(), ["gru", "mean"], SETUP, seeds=(3, 4))
+    assert [run.seed for run in runs["gru"]] == [3, 4]
+    assert len(runs["mean"]) == 1
+
+
+def test_several_seeds_are_tried_out_by_their_mean() -> None:
+    r = record()
+    trial = try_out(r, ["gru"], SETUP, seeds=(0, 1))
+    part, shorter = hold_out(r, SETUP)
+    found = compare(part, ["gru"], shorter, (0, 1), later=(100, 110))["gru"]
+    means = {90: np.mean([run.forecast for run in found], axis=0)}
+    means |= {start: np.mean([run.later[start] for run in found], axis=0) for start in (100, 110)}
+    left = np.concatenate([part.y[start:] - mean for start, mean in means.items()])
+    assert trial.errors["gru"] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-5)
+
+
+def test_each_channel_counts_the_same_in_the_recommendation() -> None:
+    """In raw units the first channel would decide alone, for the mean."""
+    r = record()
+    noise = np.random.default_rng(0).standard_normal((LENGTH, 1))
+    both = replace(r, y=np.hstack([1e6 * noise, r.y]), y_true=None, y_sim=None, columns=())
+    assert try_out(both, ["mean", "harmonic"], SETUP).recommended == "harmonic"
+
+
+def test_the_held_out_error_of_a_baseline_is_that_of_fits_to_four_shares() -> None:
+    r = record()
+    begins = (90, 96, 102, 108)
+    left = np.concatenate([r.y[start:TRAIN] - r.y[start - 1] for start in begins])
+    trial = try_out(r, ["persistence", "mean"], SETUP)
+    assert trial.errors["persistence"] == pytest.approx(np.sqrt(np.mean(left**2)))
+    left = np.concatenate([r.y[start:TRAIN] - r.y[:start].mean() for start in begins])
+    assert trial.errors["mean"] == pytest.approx(np.sqrt(np.mean(left**2)))
+
+
+@pytest.mark.soak
+def test_intervals_of_many_records_hold_nine_tenths_on_average() -> None:
+    """And are at most 1.3 times as wide as the noise alone calls for."""
+    covered, width = [], []
+    for seed in range(8):
+        r = record(seed, noise=0.2)
+        runs = compare(r, ["harmonic"], SETUP)
+        interval = try_out(r, ["harmonic"], SETUP).settled(runs).intervals["harmonic"]
+        left = r.y[TRAIN:] - runs["harmonic"][0].forecast
+        covered.append(interval.coverage(left))
+        width.append(interval.half_widths(len(left)).mean())
+    assert 0.85 <= np.mean(covered) <= 0.95
+    assert np.mean(width) <= 1.3 * 0.2 * scipy.stats.norm.ppf(0.95)
+
+
+def test_fits_to_too_few_samples_do_not_widen_an_interval() -> None:
+    """A period of 40 samples is not found in 75, which hold less than two of them."""
+    noise = 0.02 * np.random.default_rng(3).standard_normal((LENGTH, 1))
+    season = np.sin(2 * np.pi * np.arange(LENGTH) / 40)[:, None] ** 3
+    r = Trajectory(season + noise, DT)
+    interval = try_out(r, ["seasonal-naive"], SETUP).intervals["seasonal-naive"]
+    assert interval.half_widths(1).max() < 0.15
+
+
+def test_errors_of_several_seeds_cancel_in_their_mean() -> None:
+    """Its error is that of the mean prediction, not the mean of the errors."""
+    r = record()
+    assert r.y_true is not None
+    start, ahead = r.y_true[WARMUP:], r.y_true[TRAIN:]
+    off = [(0.3, 0.1), (-0.1, 0.1), (-0.2, 0.1)]
+    runs = [
+        Run("gru", seed, abs(a), abs(b), 2.0, start + a, ahead + b)
+        for seed, (a, b) in enumerate(off)
+    ]
+    mean = ensemble(runs, r, SETUP)
+    np.testing.assert_allclose(mean.from_start, start, atol=1e-12)
+    np.testing.assert_allclose(mean.forecast, ahead + 0.1, atol=1e-12)
+    assert mean.total_rmse == pytest.approx(0, abs=1e-12)
+    assert mean.forecast_rmse == pytest.approx(0.1)
+    assert mean.seconds == 6.0
+
+
+def test_channels_of_different_units_have_errors_and_scales_of_their_own() -> None:
+    r = record()
+    units = np.array([1.0, 1e4])
+    both = Trajectory(np.hstack([r.y, r.y[::-1]]) * units + [0, 1e5], DT, columns=("V", "Pa"))
+    runs = compare(both, ["mean", "harmonic"], SETUP)
+    for (found,) in runs.values():
+        of_channels = by_channel(both, found.from_start)
+        assert np.linalg.norm(of_channels) == pytest.approx(found.total_rmse)
+        left = both.y[-len(found.from_start) :] - found.from_start
+        np.testing.assert_allclose(of_channels, np.sqrt(np.mean(left**2, axis=0)))
+    picture = rollouts(both, SETUP, runs)
+    for i, ax in enumerate(picture.axes):
+        low, high = ax.get_ylim()
+        seen = both.y[:, i // 2 % 2]
+        assert low < seen.min() < seen.max() < high
+        assert high - low < 2 * np.ptp(seen)

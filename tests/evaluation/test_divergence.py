@@ -1,0 +1,187 @@
+"""Trainings that diverge, and methods that cannot be fitted: said so, and never the others' end."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+import splitband.evaluation.comparison
+from splitband import GRU, Residual, Settings, Trajectory, fit
+from splitband.cli import main
+from splitband.evaluation.comparison import compare
+from splitband.evaluation.selection import try_out
+from splitband.forecasters.methods import FIXED, Setup
+from splitband.report.results import results
+
+DT, TRAIN, LENGTH = 0.1, 120, 200
+TIME = DT * np.arange(LENGTH)[:, None]
+SIMULATED = np.sin(2 * np.pi * 0.2 * TIME) + 0.4 * np.sin(2 * np.pi * 1.13 * TIME)
+RECORD = Trajectory(np.round(2 * SIMULATED + 1, 4), DT, y_sim=SIMULATED)
+QUICK = Settings(40, 10, 3, 16)
+SETUP = Setup(TRAIN, QUICK, cutoff=0.6, hidden_high=4, hidden_low=3)
+DIVERGING = replace(SETUP, overrides={"gru": replace(QUICK, learning_rate=1e30)})
+CALIBRATED = "simulator-calibrated"
+
+
+def _raising(*_: Any) -> Any:
+    raise np.linalg.LinAlgError("SVD did not\nconverge")
+
+
+@pytest.fixture
+def broken_mean(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(FIXED, "mean", _raising)
+
+
+def test_a_residual_much_smaller_than_an_untrained_networks_output_is_trained() -> None:
+    torch.manual_seed(0)
+    model = Residual(GRU(1, 8))
+    almost = replace(RECORD, y_sim=RECORD.y + 1e-5 * np.cos(TIME))[:TRAIN]
+    history = fit(model, almost, QUICK)
+    losses = history.losses["network"]
+    assert losses[0] > 100 * 1e-5
+    assert losses[-1] < losses[0]
+    assert history.notes == []
+
+
+def test_a_training_that_diverges_later_is_still_found() -> None:
+    """By a learning rate that is sane in the first epoch only."""
+    torch.manual_seed(0)
+    late = replace(QUICK, milestones=((1, 1e6),))
+    with pytest.raises(FloatingPointError, match="network diverged in epoch 2"):
+        fit(Residual(GRU(1, 8)), RECORD[:TRAIN], late)
+
+
+def test_a_method_that_diverges_does_not_end_the_others() -> None:
+    methods = ["gru", "filtered-gru", "persistence"]
+    runs = compare(RECORD, methods, DIVERGING)
+    assert [*runs] == ["filtered-gru", "persistence"]
+    assert list(runs.failed) == ["gru"]
+    assert "training of the network diverged in epoch 1" in runs.failed["gru"]
+    with pytest.raises(KeyError, match="gru: training of the network diverged"):
+        _ = runs["gru"]
+
+
+@pytest.mark.usefixtures("broken_mean")
+def test_a_baseline_that_raises_is_neither_tried_nor_recommended() -> None:
+    methods = ["mean", "persistence", CALIBRATED]
+    trial = try_out(RECORD, methods, SETUP)
+    runs = compare(RECORD, methods, SETUP)
+    settled = trial.settled(runs)
+    assert trial.failed == settled.failed == {"mean": "SVD did not converge"}
+    assert {*settled.errors} == {*settled.final} == {"persistence", CALIBRATED}
+    assert settled.recommended == CALIBRATED
+    found = results(RECORD, SETUP, runs, settled)
+    assert found["methods"]["mean"] == {"failed": "SVD did not converge"}
+
+
+def test_what_fails_on_the_whole_training_part_alone_is_not_recommended(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    methods = ["persistence", CALIBRATED]
+    trial = try_out(RECORD, methods, SETUP)
+    assert trial.recommended == CALIBRATED
+    monkeypatch.setitem(FIXED, CALIBRATED, _raising)
+    settled = trial.settled(compare(RECORD, methods, SETUP))
+    assert (settled.recommended, [*settled.failed]) == ("persistence", [CALIBRATED])
+
+
+def test_of_several_seeds_those_that_could_be_fitted_count(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def diverging(*arguments: Any) -> Any:
+        if arguments[3] == 1:
+            raise FloatingPointError("diverged")
+        return fit(*arguments)
+
+    monkeypatch.setattr(splitband.evaluation.comparison, "fit", diverging)
+    runs = compare(RECORD, ["gru"], SETUP, seeds=(0, 1, 2))
+    assert [run.seed for run in runs["gru"]] == [0, 2]
+    assert runs["gru"][0].description == "seed 1 failed: diverged"
+    assert runs.failed == {}
+
+
+def test_where_every_method_fails_each_reason_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(FIXED, "mean", _raising)
+    expected = "no method could be fitted; gru: training of the network diverged.*; mean: SVD did"
+    with pytest.raises(ValueError, match=expected):
+        compare(RECORD, ["gru", "mean"], DIVERGING)
+
+
+def test_a_full_disk_is_no_failure_of_a_method(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any) -> Any:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setitem(FIXED, "mean", full)
+    with pytest.raises(OSError, match="No space left"):
+        compare(RECORD, ["mean", "persistence"], SETUP)
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Callable[[str], list[str]]:
+    """Arguments of a command for the record and its simulator."""
+    for name, y in (("record", RECORD.y), ("simulator", SIMULATED)):
+        pd.DataFrame({"time": TIME[:, 0].round(9), "y": y[:, 0]}).to_csv(
+            tmp_path / f"{name}.csv", index=False
+        )
+    pd.read_csv(tmp_path / "record.csv")[:TRAIN].to_csv(tmp_path / "begun.csv", index=False)
+
+    def command(text: str) -> list[str]:
+        simulator = ["--simulator", str(tmp_path / "simulator.csv")]
+        name, record, *rest = text.split()
+        out = ["--out", str(tmp_path / "out")]
+        return [name, str(tmp_path / record), *rest, *simulator, *out, "--jobs", "1"]
+
+    return command
+
+
+@pytest.mark.usefixtures("broken_mean")
+def test_compare_has_a_row_for_what_could_not_be_fitted(
+    tmp_path: Path, files: Callable[[str], list[str]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    methods = f"mean,persistence,{CALIBRATED}"
+    assert main(files(f"compare record.csv --train {TRAIN} --methods {methods}")) == 0
+    said = capsys.readouterr().out
+    (row,) = [line for line in said.splitlines() if "mean" in line]
+    assert [cell.strip() for cell in row.split("│")[2:8]] == ["-"] * 6
+    assert "could not be" in row
+    found = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert found["recommended"] == CALIBRATED
+    assert found["methods"]["mean"] == {"failed": "SVD did not converge"}
+    assert "forecast_rmse" in found["methods"]["persistence"]
+    assert not pd.read_csv(tmp_path / "out" / "predictions.csv").filter(like="mean").size
+
+
+@pytest.mark.usefixtures("broken_mean")
+def test_forecast_takes_another_method_than_one_that_failed(
+    tmp_path: Path,
+    files: Callable[[str], list[str]],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        "splitband.cli.forecast.usual_methods", lambda *_: ["mean", "persistence", CALIBRATED]
+    )
+    assert main(files("forecast begun.csv --steps 50")) == 0
+    assert "mean could not be fitted: SVD did not converge" in capsys.readouterr().out
+    found = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert (found["method"], found["failed"]) == (CALIBRATED, {"mean": "SVD did not converge"})
+    table = pd.read_csv(tmp_path / "out" / "forecast.csv")
+    np.testing.assert_allclose(table["y"], RECORD.y[TRAIN : TRAIN + 50, 0], atol=1e-3)
+
+
+@pytest.mark.usefixtures("broken_mean")
+@pytest.mark.parametrize(
+    "command", ["compare record.csv --methods", "forecast begun.csv --steps 9 --method"]
+)
+def test_when_nothing_could_be_fitted_the_command_line_says_so_in_one_line(
+    command: str, files: Callable[[str], list[str]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(files(f"{command} mean")) == 2
+    said = capsys.readouterr().err
+    assert said == "error: no method could be fitted; mean: SVD did not converge\n"

@@ -1,0 +1,133 @@
+"""Inputs that go beyond what was seen of them in training are said to."""
+
+import hashlib
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+import safetensors.torch
+import torch
+
+from splitband import GRU, Recurrent, Settings, Trajectory, fit
+from splitband.cli import main
+from splitband.metrics import ExtrapolationWarning, extrapolations
+from splitband.models.saving import load, save
+
+LENGTH, TRAIN = 120, 80
+QUICK = ["--epochs", "1", "--window", "30", "--warmup", "10", "--seeds", "1", "--jobs", "1"]
+
+
+def record(u: npt.NDArray[np.float64]) -> pd.DataFrame:
+    """A first-order lag of the input."""
+    y = np.zeros(len(u))
+    for n in range(1, len(u)):
+        y[n] = 0.9 * y[n - 1] + 0.1 * u[n - 1]
+    noise = 0.01 * np.random.default_rng(0).standard_normal(len(u))
+    return pd.DataFrame({"time": 0.1 * np.arange(len(u)), "y": y + noise, "force": u})
+
+
+def test_a_constant_may_not_change_and_others_may_go_a_tenth_beyond() -> None:
+    low, high = np.array([2.0, -1.0, 0.0]), np.array([2.0, 1.0, 10.0])
+    u = np.array([[2.0, 1.19, 5.0], [2.0, -1.19, -0.9], [2.1, 1.3, 10.9], [50.0, -2.0, 11.1]])
+    found = extrapolations(low, high, u)
+    assert [(e.channel, e.farthest, e.after) for e in found] == [
+        (0, 50.0, 2),
+        (1, -2.0, 2),
+        (2, 11.1, 3),
+    ]
+    assert found[0].describe("force") == (
+        "input force is beyond its range in training (2 only) from sample 2 on, up to 50: "
+        "predictions from there on are extrapolations"
+    )
+    assert not extrapolations(low, high, u[:2])
+
+
+def test_a_model_warns_of_inputs_that_it_was_not_trained_on(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    u = rng.uniform(-1, 1, (LENGTH, 1))
+    model = Recurrent(GRU(1, 4, 1))
+    training = Trajectory(np.cumsum(u, axis=0), 0.1, u=u)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # not trained yet: no range is known
+        model.simulate(training.y[:10], 20, 1e4 * u)
+    fit(model, training, Settings(30, 10, 1))
+    save(model, tmp_path / "model")
+    for trained in (model, load(tmp_path / "model")[0]):
+        with pytest.warns(ExtrapolationWarning, match=r"u0 .* from sample 29 on, up to 10000"):
+            trained.simulate(training.y[:10], 20, np.r_[u[:29], [[1e4]]])
+        history = torch.from_numpy(np.stack([training.y[:10]] * 2))
+        batch = torch.from_numpy(np.stack([u[:30], np.r_[u[:29], [[-3.0]]]]))
+        with pytest.warns(ExtrapolationWarning, match="up to -3"):
+            trained.simulate(history, 20, batch)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            trained.simulate(training.y[:10], 20, u[:30])
+
+
+def test_a_saved_model_from_before_ranges_were_kept_still_loads(tmp_path: Path) -> None:
+    model = Recurrent(GRU(1, 4, 1))
+    save(model, tmp_path)
+    weights = safetensors.torch.load_file(tmp_path / "weights.safetensors")
+    old = {name: tensor for name, tensor in weights.items() if name not in ("u_low", "u_high")}
+    assert len(old) == len(weights) - 2
+    content = safetensors.torch.save(old)
+    (tmp_path / "weights.safetensors").write_bytes(content)
+    facts = json.loads((tmp_path / "model.json").read_text())
+    facts["weights_sha256"] = hashlib.sha256(content).hexdigest()
+    (tmp_path / "model.json").write_text(json.dumps(facts))
+    assert not load(tmp_path)[0].extrapolations(np.full((40, 1), 1e9))
+
+
+def test_commands_warn_of_inputs_beyond_training(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(1)
+    force = np.r_[rng.uniform(-1, 1, TRAIN), rng.uniform(-1, 1, 20), np.full(20, 50.0)]
+    record(force).to_csv(tmp_path / "record.csv", index=False)
+    record(force[:TRAIN]).to_csv(tmp_path / "past.csv", index=False)
+    record(force)[TRAIN:].to_csv(tmp_path / "future.csv", index=False)
+    known = ["--inputs", "force"]
+    said = "input force is beyond its range in training"
+
+    arguments = [str(tmp_path / "record.csv"), *known, "--train", str(TRAIN), *QUICK]
+    out = ["--methods", "gru,linear,mean", "--out", str(tmp_path / "out")]
+    assert main(["compare", *arguments, *out]) == 0
+    assert f"{said}" in (shown := capsys.readouterr().out)
+    assert "from sample 20 on, up to 50" in shown
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert [e["after"] for e in results["inputs_beyond_training"]] == [20]
+
+    ahead = ["--future-inputs", str(tmp_path / "future.csv"), "--steps", "40"]
+    past = str(tmp_path / "past.csv")
+    method = ["--method", "linear", "--out", str(tmp_path / "forecast")]
+    assert main(["forecast", past, *known, *ahead, *method]) == 0
+    assert said in capsys.readouterr().out
+    results = json.loads((tmp_path / "forecast" / "results.json").read_text())
+    assert results["inputs_beyond_training"][0]["farthest"] == 50.0
+
+    model = str(tmp_path / "model")
+    fitted = ["--method", "gru", "--epochs", "1", "--window", "30", "--warmup", "10"]
+    assert main(["fit", past, *known, *fitted, "--out", model]) == 0
+    capsys.readouterr()
+    simulated = ["--history", past, *ahead, "--out", str(tmp_path / "y.csv")]
+    assert main(["simulate", model, *simulated]) == 0
+    shown = capsys.readouterr().out
+    assert said in shown
+    assert "from sample 20 on, up to 50" in shown
+
+
+def test_commands_say_nothing_of_inputs_within_their_range(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    force = np.random.default_rng(1).uniform(-1, 1, LENGTH)
+    record(force).to_csv(tmp_path / "record.csv", index=False)
+    arguments = [str(tmp_path / "record.csv"), "--inputs", "force", "--train", str(TRAIN), *QUICK]
+    out = ["--methods", "linear,mean", "--out", str(tmp_path / "out")]
+    assert main(["compare", *arguments, *out]) == 0
+    assert "beyond its range" not in capsys.readouterr().out
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert results["inputs_beyond_training"] == []

@@ -1,0 +1,191 @@
+"""Intervals around forecasts: what they hold, and how they grow."""
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import scipy
+
+from splitband.evaluation.intervals import FARTHEST, Interval
+
+Array = npt.NDArray[np.float64]
+RECORD = np.random.default_rng(0).standard_normal((2000, 1)) * 50
+NORMAL = scipy.stats.norm.ppf(0.95)
+
+
+def errors(samples: int, growth: float, seed: int) -> Array:
+    """Independent errors whose deviation is sqrt(1 + (growth n)²)."""
+    size = np.hypot(1.0, growth * np.arange(samples))
+    return (np.random.default_rng(seed).standard_normal(samples) * size)[:, None]
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9])
+@pytest.mark.parametrize("growth", [0.0, 0.001, 0.02])
+def test_it_holds_its_share_of_errors_like_those_it_was_fitted_to(
+    growth: float, share: float
+) -> None:
+    found = [
+        Interval.fit([errors(500, growth, seed)], RECORD, share).coverage(
+            errors(500, growth, 100 + seed)
+        )
+        for seed in range(20)
+    ]
+    assert np.mean(found) == pytest.approx(share, abs=0.02)
+
+
+def test_several_forecasts_count_each_from_its_own_beginning() -> None:
+    """Errors that restart with each forecast: taken for one long forecast they would not grow."""
+    parts = [errors(170, 0.02, seed) for seed in range(12)]
+    apart, glued = (
+        Interval.fit(each, RECORD).half_widths(1001)[:, 0]
+        for each in (parts, [np.concatenate(parts)])
+    )
+    expected = np.hypot(1, 0.02 * 1000)
+    assert apart[-1] / apart[0] > 0.5 * expected
+    assert glued[-1] / glued[0] < 0.25 * expected
+
+
+# What is forecast, and with what, `(samples, train)`: the forecast of all samples from `train` on.
+def held(y: Array, train: int) -> Array:
+    return np.full(len(y) - train, y[train - 1])
+
+
+def repeated(period: int) -> Callable[[Array, int], Array]:
+    return lambda y, train: np.resize(y[train - period : train], len(y) - train)
+
+
+def averaged(y: Array, train: int) -> Array:
+    return np.full(len(y) - train, y[:train].mean())
+
+
+def autoregressive(rng: np.random.Generator) -> Array:
+    return np.asarray(scipy.signal.lfilter([1], [1, -0.99], rng.standard_normal(3000))[2000:])
+
+
+N = np.arange(1000)
+SEASON = np.sin(2 * np.pi * N / 25)
+RECORDS: dict[str, tuple[Callable[[np.random.Generator], Array], Any, float, float]] = {
+    "white noise": (lambda rng: rng.standard_normal(1000), averaged, 0.87, 0.93),
+    "sine": (lambda rng: SEASON + 0.2 * rng.standard_normal(1000), repeated(25), 0.87, 0.95),
+    "random walk": (lambda rng: rng.standard_normal(1000).cumsum(), held, 0.85, 0.95),
+    # Four correlation times are too few to tell it from a random walk.
+    "AR(0.99)": (autoregressive, held, 0.85, 0.99),
+    # All that is left of these errors is a drift, which an interval holds or does not.
+    "ramp": (lambda rng: N / 100 + 0.1 * rng.standard_normal(1000), held, 0.9, 1.0),
+    "trend and season": (
+        lambda rng: N / 200 + SEASON + 0.1 * rng.standard_normal(1000),
+        repeated(25),
+        0.9,
+        1.0,
+    ),
+}
+
+
+def fitted(y: Array, forecast: Callable[[Array, int], Array], train: int = 400) -> Interval:
+    """From forecasts at six shares of the training part, as `try_out` makes them."""
+    cuts = [round(share * train) for share in (0.5, 0.625, 0.75, 0.8, 0.85, 0.9)]
+    left = [(y[cut:train] - forecast(y[:train], cut))[:, None] for cut in cuts]
+    return Interval.fit(left, y[:train, None])
+
+
+@pytest.mark.parametrize("kind", RECORDS)
+def test_it_holds_nine_tenths_of_a_future_longer_than_the_past(kind: str) -> None:
+    make, forecast, least, most = RECORDS[kind]
+    found = []
+    for seed in range(30):
+        y = make(np.random.default_rng(seed))
+        left = (y[400:] - forecast(y, 400))[:, None]
+        found.append(fitted(y, forecast).coverage(left))
+    assert least <= np.mean(found) <= most
+
+
+def test_it_is_not_wider_than_the_noise_calls_for() -> None:
+    rng = np.random.default_rng(1)
+    widths = [fitted(rng.standard_normal(1000), averaged).half_widths(600) for _ in range(20)]
+    assert NORMAL <= np.mean(widths) <= 1.15 * NORMAL
+
+
+def test_errors_that_are_all_alike_say_less_than_as_many_different_ones() -> None:
+    """An offset is one error, however many samples show it: Student's quantile of two at most."""
+    alike = Interval.fit([np.ones((200, 1))], RECORD).half_widths(1)[0, 0]
+    assert alike == pytest.approx(scipy.stats.t.ppf(0.95, 2) / NORMAL, rel=0.1)
+    different = Interval.fit([errors(2000, 0.0, 2)], RECORD).half_widths(1)[0, 0]
+    assert different == pytest.approx(NORMAL, rel=0.08)
+
+
+def test_only_what_is_bounded_limits_it() -> None:
+    rng = np.random.default_rng(2)
+    noise, steps = rng.standard_normal((2, 400))
+    y = np.stack([noise, steps.cumsum(), 0.02 * N[:400] + noise], axis=1)
+    growing = Interval.fit([np.tile(errors(400, 0.5, 1), 3)], y)
+    # Two independent Gaussians of the record's deviation: nine tenths of their differences.
+    differences = np.diff(np.random.default_rng(2).standard_normal((2, 10**6)), axis=0)
+    apart = np.quantile(abs(differences), 0.9)
+    assert growing.most[0] == pytest.approx(apart * noise.std(), rel=0.01)
+    assert growing.most[1:] == (None, None)
+    widths = growing.half_widths(100_000)
+    assert (np.diff(widths, axis=0) >= 0).all()
+    assert widths[-1, 0] == growing.most[0]
+    assert (widths[-1, 1:] > 100 * apart * y.std(axis=0)[1:]).all()
+
+
+def test_beyond_the_horizons_it_was_computed_for_it_goes_straight_on() -> None:
+    y = np.cumsum(RECORD[:100], axis=0)
+    interval = Interval.fit([errors(50, 0.1, 4)], y)
+    assert interval.horizon[-1] == FARTHEST * 100 - 1
+    widths = interval.half_widths(FARTHEST * 200)[:, 0]
+    slopes = np.diff(widths)[interval.horizon[-2] :]
+    assert slopes.min() > 0
+    np.testing.assert_allclose(slopes, slopes[0], rtol=1e-6)
+
+
+def test_it_scales_with_the_unit_of_each_channel() -> None:
+    e = np.hstack([errors(300, 0.01, 3), errors(300, 0.0, 4)])
+    y = np.hstack([RECORD, RECORD])
+    one = Interval.fit([e], y).half_widths(700)
+    other = Interval.fit([e * [1000.0, 0.1]], y * [1000.0, 0.1]).half_widths(700)
+    np.testing.assert_allclose(other, one * [1000.0, 0.1], rtol=1e-6)
+
+
+def test_a_perfect_forecast_has_no_interval() -> None:
+    widths = Interval.fit([np.zeros((50, 1))], RECORD).half_widths(100)
+    assert 0 < widths.max() < 1e-12 * abs(RECORD).max()
+
+
+def test_one_error_is_enough() -> None:
+    widths = Interval.fit([np.array([[1.0]])], RECORD).half_widths(100)
+    assert np.isfinite(widths).all()
+    assert widths.min() > 1
+
+
+def test_it_survives_json() -> None:
+    interval = Interval.fit([np.tile(errors(200, 0.01, 5), 2)], np.hstack([RECORD, RECORD]))
+    facts = json.loads(json.dumps(asdict(interval)))
+    np.testing.assert_array_equal(Interval(**facts).half_widths(50), interval.half_widths(50))
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0, -1.0])
+def test_a_share_outside_is_named(share: float) -> None:
+    with pytest.raises(ValueError, match=f"share must lie between 0 and 1, got {share}"):
+        Interval.fit([np.ones((3, 1))], RECORD, share)
+
+
+@pytest.mark.parametrize("none", [[], [np.empty((0, 1))]])
+def test_no_errors_are_named(none: list[Array]) -> None:
+    with pytest.raises(ValueError, match="errors must have a sample at least"):
+        Interval.fit(none, RECORD)
+
+
+def test_a_forecast_that_changed_has_a_wider_interval() -> None:
+    interval = Interval((0, 100), ((1.0, 2.0), (3.0, 2.0)), (None, None))
+    change = np.concatenate([np.full((10, 2), [0.0, 3.0]), np.full((30, 2), [0.0, 4.0])])
+    wider = interval.widened(change)
+    # By the root of the mean squared change so far; after the last one known, of all.
+    of_all = np.sqrt((10 * 9 + 30 * 16) / 40)
+    expected = [[1.0, np.hypot(2, NORMAL * 3)], [3.0, np.hypot(2, NORMAL * of_all)]]
+    np.testing.assert_allclose(wider.half_width, expected)
+    assert interval.widened(np.zeros((0, 2))) == interval

@@ -1,0 +1,152 @@
+"""What processes share: calibrations are fitted once, and thread counts are left as they were."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import threadpoolctl
+import torch
+
+import splitband.forecasters.methods
+from splitband import Settings, Trajectory
+from splitband.evaluation.comparison import compare
+from splitband.evaluation.selection import try_out
+from splitband.forecasters.methods import Setup
+from splitband.forecasters.remembering import Remembered
+from splitband.report.pictures import components, rollouts
+from splitband.runtime.processes import over
+from splitband.simulators.calibration import Calibration
+
+DT, TRAIN, LENGTH = 0.1, 120, 200
+TIME = DT * np.arange(LENGTH)[:, None]
+SIMULATED = np.sin(2 * np.pi * 0.2 * TIME) + 0.4 * np.sin(2 * np.pi * 1.13 * TIME)
+NOISE = 0.05 * np.random.default_rng(0).standard_normal((LENGTH, 1))
+RECORD = Trajectory(2 * SIMULATED + 1 + NOISE, DT, y_sim=SIMULATED)
+SETUP = Setup(TRAIN, Settings(40, 10, 1, 16), cutoff=0.6, hidden_high=4, hidden_low=3)
+CALIBRATED = ["residual-gru-calibrated", "filtered-gru-calibrated", "simulator-calibrated"]
+
+
+# ---------------------------------------------------------------- calibrations
+
+
+@pytest.fixture
+def fitted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The training samples of each calibration that is fitted."""
+    found: list[int] = []
+
+    def counted(y_sim: object, y: np.ndarray, *others: object) -> Calibration:
+        found.append(len(y))
+        return Calibration(gain=(2.0,), offset=(1.0,))  # the right one
+
+    monkeypatch.setattr(splitband.forecasters.methods, "CALIBRATIONS", Remembered(counted))
+    monkeypatch.setattr(
+        "splitband.evaluation.comparison.CALIBRATIONS", splitband.forecasters.methods.CALIBRATIONS
+    )
+    return found
+
+
+def test_a_calibration_is_fitted_once_for_all_methods_and_seeds(fitted: list[int]) -> None:
+    try_out(RECORD, CALIBRATED, SETUP, seeds=(0, 1))
+    assert sorted(fitted) == [60, 75, 90, 96, 102, 108]
+    runs = compare(RECORD, CALIBRATED, SETUP, seeds=(0, 1))
+    assert fitted[6:] == [TRAIN]
+    said = {run.description.removeprefix("simulator: ") for r in runs.values() for run in r}
+    assert said == {"gain 2; offset 1"}
+
+
+def test_other_processes_are_sent_what_is_fitted(
+    fitted: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They would say so: it is not the counted function that they would call."""
+
+    def sent(work: Callable[..., object], jobs: object, *_: object) -> list[object]:
+        learned = splitband.forecasters.methods.CALIBRATIONS.results
+        splitband.forecasters.methods.CALIBRATIONS.results = {}  # as in a new process
+        assert len(learned) == 1
+        return [work(job, lambda _: None) for job in jobs]  # type: ignore[attr-defined]
+
+    monkeypatch.setattr("splitband.evaluation.comparison.over", sent)
+    compare(RECORD, CALIBRATED, SETUP)
+    assert fitted == [TRAIN]
+
+
+def test_remembered_results_differ_where_any_argument_does() -> None:
+    calls: list[int] = []
+
+    def summed(x: np.ndarray, *others: float) -> float:
+        calls.append(1)
+        return float(x.sum()) + sum(others)
+
+    remembered, x = Remembered(summed, most=3), np.arange(4.0)
+    for arguments in ((x,), (x, 1.0), (x[:3],)):
+        assert remembered(*arguments) == remembered(*arguments) == summed(*arguments)
+    assert len(calls) == 6
+    remembered(x.reshape(2, 2))  # in place of the oldest
+    assert len(remembered.results) == 3
+    remembered(x)
+    assert len(calls) == 8
+
+
+# ---------------------------------------------------------------- threads
+
+
+def blas() -> list[int]:
+    return [pool["num_threads"] for pool in threadpoolctl.threadpool_info()
+            if pool["user_api"] == "blas"]  # fmt: skip
+
+
+def seen(_: int, report: Callable[[object], None]) -> tuple[int, list[int]]:
+    return torch.get_num_threads(), blas()
+
+
+def test_blas_and_torch_have_their_threads_again_afterwards() -> None:
+    np.ones((2, 2)) @ np.ones((2, 2))
+    torchs = torch.get_num_threads()
+    with threadpoolctl.threadpool_limits(3, user_api="blas"):
+        torch.set_num_threads(2)
+        before = 2, blas()
+        inside = [*over(seen, [0, 1])]
+        after = torch.get_num_threads(), blas()
+    torch.set_num_threads(torchs)
+    assert after == before
+    assert inside == [(1, [1] * len(before[1]))] * 2
+
+
+def test_they_have_them_after_a_failure_and_between_results_too() -> None:
+    def failing(job: int, report: Callable[[object], None]) -> int:
+        if job:
+            raise ValueError("no")
+        return job
+
+    before = torch.get_num_threads(), blas()
+    results = over(failing, [0, 1])
+    next(results)
+    assert (torch.get_num_threads(), blas()) == before
+    with pytest.raises(ValueError, match="no"):
+        next(results)
+    assert (torch.get_num_threads(), blas()) == before
+
+
+# ---------------------------------------------------------------- settings of one method
+
+
+def test_a_method_with_settings_of_its_own_warms_up_as_they_say(tmp_path: Path) -> None:
+    other = Settings(44, 14, 1, 16)
+    setup = replace(SETUP, overrides={"rnn": other, "filtered-rnn": other})
+    methods = ["rnn", "filtered-rnn", "gru"]
+    trial = try_out(RECORD, methods, setup)
+    runs = compare(RECORD, methods, setup)
+    assert (trial.failed, runs.failed) == ({}, {})
+    alone = compare(RECORD, methods, replace(SETUP, settings=other))
+    for name, begin in (("rnn", 14), ("filtered-rnn", 14), ("gru", 10)):
+        assert len(runs[name][0].from_start) == LENGTH - begin
+        assert len(runs[name][0].forecast) == LENGTH - TRAIN
+        if begin == 14:
+            np.testing.assert_allclose(
+                runs[name][0].forecast, alone[name][0].forecast, rtol=1e-5, atol=1e-6
+            )
+    for picture in (rollouts(RECORD, setup, runs, trial.settled(runs)),
+                    components(RECORD, setup, runs)):  # fmt: skip
+        picture.canvas.draw()

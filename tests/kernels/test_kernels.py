@@ -1,0 +1,455 @@
+"""The fused rollouts against the plain loop, `nn.GRU` and float64: samples and every gradient."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor, nn
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from splitband.kernels import common, euler_rollout, gru_rollout
+from splitband.kernels import matmul as products
+from splitband.networks import GRU, EulerMLP, free_run
+
+Sizes = tuple[int, int, int, int, int, int]
+Run = Callable[..., Tensor]
+Case = Callable[[Sizes, torch.dtype], tuple[Any, Tensor, int, Any]]
+
+RTOL = {torch.float32: 1e-5, torch.float64: 1e-10}
+DTYPES = list(RTOL)
+# batch, warm-up, steps, ny, hidden size, nu
+SIZES: list[Sizes] = [
+    (50, 30, 60, 1, 64, 0),
+    (5, 4, 7, 3, 10, 2),
+    (1, 1, 1, 1, 1, 0),
+    (3, 1, 2, 2, 17, 1),
+]
+SIZES += [(13, 2, 9, 2, 48, 0), (1, 70, 3, 3, 33, 2), (2, 3, 70, 17, 20, 18)]
+
+
+@pytest.fixture(autouse=True)
+def _two_threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Two threads for the kernels, small as the cases are, and one for torch, which would spin."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
+    monkeypatch.setattr(common, "_WORTH_A_THREAD", 1)
+    torch.manual_seed(0)
+    yield
+    torch.set_num_threads(threads)
+
+
+def plain(cell: GRU, y: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
+    past, future = (None, None) if u is None else (u[:, : y.shape[1]], u[:, y.shape[1] :])
+    return free_run(cell, cell.initial_state(y, past), steps, future)[0]
+
+
+def fused(cell: GRU, y: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
+    recurrent, out = cell.transition, cell.observation
+    weights = recurrent.weight_ih, recurrent.weight_hh, recurrent.bias_ih, recurrent.bias_hh
+    return gru_rollout(y, steps, u, *weights, out.weight, out.bias)
+
+
+def plain_euler(cell: Any, h0: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
+    return free_run(cell, h0, steps, u)[0]
+
+
+def fused_euler(cell: Any, h0: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
+    f = cell.dynamics
+    weights = [p for i in (0, 2, 4) for p in (f[i].weight, f[i].bias)]
+    return euler_rollout(h0, steps, cell.ny, cell.step_size, u, *weights)
+
+
+def gru_case(sizes: Sizes, dtype: torch.dtype) -> tuple[Any, Tensor, int, Any]:
+    batch, warmup, steps, ny, hidden, nu = sizes
+    cell = GRU(ny, hidden, nu).to(dtype)
+    y = torch.randn(batch, warmup, ny, dtype=dtype, requires_grad=True)
+    u = torch.randn(batch, warmup + steps + 1, nu, dtype=dtype, requires_grad=True)
+    return cell, y, steps, u if nu else None
+
+
+def euler_case(sizes: Sizes, dtype: torch.dtype) -> tuple[Any, Tensor, int, Any]:
+    batch, warmup, steps, ny, hidden, nu = sizes
+    cell = EulerMLP(ny, warmup, ny + 1, hidden, 5, 0.3, nu).to(dtype)
+    h0 = torch.randn(batch, ny + 1, dtype=dtype, requires_grad=True)
+    u = torch.randn(batch, steps + 1, nu, dtype=dtype, requires_grad=True)
+    return cell, h0, steps, u if nu else None
+
+
+CASES = pytest.mark.parametrize(
+    ("case", "kernel", "loop"),
+    [(gru_case, fused, plain), (euler_case, fused_euler, plain_euler)],
+    ids=["GRU", "EulerMLP"],
+)
+
+
+def samples_and_gradients(
+    run: Run, cell: nn.Module, start: Tensor, steps: int, u: Tensor | None = None
+) -> dict[str, Tensor]:
+    """The samples, and the gradients of their RMSE against noise with respect to everything."""
+    y = run(cell, start, steps, u)
+    target = torch.randn(y.shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    inputs = {**dict(cell.named_parameters()), "start": start} | ({} if u is None else {"u": u})
+    rmse = (y - target.to(y)).square().mean().sqrt()
+    grads = torch.autograd.grad(rmse, list(inputs.values()), allow_unused=True)
+    return {"y": y} | {
+        name: torch.zeros_like(x) if grad is None else grad
+        for (name, x), grad in zip(inputs.items(), grads, strict=True)
+    }
+
+
+def agree(found: dict[str, Tensor], expected: dict[str, Tensor], rtol: float) -> None:
+    """Largest error within `rtol` of the largest value, array by array."""
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        assert found[name].dtype == value.dtype
+        assert found[name].shape == value.shape
+        if value.numel():
+            error = (found[name] - value).abs().max().item()
+            assert error <= rtol * max(value.abs().max().item(), 1e-3), name
+
+
+@CASES
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("sizes", SIZES, ids=str)
+def test_samples_and_every_gradient_are_those_of_the_plain_loop(
+    case: Case, kernel: Run, loop: Run, sizes: Sizes, dtype: torch.dtype
+) -> None:
+    args = case(sizes, dtype)
+    agree(samples_and_gradients(kernel, *args), samples_and_gradients(loop, *args), RTOL[dtype])
+
+
+@CASES
+@settings(max_examples=settings().max_examples // 4)
+@given(
+    sizes=st.tuples(
+        st.integers(1, 9),
+        st.integers(1, 4),
+        st.integers(0, 5),
+        st.integers(1, 4),
+        st.integers(1, 40),
+        st.integers(0, 3),
+    )
+)
+def test_any_sizes(case: Case, kernel: Run, loop: Run, sizes: Sizes) -> None:
+    torch.manual_seed(0)  # for each example, so that it can be found again
+    args = case(sizes, torch.float64)
+    if args[2]:
+        found, expected = (samples_and_gradients(run, *args) for run in (kernel, loop))
+        agree(found, expected, 1e-10)
+    else:
+        assert kernel(*args).shape == (sizes[0], 0, sizes[3])
+
+
+@pytest.mark.parametrize("sizes", [(2, 2, 3, 2, 3, 1), (1, 1, 2, 1, 2, 0)], ids=str)
+@CASES
+def test_gradcheck(case: Case, kernel: Run, loop: Run, sizes: Sizes) -> None:
+    cell, start, steps, u = case(sizes, torch.float64)
+    weights = list(cell.parameters())
+    inputs = [start, *weights] if u is None else [start, *weights, u]
+    # The kernels read the weights from the cell, where gradcheck moves them in place.
+    assert torch.autograd.gradcheck(lambda *_: kernel(cell, start, steps, u), inputs)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_the_warm_up_is_a_teacher_forced_gru(dtype: torch.dtype) -> None:
+    cell, y, *_ = gru_case((5, 20, 1, 2, 24, 0), dtype)
+    layer = nn.GRU(2, 24, batch_first=True).to(dtype)
+    mine = cell.transition
+    with torch.no_grad():
+        for name, value in mine.named_parameters():
+            getattr(layer, f"{name}_l0").copy_(value)
+    expected = cell.observation(layer(y)[1][0])[:, None]
+    found = fused(cell, y, 1)
+    error = torch.randn_like(expected)
+    pairs = [(y, y), *((p, getattr(layer, f"{n}_l0")) for n, p in mine.named_parameters())]
+    ours, theirs = zip(*pairs, strict=True)
+    torch.testing.assert_close(found, expected, rtol=RTOL[dtype], atol=RTOL[dtype])
+    for a, b in zip(
+        torch.autograd.grad(found, ours, error),
+        torch.autograd.grad(expected, theirs, error),
+        strict=True,
+    ):
+        torch.testing.assert_close(a, b, rtol=RTOL[dtype], atol=RTOL[dtype] * b.abs().max().item())
+
+
+@CASES
+def test_float32_is_as_near_to_float64_as_the_plain_loop(
+    case: Case, kernel: Run, loop: Run
+) -> None:
+    args = case((50, 30, 150, 1, 64, 0), torch.float32)
+    exact = case((50, 30, 150, 1, 64, 0), torch.float64)
+    exact[0].load_state_dict(args[0].state_dict())
+    expected = samples_and_gradients(
+        loop, exact[0], args[1].detach().double().requires_grad_(), 150
+    )
+    ours, theirs = (samples_and_gradients(run, *args) for run in (kernel, loop))
+    for name, value in expected.items():
+        scale = value.abs().max().item() or 1.0
+        error, allowed = (
+            (found[name].double() - value).abs().max().item() / scale for found in (ours, theirs)
+        )
+        assert error < 3 * allowed + 2e-6, name
+
+
+@pytest.mark.parametrize("blocks", ["_WIDE", "_NARROW"])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_products_of_any_shape_on_any_processor(
+    monkeypatch: pytest.MonkeyPatch, blocks: str, dtype: type[np.floating[Any]]
+) -> None:
+    monkeypatch.setattr(products, "_BLOCKS", getattr(products, blocks))
+
+    @common.part
+    def product(out: common.Array, a: common.Array, w: common.Array, accumulate: bool) -> None:
+        products._matmul(out, a, w, accumulate)
+
+    rng = np.random.default_rng(0)
+    for rows, inner, columns in [(1, 1, 16), (7, 3, 48), (25, 0, 64), (11, 9, 112), (16, 40, 80)]:
+        a = rng.standard_normal((inner, rows + 1)).astype(dtype)[:, 1:].T
+        w = rng.standard_normal((inner, columns + 3)).astype(dtype)[:, 3:]
+        out = rng.standard_normal((rows, columns)).astype(dtype)
+        before, beside = out.copy(), np.full((rows + 2, columns + 2), 7, dtype)
+        product(out, a, w, True)
+        product(beside[1:-1, 1:-1], a, w, False)
+        tolerance = 1e-5 if dtype == np.float32 else 1e-12
+        np.testing.assert_allclose(out, before + a @ w, atol=tolerance)
+        np.testing.assert_allclose(beside[1:-1, 1:-1], a @ w, atol=tolerance)
+        beside[1:-1, 1:-1] = 7
+        assert (beside == 7).all()
+
+
+def test_tanh_in_float32_is_exact_to_four_ulp_odd_and_bounded() -> None:
+    @common.part
+    def compiled(x: common.Array) -> None:
+        for i in range(x.size):
+            x[i] = common.tanh(x[i])
+
+    x = np.concatenate([np.linspace(-12, 12, 100_001), np.logspace(-30, 0, 1000)])
+    x = np.concatenate([x, [np.inf, -np.inf, np.nan, 0.0]]).astype(np.float32)
+    y = x.copy()
+    compiled(y)
+    np.testing.assert_allclose(y, np.tanh(x.astype(np.float64)), rtol=5e-7)
+    assert np.isnan(y[-2])
+    assert np.nanmax(np.abs(y)) <= 1 + 2**-22
+
+
+@CASES
+def test_inputs_and_weights_need_not_be_contiguous(case: Case, kernel: Run, loop: Run) -> None:
+    cell, start, steps, u = case((4, 3, 5, 2, 20, 2), torch.float64)
+    strided = torch.stack([start.detach(), start.detach()], dim=-1)[..., 0].requires_grad_()
+    long = torch.randn(2, 9, 4, dtype=torch.float64).requires_grad_()
+    u = long.transpose(0, 2)[..., ::1]
+    assert not strided.is_contiguous()
+    assert not u.is_contiguous()
+    for layer in cell.modules():
+        for name, weight in list(layer.named_parameters(recurse=False)):
+            spread = torch.stack([weight.detach(), weight.detach()], dim=-1)[..., 0]
+            setattr(layer, name, nn.Parameter(spread))
+    agree(
+        samples_and_gradients(kernel, cell, strided, steps, u),
+        samples_and_gradients(loop, cell, strided, steps, u),
+        1e-10,
+    )
+
+
+@CASES
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_a_nan_stays_in_its_row_and_shows(
+    case: Case, kernel: Run, loop: Run, dtype: torch.dtype
+) -> None:
+    cell, start, steps, u = case((6, 3, 5, 2, 20, 2), dtype)
+    with torch.no_grad():
+        clean = kernel(cell, start, steps, u)
+        start[2].flatten()[0] = torch.nan
+        u[4, -4 if case is euler_case else -5] = torch.nan
+        found = kernel(cell, start, steps, u)
+        assert torch.equal(found.isnan(), loop(cell, start, steps, u).isnan())
+    assert found[2, 1:].isnan().all()
+    assert found[4, -1].isnan().all()
+    assert torch.equal(found[[0, 1, 3, 5]], clean[[0, 1, 3, 5]])
+
+
+def test_infinite_inputs_saturate_the_gates() -> None:
+    cell, y, steps, _ = gru_case((2, 3, 4, 1, 5, 0), torch.float32)
+    with torch.no_grad():
+        y[0, 1] = torch.inf
+        torch.testing.assert_close(fused(cell, y, steps), plain(cell, y, steps))
+
+
+class Allocations(TorchDispatchMode):
+    """Sizes of what torch makes."""
+
+    def __init__(self) -> None:
+        super().__init__()  # type: ignore[no-untyped-call]
+        self.sizes: list[int] = []
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        out = func(*args, **(kwargs or {}))
+        if "empty" in str(func):
+            self.sizes.append(out.numel())
+        return out
+
+
+@CASES
+def test_without_gradients_the_memory_does_not_grow_with_the_steps(
+    case: Case, kernel: Run, loop: Run
+) -> None:
+    steps = 200_000
+    cell, start, *_ = case((1, 3, 1, 1, 16, 0), torch.float32)
+    with torch.no_grad(), Allocations() as made:
+        y = kernel(cell, start, steps)
+    assert y.isfinite().all()
+    assert sorted(made.sizes)[-1] == steps
+    assert sum(made.sizes) < steps + 10_000
+    with Allocations() as made:
+        kernel(cell, start, 1000)
+    assert max(made.sizes) > 10_000
+
+
+@CASES
+def test_nothing_is_kept_where_nothing_needs_a_gradient(case: Case, kernel: Run, loop: Run) -> None:
+    cell, start, steps, u = case((2, 3, 4, 1, 5, 1), torch.float64)
+    cell.requires_grad_(False)
+    y = kernel(cell, start.detach(), steps, u.detach())
+    assert y.grad_fn is None
+    assert kernel(cell, start, steps, u.detach()).grad_fn is not None
+
+
+@CASES
+def test_backward_can_be_repeated_but_not_differentiated(
+    case: Case, kernel: Run, loop: Run
+) -> None:
+    cell, start, steps, u = case((3, 2, 5, 1, 7, 1), torch.float64)
+    y = kernel(cell, start, steps, u).square().sum()
+    (first,) = torch.autograd.grad(y, start, retain_graph=True)
+    (again,) = torch.autograd.grad(y, start, create_graph=True)
+    assert torch.equal(again, first)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        again.sum().backward()
+
+
+@CASES
+def test_rows_do_not_see_each_other_nor_the_number_of_threads(
+    monkeypatch: pytest.MonkeyPatch, case: Case, kernel: Run, loop: Run
+) -> None:
+    cell, start, steps, u = case((11, 3, 20, 2, 20, 1), torch.float32)
+    whole = kernel(cell, start, steps, u)
+    for rows in (slice(0, 1), slice(3, 8)):
+        torch.testing.assert_close(kernel(cell, start[rows], steps, u[rows]), whole[rows])
+    two = samples_and_gradients(kernel, cell, start, steps, u)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
+    agree(samples_and_gradients(kernel, cell, start, steps, u), two, 1e-5)
+
+
+@CASES
+def test_several_threads_at_once(case: Case, kernel: Run, loop: Run) -> None:
+    args = case((8, 3, 50, 1, 32, 0), torch.float64)
+    alone = samples_and_gradients(kernel, *args)
+    with ThreadPoolExecutor(8) as pool:
+        runs = [pool.submit(samples_and_gradients, kernel, *args) for _ in range(40)]
+        for run in runs:
+            agree(run.result(), alone, 1e-12)
+
+
+def test_rows_are_split_evenly_over_the_threads_that_the_work_is_worth(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert common.split_rows(5, 100) == [slice(0, 2), slice(2, 5)]
+    assert common.split_rows(1, 100) == [slice(0, 1)]
+    monkeypatch.setattr(common, "_WORTH_A_THREAD", 60)
+    assert common.split_rows(5, 100) == [slice(0, 5)]
+
+
+def test_jobs_that_no_thread_takes_are_done_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Lost:
+        def submit(self, work: Callable[[], None]) -> Future[None]:
+            return Future()
+
+    done: list[int] = []
+    monkeypatch.setattr(common, "_POOL", Lost())
+    common.run_rows(done.append, [(i,) for i in range(5)])
+    assert sorted(done) == list(range(5))
+
+
+def test_an_error_in_a_job_is_raised() -> None:
+    def fail(i: int) -> None:
+        if i == 1:
+            raise MemoryError
+
+    with pytest.raises(MemoryError):
+        common.run_rows(fail, [(0,), (1,), (2,)])
+
+
+def test_compiling_is_announced_once_and_only_then(tmp_path: Path) -> None:
+    code = """
+import numpy as np
+from splitband.filters import lfilter
+lfilter([0.5], [1.0, -0.5], np.arange(3.0))  # a kernel of several compiled parts
+"""
+
+    def stderr() -> str:
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        return done.stderr
+
+    assert stderr().count("compiling kernels") == 1
+    assert not stderr()
+
+
+def test_importing_compiles_nothing() -> None:
+    code = """
+from splitband.kernels import euler_mlp, gru
+kernels = [m._forward for m in (euler_mlp, gru)] + [m._backward for m in (euler_mlp, gru)]
+assert not any(k.signatures for k in kernels)
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"u": torch.zeros(2, 5, 1)}, r"u must be \(2, 6, 1\)"),
+        ({"u": torch.zeros(3, 6, 1)}, r"u must be \(2, 6, 1\)"),
+        ({"weight_ih": torch.zeros(15, 1)}, r"weight_ih must be \(15, 2\)"),
+        ({"weight_out": torch.zeros(1, 4)}, r"weight_out must be \(1, 5\)"),
+        ({"bias_hh": torch.zeros(15, dtype=torch.float64)}, "bias_hh must be .* torch.float32"),
+        ({"y_warmup": torch.zeros(2, 3, 1).half()}, "float32 or float64, got torch.float16"),
+    ],
+)
+def test_tensors_that_do_not_fit_are_refused(wrong: dict[str, Tensor], message: str) -> None:
+    tensors = {
+        "y_warmup": torch.zeros(2, 3, 1),
+        "u": torch.zeros(2, 6, 1),
+        "weight_ih": torch.zeros(15, 2),
+        "weight_hh": torch.zeros(15, 5),
+        "bias_ih": torch.zeros(15),
+        "bias_hh": torch.zeros(15),
+        "weight_out": torch.zeros(1, 5),
+        "bias_out": torch.zeros(1),
+    }
+    with pytest.raises(ValueError, match=message):
+        gru_rollout(steps=4, **tensors | wrong)
+
+
+def test_an_euler_rollout_refuses_tensors_that_do_not_fit() -> None:
+    cell, h0, steps, u = euler_case((2, 3, 4, 1, 5, 1), torch.float32)
+    with pytest.raises(ValueError, match=r"u must be \(2, 3, 1\)"):
+        fused_euler(cell, h0, steps, u[:, :2])
+    with pytest.raises(ValueError, match=r"weight_1 must be \(5, 2\)"):
+        fused_euler(cell, h0, steps)

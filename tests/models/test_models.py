@@ -1,0 +1,461 @@
+"""What models promise: no look into the future, parts that add up, units that do not matter."""
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import scipy.signal
+import torch
+from torch import Tensor, nn
+
+from splitband import (
+    GRU,
+    ComplementaryPair,
+    EulerMLP,
+    Filtered,
+    Recurrent,
+    Residual,
+    Settings,
+    Split,
+    Trajectory,
+    fit,
+)
+from splitband.evaluation.comparison import predict, run
+from splitband.filters import butterworth
+from splitband.forecasters.methods import FIXED, METHODS, TRAINED, Setup, build
+from splitband.models import Model, Signals
+
+DT, WARMUP, TRAIN, LENGTH = 0.1, 12, 90, 140
+QUICK = Settings(window=40, warmup=WARMUP, epochs=1, batch_size=16)
+SETUP = Setup(TRAIN, QUICK, cutoff=0.6, order=2, hidden_high=5, hidden_low=3)
+
+
+def record(ny: int = 1, nu: int = 0, seed: int = 0) -> Trajectory:
+    rng = np.random.default_rng(seed)
+    t = DT * np.arange(LENGTH)[:, None]
+    phase = rng.uniform(0, 6, (2, ny))
+    y = np.sin(2 * np.pi * 0.2 * t + phase[0]) + 0.4 * np.sin(2 * np.pi * 1.1 * t + phase[1])
+    y_sim = 0.8 * np.sin(2 * np.pi * 0.2 * t + phase[0]) + 0.3
+    u = rng.standard_normal((LENGTH, nu)) if nu else None
+    return Trajectory(y + 0.05 * rng.standard_normal(y.shape), DT, u=u, y_sim=y_sim)
+
+
+def y_sim_of(trajectory: Trajectory) -> npt.NDArray[np.float64]:
+    assert trajectory.y_sim is not None
+    return trajectory.y_sim
+
+
+BANDS = [ComplementaryPair.butterworth(cutoff, 1 / DT, 2) for cutoff in (0.3, 0.9)]
+
+
+def three_bands(trajectory: Trajectory) -> Model:
+    torch.manual_seed(1)
+    told = trajectory.nu + 2 * trajectory.ny
+    networks = [GRU(trajectory.ny, 4, nu) for nu in (trajectory.nu, told, told)]
+    return Split(networks, BANDS, [4, 2], conditioned=True)
+
+
+def trained(method: str, trajectory: Trajectory) -> Model:
+    three = method == "three-bands-conditioned"
+    model = three_bands(trajectory) if three else build(method, trajectory, SETUP, seed=1)
+    fit(model, trajectory[:TRAIN], SETUP.settings, seed=1)
+    return model
+
+
+NAMES = [*(method for method in TRAINED if "rnn" not in method), "three-bands-conditioned"]
+
+
+@cache
+def model_of(method: str) -> Model:
+    """Trained on the record's first samples, once in a process."""
+    return trained(method, record())
+
+
+def moved(trajectory: Trajectory, start: int, stop: int | None = None) -> Trajectory:
+    """A record of which other samples were measured from index `start` on."""
+    y = trajectory.y.copy()
+    y[start:stop] += 25.0
+    return replace(trajectory, y=y)
+
+
+@pytest.mark.parametrize("start", [WARMUP, TRAIN, TRAIN + 7])
+@pytest.mark.parametrize("method", NAMES)
+def test_a_prediction_sees_the_samples_of_its_warm_up_and_no_other(method: str, start: int) -> None:
+    def predicted(trajectory: Trajectory) -> npt.NDArray[np.float64]:
+        parts = predict(model_of(method), trajectory, start - WARMUP, start)
+        return np.concatenate([*parts.values()])
+
+    expected = predicted(record())
+    np.testing.assert_array_equal(predicted(moved(record(), start)), expected)
+    np.testing.assert_array_equal(predicted(moved(record(), 0, start - WARMUP)), expected)
+    assert not np.array_equal(predicted(moved(record(), start - 1)), expected)
+
+
+@pytest.mark.parametrize("method", [m for m in METHODS if "rnn" not in m])
+def test_no_method_learns_from_samples_after_the_training_part(method: Any) -> None:
+    given, later = record(nu=1 if method == "linear" else 0), TRAIN + 5
+    expected = run(method, given, SETUP, 0, later=[later])
+    found = run(method, moved(given, TRAIN), SETUP, 0)
+    np.testing.assert_array_equal(found.forecast, expected.forecast)
+    np.testing.assert_array_equal(found.from_start, expected.from_start)
+    if method not in FIXED:
+        found = run(method, moved(given, later), SETUP, 0, later=[later])
+        np.testing.assert_array_equal(found.later[later], expected.later[later])
+
+
+@pytest.mark.parametrize("kind", ["split", "filtered", "residual"])
+def test_the_parts_of_a_simulation_add_up_in_the_units_of_the_record(kind: str) -> None:
+    """Scripted networks say what is left of a known signal, in multiples of its deviation."""
+    n = torch.arange(LENGTH, dtype=torch.float64)[:, None]
+    slow, fast = torch.sin(n / 15), 0.3 * torch.sin(n / 2)
+    y, y_sim = (3.0 + 2.0 * signal for signal in (slow + fast, slow))
+    ahead = [signal[WARMUP:] for signal in (slow, fast)]
+    model: Model
+    if kind == "split":
+        cells = [_Scripted(signal, 0) for signal in ahead]
+        model = Split(cells, ComplementaryPair.butterworth(0.8, 10.0), downsampling=1)
+    elif kind == "residual":
+        model = Residual(_Scripted(ahead[1], 0))
+    else:
+        y_sim = y
+        model = _filtered(ahead[0] + ahead[1], order=1)
+    model = model.double()
+    model.y_mean.fill_(3.0)
+    model.y_std.fill_(2.0)
+    warm, steps, simulated = y[:WARMUP].numpy(), LENGTH - WARMUP, y_sim.numpy()
+    found = model.simulate(warm, steps, y_sim=simulated)
+    np.testing.assert_allclose(found, y[WARMUP:].numpy(), rtol=0, atol=1e-12)
+    first, other = model.simulate_components(warm, steps, y_sim=simulated).values()
+    np.testing.assert_allclose(first + other, found, rtol=0, atol=1e-12)
+    if kind != "filtered":
+        np.testing.assert_allclose(first, (3.0 + 2.0 * ahead[0]).numpy(), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("method", TRAINED)
+@pytest.mark.parametrize(("ny", "nu"), [(1, 2), (3, 0), (2, 1)])
+def test_channels_and_inputs_of_any_number(method: Any, ny: Any, nu: Any) -> None:
+    r = record(ny, nu)
+    model = build(method, r, SETUP, seed=0)
+    u = None if r.u is None else r.u
+    y = model.simulate(r.y[:WARMUP], 30, u, y_sim_of(r))
+    assert y.shape == (30, ny)
+    assert np.isfinite(y).all()
+
+
+@pytest.mark.parametrize("method", NAMES)
+def test_a_batch_is_simulated_like_each_of_its_members(method: Any) -> None:
+    members = [record(seed=s) for s in range(3)]
+    y = np.stack([r.y[:WARMUP] for r in members])
+    y_sim = np.stack([y_sim_of(r) for r in members])
+    together = model_of(method).simulate(y, 40, y_sim=y_sim)
+    for r, found in zip(members, together, strict=True):
+        alone = model_of(method).simulate(r.y[:WARMUP], 40, y_sim=y_sim_of(r))
+        np.testing.assert_allclose(found, alone, atol=1e-5)
+
+
+@pytest.mark.parametrize("method", NAMES)
+@pytest.mark.parametrize(("unit", "offset"), [(1e3, 5e6), (1e60, 0.0), (1e-60, 0.0)])
+def test_units_do_not_matter(method: Any, unit: float, offset: float) -> None:
+    """Not even those whose numbers are no float32."""
+    r = record()
+    other = replace(r, y=unit * r.y + offset, y_sim=unit * y_sim_of(r) + offset)
+    expected = predict(model_of(method), r, 0, WARMUP)
+    found = predict(trained(method, other), other, 0, WARMUP)
+    for i, (name, part) in enumerate(expected.items()):
+        shift = 0.0 if i else offset  # the first part carries the mean
+        np.testing.assert_allclose((found[name] - shift) / unit, part, atol=2e-3)
+
+
+def test_one_dimensional_and_torch_signals_come_back_as_they_went_in() -> None:
+    model = model_of("split-gru")
+    y = record().y[:WARMUP]
+    flat = model.simulate(y[:, 0], 9)
+    assert flat.shape == (9,)
+    tensor = model.simulate(torch.tensor(y)[None], 9)
+    assert tensor.shape == (1, 9, 1)
+    assert tensor.dtype == torch.float64
+    np.testing.assert_array_equal(tensor.detach().numpy()[0, :, 0], flat)
+
+
+def test_the_bands_of_the_split_model_add_up_to_the_record_at_its_ends_too() -> None:
+    known = Signals(torch.tensor(record().y[:TRAIN]))
+    low, high = build("split-gru", record(), SETUP, seed=0).double().tasks(known)
+    torch.testing.assert_close(low.target + high.target, known.y, rtol=0, atol=1e-12)
+
+
+def test_three_bands_add_up_to_the_record_at_its_ends_too() -> None:
+    known = Signals(torch.tensor(record(ny=2).y[:TRAIN]))
+    tasks = three_bands(record(ny=2)).double().tasks(known)
+    assert [(task.name, task.stride) for task in tasks] == [
+        ("low band", 4), ("band 2", 2), ("high band", 1)
+    ]  # fmt: skip
+    total = tasks[0].target + tasks[1].target + tasks[2].target
+    torch.testing.assert_close(total, known.y, rtol=0, atol=1e-12)
+    for i, pair in enumerate(BANDS):
+        low = scipy.signal.filtfilt(pair.b_low, pair.a, known.y.numpy(), axis=0)
+        found = sum(task.target for task in tasks[: i + 1])
+        np.testing.assert_allclose(found, low, atol=1e-9)
+
+
+def test_a_split_of_lists_is_that_of_a_single_pair() -> None:
+    networks = [GRU(1, 3), GRU(1, 5)]
+    single, listed = Split(networks, BANDS[0], 3), Split(networks, [BANDS[0]], [3])
+    y = record().y[:WARMUP]
+    np.testing.assert_array_equal(listed.simulate(y, 40), single.simulate(y, 40))
+    known = Signals(torch.tensor(record().y[:TRAIN]))
+    for a, b in zip(listed.tasks(known), single.tasks(known), strict=True):
+        assert (a.name, a.stride) == (b.name, b.stride)
+        assert torch.equal(a.target, b.target)
+
+
+def test_the_low_network_predicts_the_samples_it_is_up_sampled_to() -> None:
+    """A network that knows the low band exactly gives it back, up to linear interpolation."""
+    t = torch.arange(400, dtype=torch.float64)[:, None]
+    slow = torch.sin(2 * torch.pi * t / 200)
+    for k in (2, 3, 5):
+        for warmup in (30, 31, 32):
+            low = _Scripted(slow[warmup % k :: k], after=(warmup - warmup % k) // k)
+            high = _Scripted(torch.zeros(400, 1, dtype=torch.float64), after=0)
+            model = Split([low, high], ComplementaryPair.butterworth(0.8, 10.0), downsampling=k)
+            found = model.double().components(Signals(slow[None, :warmup]), 101)["low band"]
+            torch.testing.assert_close(found[0], slow[warmup : warmup + 101], rtol=0, atol=4e-3)
+
+
+class _Scripted(nn.Module):
+    """A cell that says what it was told, from entry `after` on, and keeps its inputs."""
+
+    ny = 1
+
+    def __init__(self, script: Tensor, after: int, nu: int = 0) -> None:
+        super().__init__()
+        self.script, self.after, self.nu = nn.Parameter(script), after, nu
+        self.inputs: list[Tensor] = []
+
+    def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> int:
+        self.batch = len(y_warmup)
+        self.inputs = [] if u is None else [*u.unbind(dim=1)]
+        return self.after
+
+    def step(self, h: int, y: Tensor, u: Tensor | None = None) -> int:
+        if u is not None:
+            self.inputs.append(u)
+        return h + 1
+
+    def observe(self, h: int) -> Tensor:
+        return self.script[h].expand(self.batch, 1)
+
+
+def told_of(slow: Tensor, scale: float, driven: bool = False) -> Tensor:
+    """Value and slope of a signal `(time, 1)`, each row one sample ahead.
+
+    The slope is from the neighbours, or for a system with inputs from the sample before alone.
+    """
+    slope = torch.gradient(slow, dim=0)[0]
+    if driven:
+        slope[1:] = slow[1:] - slow[:-1]
+    return torch.cat([slow, slope / scale], dim=1)[1:]
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_the_high_network_of_a_conditioned_split_is_told_of_the_low_bands_prediction(
+    k: Any,
+) -> None:
+    t = torch.arange(400, dtype=torch.float64)[:, None]
+    slow, warmup, steps = torch.sin(t / 30), 31, 41
+    low = _Scripted(slow[warmup % k :: k], after=(warmup - warmup % k) // k)
+    high = _Scripted(torch.zeros_like(t), 0, nu=2)
+    pair = ComplementaryPair.butterworth(0.8, 10.0)
+    model = Split([low, high], pair, k, conditioned=True).double()
+    model.slope_scale.fill_(0.25)
+    known = Signals(slow[None, :warmup] + 0.3)
+    # The slope at the last sample is that between its neighbours, too.
+    longer = model.components(known, steps + 1)["low band"][0]
+    predicted = model.components(known, steps)["low band"][0]
+    torch.testing.assert_close(predicted, slow[warmup : warmup + steps], rtol=0, atol=2e-3)
+    whole = torch.cat([pair.lowpass(known.y)[0], longer])
+    found = torch.cat(high.inputs)
+    torch.testing.assert_close(found, told_of(whole, 0.25)[:-1], rtol=0, atol=1e-12)
+
+
+def test_in_training_the_high_network_is_told_of_the_low_bands_prediction_too() -> None:
+    low = _Scripted(torch.linspace(-1, 1, 90, dtype=torch.float64)[:, None], after=15)
+    high = _Scripted(torch.zeros(90, 1, dtype=torch.float64), 0, nu=2)
+    model = Split([low, high], BANDS[1], 2, conditioned=True).double()
+    task = model.tasks(Signals(torch.tensor(record().y)))[1]
+    window = Signals(torch.tensor(record().y[None, :30]))
+    trained = task.simulate(window, 41)
+    inputs = high.inputs
+    simulated = model.components(window, 41)["high band"]
+    assert torch.equal(trained, simulated)
+    assert torch.equal(torch.cat(inputs), torch.cat(high.inputs))
+    assert not torch.cat(inputs).requires_grad
+
+
+@pytest.mark.parametrize("nu", [0, 1])
+@pytest.mark.parametrize("kind", ["filtered", "residual"])
+def test_the_network_of_a_conditioned_hybrid_is_told_of_the_simulator_behind_its_inputs(
+    kind: Any, nu: Any
+) -> None:
+    """Of the whole simulator, in training as in simulation, and not of its low band."""
+    r, steps = record(nu=nu), 60
+    cell = _Scripted(torch.zeros(LENGTH, 1, dtype=torch.float64), 0, nu + 2)
+    pair = ComplementaryPair.perfect(*butterworth(0.5, 10.0), 10.0)
+    hybrid = Filtered(cell, pair, True) if kind == "filtered" else Residual(cell, True)
+    model = hybrid.double()
+    model.slope_scale.fill_(0.1)
+    y_sim, end = torch.tensor(y_sim_of(r)), WARMUP + steps
+    u = None if r.u is None else torch.tensor(r.u)
+    model.components(
+        Signals(
+            torch.tensor(r.y[None, :WARMUP]),
+            None if u is None else u[None, :end],
+            y_sim[None, : end + 1],
+        ),
+        steps,
+    )
+    expected = told_of(y_sim, 0.1, driven=nu > 0)[: end - 1]
+    if u is not None:
+        expected = torch.cat([u[: end - 1], expected], dim=1)
+    torch.testing.assert_close(torch.cat(cell.inputs), expected, rtol=0, atol=1e-12)
+    (task,) = model.tasks(Signals(torch.tensor(r.y), u, y_sim))
+    assert task.known.u is not None
+    torch.testing.assert_close(task.known.u[: end - 1], expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["split-gru-conditioned", "residual-gru-conditioned"])
+def test_slopes_have_unit_deviation_over_the_training_record(name: Any) -> None:
+    r = record(ny=2)
+    model = build(name, r, SETUP, seed=0)
+    model.adapt_to([r[:TRAIN]])
+    slow = y_sim_of(r)[:TRAIN] if "residual" in name else r.y[:TRAIN]
+    slow = (slow - r.y[:TRAIN].mean(axis=0)) / r.y[:TRAIN].std(axis=0)
+    if "split" in name:
+        b, a = butterworth(SETUP.cutoff, r.sampling_rate, SETUP.order)
+        slow = scipy.signal.filtfilt(b, a, slow, axis=0)
+    expected = np.gradient(slow, axis=0).std(axis=0, ddof=1)
+    found = model.get_buffer("slope_scale").numpy().ravel()
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+
+
+def _filtered(script: Tensor, order: int, conditioned: bool = False) -> Filtered:
+    b, a = butterworth(0.5, 20.0, order)
+    cell = _Scripted(script, 0, nu=2 if conditioned else 0)
+    return Filtered(cell, ComplementaryPair.perfect(b, a, 20.0), conditioned).double()
+
+
+@pytest.mark.parametrize("conditioned", [False, True])
+@pytest.mark.parametrize("order", [1, 2, 3])
+@pytest.mark.parametrize("slow", ["constant", "ramp"])
+def test_the_low_band_of_the_network_cannot_move_the_hybrid_prediction(
+    order: Any, slow: Any, conditioned: Any
+) -> None:
+    """What reaches the result is the high-pass filter's response to what was added, no more."""
+    steps, warmup = 1500, 20
+    n = torch.arange(steps, dtype=torch.float64)[:, None]
+    added = 5.0 * torch.ones_like(n) if slow == "constant" else 0.01 * n
+    detail = torch.sin(2 * torch.pi * n * 4 / 20)
+    y_sim = torch.sin(2 * torch.pi * torch.arange(warmup + steps).double() / 300)[None, :, None]
+    known = Signals(y_sim[:, :warmup] + 0.1, y_sim=y_sim)
+    without, with_added = (
+        torch.stack([*_filtered(script, order, conditioned).components(known, steps).values()])
+        .sum(dim=0)[0, :, 0]
+        .detach()
+        .numpy()
+        for script in (detail, detail + added)
+    )
+    pair = _filtered(detail, order).pair
+    response = scipy.signal.lfilter(pair.b_high, pair.a, added[:, 0].numpy())
+    np.testing.assert_allclose(with_added - without, response, atol=1e-9)
+    # A constant dies out; a ramp leaves at most its slope over the cut-off's angular frequency,
+    # times the order.
+    settled = np.abs((with_added - without)[-200:]).max()
+    bound = 1e-6 if slow == "constant" else order * 0.01 * 20.0 / (2 * np.pi * 0.5) * 1.01
+    assert settled < bound
+
+
+def test_the_hybrid_prediction_goes_on_from_the_last_measured_sample() -> None:
+    """H + L = 1: a network and a simulator that both know the signal reproduce it."""
+    t = torch.arange(300, dtype=torch.float64)
+    y = (torch.sin(t / 15) + 0.3 * torch.sin(t / 2))[:, None]
+    known = Signals(y[None, :50], y_sim=y[None])
+    low, high = _filtered(y[50:], order=1).components(known, 250).values()
+    torch.testing.assert_close((low + high)[0], y[50:], rtol=0, atol=1e-12)
+
+
+def test_the_residual_model_adds_its_network_to_the_simulator() -> None:
+    r = record()
+    script = torch.linspace(-1, 1, 60, dtype=torch.float64)[:, None]
+    model = Residual(_Scripted(script, 0)).double()
+    y = model.simulate(r.y[:WARMUP], 60, y_sim=y_sim_of(r))
+    np.testing.assert_allclose(y, y_sim_of(r)[WARMUP : WARMUP + 60] + script.numpy(), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: Recurrent(GRU(1, 4)).simulate(np.zeros((5, 2)), 3), "y_warmup must have 1"),
+        (lambda: Recurrent(GRU(1, 4)).simulate(np.zeros(5), 0), "steps must be at least 1, got 0"),
+        (lambda: Recurrent(GRU(1, 4)).simulate(np.zeros((0, 1)), 3), "at least 1 sample"),
+        (lambda: Recurrent(GRU(1, 4, 1)).simulate(np.zeros(5), 3), "u must be given"),
+        (
+            lambda: Recurrent(GRU(1, 4, 1)).simulate(np.zeros(5), 3, u=np.zeros((7, 1))),
+            "u must have 1 channel",
+        ),
+        (lambda: Residual(GRU(1, 4)).simulate(np.zeros(5), 3), "y_sim must be given"),
+        (
+            lambda: Split([GRU(1, 4), GRU(2, 4)], ComplementaryPair.butterworth(1, 10)),
+            r"\(ny, nu\) must be \[\(1, 0\), \(1, 0\)\], got \[\(1, 0\), \(2, 0\)\]",
+        ),
+        (
+            lambda: Split([GRU(1, 4), GRU(1, 4)], ComplementaryPair.butterworth(2, 10), 3),
+            "downsampling by 3",
+        ),
+        (
+            lambda: Filtered(GRU(1, 4), ComplementaryPair.butterworth(2, 10)),
+            "must filter one way",
+        ),
+        (
+            lambda: Split([GRU(1, 4), GRU(1, 4, 1)], BANDS[0], conditioned=True),
+            r"must be \[\(1, 0\), \(1, 2\)\], with 2 ny inputs for the slower bands, "
+            r"got \[\(1, 0\), \(1, 1\)\]",
+        ),
+        (
+            lambda: Split([GRU(2, 4, 1), GRU(2, 4, 5), GRU(2, 4, 1)], BANDS, conditioned=True),
+            r"must be \[\(2, 1\), \(2, 5\), \(2, 5\)\].*got \[\(2, 1\), \(2, 5\), \(2, 1\)\]",
+        ),
+        (
+            lambda: Filtered(GRU(1, 4, 1), BANDS[0], conditioned=True),
+            "at least 2 ny = 2 inputs.*got nu = 1",
+        ),
+        (
+            lambda: Residual(GRU(2, 4, 3), conditioned=True),
+            "at least 2 ny = 4 inputs.*got nu = 3",
+        ),
+        (
+            lambda: Residual(GRU(1, 4, 3), conditioned=True).simulate(
+                np.zeros(5), 3, y_sim=np.zeros(8)
+            ),
+            "u must be given exactly where the model has inputs, nu = 1",
+        ),
+        (
+            lambda: Split([GRU(1, 4)] * 3, BANDS[::-1]),
+            r"cut-offs must rise from pair to pair, got \[0\.9, 0\.3\] Hz",
+        ),
+        (
+            lambda: Split([GRU(1, 4)] * 3, [BANDS[0]] * 2),
+            r"cut-offs must rise from pair to pair, got \[0\.3, 0\.3\] Hz",
+        ),
+        (lambda: Split([GRU(1, 4)] * 3, BANDS[0]), "3 networks need 2 .* got 1 and 2"),
+        (lambda: Split([GRU(1, 4)] * 3, BANDS, [2]), "3 networks need 2 .* got 2 and 1"),
+        (lambda: Split([GRU(1, 4)], []), "networks must be two at least, got 1"),
+        (lambda: Split([GRU(1, 4)] * 3, BANDS, [17, 2]), "downsampling by 17 .* of 0.3 Hz"),
+        (lambda: Split([GRU(1, 4)] * 3, BANDS, [4, 6]), "downsampling by 6 .* of 0.9 Hz"),
+        (lambda: EulerMLP(ny=3, state_size=2), "state_size must be at least ny = 3, got 2"),
+    ],
+)
+def test_errors_name_the_argument_and_the_value(call: Any, message: Any) -> None:
+    with pytest.raises(ValueError, match=message):
+        call()

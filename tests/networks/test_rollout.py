@@ -1,0 +1,453 @@
+"""Cells and free runs against torch's own layers and loops written out."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+from torch import Tensor, nn
+
+from splitband.data import Trajectory
+from splitband.filters import ComplementaryPair
+from splitband.models import Model, Recurrent, Split
+from splitband.networks import GRU, Backend, Cell, EulerMLP, free_run, rollout
+from splitband.training import Settings, fit
+
+Array = npt.NDArray[Any]
+
+NY, NU, HIDDEN = 2, 3, 5
+BATCH, WARMUP, STEPS = 4, 6, 9
+TIGHT = 1e-10
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread() -> Iterator[None]:
+    """Networks this small are slower on several threads, by far where cores are busy."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+class LSTM(nn.Module):
+    """A cell as a user would write it; its state is a pair."""
+
+    def __init__(self, ny: int = NY, hidden_size: int = HIDDEN, nu: int = 0) -> None:
+        super().__init__()
+        self.ny, self.nu, self.hidden_size = ny, nu, hidden_size
+        self.transition = nn.LSTMCell(ny + nu, hidden_size)
+        self.observation = nn.Linear(hidden_size, ny)
+
+    def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Any:
+        zeros = y_warmup.new_zeros(len(y_warmup), self.hidden_size)
+        h = (zeros, zeros)
+        for n in range(y_warmup.shape[1]):
+            h = self.step(h, y_warmup[:, n], None if u is None else u[:, n])
+        return h
+
+    def step(self, h: Any, y: Tensor, u: Tensor | None = None) -> Any:
+        return self.transition(y if u is None else torch.cat([y, u], dim=-1), h)
+
+    def observe(self, h: Any) -> Tensor:
+        return self.observation(h[0])
+
+
+class Free(nn.Module):
+    """A rollout as a module, so that its parameters can be exchanged."""
+
+    def __init__(self, cell: nn.Module, steps: int, backend: Backend) -> None:
+        super().__init__()
+        self.cell, self.steps, self.backend = cell, steps, backend
+
+    def forward(self, y_warmup: Tensor, u: Tensor | None) -> Tensor:
+        assert isinstance(self.cell, Cell)
+        return rollout(self.cell, y_warmup, self.steps, u, self.backend)
+
+
+def gru(ny: int = NY, nu: int = 0) -> GRU:
+    torch.manual_seed(1)
+    return GRU(ny, HIDDEN, nu).double()
+
+
+def euler_mlp(ny: int = NY, nu: int = 0) -> EulerMLP:
+    torch.manual_seed(2)
+    sizes = {"state_size": 3, "hidden_size": 8, "recognition_size": 7}
+    return EulerMLP(ny, WARMUP - 2, step_size=0.3, nu=nu, **sizes).double()
+
+
+def lstm(ny: int = NY, nu: int = 0) -> LSTM:
+    torch.manual_seed(3)
+    return LSTM(ny, HIDDEN, nu).double()
+
+
+CELLS = [gru, euler_mlp, lstm]
+BACKENDS: list[Backend] = ["auto", "plain"]
+Make = Callable[..., Any]
+
+
+def noise(*shape: int, seed: int = 0) -> Tensor:
+    return torch.from_numpy(np.random.default_rng(seed).standard_normal(shape))
+
+
+def inputs(nu: int, samples: int = WARMUP + STEPS) -> Tensor | None:
+    return noise(BATCH, samples, nu, seed=5) if nu else None
+
+
+def arrays(module: nn.Module) -> dict[str, Array]:
+    return {name: p.detach().numpy() for name, p in module.named_parameters()}
+
+
+def sigmoid(x: Array) -> Array:
+    return np.asarray(1 / (1 + np.exp(-x)))
+
+
+def written_gru_step(cell: GRU, h: Array, x: Array) -> Array:
+    p = arrays(cell.transition)
+    of_x = np.split(x @ p["weight_ih"].T + p["bias_ih"], 3, axis=1)
+    of_h = np.split(h @ p["weight_hh"].T + p["bias_hh"], 3, axis=1)
+    reset, update = sigmoid(of_x[0] + of_h[0]), sigmoid(of_x[1] + of_h[1])
+    candidate = np.tanh(of_x[2] + reset * of_h[2])
+    return np.asarray((1 - update) * candidate + update * h)
+
+
+def written_layers(layers: nn.Module, x: Array, last: Callable[[Array], Array]) -> Array:
+    p = arrays(layers)
+    for layer, activation in (("0", np.tanh), ("2", np.tanh), ("4", last)):
+        x = activation(x @ p[f"{layer}.weight"].T + p[f"{layer}.bias"])
+    return x
+
+
+@pytest.mark.parametrize("nu", [0, NU])
+def test_the_gru_warms_up_like_torch_s_own(nu: int) -> None:
+    cell = gru(nu=nu)
+    layer = nn.GRU(NY + nu, HIDDEN, batch_first=True).double()
+    layer.load_state_dict({f"{k}_l0": v for k, v in cell.transition.state_dict().items()})
+    y, u = noise(BATCH, WARMUP, NY), inputs(nu, WARMUP)
+    states, last = layer(y if u is None else torch.cat([y, u], dim=-1))
+    torch.testing.assert_close(cell.initial_state(y, u), last[0], atol=TIGHT, rtol=0)
+    for n in range(1, WARMUP + 1):
+        h = cell.initial_state(y[:, :n], None if u is None else u[:, :n])
+        torch.testing.assert_close(h, states[:, n - 1], atol=TIGHT, rtol=0)
+        seen = cell.observation(states[:, n - 1])
+        torch.testing.assert_close(cell.observe(h), seen, atol=TIGHT, rtol=0)
+
+
+@pytest.mark.parametrize("ny", [1, NY])
+@pytest.mark.parametrize("nu", [0, NU])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_gru_rollout_is_the_loop_of_the_notes(ny: int, nu: int, backend: Backend) -> None:
+    cell = gru(ny, nu)
+    y_warmup, u = noise(BATCH, WARMUP, ny), inputs(nu)
+    measured = y_warmup.numpy()
+    known = np.zeros((BATCH, WARMUP + STEPS, 0)) if u is None else u.numpy()
+    p = arrays(cell.observation)
+    h = np.zeros((BATCH, HIDDEN))
+    samples: list[Array] = []
+    for n in range(WARMUP + STEPS):
+        if n < WARMUP:
+            y = measured[:, n]
+        else:
+            y = h @ p["weight"].T + p["bias"]
+            samples.append(y)
+        h = written_gru_step(cell, h, np.hstack([y, known[:, n]]))
+    found = rollout(cell, y_warmup, STEPS, u, backend).detach().numpy()
+    np.testing.assert_allclose(found, np.stack(samples, axis=1), atol=TIGHT, rtol=0)
+
+
+@pytest.mark.parametrize("nu", [0, NU])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_an_euler_mlp_rollout_is_euler_s_method_written_out(nu: int, backend: Backend) -> None:
+    cell = euler_mlp(nu=nu)
+    y_warmup, u = noise(BATCH, WARMUP, NY), inputs(nu)
+    known = np.zeros((BATCH, WARMUP + STEPS, 0)) if u is None else u.numpy()
+    seen = np.concatenate([y_warmup.numpy(), known[:, :WARMUP]], axis=2)[:, -cell.warmup :]
+    h = written_layers(cell.recognition, seen.reshape(BATCH, -1), np.tanh)
+    samples = [h[:, :NY]]
+    for n in range(WARMUP, WARMUP + STEPS - 1):
+        f = written_layers(cell.dynamics, np.hstack([h, known[:, n]]), lambda x: x)
+        h = h + 0.3 * f
+        samples.append(h[:, :NY])
+    found = rollout(cell, y_warmup, STEPS, u, backend).detach().numpy()
+    np.testing.assert_allclose(found, np.stack(samples, axis=1), atol=TIGHT, rtol=0)
+
+
+def test_the_euler_mlp_does_not_look_at_measurements() -> None:
+    cell = euler_mlp()
+    h = noise(BATCH, 3)
+    for y in (noise(BATCH, NY), 100 * noise(BATCH, NY)):
+        assert torch.equal(cell.step(h, y), cell.step(h, torch.zeros(BATCH, NY)))
+    y = noise(BATCH, WARMUP, NY)
+    changed = y.clone()
+    changed[:, : WARMUP - cell.warmup] += 1
+    assert torch.equal(cell.initial_state(y), cell.initial_state(changed))
+    changed[:, WARMUP - cell.warmup] += 1
+    assert not torch.equal(cell.initial_state(y), cell.initial_state(changed))
+
+
+@pytest.mark.parametrize("make", CELLS)
+@pytest.mark.parametrize("nu", [0, NU])
+def test_the_first_prediction_is_what_is_seen_of_the_warm_state(make: Make, nu: int) -> None:
+    cell, y, u = make(nu=nu), noise(BATCH, WARMUP, NY), inputs(nu)
+    h = cell.initial_state(y, None if u is None else u[:, :WARMUP])
+    one = rollout(cell, y, 1, u)
+    assert one.shape == (BATCH, 1, NY)
+    torch.testing.assert_close(one[:, 0], cell.observe(h), atol=TIGHT, rtol=0)
+    torch.testing.assert_close(one, rollout(cell, y, STEPS, u)[:, :1], atol=TIGHT, rtol=0)
+
+
+@pytest.mark.parametrize("make", CELLS)
+@pytest.mark.parametrize("nu", [0, NU])
+def test_no_steps_give_no_samples(make: Make, nu: int) -> None:
+    cell, y, u = make(nu=nu), noise(BATCH, WARMUP, NY), inputs(nu)
+    none = rollout(cell, y, 0, u)
+    assert none.shape == (BATCH, 0, NY)
+    assert none.dtype == torch.float64
+
+
+@pytest.mark.parametrize("make", CELLS)
+@pytest.mark.parametrize("nu", [0, NU])
+@pytest.mark.parametrize("before", [1, 4, STEPS - 1])
+def test_a_rollout_equals_two_with_the_state_carried_over(make: Make, nu: int, before: int) -> None:
+    cell, y, u = make(nu=nu), noise(BATCH, WARMUP, NY), inputs(nu)
+    past = None if u is None else u[:, :WARMUP]
+    future = None if u is None else u[:, WARMUP:]
+    h = cell.initial_state(y, past)
+    first, h = free_run(cell, h, before, future)
+    torch.testing.assert_close(cell.observe(h), first[:, -1], atol=TIGHT, rtol=0)
+    row = None if future is None else future[:, before - 1]
+    h = cell.step(h, cell.observe(h), row)
+    second, _ = free_run(cell, h, STEPS - before, None if future is None else future[:, before:])
+    together = torch.cat([first, second], dim=1)
+    torch.testing.assert_close(together, rollout(cell, y, STEPS, u), atol=TIGHT, rtol=0)
+
+
+@pytest.mark.parametrize("make", CELLS)
+@pytest.mark.parametrize("nu", [0, NU])
+def test_windows_of_a_batch_do_not_meet(make: Make, nu: int) -> None:
+    cell, y, u = make(nu=nu), noise(BATCH, WARMUP, NY), inputs(nu)
+    together = rollout(cell, y, STEPS, u)
+    for i in range(BATCH):
+        one = slice(i, i + 1)
+        alone = rollout(cell, y[one], STEPS, None if u is None else u[one])
+        torch.testing.assert_close(together[one], alone, atol=1e-13, rtol=0)
+
+
+@pytest.mark.parametrize("make", CELLS)
+def test_a_rollout_leaves_nothing_behind_in_the_cell(make: Make) -> None:
+    cell, y = make(), noise(BATCH, WARMUP, NY)
+    attributes = set(vars(cell))
+    state = {name: value.clone() for name, value in cell.state_dict().items()}
+    once = rollout(cell, y, STEPS)
+    rollout(cell, 10 * y, 3)
+    assert torch.equal(rollout(cell, y, STEPS), once)
+    assert set(vars(cell)) == attributes
+    assert all(torch.equal(cell.state_dict()[name], value) for name, value in state.items())
+
+
+@pytest.mark.parametrize("make", CELLS)
+def test_an_input_acts_from_the_next_sample_on(make: Make) -> None:
+    cell, y, u = make(nu=NU), noise(BATCH, WARMUP, NY), inputs(NU)
+    assert u is not None
+    before = rollout(cell, y, STEPS, u)
+    for n in range(WARMUP - 1, WARMUP + STEPS):
+        changed = u.clone()
+        changed[:, n] += 1
+        differs = (rollout(cell, y, STEPS, changed) != before).any(dim=2)
+        unaffected = n + 1 - WARMUP
+        assert not differs[:, :unaffected].any()
+        assert differs[:, unaffected:].all()
+
+
+@pytest.mark.parametrize("make", CELLS)
+def test_the_last_input_is_not_needed_and_later_ones_are_ignored(make: Make) -> None:
+    cell, y, u = make(nu=NU), noise(BATCH, WARMUP, NY), inputs(NU)
+    assert u is not None
+    expected = rollout(cell, y, STEPS, u)
+    assert torch.equal(rollout(cell, y, STEPS, u[:, :-1]), expected)
+    assert torch.equal(rollout(cell, y, STEPS, torch.cat([u, u], dim=1)), expected)
+
+
+@pytest.mark.parametrize("make", CELLS)
+@pytest.mark.parametrize("nu", [0, NU])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_gradients_reach_the_warmup_the_inputs_and_every_parameter(
+    make: Make, nu: int, backend: Backend
+) -> None:
+    free = Free(make(nu=nu), 3, backend)
+    names = [name for name, _ in free.named_parameters()]
+    y = noise(2, WARMUP - 2, NY).requires_grad_()
+    u = noise(2, WARMUP, nu, seed=1).requires_grad_() if nu else None
+
+    def run(y: Tensor, u: Tensor | None, *parameters: Tensor) -> Tensor:
+        exchanged = dict(zip(names, parameters, strict=True))
+        result: Tensor = torch.func.functional_call(free, exchanged, (y, u))
+        return result
+
+    arguments: tuple[Tensor | None, ...] = (y, u, *free.parameters())
+    assert torch.autograd.gradcheck(run, arguments, fast_mode=True)  # type: ignore[arg-type]
+
+
+class Damped(GRU):
+    def step(self, h: Tensor, y: Tensor, u: Tensor | None = None) -> Tensor:
+        return 0.5 * super().step(h, y, u)
+
+
+class Squashed(GRU):
+    def observe(self, h: Tensor) -> Tensor:
+        return torch.tanh(super().observe(h))
+
+
+def altered(how: str) -> GRU:
+    cell = GRU(NY, HIDDEN)
+    if how == "other observation":
+        cell.observation = nn.Sequential(nn.Linear(HIDDEN, NY), nn.Tanh())  # type: ignore[assignment]
+    elif how == "no bias":
+        cell.transition = nn.GRUCell(NY, HIDDEN, bias=False)
+    elif how == "hook":
+        cell.transition.register_forward_hook(lambda _, __, h: 0.5 * h)
+    else:
+        cell = {"own step": Damped, "own observe": Squashed}[how](NY, HIDDEN)
+    return cell.double()
+
+
+@pytest.mark.parametrize("how", ["own step", "own observe", "other observation", "no bias", "hook"])
+def test_the_backend_never_changes_what_an_altered_gru_predicts(how: str) -> None:
+    cell, y = altered(how), noise(BATCH, WARMUP, NY)
+    expected = rollout(cell, y, STEPS, backend="plain")
+    torch.testing.assert_close(rollout(cell, y, STEPS), expected, atol=TIGHT, rtol=0)
+
+
+def test_an_unknown_backend_is_named() -> None:
+    unknown: Any = "plian"
+    with pytest.raises(ValueError, match=r"backend must .* 'plian'"):
+        rollout(gru(), noise(BATCH, WARMUP, NY), STEPS, backend=unknown)
+
+
+@pytest.mark.parametrize(("make", "steps"), [(lstm, STEPS), (gru, 0)])
+def test_a_fused_rollout_that_there_is_not_is_refused(make: Make, steps: int) -> None:
+    cell = make()
+    with pytest.raises(ValueError, match=rf'backend="fused" needs .* {type(cell).__name__} on cpu'):
+        rollout(cell, noise(BATCH, WARMUP, NY), steps, backend="fused")
+
+
+@pytest.mark.parametrize("make", CELLS)
+def test_float32_follows_float64(make: Make) -> None:
+    cell, y = make(), noise(BATCH, WARMUP, NY)
+    exact = rollout(cell, y, STEPS)
+    single = rollout(cell.float(), y.float(), STEPS)
+    assert single.dtype == torch.float32
+    torch.testing.assert_close(single.double(), exact, atol=1e-5, rtol=0)
+
+
+def test_the_contract_is_met_by_each_cell() -> None:
+    for make in CELLS:
+        assert isinstance(make(), Cell)
+    assert not isinstance(nn.GRUCell(NY, HIDDEN), Cell)
+
+
+def whole(cell: Cell) -> Model:
+    return Recurrent(cell)
+
+
+def split(cell: Cell) -> Model:
+    torch.manual_seed(7)
+    pair = ComplementaryPair.butterworth(0.1, 1.0, order=1)
+    return Split([cell, LSTM(cell.ny, HIDDEN, cell.nu)], pair, downsampling=2)
+
+
+@pytest.mark.parametrize("make_model", [whole, split])
+@pytest.mark.parametrize("nu", [0, 1])
+def test_a_user_s_cell_is_trained_in_any_model(
+    make_model: Callable[[Cell], Model], nu: int
+) -> None:
+    torch.manual_seed(6)
+    phase = 2 * np.pi * np.arange(70) / 20
+    y = np.stack([np.sin(phase), np.cos(phase) + 0.5 * np.sin(5 * phase)], axis=1)
+    u = np.cos(phase)[:, None] if nu else None
+    model = make_model(LSTM(NY, 8, nu))
+    settings = Settings(window=28, warmup=16, epochs=30, batch_size=22, learning_rate=2e-2)
+    history = fit(model, Trajectory(y, 1.0, u=u), settings)
+    assert len(history.losses) == (2 if isinstance(model, Split) else 1)
+    for losses in history.losses.values():
+        assert len(losses) == 30
+        assert losses[-1] < 0.9 * losses[0]
+    simulated = model.simulate(y[:16], 30, None if u is None else u[:46])
+    assert simulated.shape == (30, NY)
+    assert np.isfinite(simulated).all()
+
+
+@pytest.mark.parametrize("shape", [(WARMUP, NY), (BATCH, WARMUP, NY + 1), (BATCH, 0, NY)])
+def test_a_warmup_of_a_wrong_shape_is_named(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match=r"y_warmup must be .* ny = 2\), got ") as caught:
+        rollout(gru(), noise(*shape), STEPS)
+    assert str(caught.value).endswith(f"got {shape}")
+
+
+def test_negative_steps_are_named() -> None:
+    with pytest.raises(ValueError, match="steps must not be negative, got -1"):
+        rollout(gru(), noise(BATCH, WARMUP, NY), -1)
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_inputs_are_given_where_the_cell_takes_any(given: bool) -> None:
+    cell = gru(nu=0 if given else NU)
+    with pytest.raises(ValueError, match=rf"u must be given exactly .* nu = {cell.nu}$"):
+        rollout(cell, noise(BATCH, WARMUP, NY), STEPS, inputs(NU) if given else None)
+
+
+@pytest.mark.parametrize(
+    "shape", [(BATCH, WARMUP + STEPS, NU + 1), (BATCH + 1, WARMUP + STEPS, NU), (WARMUP, NU)]
+)
+def test_inputs_of_a_wrong_shape_are_named(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match=r"u must be \(batch = 4, time, nu = 3\), got ") as caught:
+        rollout(gru(nu=NU), noise(BATCH, WARMUP, NY), STEPS, noise(*shape))
+    assert str(caught.value).endswith(f"got {shape}")
+
+
+@pytest.mark.parametrize("make", CELLS)
+@pytest.mark.parametrize("steps", [1, STEPS])
+def test_inputs_too_short_are_named(make: Make, steps: int) -> None:
+    rows = WARMUP + steps - 2
+    with pytest.raises(ValueError, match=rf"u must cover .* got {rows}$"):
+        rollout(make(nu=NU), noise(BATCH, WARMUP, NY), steps, inputs(NU, rows))
+
+
+@pytest.mark.parametrize("make", CELLS)
+def test_inputs_have_to_cover_the_warmup_even_without_steps(make: Make) -> None:
+    with pytest.raises(ValueError, match=rf"^u must .* got {WARMUP - 1}$"):
+        rollout(make(nu=NU), noise(BATCH, WARMUP, NY), 0, inputs(NU, WARMUP - 1))
+
+
+def test_a_warmup_too_short_for_the_recognition_is_named() -> None:
+    with pytest.raises(ValueError, match="warm-up must have at least 4 samples, got 3"):
+        rollout(euler_mlp(), noise(BATCH, 3, NY), STEPS)
+
+
+@pytest.mark.parametrize(
+    ("cell", "name"),
+    [
+        (GRU, "ny"),
+        (GRU, "hidden_size"),
+        (EulerMLP, "ny"),
+        (EulerMLP, "warmup"),
+        (EulerMLP, "state_size"),
+        (EulerMLP, "hidden_size"),
+        (EulerMLP, "recognition_size"),
+    ],
+)
+def test_a_size_below_one_is_named(cell: Callable[..., nn.Module], name: str) -> None:
+    with pytest.raises(ValueError, match=f"{name} must be at least 1, got 0"):
+        cell(**{name: 0})
+
+
+@pytest.mark.parametrize("cell", [GRU, EulerMLP])
+def test_a_negative_number_of_inputs_is_named(cell: Callable[..., nn.Module]) -> None:
+    with pytest.raises(ValueError, match=r"nu must .* got -1"):
+        cell(nu=-1)
+
+
+def test_a_state_smaller_than_the_observation_is_named() -> None:
+    with pytest.raises(ValueError, match="state_size must be at least ny = 3, got 2"):
+        EulerMLP(ny=3, state_size=2)

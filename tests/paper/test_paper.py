@@ -1,0 +1,327 @@
+"""The paper's tables and figures, from small runs end to end."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from splitband.cli import main
+from splitband.forecasters.methods import simulated
+from splitband.metrics import rmse
+from splitband.paper import published
+from splitband.paper.costs import progress
+from splitband.paper.jobs import SYSTEMS, Job
+from splitband.paper.runs import as_run, complete, load, whole_rmse
+from splitband.paper.specs import SPECS, lines
+from splitband.paper.systems import (
+    double_mass_spring,
+    double_mass_spring_oracle,
+    double_torsion_pendulum,
+)
+from splitband.paper.tables import table
+from splitband.runtime.files import CHECKPOINTS
+
+pytestmark = pytest.mark.xdist_group("paper")  # its fixture is made once
+
+ROW = ["--systems", "i", "--seeds", "2", "--epochs", "2", "--jobs", "1"]
+METHODS = ["--methods", "split-gru,harmonic,oracle"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A row of Table 1 at two epochs, run through the command line."""
+    out = tmp_path_factory.mktemp("paper")
+    assert main(["paper", "table", "learning-based", *ROW, *METHODS, "--out", str(out)]) == 0
+    return out
+
+
+def test_a_row_is_run_and_stands_beside_the_papers(folder: Path) -> None:
+    text = (folder / "tables" / "learning-based.md").read_text(encoding="utf-8")
+    assert "| (i) | split-gru |" in text
+    assert "0.127 (0.008)" in text
+    assert "2 of 300" in text
+    facts = json.loads((folder / "tables" / "learning-based.json").read_text(encoding="utf-8"))
+    runs = [json.loads(p.read_text()) for p in sorted((folder / "runs/i/split-gru").iterdir())]
+    assert [run["job"]["seed"] for run in runs] == [0, 1]
+    assert facts["rows"][0]["total_rmse"] == [run["total_rmse"] for run in runs]
+
+
+def test_a_file_holds_what_was_predicted(folder: Path) -> None:
+    job = Job("i", "split-gru", 1, epochs=2)
+    found, record = as_run(load(job, folder / "runs")), job.record
+    truth = record.y_true
+    assert truth is not None
+    assert rmse(truth[30:], found.from_start) == pytest.approx(found.total_rmse, abs=1e-3)
+    assert rmse(truth[250:], found.forecast) == pytest.approx(found.forecast_rmse, abs=1e-3)
+    first = as_run(load(replace(job, seed=0), folder / "runs"))
+    np.testing.assert_allclose(sum(first.components.values()), first.from_start, atol=2e-3)
+
+
+def test_finished_runs_are_not_repeated(folder: Path) -> None:
+    before = {p: p.stat().st_mtime_ns for p in (folder / "runs").rglob("*.json")}
+    jobs = [
+        job for line in lines("learning-based", ["i"], ["split-gru"], 2, 2) for job in line.jobs
+    ]
+    assert complete(jobs, folder / "runs") == 0
+    assert {p: p.stat().st_mtime_ns for p in (folder / "runs").rglob("*.json")} == before
+
+
+@pytest.mark.parametrize("name", ["rollouts", "components", "errors", "spectrum"])
+def test_figures_are_drawn_from_the_runs(name: str, folder: Path) -> None:
+    chosen = ["--methods", "split-gru,harmonic"]
+    assert main(["paper", "figure", name, *ROW, *chosen, "--out", str(folder)]) == 0
+    assert (folder / "figures" / f"i-{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_missing_run_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--systems", "i", "--methods", "gru", "--no-run", "--out", str(folder)]
+    assert main(["paper", "table", "learning-based", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert "seed0.json is missing" in error.replace("\n", "")
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("change", ["settings", "record", "job", "format", "not JSON"])
+def test_a_foreign_run_file_is_refused(change: str, folder: Path, tmp_path: Path) -> None:
+    job = Job("i", "split-gru", 0, epochs=2)
+    path = tmp_path / job.path
+    path.parent.mkdir(parents=True)
+    facts = json.loads((folder / "runs" / job.path).read_text(encoding="utf-8"))
+    if change == "settings":
+        facts["settings"]["cutoff"] *= 1.01
+    elif change == "record":
+        facts["record"]["mean"] += 1e-3
+    elif change == "job":
+        facts["job"]["seed"] = 3
+    elif change == "format":
+        facts["format"] = 0
+    text = "{" if change == "not JSON" else json.dumps(facts)
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=change):
+        load(job, tmp_path)
+
+
+def test_a_row_takes_the_most_epochs_that_every_seed_has(folder: Path, tmp_path: Path) -> None:
+    for epochs in (1, 2):
+        complete([Job("i", "gru", seed, epochs=epochs) for seed in range(2)], tmp_path)
+    complete([Job("i", "gru", 0, epochs=3)], tmp_path)
+    made = table("learning-based", lines("learning-based", ["i"], ["gru"], 2), tmp_path)
+    assert made.facts[0]["epochs"] == 2
+
+
+def _copies(folder: Path, out: Path, job: Job, **changes: Any) -> None:
+    """A finished run of two epochs as that of another job, with other results."""
+    facts = json.loads((folder / "runs/i/split-gru/epochs2-seed0.json").read_text(encoding="utf-8"))
+    setup = job.setup(job.record)
+    settings = {k: v for k, v in asdict(setup).items() if k != "choice"}
+    path = out / job.path
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(facts | {"job": asdict(job), "settings": settings} | changes))
+
+
+def test_a_row_at_the_papers_epochs_needs_three_seeds(folder: Path, tmp_path: Path) -> None:
+    row = lines("learning-based", ["i"], ["split-gru"], 5)
+    for seed in range(5):
+        _copies(folder, tmp_path, Job("i", "split-gru", seed, epochs=2))
+    for seed in range(2):
+        _copies(folder, tmp_path, Job("i", "split-gru", seed))
+    made = table("learning-based", row, tmp_path)
+    assert made.rows[0][-2:] == ("5", "2 of 300")
+    _copies(folder, tmp_path, Job("i", "split-gru", 4))
+    made = table("learning-based", row, tmp_path)
+    assert made.rows[0][-2:] == ("3 of 5", "300")
+
+
+def test_more_epochs_than_the_papers_do_not_stand_in_for_them(folder: Path, tmp_path: Path) -> None:
+    _copies(folder, tmp_path, Job("i", "split-gru", 0, epochs=400))
+    with pytest.raises(FileNotFoundError, match=r"split-gru/seed0\.json is missing"):
+        table("learning-based", lines("learning-based", ["i"], ["split-gru"], 1), tmp_path)
+
+
+def test_the_gru_of_system_i_takes_the_epochs_of_the_papers_text() -> None:
+    assert Job("i", "gru", epochs=2000) == Job("i", "gru")
+    assert Job("i", "gru", epochs=300).path.name == "epochs300-seed0.json"
+    for method, epochs in (("gru", 2000), ("split-gru", 300), ("split-gru-hp", 300)):
+        job = Job("i", method)
+        assert job.setup(job.record).settings_of(method).epochs == epochs
+
+
+def test_a_loss_has_settled_where_more_epochs_leave_it(folder: Path, tmp_path: Path) -> None:
+    for epochs, losses in ((300, [0.5]), (1000, [0.305, 0.3]), (2000, [0.28, 0.28])):
+        _copies(folder, tmp_path, Job("i", "gru", epochs=epochs), losses={"network": losses})
+    made = table("epochs", lines("epochs", methods=["gru"], seeds=1), tmp_path)
+    assert [row["settled"] for row in made.facts] == [False, True, None]
+    assert [row[1] for row in made.rows] == ["300", "1000", "2000"]
+    assert [line.value for line in lines("epochs", methods=["gru"], epochs=7)] == [7]
+
+
+def test_a_table_over_epochs_says_what_has_not_been_run(folder: Path, tmp_path: Path) -> None:
+    _copies(folder, tmp_path, Job("i", "gru", 1, epochs=1000))
+    made = table("epochs", lines("epochs", methods=["gru"], seeds=3), tmp_path)
+    assert [row[3] == "not run" for row in made.rows] == [True, False, True]
+    assert [row[-1] for row in made.rows] == ["0 of 3", "1 of 3", "0 of 3"]
+    assert [row["settled"] for row in made.facts] == [None, None, None]
+
+
+def test_seconds_are_the_median_of_runs_that_had_a_core(folder: Path, tmp_path: Path) -> None:
+    row = lines("runtime-learning-based", ["i"], ["split-gru"], 5)
+    found = [(10.0, 9.0, {}), (12.0, 11.0, {}), (17.0, 16.0, {}), (90.0, 30.0, {}),
+             (2.0, 2.0, {"resumed": True})]  # fmt: skip
+    for seed, (wall, processor, more) in enumerate(found):
+        job = Job("i", "split-gru", seed)
+        _copies(folder, tmp_path, job, seconds=wall, cpu_seconds=processor, **more)
+    made = table("runtime-learning-based", row, tmp_path)
+    assert made.rows[0][2:5] == ("12.0", "233", "19")
+    assert made.rows[0][5] == "3 of 5"
+
+
+def test_a_run_that_went_on_says_so(tmp_path: Path) -> None:
+    job = Job("i", "gru", epochs=1)
+    checkpoints = tmp_path / job.path.parent / f"{job.path.stem}-{CHECKPOINTS}"
+    checkpoints.mkdir(parents=True)
+    (checkpoints / "gru-0.safetensors").write_bytes(b"cut off")
+    complete([job], tmp_path)
+    facts = load(job, tmp_path)
+    assert facts["resumed"] is True
+    assert facts["cpu_seconds"] > 0
+
+
+@pytest.mark.usefixtures("public_data")
+def test_the_whole_trajectory_counts_the_warm_up_too() -> None:
+    for method in ("simulator", "residual-gru"):
+        job = Job("vi", method)
+        facts = load(job, RESULTS / "runs")
+        truth, run = job.record.truth, as_run(facts)
+        # A network takes the measured samples over; a simulator has its own there.
+        start = job.record.y if method == "residual-gru" else simulated(job.record)
+        whole = np.concatenate([start[:50], run.from_start])
+        assert rmse(truth, whole) == pytest.approx(whole_rmse(facts, job), abs=1e-3)
+
+
+def test_the_list_counts_the_runs_and_estimates_the_missing_ones(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed in range(2):
+        two = Job("i", "split-gru", seed, epochs=2)
+        _copies(folder, tmp_path / "runs", two, seconds=2.0, cpu_seconds=2.0)
+    whole = Job("i", "split-gru", 0)
+    _copies(folder, tmp_path / "runs", whole, seconds=300.0, cpu_seconds=300.0)
+    row = lines("learning-based", ["i"], ["split-gru"], 5)
+    state = progress(row[0].jobs, tmp_path / "runs")
+    assert (state.there, state.needed, state.measured) == (1, 5, True)
+    assert state.seconds == pytest.approx(4 * 300.0)  # the median is a second an epoch
+    other = progress(lines("runtime-hybrid-rnn", ["v"], ["rnn"], 2)[0].jobs, tmp_path / "runs")
+    assert (other.seconds, other.measured) == (2 * 1414, False)
+    assert main(["paper", "list", "--out", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert re.search(r"learning-based +1 of 73", text)
+    assert re.search(r"runtime-hybrid-rnn +0 of 30 +\d+\.\d h \*", text)
+
+
+def test_a_diverged_run_is_said_to_be(tmp_path: Path) -> None:
+    job = Job("i", "gru", 0, epochs=1)
+    complete([job], tmp_path)
+    facts = json.loads((tmp_path / job.path).read_text(encoding="utf-8"))
+    kept = {name: facts[name] for name in ("format", "job", "settings", "record")}
+    (tmp_path / job.path).write_text(json.dumps(kept | {"diverged": "the loss is inf"}))
+    made = table("learning-based", lines("learning-based", ["i"], ["gru"], 1, 1), tmp_path)
+    assert "diverged" in made.markdown()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["table", "4"], "table must be one of"),
+        (["figure", "4"], "figure must be one of"),
+        (["table", "cutoff", "--systems", "v"], "systems must be out of i"),
+        (["table", "cutoff", "--methods", "rnn"], "methods must be out of"),
+        (["table", "all", "--systems", "i"], "must be used with one table"),
+        (["figure", "errors", "--systems", "x"], "systems must be out of"),
+        (["table", "cutoff", "--seeds", "0"], "--seeds"),
+    ],
+)
+def test_bad_arguments_are_named(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert main(["paper", *arguments, "--out", str(tmp_path / "out")]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.rglob("*.json"))
+
+
+def test_equal_runs_are_equal_jobs() -> None:
+    assert Job("i", "split-gru", cutoff=0.4, downsampling=2, epochs=300) == Job("i", "split-gru")
+    assert Job("i", "split-gru", cutoff=0.2).path.name == "w0.2-seed0.json"
+    assert Job("i", "harmonic", epochs=3) == Job("i", "harmonic")
+
+
+def test_every_table_and_every_published_value_has_its_runs() -> None:
+    for name, spec in SPECS.items():
+        found = {(line.system if line.value is None else line.value, line.method)
+                 for line in lines(name)}  # fmt: skip
+        wanted = {(key, method) for key, row in spec.published.items() for method in row}
+        if spec.shows != "quantiles":
+            assert wanted <= found, name
+    assert str(published.LEARNING_BASED["i"]["split-gru"]) == "0.127 (0.008)"
+    assert {line.system for name in SPECS for line in lines(name)} == set(SYSTEMS)
+
+
+def test_an_own_record_takes_the_place_of_an_unpublished_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    y = np.sin(np.arange(2100) / 10) + 3
+    np.savetxt(tmp_path / "double_torsion_iii.csv", y, header="phi2", comments="")
+    monkeypatch.setenv("SPLITBAND_DATA_DIR", str(tmp_path))
+    record = Job("iii", "gru").record
+    assert record.name == "double_torsion_iii"
+    assert len(record) == 2000
+    assert abs(record.y.mean()) < 1e-12
+
+
+def test_the_oracle_of_system_i_has_the_noise_floor() -> None:
+    errors = []
+    for draw in range(30):
+        record = double_mass_spring(seed=draw)
+        assert record.y_true is not None
+        oracle = double_mass_spring_oracle(record, 250)
+        errors.append(rmse(record.y_true, oracle.predict(0, len(record), record.y[0])))
+    # 200 draws in the reading notes: mean 0.175, median 0.161.
+    assert 0.14 < np.median(errors) < 0.2
+    clean = double_mass_spring(noise_variance=0.0)
+    exact = double_mass_spring_oracle(clean, 250).predict(0, 1000, clean.y[0])
+    np.testing.assert_allclose(exact, clean.y, atol=1e-6)
+
+
+def test_the_simulated_pendulum_sticks_and_follows_its_drive() -> None:
+    for row, period in (("ii", 160), ("iii", 1000 / 9), ("iv", 1000 / 18)):
+        record = double_torsion_pendulum(row)
+        assert record.y_true is not None
+        spectrum = abs(np.fft.rfft(record.y_true[:, 0]))
+        assert 2000 / np.argmax(spectrum) == pytest.approx(period, rel=0.05)
+    angle = double_torsion_pendulum("ii").y_true
+    assert angle is not None
+    speed = abs(np.diff(angle[:, 0])) * 100
+    assert (speed < 0.02 * speed.max()).mean() > 0.1
+
+
+RESULTS = Path(__file__).parents[2] / "docs" / "results"
+COMMITTED = sorted((RESULTS / "tables").glob("*.json"))
+
+
+@pytest.mark.usefixtures("public_data")
+@pytest.mark.parametrize("path", COMMITTED, ids=[path.stem for path in COMMITTED])
+def test_the_committed_tables_are_those_of_the_committed_runs(path: Path) -> None:
+    asked = json.loads(path.read_text(encoding="utf-8"))["asked"]
+    systems, methods = (asked[n] and asked[n].split(",") for n in ("systems", "methods"))
+    rows = lines(path.stem, systems, methods, asked["seeds"], asked["epochs"])
+    made = table(path.stem, rows, RESULTS / "runs").markdown()
+    assert made == path.with_suffix(".md").read_text(encoding="utf-8")
+
+
+def test_every_table_is_committed() -> None:
+    assert {path.stem for path in COMMITTED} == {*SPECS}

@@ -1,0 +1,156 @@
+"""Files appear whole or not at all."""
+
+import errno
+import json
+import os
+import stat
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from splitband.runtime.files import output_folder, replacing, write_json
+
+OLD, NEW = "old content", "new content"
+
+
+@pytest.fixture(params=["results.json", "archive.tar.gz", "noextension"])
+def path(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    return tmp_path / str(request.param)
+
+
+def test_the_new_content_appears_when_the_block_ends(path: Path) -> None:
+    path.write_text(OLD)
+    with replacing(path) as temporary:
+        temporary.write_text(NEW)
+        assert path.read_text() == OLD
+    assert path.read_text() == NEW
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_new_file_appears_only_at_the_end(path: Path) -> None:
+    with replacing(str(path)) as temporary:
+        temporary.write_text(NEW)
+        assert not path.exists()
+    assert path.read_text() == NEW
+
+
+def test_the_temporary_lies_beside_the_file_with_its_suffix(path: Path) -> None:
+    with replacing(path) as temporary:
+        assert temporary.parent == path.parent
+        assert temporary.suffix == path.suffix
+        assert temporary != path
+
+
+def fail_while_replacing(path: Path, error: type[BaseException]) -> None:
+    with replacing(path) as temporary:
+        temporary.write_text(NEW)
+        raise error
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
+def test_a_failing_block_leaves_the_old_content_and_nothing_else(
+    path: Path, error: type[BaseException]
+) -> None:
+    path.write_text(OLD)
+    with pytest.raises(error):
+        fail_while_replacing(path, error)
+    assert path.read_text() == OLD
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_failing_block_leaves_no_new_file(path: Path) -> None:
+    with pytest.raises(RuntimeError):
+        fail_while_replacing(path, RuntimeError)
+    assert list(path.parent.iterdir()) == []
+
+
+def test_a_file_that_cannot_be_replaced_leaves_nothing_behind(tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    with pytest.raises(OSError, match="folder"), replacing(folder) as temporary:
+        temporary.write_text(NEW)
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+@pytest.mark.parametrize("mask", [0o022, 0o077])
+def test_the_file_has_the_permissions_of_any_new_file(path: Path, mask: int) -> None:
+    previous = os.umask(mask)
+    try:
+        with replacing(path) as temporary:
+            temporary.write_text(NEW)
+        assert os.umask(mask) == mask
+    finally:
+        os.umask(previous)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~mask
+
+
+def test_json_is_written_as_it_was(path: Path) -> None:
+    value = {"rmse": 0.1, "nested": [1, None, True, {"Ω": "5 °"}]}
+    write_json(path, value)
+    text = path.read_text(encoding="utf-8")
+    assert json.loads(text) == value
+    assert text.endswith("}\n")
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])
+@pytest.mark.parametrize("nest", [lambda x: x, lambda x: {"rmse": [1.0, x]}])
+def test_json_refuses_numbers_it_lacks_and_keeps_the_old_file(
+    path: Path, number: float, nest: Any
+) -> None:
+    path.write_text(OLD)
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_json(path, nest(number))
+    assert path.read_text() == OLD
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_json_cut_short_by_a_full_disk_keeps_the_old_file(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path.write_text(OLD)
+    written = Path.write_text
+
+    def cut_short(self: Path, text: str, encoding: str | None = None) -> int:
+        written(self, text[:5], encoding)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_text", cut_short)
+    with pytest.raises(OSError, match="No space left"):
+        write_json(path, {"rmse": 0.1})
+    assert path.read_text() == OLD
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_json_refuses_objects_it_does_not_know_and_keeps_the_old_file(path: Path) -> None:
+    path.write_text(OLD)
+    with pytest.raises(TypeError, match="Path"):
+        write_json(path, {"folder": path})
+    assert path.read_text() == OLD
+
+
+def test_an_output_folder_is_made_with_its_parents_and_left_empty(tmp_path: Path) -> None:
+    wanted = tmp_path / "a" / "b"
+    for _ in range(2):
+        assert output_folder(str(wanted)) == wanted
+        assert wanted.is_dir()
+        assert list(wanted.iterdir()) == []
+
+
+def test_an_output_folder_keeps_what_it_holds(tmp_path: Path) -> None:
+    kept = tmp_path / "kept.txt"
+    kept.write_text(OLD)
+    output_folder(tmp_path)
+    assert kept.read_text() == OLD
+
+
+@pytest.mark.parametrize("below", ["", "folder", "deep/er"])
+def test_an_output_folder_at_or_below_a_regular_file_is_named(tmp_path: Path, below: str) -> None:
+    file = tmp_path / "file.txt"
+    file.write_text(OLD)
+    wanted = file / below
+    with pytest.raises(ValueError, match="--out must be a folder that can be written") as caught:
+        output_folder(wanted)
+    assert f"got {wanted}: " in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert file.read_text() == OLD

@@ -1,0 +1,290 @@
+"""Calibration: known gains, offsets, delays and clocks are found, and nothing is made up."""
+
+import json
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from splitband import Trajectory
+from splitband.data import drill_string
+from splitband.forecasters.methods import prepared
+from splitband.metrics import rmse
+from splitband.paper.systems import van_der_pol, van_der_pol_simulator
+from splitband.simulators import run
+from splitband.simulators.calibration import (
+    TERMS,
+    Calibration,
+    affine_fit,
+    calibrate,
+    samples_needed,
+)
+
+Array = npt.NDArray[np.float64]
+SAMPLES, TRAIN, DT = 800, 400, 0.05
+NEEDED = samples_needed(SAMPLES, TRAIN)
+NOISE = 0.05
+GAIN, OFFSET = (1.7, -0.6), (0.4, -2.0)
+WITHIN = {"gain": 0.02, "offset": 0.02, "delay": 0.005, "clock": 5e-4}
+
+
+def signal(time: Array, ny: int = 1) -> Array:
+    """Two sines of incommensurate frequencies in each channel, `(time, ny)`."""
+    phases = np.arange(ny)
+    slow = np.sin(2 * np.pi * 0.31 * time[:, None] + phases)
+    return np.asarray(slow + 0.5 * np.sin(2 * np.pi * 0.31 * 7**0.5 * time[:, None] + 2 * phases))
+
+
+def simulation(samples: int = NEEDED, ny: int = 1) -> Array:
+    return signal(DT * np.arange(samples, dtype=np.float64), ny)
+
+
+def measured(
+    ny: int = 1,
+    gain: tuple[float, ...] = (),
+    offset: tuple[float, ...] = (),
+    delay: float = 0.0,
+    clock: float = 1.0,
+    seed: int = 1,
+) -> Array:
+    """A record of what the simulator is off by so much; it stands still before its time 0."""
+    time = clock * DT * np.arange(SAMPLES, dtype=np.float64) - delay
+    y = np.array(gain or 1.0) * signal(np.maximum(time, 0.0), ny) + np.array(offset or 0.0)
+    return np.asarray(y + NOISE * np.random.default_rng(seed).standard_normal(y.shape))
+
+
+def record(y: Array, y_sim: Array) -> Trajectory:
+    return Trajectory(y, DT, y_sim=y_sim[: len(y)], beyond=y_sim[len(y) :])
+
+
+# ---------------------------------------------------------------- affine_fit
+
+
+def test_an_affine_fit_is_the_least_squares_of_each_channel() -> None:
+    rng = np.random.default_rng(1)
+    y_sim = rng.standard_normal((60, 3)) * [1, 10, 0.1] + [0, 5, -3]
+    y = 0.7 * y_sim + [1, 2, 3] + rng.standard_normal((60, 3))
+    gain, offset = affine_fit(y_sim, y)
+    for i in range(3):
+        basis = np.stack([y_sim[:, i], np.ones(60)], axis=1)
+        expected = np.linalg.lstsq(basis, y[:, i], rcond=None)[0]
+        np.testing.assert_allclose([gain[i], offset[i]], expected, rtol=1e-9)
+
+
+def test_a_constant_simulator_is_fitted_by_the_mean() -> None:
+    y = np.random.default_rng(2).standard_normal((40, 1))
+    gain, offset = affine_fit(np.full((40, 1), 7.0), y)
+    assert gain == [0.0]
+    np.testing.assert_allclose(offset, y.mean(axis=0))
+
+
+# ---------------------------------------------------------------- what is found
+
+
+@pytest.mark.parametrize("ny", [1, 2])
+@pytest.mark.parametrize(
+    ("term", "value"),
+    [
+        ("gain", GAIN),
+        ("offset", OFFSET),
+        ("delay", 0.6),
+        ("delay", -0.6),
+        ("clock", 1.03),
+        ("clock", 0.97),
+    ],
+)
+def test_one_term_is_found_and_the_others_are_left_alone(term: Any, value: Any, ny: int) -> None:
+    true = value[:ny] if isinstance(value, tuple) else value
+    off: dict[str, Any] = {term: true}
+    y = measured(ny, **off)
+    found = calibrate(simulation(ny=ny), y[:TRAIN], DT, SAMPLES, terms=[term])
+    assert getattr(found, term) == pytest.approx(true, abs=WITHIN[term])
+    for other in set(TERMS) - {term}:
+        assert getattr(found, other) == getattr(Calibration(), other)
+
+
+@pytest.mark.parametrize("ny", [1, 2])
+@pytest.mark.parametrize(
+    ("delay", "clock"),
+    [
+        (0.6, 1.0), (-0.6, 1.0), (0.0, 1.03), (0.0, 0.97),
+        (0.6, 1.03), (-0.6, 0.97), (0.6, 0.97), (-0.6, 1.03),
+    ],
+)  # fmt: skip
+def test_the_terms_that_pay_are_found_together(delay: float, clock: float, ny: int) -> None:
+    y = measured(ny, GAIN[:ny], OFFSET[:ny], delay, clock)
+    found = calibrate(simulation(ny=ny), y[:TRAIN], DT, SAMPLES)
+    assert found.gain == pytest.approx(GAIN[:ny], abs=WITHIN["gain"])
+    assert found.offset == pytest.approx(OFFSET[:ny], abs=WITHIN["offset"])
+    assert found.delay == pytest.approx(delay, abs=WITHIN["delay"])
+    assert found.clock == pytest.approx(clock, abs=WITHIN["clock"])
+    assert (found.delay == 0, found.clock == 1) == (delay == 0, clock == 1)
+    assert found.untried == ""
+    left = (y - found.apply(simulation(ny=ny), SAMPLES, DT))[TRAIN:]
+    assert np.std(left, axis=0) == pytest.approx([NOISE] * ny, rel=0.15)
+
+
+def test_a_perfect_simulator_is_left_as_it_comes() -> None:
+    exact = calibrate(simulation(), simulation()[:TRAIN], DT, SAMPLES)
+    assert str(exact) == "as it comes"
+    for seed in range(4):
+        noisy = calibrate(simulation(), measured(seed=seed)[:TRAIN], DT, SAMPLES)
+        assert str(noisy) == "as it comes"
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_unrelated_noise_gets_no_delay_and_no_clock(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    y_sim, y = rng.standard_normal((NEEDED, 1)), rng.standard_normal((TRAIN, 1))
+    found = calibrate(y_sim, y, DT, SAMPLES)
+    assert (found.delay, found.clock) == (0.0, 1.0)
+
+
+def test_calibration_brings_the_simulator_of_system_v_closer() -> None:
+    r = van_der_pol()
+    y_sim = run(van_der_pol_simulator(), samples_needed(2000, 600), 0.05)
+    found = calibrate(y_sim, r.y[:600], 0.05, 2000)
+    assert rmse(r.y, y_sim[:2000]) == pytest.approx(0.405, abs=1e-3)
+    assert rmse(r.y, found.apply(y_sim, 2000, 0.05)) < 0.27
+
+
+@pytest.mark.usefixtures("public_data")
+def test_the_simulator_of_the_drill_string_keeps_its_time() -> None:
+    r = drill_string()
+    assert r.y_sim is not None
+    found = calibrate(r.y_sim, r.y[:2000], r.sampling_time, len(r))
+    assert (found.delay, found.clock) == (0.0, 1.0)
+    raw, calibrated = r.y_sim[2000:], found.apply(r.y_sim, len(r), r.sampling_time)[2000:]
+    assert rmse(r.y[2000:], calibrated) < 0.7 * rmse(r.y[2000:], raw)
+
+
+# ---------------------------------------------------------------- what may be known
+
+
+def test_samples_after_the_training_part_do_not_change_a_calibration() -> None:
+    y = measured(1, GAIN[:1], OFFSET[:1], -0.6, 0.97)
+    altered = y.copy()
+    altered[TRAIN:] = 25.0
+    (expected_record, expected), (found_record, found) = (
+        prepared("filtered-gru-calibrated", record(values, simulation()), TRAIN)
+        for values in (y, altered)
+    )
+    assert expected is not None
+    assert expected == found
+    assert expected_record.y_sim is not None
+    np.testing.assert_array_equal(found_record.y_sim, expected_record.y_sim)
+    np.testing.assert_array_equal(found_record.y, altered)
+    np.testing.assert_allclose(
+        expected_record.y_sim, expected.apply(simulation(), SAMPLES, DT), atol=1e-12
+    )
+
+
+def test_only_calibrated_methods_see_another_simulator() -> None:
+    r = record(measured(1, GAIN[:1]), simulation())
+    assert prepared("filtered-gru-conditioned", r, TRAIN) == (r, None)
+    for method in ("residual-gru-calibrated", "filtered-rnn-calibrated-conditioned"):
+        changed, found = prepared(method, r, TRAIN)
+        assert found is not None
+        assert changed.y_sim is not None
+        assert found.gain == pytest.approx(GAIN[:1], abs=WITHIN["gain"])
+        np.testing.assert_allclose(changed.y_sim, signal(r.time) * found.gain + (found.offset or 0))
+
+
+@pytest.mark.parametrize("terms", [None, ["delay"], ["clock"]], ids=["chosen", "delay", "clock"])
+@pytest.mark.parametrize("spare", [0, 5])
+@pytest.mark.parametrize(("delay", "clock"), [(-0.6, 1.0), (0.0, 1.03), (0.0, 1.0)])
+def test_a_calibration_never_needs_more_than_there_is(
+    delay: float, clock: float, spare: int, terms: Any
+) -> None:
+    """Also where the record wants a simulator that reaches further than this one does."""
+    y_sim = simulation(SAMPLES + spare)
+    found = calibrate(y_sim, measured(1, (), (), delay, clock)[:TRAIN], DT, SAMPLES, terms)
+    assert found.apply(y_sim, SAMPLES, DT).shape == (SAMPLES, 1)
+    assert found.places(SAMPLES, DT)[-1] <= SAMPLES + spare - 1 + 1e-6
+    if terms is None:
+        assert "ends with the record" in found.untried
+
+
+@pytest.mark.parametrize(
+    ("delay", "clock"),
+    [(0.0, 1.0), (0.12, 1.0), (-0.12, 1.0), (0.0, 1.03), (0.0, 0.97), (-0.33, 1.02), (0.4, 1.05)],
+)
+def test_a_part_of_a_record_is_calibrated_as_in_the_whole(delay: float, clock: float) -> None:
+    """Time counts from the origin, wherever the part and its simulation begin."""
+    y_sim, found = simulation(2 * SAMPLES), Calibration(delay=delay, clock=clock)
+    whole, begin = found.apply(y_sim, SAMPLES, DT), 25
+    np.testing.assert_array_equal(found.apply(y_sim, 60, DT, begin), whole[begin : begin + 60])
+    places = found.places(60, DT, begin)
+    first, last = int(places[0]), int(np.ceil(places[-1] - 1e-9))
+    # A spline through a few samples more, as its ends are bent otherwise.
+    near = slice(max(first - 10, 0), last + 11)
+    part = found.apply(y_sim[near], 60, DT, begin, near.start)
+    np.testing.assert_allclose(part, whole[begin : begin + 60], atol=1e-5)
+
+
+# ---------------------------------------------------------------- applying
+
+
+@pytest.mark.parametrize("clock", [0.97, 1.0, 1.04])
+@pytest.mark.parametrize("delay", [-0.23, 0.0, 0.5])
+def test_a_calibrated_ramp_is_a_ramp_that_stands_still_at_the_simulations_ends(
+    delay: float, clock: float
+) -> None:
+    ramp = (DT * np.arange(SAMPLES))[:, None] * [1.0, -3.0]
+    found = Calibration((2.0, 0.5), (1.0, -4.0), delay, clock).apply(ramp, SAMPLES, DT)
+    time = np.clip(clock * DT * np.arange(SAMPLES) - delay, 0, DT * (SAMPLES - 1))
+    expected = np.stack([2 * time + 1, -1.5 * time - 4], axis=1)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_a_calibration_without_terms_returns_the_simulator() -> None:
+    y_sim = simulation(ny=2)
+    np.testing.assert_array_equal(Calibration().apply(y_sim, SAMPLES, DT), y_sim[:SAMPLES])
+
+
+def test_a_calibration_comes_back_from_json() -> None:
+    y = measured(2, GAIN, OFFSET, -0.6, 0.97)
+    found = calibrate(simulation(ny=2), y[:TRAIN], DT, SAMPLES)
+    again = Calibration(**json.loads(json.dumps(asdict(found))))
+    np.testing.assert_array_equal(
+        again.apply(simulation(ny=2), SAMPLES, DT), found.apply(simulation(ny=2), SAMPLES, DT)
+    )
+    np.testing.assert_array_equal(again.places(SAMPLES, DT), found.places(SAMPLES, DT))
+    assert str(again) == str(found)
+
+
+def test_a_calibration_says_what_it_holds() -> None:
+    found = str(Calibration((1.5, 2.0), (-2.0, 0.25), 0.125, 1.01))
+    assert found == "gain 1.5, 2; offset -2, 0.25; delay 0.125 s; clock 1.01"
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda: calibrate(simulation(), measured(), DT, terms=["speed"]),  # type: ignore[list-item]
+            "terms must be out of gain, offset, delay, clock, got speed",
+        ),
+        (
+            lambda: calibrate(simulation(SAMPLES - 1), measured()[:TRAIN], DT, SAMPLES),
+            r"y_sim must cover the record's 800 samples .* got \(799, 1\) and \(400, 1\)",
+        ),
+        (
+            lambda: calibrate(simulation(TRAIN - 1), measured()[:TRAIN], DT),
+            r"y_sim must cover the record's 400 samples .* got \(399, 1\) and \(400, 1\)",
+        ),
+        (
+            lambda: calibrate(simulation(), measured()[:1], DT),
+            r"y have 2 samples at least, got .* and \(1, 1\)",
+        ),
+        (
+            lambda: Calibration().apply(simulation(10), 11, DT),
+            "y_sim must have 11 samples at least, got 10",
+        ),
+    ],
+)
+def test_errors_name_the_rule_and_the_value(call: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        call()

@@ -1,0 +1,155 @@
+"""A user's own simulator may hang, crash or end its process, and this one goes on."""
+
+import os
+import time as clock
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splitband.simulators import run
+from splitband.simulators.isolation import Isolated
+from tests.runtime.test_processes import alive, eventually
+
+FUNCTIONS = """
+import ctypes
+import os
+import threading
+import time as clock
+
+import helper
+
+
+def good(time):
+    print("a simulator may print")
+    return helper.FACTOR * time
+
+
+def crashing(time):
+    ctypes.string_at(0)
+
+
+def exiting(time):
+    os._exit(3)
+
+
+def raising(time):
+    raise LookupError("no such\\nparameter")
+
+
+def hanging(time):
+    clock.sleep(600)
+
+
+def holding(time):  # keeps the interpreter to itself
+    ctypes.PyDLL(None).sleep(600)
+
+
+def leaving_threads(time):
+    threading.Thread(target=clock.sleep, args=(600,)).start()
+    return time
+
+
+def words(time):
+    return np.array(["a"] * len(time))
+"""
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> str:
+    folder = tmp_path_factory.mktemp("simulators")
+    (folder / "helper.py").write_text("FACTOR = 2.0\n")
+    (folder / "mine.py").write_text(FUNCTIONS)
+    return str(folder / "mine.py")
+
+
+def test_a_function_finds_the_modules_beside_it(file: str) -> None:
+    found = run(Isolated(file, "good"), 5, 0.5)
+    np.testing.assert_array_equal(found[:, 0], 2.0 * 0.5 * np.arange(5))
+
+
+@pytest.mark.parametrize(
+    ("function", "said"),
+    [
+        ("crashing", r"ended its process \(signal 11\)"),
+        ("exiting", r"ended its process \(exit status 3\)"),
+        ("raising", "LookupError: no such parameter"),
+        ("absent", "must define a function absent"),
+        ("words", "NameError"),
+    ],
+)
+def test_what_goes_wrong_is_named_with_the_simulator(
+    file: str, function: str, said: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(ValueError, match=rf"simulator torque failed on 7 samples .*{said}"):
+        run(Isolated(file, function), 7, 0.1, name="torque")
+    assert "Traceback" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("function", ["hanging", "holding"])
+def test_what_hangs_is_ended_not_left_behind(
+    file: str, function: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("splitband.simulators.isolation._START", 3.0)
+    began = clock.monotonic()
+    with pytest.raises(ValueError, match=r"simulator torque has not returned within 0\.3 s"):
+        run(Isolated(file, function, timeout=0.3), 7, 0.1, name="torque")
+    assert clock.monotonic() - began < 300
+    assert not any(b"splitband.simulators.isolation" in command for command in children())
+
+
+def children() -> list[bytes]:
+    """The commands of the processes that this one has started and that still run."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = (folder / "stat").read_text().rpartition(")")[2].split()[1]
+            command = (folder / "cmdline").read_bytes()
+        except OSError:  # ended in the meantime
+            continue
+        found += [command] * (parent == str(os.getpid()))
+    return found
+
+
+def test_threads_that_it_leaves_running_keep_nobody_waiting(file: str) -> None:
+    began = clock.monotonic()
+    assert len(run(Isolated(file, "leaving_threads"), 5, 0.5)) == 5
+    assert clock.monotonic() - began < 300
+
+
+def test_the_cache_is_of_the_content(file: str, tmp_path: Path) -> None:
+    first = run(Isolated(file, "good"), 5, 0.5, cache=tmp_path / "cache")
+    (stored,) = (tmp_path / "cache").iterdir()
+    np.save(stored, first + 1)
+    np.testing.assert_array_equal(
+        run(Isolated(file, "good", timeout=9.0), 5, 0.5, cache=tmp_path / "cache"), first + 1
+    )
+    Path(file).write_text(FUNCTIONS + "\n")
+    np.testing.assert_array_equal(
+        run(Isolated(file, "good"), 5, 0.5, cache=tmp_path / "cache"), first
+    )
+
+
+def test_what_a_simulator_has_started_ends_with_it(
+    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("splitband.simulators.isolation._START", 300.0)
+    mark = tmp_path / "pid"
+    source = Path(file).with_name("starting.py")
+    source.write_text(
+        "import subprocess\n\n\ndef starting(time):\n"
+        "    child = subprocess.Popen(['sleep', '600'])\n"
+        f"    open({str(mark)!r}, 'w').write(str(child.pid))\n    child.wait()\n"
+    )
+    with pytest.raises(ValueError, match="has not returned"):
+        run(Isolated(str(source), "starting", timeout=1.0), 5, 0.1)
+    child = int(mark.read_text())
+    eventually(lambda: not alive(child))  # it has been killed, and dies when its turn comes
+
+
+def test_nothing_in_the_working_directory_is_taken_for_a_module(
+    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "json.py").write_text("raise SystemExit('taken')\n")
+    monkeypatch.chdir(tmp_path)
+    assert len(run(Isolated(file, "good"), 5, 0.5)) == 5

@@ -1,0 +1,457 @@
+"""Simulators against closed forms and solvers; what `run` checks, gives up on and keeps."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import scipy.integrate
+
+from splitband import Trajectory
+from splitband.metrics import rmse
+from splitband.paper.systems import van_der_pol, van_der_pol_simulator
+from splitband.simulators import Fmu, Function, Ode, Recorded, run
+
+Array = npt.NDArray[np.float64]
+SAMPLES, DT = 200, 0.05
+GRID: Array = DT * np.arange(SAMPLES, dtype=np.float64)
+
+
+def oscillator(mu: float, start: tuple[float, float], grid: Array = GRID) -> Array:
+    """The Van der Pol oscillator `(time, 2)` by another solver than the package's."""
+    solution = scipy.integrate.solve_ivp(
+        lambda _, s: [s[1], mu * (1 - s[0] ** 2) * s[1] - s[0]],
+        (0, grid[-1]), start, "DOP853", t_eval=grid, rtol=1e-12, atol=1e-13,
+    )  # fmt: skip
+    return np.asarray(solution.y.T)
+
+
+class Counted:
+    """A simulator that counts its calls, and answers in multiples of `gain`."""
+
+    def __init__(self, gain: float = 1.0) -> None:
+        self.gain, self.calls = gain, 0
+
+    def simulate(self, grid: Array) -> Array:
+        self.calls += 1
+        return self.gain * np.cos(grid)
+
+    def fingerprint(self) -> str:
+        return f"gain {self.gain}"
+
+
+def constant(value: Any) -> Function:
+    return Function(lambda _: value)
+
+
+# ---------------------------------------------------------------- Recorded and Function
+
+
+def test_a_recorded_trajectory_is_cut_to_the_record() -> None:
+    y = np.random.default_rng(0).standard_normal((30, 2))
+    np.testing.assert_array_equal(run(Recorded(y, DT), 20, DT, ny=2), y[:20])
+    np.testing.assert_array_equal(run(Recorded(y[:, 0], DT), 30, DT), y[:, :1])
+
+
+def test_a_recorded_trajectory_comes_from_a_record_that_was_read() -> None:
+    record = Trajectory(np.arange(6.0), 0.2)
+    np.testing.assert_array_equal(run(Recorded.of(record), 6, 0.2), record.y)
+
+
+def test_a_recorded_trajectory_that_is_too_short_is_refused_with_both_lengths() -> None:
+    with pytest.raises(ValueError, match=r"cover 31 samples every 0\.05 s, got 30"):
+        run(Recorded(np.zeros(30), DT), 31, DT)
+
+
+@pytest.mark.parametrize("other", [2 * DT, 1.02 * DT, 0.97 * DT, 1.002 * DT])
+def test_a_recorded_trajectory_of_another_rate_is_interpolated(other: float) -> None:
+    y = np.sin(other * np.arange(300))
+    np.testing.assert_allclose(run(Recorded(y, other), 200, DT)[:, 0], np.sin(GRID), atol=1e-5)
+
+
+def test_a_recorded_trajectory_of_another_rate_has_to_last_as_long() -> None:
+    with pytest.raises(ValueError, match=r"cover 31 samples every 0\.05 s, got 40 every 0\.025 s"):
+        run(Recorded(np.zeros(40), DT / 2), 31, DT)
+
+
+def test_a_function_gets_the_time_grid_and_answers_with_one_or_more_channels() -> None:
+    np.testing.assert_array_equal(run(Function(lambda t: t), SAMPLES, DT)[:, 0], GRID)
+    both = run(Function(lambda t: [[s, -s] for s in t]), SAMPLES, DT, ny=2)
+    np.testing.assert_array_equal(both, np.stack([GRID, -GRID], axis=1))
+
+
+# ---------------------------------------------------------------- Ode
+
+
+def test_an_ode_follows_the_closed_form_of_a_damped_oscillator() -> None:
+    damping, omega = 0.2, 3.0
+    simulator = Ode(lambda _, x: [x[1], -(omega**2 + damping**2) * x[0] - 2 * damping * x[1]],
+                    [1.0, -damping], rtol=1e-10, atol=1e-12)  # fmt: skip
+    expected = np.exp(-damping * GRID) * np.cos(omega * GRID)
+    np.testing.assert_allclose(run(simulator, SAMPLES, DT)[:, 0], expected, atol=1e-8)
+
+
+def test_an_ode_sees_the_time() -> None:
+    simulator = Ode(lambda t, _: [np.cos(t)], [0.0])
+    np.testing.assert_allclose(run(simulator, SAMPLES, DT)[:, 0], np.sin(GRID), atol=1e-7)
+
+
+def test_an_ode_is_observed_as_asked() -> None:
+    simulator = Ode(lambda _, x: [x[1], -x[0]], [0.0, 1.0], observe=lambda x: x[:, ::-1] * [2, 1])
+    expected = np.stack([2 * np.cos(GRID), np.sin(GRID)], axis=1)
+    np.testing.assert_allclose(run(simulator, SAMPLES, DT, ny=2), expected, atol=1e-6)
+
+
+def test_the_tolerances_and_the_method_of_an_ode_reach_the_solver() -> None:
+    def error(**options: Any) -> float:
+        simulator = Ode(lambda _, x: [x[1], -x[0]], [1.0, 0.0], **options)
+        return float(np.abs(run(simulator, SAMPLES, DT)[:, 0] - np.cos(GRID)).max())
+
+    tight, by_atol = error(), error(atol=1e-4, rtol=1e-4)
+    assert tight < 1e-6 < error(rtol=1e-3) / 10
+    assert tight < by_atol
+    assert error(method="DOP853") != tight
+
+
+def test_an_ode_agrees_with_another_solver_on_a_stiff_oscillator() -> None:
+    found = run(van_der_pol_simulator(), 400, DT)
+    expected = oscillator(3.81, (-2.0, 1.0), DT * np.arange(400, dtype=np.float64))
+    np.testing.assert_allclose(found[:, 0], expected[:, 0], atol=1e-6)
+
+
+def test_an_ode_that_blows_up_says_when() -> None:
+    with pytest.raises(ValueError, match=r"Ode failed.*stopped at t = \[1\.\] s") as caught:
+        run(Ode(lambda _, x: x**2, [1.0]), SAMPLES, DT)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_single_sample_is_the_initial_state() -> None:
+    assert run(Ode(lambda _, x: -x, [1.5]), 1, DT) == [[1.5]]
+
+
+# ---------------------------------------------------------------- what run refuses
+
+
+@pytest.mark.parametrize(
+    ("answer", "shape"),
+    [
+        (np.zeros(SAMPLES - 1), r"\(199, 1\)"),
+        (np.zeros((SAMPLES, 3)), r"\(200, 3\)"),
+        (np.zeros((1, SAMPLES)), r"\(1, 200\)"),
+        (0.0, r"\(\)"),
+        (None, r"\(\)"),
+    ],
+)
+def test_an_answer_of_another_shape_is_refused_with_both_shapes(answer: Any, shape: str) -> None:
+    with pytest.raises(ValueError, match=rf"Function must return \(200, 1\) values, got {shape}"):
+        run(constant(answer), SAMPLES, DT)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_the_first_time_without_a_finite_value_is_named(bad: float) -> None:
+    y = np.zeros((SAMPLES, 2))
+    y[[40, 41, 120], [1, 0, 1]] = bad
+    with pytest.raises(ValueError, match=r"3 samples are not, the first at 2 s"):
+        run(constant(y), SAMPLES, DT, ny=2)
+
+
+@pytest.mark.parametrize("timeout", [None, 10.0])
+def test_what_a_simulator_raises_is_passed_on_with_the_call(timeout: float | None) -> None:
+    def fail(grid: Array) -> Array:
+        raise KeyError("stiffness")
+
+    with pytest.raises(
+        ValueError, match=r"Function failed on 200 samples every 0.05 s: KeyError: 'stiffness'"
+    ) as caught:
+        run(Function(fail), SAMPLES, DT, timeout=timeout)
+    assert isinstance(caught.value.__cause__, KeyError)
+
+
+def test_an_answer_that_is_no_number_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"Function failed.*could not convert"):
+        run(constant("fast"), SAMPLES, DT)
+
+
+def test_a_simulator_that_does_not_return_is_given_up_on() -> None:
+    release = threading.Event()
+
+    def wait(grid: Array) -> Array:
+        release.wait(600)
+        return grid
+
+    began = time.monotonic()
+    try:
+        with pytest.raises(ValueError, match=r"Function has not returned within 0\.1 s"):
+            run(Function(wait), SAMPLES, DT, timeout=0.1)
+        assert time.monotonic() - began < 300
+    finally:
+        release.set()
+
+
+def test_a_simulator_that_returns_in_time_is_not_changed_by_the_timeout() -> None:
+    found = run(Function(np.sin), SAMPLES, DT, timeout=30)
+    np.testing.assert_array_equal(found, run(Function(np.sin), SAMPLES, DT))
+
+
+def test_complex_values_are_refused_as_such() -> None:
+    with pytest.raises(ValueError, match="real"):
+        run(constant(1j * GRID), SAMPLES, DT)
+
+
+# ---------------------------------------------------------------- the cache
+
+
+def test_a_cached_trajectory_is_not_simulated_again(tmp_path: Path) -> None:
+    simulator = Counted(2.0)
+    first, second = (run(simulator, 50, DT, cache=tmp_path / "new") for _ in range(2))
+    assert simulator.calls == 1
+    np.testing.assert_array_equal(first, second)
+    np.testing.assert_array_equal(first[:, 0], 2 * np.cos(GRID[:50]))
+    assert run(Counted(2.0), 50, DT, cache=tmp_path / "new").shape == (50, 1)
+
+
+def test_without_a_cache_every_run_simulates() -> None:
+    simulator = Counted()
+    for _ in range(2):
+        run(simulator, 50, DT)
+    assert simulator.calls == 2
+
+
+@pytest.mark.parametrize("change", ["fingerprint", "samples", "sampling time"])
+def test_whatever_the_trajectory_depends_on_makes_another_cache_entry(
+    tmp_path: Path, change: str
+) -> None:
+    run(Counted(1.0), 50, DT, cache=tmp_path)
+    other = Counted(3.0 if change == "fingerprint" else 1.0)
+    samples = 51 if change == "samples" else 50
+    step = 2 * DT if change == "sampling time" else DT
+    found = run(other, samples, step, cache=tmp_path)
+    assert other.calls == 1
+    np.testing.assert_array_equal(found[:, 0], other.gain * np.cos(step * np.arange(samples)))
+
+
+def test_a_simulator_without_a_fingerprint_is_never_cached(tmp_path: Path) -> None:
+    calls = []
+    simulator = Function(lambda t: calls.append(1) or t)  # type: ignore[func-returns-value]
+    for _ in range(2):
+        run(simulator, 50, DT, cache=tmp_path / "new")
+    assert len(calls) == 2
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_refused_trajectory_is_not_cached(tmp_path: Path) -> None:
+    simulator = Counted(np.nan)
+    with pytest.raises(ValueError, match="finite"):
+        run(simulator, 50, DT, cache=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_crash_while_writing_leaves_nothing_in_the_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def crash(path: Path, _: Array) -> None:
+        path.write_bytes(b"\x93NUMPY half of it")
+        raise OSError("disk full")
+
+    simulator = Counted()
+    with monkeypatch.context() as patched:
+        patched.setattr(np, "save", crash)
+        with pytest.raises(OSError, match="disk full"):
+            run(simulator, 50, DT, cache=tmp_path)
+    assert not list(tmp_path.iterdir())
+    np.testing.assert_array_equal(run(simulator, 50, DT, cache=tmp_path)[:, 0], np.cos(GRID[:50]))
+    assert simulator.calls == 2
+
+
+# ---------------------------------------------------------------- Fmu
+
+
+def test_an_fmu_follows_the_equation_it_was_built_from(van_der_pol_fmu: Path) -> None:
+    with Fmu(van_der_pol_fmu) as fmu:
+        assert fmu.outputs == ["x", "v"]
+        found = run(fmu, SAMPLES, DT, ny=2)
+    np.testing.assert_allclose(found, oscillator(1.0, (-2.0, 1.0)), atol=1e-8)
+
+
+def test_an_fmu_gives_the_outputs_asked_for_in_their_order(van_der_pol_fmu: Path) -> None:
+    with Fmu(van_der_pol_fmu, ["v", "x"]) as swapped, Fmu(van_der_pol_fmu) as plain:
+        found = run(swapped, SAMPLES, DT, ny=2)
+        np.testing.assert_array_equal(found[:, ::-1], run(plain, SAMPLES, DT, ny=2))
+
+
+def test_an_fmu_starts_afresh_in_every_run(van_der_pol_fmu: Path) -> None:
+    with Fmu(van_der_pol_fmu, ["x"], {"mu": 3.0, "x": 0.5}) as fmu:
+        first = run(fmu, SAMPLES, DT)
+        assert len(run(fmu, 30, 2 * DT)) == 30
+        np.testing.assert_array_equal(run(fmu, SAMPLES, DT), first)
+
+
+def test_start_values_set_parameters_and_initial_states(van_der_pol_fmu: Path) -> None:
+    with Fmu(van_der_pol_fmu, ["x"], {"mu": 3.0, "x": 0.5}) as fmu:
+        found = run(fmu, SAMPLES, DT)
+    np.testing.assert_allclose(found, oscillator(3.0, (0.5, 1.0))[:, :1], atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "arguments", [(["x", "speed"], None), (None, {"speed": 1.0})], ids=["output", "start value"]
+)
+def test_an_unknown_variable_of_an_fmu_is_named_beside_the_known(
+    van_der_pol_fmu: Path, arguments: tuple[Any, Any]
+) -> None:
+    with pytest.raises(ValueError, match=r"no variable speed; it has mu, .*x, v"):
+        Fmu(van_der_pol_fmu, *arguments)
+
+
+def unpacked(folder: Path) -> list[Path]:
+    return [path for path in folder.iterdir() if path.is_dir()]
+
+
+def test_closing_an_fmu_removes_what_was_unpacked(
+    van_der_pol_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    fmu = Fmu(van_der_pol_fmu, ["x"])
+    assert len(unpacked(tmp_path)) == 1
+    run(fmu, 20, DT)
+    fmu.close()
+    fmu.close()
+    assert not unpacked(tmp_path)
+    with pytest.raises(ValueError, match="has been closed"):
+        run(fmu, 20, DT)
+    with pytest.raises(ValueError, match="no variable"):
+        Fmu(van_der_pol_fmu, ["speed"])
+    assert not unpacked(tmp_path)
+
+
+def test_an_fmu_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"no such FMU.*none\.fmu"):
+        Fmu(tmp_path / "none.fmu")
+
+
+def test_a_damaged_fmu_is_named(tmp_path: Path) -> None:
+    (tmp_path / "bad.fmu").write_bytes(b"PK not a zip file")
+    with pytest.raises(ValueError, match=r"bad\.fmu is not an FMU that can be run here"):
+        Fmu(tmp_path / "bad.fmu")
+
+
+def test_a_damaged_fmu_leaves_nothing_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    (tmp_path / "bad.fmu").write_bytes(b"PK not a zip file")
+    with pytest.raises(ValueError, match="is not an FMU"):
+        Fmu(tmp_path / "bad.fmu")
+    assert not unpacked(tmp_path)
+
+
+def test_an_fmu_is_cached_by_its_content_and_start_values(
+    van_der_pol_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = tmp_path / "copy.fmu"
+    copy.write_bytes(van_der_pol_fmu.read_bytes())
+    cache = tmp_path / "cache"
+    with Fmu(van_der_pol_fmu, ["x"]) as fmu:
+        first = run(fmu, 20, DT, cache=cache)
+    with Fmu(copy, ["x"]) as fmu:
+        monkeypatch.setattr(fmu, "simulate", lambda _: pytest.fail("simulated again"))
+        np.testing.assert_array_equal(run(fmu, 20, DT, cache=cache), first)
+    with Fmu(copy, ["x"], {"mu": 3.0}) as fmu:
+        assert np.abs(run(fmu, 20, DT, cache=cache) - first).max() > 0.01
+
+
+def test_an_fmu_that_stops_early_is_refused(van_der_pol_fmu: Path) -> None:
+    with (
+        Fmu(van_der_pol_fmu, ["x"], {"stop_at": 2.0}) as fmu,
+        pytest.raises(ValueError, match="Fmu"),
+    ):
+        run(fmu, SAMPLES, DT)
+
+
+_FAILING = """
+import sys
+import time
+from splitband.simulators import Fmu, run
+
+for start, timeout in (({"raise_at": 1.0}, None), ({"pause": 0.1}, 0.2)):
+    with Fmu(sys.argv[1], ["x"], start) as fmu:
+        try:
+            run(fmu, 20, 0.1, timeout=timeout)
+        except ValueError as error:
+            print(error)
+    time.sleep(0.5)
+print("alive")
+"""
+
+
+def test_an_fmu_that_raises_or_hangs_does_not_take_the_process_with_it(
+    van_der_pol_fmu: Path,
+) -> None:
+    found = subprocess.run(
+        [sys.executable, "-c", _FAILING, van_der_pol_fmu],
+        capture_output=True, text=True, check=False, timeout=600,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+    )  # fmt: skip
+    raised, gave_up, alive = found.stdout.splitlines()
+    assert "DoStep failed" in raised
+    assert "has not returned within 0.2 s" in gave_up
+    assert (alive, found.returncode) == ("alive", 0)
+
+
+# ---------------------------------------------------------------- the driven Van der Pol system
+
+
+@pytest.fixture(scope="module")
+def system_v() -> Trajectory:
+    return van_der_pol()
+
+
+def test_the_driven_oscillator_agrees_with_another_solver(system_v: Trajectory) -> None:
+    solution = scipy.integrate.solve_ivp(
+        lambda t, s: [s[1], -s[0] + 5 * (1 - s[0] ** 2) * s[1] + 80 * 0.31 * np.cos(7 * t)],
+        (0, system_v.time[-1]), [-2.0, 1.0], "DOP853", t_eval=system_v.time,
+        rtol=1e-12, atol=1e-13,
+    )  # fmt: skip
+    np.testing.assert_allclose(system_v.y[:, 0], solution.y[0], atol=1e-6)
+
+
+def test_the_simulator_of_the_driven_oscillator_is_0405_off(system_v: Trajectory) -> None:
+    assert system_v.y_sim is not None
+    assert (len(system_v), system_v.sampling_time) == (2000, 0.05)
+    assert rmse(system_v.y, system_v.y_sim) == pytest.approx(0.405, abs=1e-4)
+
+
+def test_a_loose_tolerance_moves_the_simulators_error_to_the_papers(system_v: Trajectory) -> None:
+    loose = van_der_pol(simulator_rtol=1e-3)
+    np.testing.assert_array_equal(loose.y, system_v.y)
+    assert loose.y_sim is not None
+    assert rmse(loose.y, loose.y_sim) == pytest.approx(0.4185, abs=2e-4)
+
+
+def test_the_named_simulator_is_that_of_the_record(system_v: Trajectory) -> None:
+    np.testing.assert_array_equal(
+        run(van_der_pol_simulator(), 2000, system_v.sampling_time), system_v.y_sim
+    )
+
+
+def test_a_function_and_an_ode_are_cached_by_their_keys(tmp_path: Path) -> None:
+    calls: list[float] = []
+
+    def function(time: Any) -> Any:
+        calls.append(time[-1])
+        return np.sin(time)
+
+    for key in ("one", "one", "another", None, None):
+        run(Function(function, key), 30, DT, cache=tmp_path)
+    assert len(calls) == 4
+    loose, tight = (
+        run(Ode(lambda _, x: -x, [1.0], rtol=rtol, key="decay"), 30, DT, cache=tmp_path)
+        for rtol in (1e-2, 1e-10)
+    )
+    assert np.abs(loose - tight).max() > 1e-6

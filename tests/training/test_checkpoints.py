@@ -1,0 +1,200 @@
+"""Trainings that are cut off and go on, and trainings that go wrong and are gone back from."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from splitband import Settings, Trajectory, fit
+from splitband.forecasters.methods import Setup, build
+from splitband.models import Model
+from splitband.training import History, Progress
+from splitband.training.checkpoints import Checkpoint, key_of
+from splitband.training.fit import MOST_RESTARTS, _Training
+from tests.models.test_models import QUICK, SETUP, TRAIN, record
+
+RECIPE = Settings(40, QUICK.warmup, 4, 16, learning_rate=0.01, one_cycle=True, clip=0.5, growth=0.6)
+
+
+class Killed(BaseException):
+    """What nothing catches."""
+
+
+def trained(
+    checkpoint: Checkpoint | None = None,
+    die_after: int | None = None,
+    seed: int = 3,
+    training: Trajectory | None = None,
+    settings: Settings = RECIPE,
+    setup: Setup = SETUP,
+) -> tuple[Model, History, list[Progress]]:
+    training = record()[:TRAIN] if training is None else training
+    model = build("split-gru-conditioned", training, setup, seed)
+    seen: list[Progress] = []
+
+    def watch(at: Progress) -> None:
+        seen.append(at)
+        if len(seen) == die_after:
+            raise Killed
+
+    return model, fit(model, training, settings, seed, watch, checkpoint), seen
+
+
+def assert_same(model: Model, other: Model) -> None:
+    for name, value in model.state_dict().items():
+        assert torch.equal(value, other.state_dict()[name]), name
+
+
+@pytest.mark.parametrize("die_after", range(1, 9))
+def test_a_training_that_was_cut_off_ends_with_the_same_bits(
+    die_after: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("splitband.training.checkpoints.MOST_OVERHEAD", 1e9)  # one after each epoch
+    whole, history, _ = trained()
+    file = tmp_path / "training.safetensors"
+    with pytest.raises(Killed):
+        trained(Checkpoint(file), die_after)
+    model, resumed, seen = trained(Checkpoint(file))
+    assert_same(model, whole)
+    assert resumed.losses == history.losses
+    assert len(seen) == 8 - (die_after - 1)  # the epoch in which it died has no checkpoint
+
+
+def test_a_finished_training_is_not_repeated(tmp_path: Path) -> None:
+    file = tmp_path / "training.safetensors"
+    whole, history, _ = trained(Checkpoint(file))
+    model, again, seen = trained(Checkpoint(file))
+    assert_same(model, whole)
+    assert again.losses == history.losses
+    assert not seen
+
+
+def test_the_checkpoint_of_another_training_is_none(tmp_path: Path) -> None:
+    file = tmp_path / "training.safetensors"
+    trained(Checkpoint(file))
+    other = record()[1 : TRAIN + 1]
+    changed = Settings(**{**vars(RECIPE), "clip": 0.4})
+    for _, _, seen in (
+        trained(Checkpoint(file), seed=4),
+        trained(Checkpoint(file), training=other),
+        trained(Checkpoint(file), settings=changed),
+        trained(Checkpoint(file), setup=replace(SETUP, downsampling=3)),
+        trained(Checkpoint(file), setup=replace(SETUP, cutoff=0.5)),
+    ):
+        assert len(seen) == 8
+
+
+def test_a_checkpoint_knows_the_filter_of_a_hybrid_model(tmp_path: Path) -> None:
+    """It is in no weight."""
+    checkpoint = Checkpoint(tmp_path / "training.safetensors")
+    for cutoff, epochs in ((0.6, 4), (0.6, 0), (0.5, 4)):
+        model = build("filtered-gru", record(), replace(SETUP, cutoff=cutoff), 0)
+        seen: list[Progress] = []
+        fit(model, record()[:TRAIN], RECIPE, 0, seen.append, checkpoint)
+        assert len(seen) == epochs
+
+
+@pytest.mark.parametrize("damage", ["empty", "cut", "noise", "text"])
+def test_a_damaged_checkpoint_is_none(damage: str, tmp_path: Path) -> None:
+    file = tmp_path / "training.safetensors"
+    trained(Checkpoint(file))
+    bytes_ = file.read_bytes()
+    file.write_bytes(
+        {
+            "empty": b"",
+            "cut": bytes_[: len(bytes_) // 2],
+            "noise": np.random.default_rng(0).bytes(2000),
+            "text": b'{"a": 1}' * 100,
+        }[damage]
+    )
+    assert len(trained(Checkpoint(file))[2]) == 8
+
+
+def test_where_no_checkpoint_can_be_written_training_goes_on(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="no checkpoint could be written"):
+        model, _, _ = trained(Checkpoint(tmp_path / "gone" / "training.safetensors"))
+    assert_same(model, trained()[0])
+
+
+def test_a_full_disk_keeps_the_last_good_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "training.safetensors"
+    trained(Checkpoint(file))
+    kept = file.read_bytes()
+
+    def full(tensors: object, path: Path, metadata: object) -> None:
+        path.write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("safetensors.torch.save_file", full)
+    with pytest.warns(UserWarning, match="No space left"):
+        trained(Checkpoint(file), seed=9)
+    assert file.read_bytes() == kept
+    assert [*tmp_path.iterdir()] == [file]
+
+
+def test_checkpoints_take_a_small_share_of_the_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = iter(np.arange(0.0, 1e6, 1.0))  # each look at the clock is a second later
+    monkeypatch.setattr("splitband.training.checkpoints.time.monotonic", lambda: float(next(clock)))
+    checkpoint = Checkpoint(tmp_path / "training.safetensors")
+    written = []
+
+    def state() -> dict[str, torch.Tensor]:
+        written.append(1)
+        return {"x": torch.zeros(1)}
+
+    for _ in range(1000):
+        checkpoint.offer("key", state, last=False)
+    assert len(written) == pytest.approx(1000 / 20, rel=0.1)
+
+
+def test_keys_differ_where_anything_does() -> None:
+    x = torch.arange(4.0)
+    keys = {key_of(1, "a", x), key_of(2, "a", x), key_of(1, "b", x), key_of(1, "a", x.double()),
+            key_of(1, "a", x.reshape(2, 2)), key_of(1, "a", x + 1e-7)}  # fmt: skip
+    assert len(keys) == 6
+    assert key_of(1, "a", x) == key_of(1, "a", x.clone())
+
+
+def test_a_diverging_epoch_is_repeated_with_half_the_learning_rate(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Once: the second pass of the first network blows up and leaves NaN weights behind."""
+    rates: list[float] = []
+    whole_pass = _Training._pass
+
+    def sabotaged(self: _Training) -> float:
+        loss = whole_pass(self)
+        rates.append(self.optimizer.param_groups[0]["lr"])
+        if len(rates) == 2:
+            for p in self.task.network.parameters():
+                p.data.fill_(float("nan"))
+            return float("nan")
+        return loss
+
+    monkeypatch.setattr(_Training, "_pass", sabotaged)
+    plain = Settings(40, QUICK.warmup, 4, 16, learning_rate=0.01)
+    model, history, _ = trained(settings=plain)
+    assert all(torch.isfinite(p).all() for p in model.parameters())
+    assert [len(losses) for losses in history.losses.values()] == [4, 4]
+    assert rates == pytest.approx([0.01, 0.01, *[0.005] * 3, *[0.01] * 4])
+    (note,) = history.notes
+    assert note == "low band: the loss diverged in epoch 2, repeated with half the learning rate"
+
+
+def test_a_training_that_always_diverges_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    passes = []
+
+    def exploding(self: object) -> float:
+        passes.append(1)
+        return 1e9
+
+    monkeypatch.setattr("splitband.training.fit._Training._pass", exploding)
+    with pytest.raises(FloatingPointError, match=r"diverged in epoch 1: the loss is 1e\+09"):
+        trained()
+    assert len(passes) == MOST_RESTARTS + 1

@@ -1,0 +1,249 @@
+"""Training: windows, reproducibility, schedule, progress and what is refused."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from splitband import GRU, History, Model, Progress, Recurrent, Settings, Trajectory, fit
+from splitband.evaluation.comparison import compare
+from splitband.forecasters.methods import build
+from splitband.models import Signals, Task
+from splitband.training.windows import windows
+from tests.models.test_models import LENGTH, QUICK, SETUP, TRAIN, _Scripted, record
+
+
+def parameters(model: Model) -> torch.Tensor:
+    return torch.cat([p.detach().flatten() for p in model.parameters()])
+
+
+def fitted(seed: int, method: str = "split-gru", **changes: Any) -> tuple[Model, History]:
+    model = build(method, record(), SETUP, seed)
+    settings = Settings(**{**vars(QUICK), "epochs": 3, **changes})
+    history = fit(model, record()[:TRAIN], settings, seed)
+    return model, history
+
+
+def test_the_same_seed_gives_the_same_model_and_another_seed_another() -> None:
+    first, again, other = (parameters(fitted(seed)[0]) for seed in (3, 3, 4))
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+
+
+def test_a_seed_leaves_the_global_random_state_alone() -> None:
+    before = torch.get_rng_state()
+    fitted(5)
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+@pytest.mark.parametrize("method", ["gru", "split-gru", "split-gru-hp", "filtered-gru"])
+def test_training_reduces_the_loss(method: Any) -> None:
+    _, history = fitted(0, method, epochs=30, learning_rate=2e-2)
+    for losses in history.losses.values():
+        assert len(losses) == 30
+        assert losses[-1] < 0.8 * losses[0]
+
+
+def test_windows_start_at_every_sample_and_are_views() -> None:
+    model = build("split-gru", record(), SETUP, seed=0)
+    low, high = model.tasks(model.normalised(record()[:TRAIN]))
+    known, target = windows(high, QUICK.window, QUICK.warmup)
+    assert len(target) == TRAIN - QUICK.window + 1
+    assert known.y.shape[1:] == (QUICK.warmup, 1)
+    assert target.shape[1:] == (QUICK.window - QUICK.warmup, 1)
+    assert known.y.data_ptr() == high.known.y.data_ptr()
+    torch.testing.assert_close(target[7], high.target[7 + QUICK.warmup : 7 + QUICK.window])
+    _, slow = windows(low, QUICK.window, QUICK.warmup)
+    torch.testing.assert_close(slow[7], low.target[7 + QUICK.warmup : 7 + QUICK.window : 2])
+
+
+def test_the_learning_rate_follows_its_milestones() -> None:
+    """With the rate at next to nothing from epoch 1 on, later epochs change nothing."""
+    still, _ = fitted(0, milestones=((1, 1e-30),))
+    once, _ = fitted(0, epochs=1)
+    assert torch.equal(parameters(still), parameters(once))
+    moved, _ = fitted(0)
+    assert not torch.equal(parameters(moved), parameters(once))
+
+
+def test_the_one_cycle_rate_rises_in_a_straight_line_and_falls_as_torchs_cosine_does() -> None:
+    schedule = Settings(learning_rate=0.02, one_cycle=True)
+    for share, tenths in ((0.0, 1.0), (0.025, 3.25), (0.05, 5.5), (0.1, 10.0), (1.0, 0.1)):
+        assert schedule.rate(0, share) == pytest.approx(0.002 * tenths)
+    optimizer = torch.optim.SGD([torch.zeros(1)], lr=0.02)
+    torchs = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, T_max=90, eta_min=2e-4)
+    for done in range(91):
+        share = 0.1 + 0.9 * done / 90
+        assert schedule.rate(0, share) == pytest.approx(torchs.get_last_lr()[0])
+        optimizer.step()
+        torchs.step()
+
+
+def seen_by_adam(
+    monkeypatch: pytest.MonkeyPatch, look: Callable[[dict[str, Any]], Any]
+) -> list[Any]:
+    """What `look` finds in the optimizer's parameter group before each step."""
+    seen: list[Any] = []
+    step = torch.optim.Adam.step
+
+    def watched(self: torch.optim.Adam, *arguments: Any, **options: Any) -> Any:
+        seen.append(look(self.param_groups[0]))
+        return step(self, *arguments, **options)
+
+    monkeypatch.setattr(torch.optim.Adam, "step", watched)
+    return seen
+
+
+def test_the_optimizer_goes_through_the_one_cycle_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    rates = seen_by_adam(monkeypatch, lambda group: group["lr"])
+    fitted(0, "gru", epochs=5, one_cycle=True, learning_rate=0.01)
+    steps = 5 * -(-(TRAIN - QUICK.window + 1) // QUICK.batch_size)
+    assert len(rates) == steps == 20
+    schedule = Settings(learning_rate=0.01, one_cycle=True)
+    assert rates == pytest.approx([schedule.rate(0, i / steps) for i in range(steps)])
+    assert np.argmax(rates) == 2
+
+
+def test_clipping_is_that_of_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On one step over all windows, whose gradient is the same with and without."""
+    seen = seen_by_adam(monkeypatch, lambda group: [p.grad.clone() for p in group["params"]])
+    for clip in (None, 1e-3, 1e6):
+        fitted(0, "gru", epochs=1, batch_size=1000, clip=clip)
+    whole, clipped, loose = seen
+    assert torch.linalg.vector_norm(torch.cat([g.flatten() for g in whole])) > 1e-2
+    by_hand = [torch.zeros_like(g) for g in whole]
+    for p, gradient in zip(by_hand, whole, strict=True):
+        p.grad = gradient.clone()
+    torch.nn.utils.clip_grad_norm_(by_hand, 1e-3)
+    for found, p, gradient, unchanged in zip(clipped, by_hand, whole, loose, strict=True):
+        torch.testing.assert_close(found, p.grad, rtol=1e-5, atol=1e-12)
+        torch.testing.assert_close(unchanged, gradient, rtol=1e-5, atol=1e-12)
+
+
+class _Watched(Recurrent):
+    """Keeps how many steps its windows were simulated for."""
+
+    def __init__(self) -> None:
+        super().__init__(GRU(1, 4))
+        self.asked: list[int] = []
+
+    def tasks(self, record: Signals) -> list[Task]:
+        def watched(simulate: Callable[[Signals, int], Tensor], known: Signals, steps: int) -> Any:
+            self.asked.append(steps)
+            return simulate(known, steps)
+
+        return [replace(t, simulate=partial(watched, t.simulate)) for t in super().tasks(record)]
+
+
+@pytest.mark.parametrize(
+    ("growth", "expected"),
+    [
+        (0.0, [30] * 10),
+        (0.5, [3, 8, 14, 19, 25, 30, 30, 30, 30, 30]),
+        (1.0, [3, 6, 8, 11, 14, 16, 19, 22, 25, 27]),
+    ],
+)
+def test_the_free_run_grows_from_a_tenth_to_all_of_its_length(
+    growth: float, expected: list[int]
+) -> None:
+    model = _Watched()
+    settings = Settings(42, QUICK.warmup, 10, batch_size=1000, growth=growth)
+    history = fit(model, record()[:TRAIN], settings)
+    assert np.abs(np.array(model.asked) - expected).max() <= 1  # halves are rounded either way
+    assert (model.asked[0], model.asked[-1]) == (expected[0], expected[-1])
+    assert np.isfinite(history.losses["network"]).all()
+
+
+def test_a_single_epoch_grows_to_the_whole_window_too() -> None:
+    model = _Watched()
+    fit(model, record()[:TRAIN], Settings(42, QUICK.warmup, 1, batch_size=2, growth=0.5))
+    assert model.asked[0] == 3
+    assert model.asked[-1] == 42 - QUICK.warmup
+    assert model.asked == sorted(model.asked)
+
+
+@pytest.mark.parametrize("error", [0.0, 0.5])
+def test_a_short_free_run_is_compared_with_the_beginning_of_the_window(error: float) -> None:
+    """So that a network that knows the only window has no loss at any length."""
+    script = torch.from_numpy(record().y[QUICK.warmup : 42] + error)
+    model = Recurrent(_Scripted(script, 0)).double()
+    settings = Settings(42, QUICK.warmup, 6, 1, 1e-30, growth=0.8, normalize=False)
+    history = fit(model, record()[:42], settings)
+    assert history.losses["network"] == pytest.approx([error] * 6, abs=1e-12)
+
+
+def test_progress_reports_every_epoch_of_every_network() -> None:
+    seen: list[Progress] = []
+    model = build("split-gru", record(), SETUP, seed=0)
+    fit(model, record()[:TRAIN], Settings(**{**vars(QUICK), "epochs": 2}), progress=seen.append)
+    assert [(p.task, p.epoch, p.epochs) for p in seen] == [
+        (task, epoch, 2) for task in ("low band", "high band") for epoch in (1, 2)
+    ]
+    assert all(np.isfinite(p.loss) for p in seen)
+
+
+def test_a_constant_channel_trains_without_nan() -> None:
+    flat = Trajectory(np.full(60, 7.0), 0.1)
+    model = Recurrent(GRU(1, 4))
+    history = fit(model, flat, Settings(window=20, warmup=5, epochs=3))
+    assert np.isfinite(history.losses["network"]).all()
+    assert np.isfinite(model.simulate(flat.y[:5], 10)).all()
+
+
+def test_diverging_training_says_so() -> None:
+    cell = GRU(1, 4)
+    model = Recurrent(cell)
+    with torch.no_grad():
+        cell.observation.weight.fill_(float("nan"))
+    with pytest.raises(FloatingPointError, match="diverged in epoch 1: the loss is nan"):
+        fit(model, record(), QUICK)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"window": 12}, "window must be longer than the warm-up of 12 samples, got 12"),
+        ({"window": LENGTH + 1}, f"training record of {LENGTH} samples, got {LENGTH + 1}"),
+        ({"warmup": 0}, "warmup must be at least 1, got 0"),
+        ({"epochs": 0}, "epochs must be at least 1, got 0"),
+        ({"batch_size": 0}, "batch_size must be at least 1, got 0"),
+        ({"learning_rate": -1.0}, "learning rates must be positive, got -1.0"),
+        ({"milestones": ((3, 0.0),)}, "learning rates must be positive, got 0.0"),
+        (
+            {"milestones": ((3, 1e-4),), "one_cycle": True},
+            r"milestones need one_cycle=False, got \(\(3, 0.0001\),\)",
+        ),
+        ({"clip": 0.0}, "clip must be positive, got 0.0"),
+        ({"clip": -1.0}, "clip must be positive, got -1.0"),
+        ({"clip": float("nan")}, "clip must be positive, got nan"),
+        ({"growth": -0.1}, "growth must be a share of the training, 0 to 1, got -0.1"),
+        ({"growth": 1.5}, "growth must be a share of the training, 0 to 1, got 1.5"),
+        ({"growth": float("nan")}, "growth must be a share of the training, 0 to 1, got nan"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(change: Any, message: Any) -> None:
+    with pytest.raises(ValueError, match=message):
+        fit(Recurrent(GRU(1, 4)), record(), Settings(**{**vars(QUICK), **change}))
+
+
+def test_a_record_of_other_channels_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"model's 1 channel\(s\) and 0 input\(s\), got 2 and 1"):
+        fit(Recurrent(GRU(1, 4)), record(2, 1), QUICK)
+
+
+def test_comparing_in_processes_gives_the_numbers_of_comparing_in_one() -> None:
+    methods = ["gru", "filtered-gru", "mean"]
+    alone, together = (
+        compare(record(), methods, SETUP, seeds=(0, 1), jobs=jobs) for jobs in (1, 2)
+    )
+    for method in methods:
+        for a, b in zip(alone[method], together[method], strict=True):
+            assert a.seed == b.seed
+            # Not to the bit: torch rounds some sums by where in memory their terms lie.
+            assert a.total_rmse == pytest.approx(b.total_rmse, rel=1e-6)
+            np.testing.assert_allclose(a.forecast, b.forecast, rtol=1e-5, atol=1e-6)
