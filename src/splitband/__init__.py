@@ -4,48 +4,120 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from splitband.data import Trajectory, read
+    from splitband.data import Grid, Trajectory, read
+    from splitband.evaluation.api import Comparison, Forecast, compare, forecast
+    from splitband.evaluation.runs import Work
+    from splitband.evaluation.setup import Setup
     from splitband.filters import ComplementaryPair
-    from splitband.models import Filtered, Model, Recurrent, Residual, Split
+    from splitband.forecasters.backtest import Origin, backtest
+    from splitband.forecasters.bands import Bands
+    from splitband.forecasters.base import Forecaster, Known
+    from splitband.forecasters.closed_form import (
+        Harmonic,
+        Linear,
+        Mean,
+        Periodic,
+        Persistence,
+        SeasonalNaive,
+    )
+    from splitband.forecasters.ensemble import Ensemble
+    from splitband.forecasters.names import named
+    from splitband.forecasters.networks import Filtered, Residual, Single, Split
+    from splitband.forecasters.prediction import Prediction
+    from splitband.forecasters.saving import load
+    from splitband.forecasters.simulation import Simulation
+    from splitband.metrics import ExtrapolationWarning, cumulative_rmse, fit_percent, nrmse, rmse
     from splitband.networks import GRU, Cell, EulerMLP, rollout
-    from splitband.training import History, Progress, Settings, fit
+    from splitband.simulators import Fmu, Function, Ode, Recorded, Simulator
+    from splitband.training import Progress, Settings
 
 __version__ = "0.1.0"
 
 # Loaded on first use: torch and pandas take seconds.
-_PACKAGES = {
-    "data": ("Trajectory", "read"),
+_MODULES = {
+    "data": ("Grid", "Trajectory", "read"),
+    "evaluation.api": ("Comparison", "Forecast", "compare", "forecast"),
+    "evaluation.runs": ("Work",),
+    "evaluation.setup": ("Setup",),
     "filters": ("ComplementaryPair",),
-    "models": ("Filtered", "Model", "Recurrent", "Residual", "Split"),
+    "forecasters.backtest": ("Origin", "backtest"),
+    "forecasters.bands": ("Bands",),
+    "forecasters.base": ("Forecaster", "Known"),
+    "forecasters.closed_form": (
+        "Harmonic",
+        "Linear",
+        "Mean",
+        "Periodic",
+        "Persistence",
+        "SeasonalNaive",
+    ),
+    "forecasters.ensemble": ("Ensemble",),
+    "forecasters.names": ("named",),
+    "forecasters.networks": ("Filtered", "Residual", "Single", "Split"),
+    "forecasters.prediction": ("Prediction",),
+    "forecasters.saving": ("load",),
+    "forecasters.simulation": ("Simulation",),
+    "metrics": ("ExtrapolationWarning", "cumulative_rmse", "fit_percent", "nrmse", "rmse"),
     "networks": ("GRU", "Cell", "EulerMLP", "rollout"),
-    "training": ("History", "Progress", "Settings", "fit"),
+    "simulators": ("Fmu", "Function", "Ode", "Recorded", "Simulator"),
+    "training": ("Progress", "Settings"),
 }
 __all__ = [
     "GRU",
+    "Bands",
     "Cell",
+    "Comparison",
     "ComplementaryPair",
+    "Ensemble",
     "EulerMLP",
+    "ExtrapolationWarning",
     "Filtered",
-    "History",
-    "Model",
+    "Fmu",
+    "Forecast",
+    "Forecaster",
+    "Function",
+    "Grid",
+    "Harmonic",
+    "Known",
+    "Linear",
+    "Mean",
+    "Ode",
+    "Origin",
+    "Periodic",
+    "Persistence",
+    "Prediction",
     "Progress",
-    "Recurrent",
+    "Recorded",
     "Residual",
+    "SeasonalNaive",
     "Settings",
+    "Setup",
+    "Simulation",
+    "Simulator",
+    "Single",
     "Split",
     "Trajectory",
-    "fit",
+    "Work",
+    "backtest",
+    "compare",
+    "cumulative_rmse",
+    "fit_percent",
+    "forecast",
+    "load",
+    "named",
+    "nrmse",
     "read",
+    "rmse",
     "rollout",
 ]
 
 
 def __getattr__(name: str) -> Any:
-    for package, names in _PACKAGES.items():
+    for module, names in _MODULES.items():
         if name in names:
-            found = getattr(import_module(f"splitband.{package}"), name)
-            globals()[name] = found
-            return found
+            value = getattr(import_module(f"splitband.{module}"), name)
+            globals()[name] = value
+            return value
     raise AttributeError(f"module 'splitband' has no attribute {name!r}")
 
 

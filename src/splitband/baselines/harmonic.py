@@ -49,9 +49,9 @@ class HarmonicRegression:
         begin, y = recent(y)
         return cls(tuple(_fit_channel(channel, sinusoids, damped) for channel in y.T), begin)
 
-    def predict(self, start: int, steps: int, last: Array) -> Array:
-        """See `Naive`."""
-        index = np.arange(start, start + steps) - self.begin
+    def predict(self, start: float, steps: int) -> Array:
+        """See `naive.ByTime`."""
+        index = start - self.begin + np.arange(steps)
         return np.stack([modes.predict(index) for modes in self.channels], axis=1)
 
     def __str__(self) -> str:

@@ -45,11 +45,12 @@ class OutputError:
     Attributes
     ----------
     channels : The model of each.
-    u : The inputs, each of mean 0 and deviation 1, `(time, nu)`.
+    mean, scale : By which the inputs are brought to mean 0 and deviation 1, `(nu,)`.
     """
 
     channels: tuple[Channel, ...]
-    u: Array
+    mean: Array
+    scale: Array
 
     @classmethod
     def fit(cls, y: Array, u: Array) -> OutputError:
@@ -62,22 +63,20 @@ class OutputError:
         Parameters
         ----------
         y : `(train, ny)`; NaN is what was not measured.
-        u : Inputs `(time, nu)`, of the samples to be predicted too.
+        u : Inputs of the same samples, `(train, nu)`.
         """
-        u = (u - u[: len(y)].mean(axis=0)) / spread(u[: len(y)])
-        return cls(tuple(_fit_channel(channel, u[: len(y)]) for channel in y.T), u)
+        mean, scale = u.mean(axis=0), spread(u)
+        scaled = (u - mean) / scale
+        return cls(tuple(_fit_channel(channel, scaled) for channel in y.T), mean, scale)
 
-    def predict(self, start: int, steps: int, last: Array) -> Array:
-        """See `Naive`; raises ValueError beyond the known inputs."""
-        end = start + steps
-        if end > len(self.u):
-            raise ValueError(f"u must reach to sample {end}, got {len(self.u)} samples")
-        simulated = [channel.simulate(self.u[:end]) for channel in self.channels]
-        return np.stack(simulated, axis=1)[start:]
+    def simulate(self, u: Array) -> Array:
+        """The record from its first sample on, `(time, ny)`, under the inputs `u` `(time, nu)`."""
+        scaled = (u - self.mean) / self.scale
+        return np.stack([channel.simulate(scaled) for channel in self.channels], axis=1)
 
     def __str__(self) -> str:
         orders = "+".join(str(len(channel.a) - 1) for channel in self.channels)
-        return f"{orders} pole(s), {self.u.shape[1]} input(s) and an offset"
+        return f"{orders} pole(s), {len(self.mean)} input(s) and an offset"
 
 
 class Channel(NamedTuple):

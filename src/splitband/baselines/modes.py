@@ -85,7 +85,7 @@ class Modes(NamedTuple):
         more = np.append(self.frequencies, found), np.append(self.dampings, damping)
         return self._replace(frequencies=more[0], dampings=more[1]).refined(y)
 
-    def basis(self, index: Index) -> Array:
+    def basis(self, index: npt.NDArray[np.number]) -> Array:
         """What each coefficient is multiplied with, `(len(index), coefficients)`."""
         slow = self.frequencies * self.samples < 1
         within = np.clip(index, 0, self.samples - 1)
@@ -95,7 +95,7 @@ class Modes(NamedTuple):
         columns = [np.ones((len(index), 1)), size * np.cos(phase), size * np.sin(phase)]
         return np.hstack(columns if self.shape is None else [*columns, self.shape(index)[:, None]])
 
-    def predict(self, index: Index) -> Array:
+    def predict(self, index: npt.NDArray[np.number]) -> Array:
         """The samples of these indices, counted from the first that was fitted."""
         return np.asarray(self.basis(index) @ self.coefficients)
 

@@ -1,13 +1,11 @@
-"""Naive baselines: what a trained model has to beat to be worth its training.
+"""What baselines share: the samples that are fitted, and their units.
 
-Each is fitted on the training samples and predicts by time index, which counts from the first of
-them: `predict(start, steps, last)` gives the samples `start`..`start + steps - 1`, `last` being the
-measured sample before them.
+A baseline is what a trained model has to beat to be worth its training. It is fitted to the
+training samples in closed form, and predicts by time index, which counts from the first of them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -21,63 +19,11 @@ FARTHEST_BACK = 10 * LONGEST
 """Rows before the end of a record in which these are looked for, where there are gaps."""
 
 
-class Naive(Protocol):
-    """A prediction that needs no training beyond a closed-form fit."""
+class ByTime(Protocol):
+    """A function of the time since the first fitted sample; what a closed-form fit leaves."""
 
-    def predict(self, start: int, steps: int, last: Array) -> Array:
-        """The samples from index `start` on, `(steps, ny)`; `last` `(ny,)` precedes them."""
-
-
-@dataclass(frozen=True)
-class Persistence:
-    """Nothing changes: the last measured sample, held."""
-
-    def predict(self, start: int, steps: int, last: Array) -> Array:
-        """See `Naive`."""
-        return np.tile(last, (steps, 1))
-
-    def __str__(self) -> str:
-        return "the last measured sample, held"
-
-
-@dataclass(frozen=True, eq=False)
-class Mean:
-    """The mean of the training samples, the best forecast where nothing can be foreseen.
-
-    Attributes
-    ----------
-    y : By channel, `(ny,)`.
-    """
-
-    y: Array
-
-    def predict(self, start: int, steps: int, last: Array) -> Array:
-        """See `Naive`."""
-        return np.tile(self.y, (steps, 1))
-
-    def __str__(self) -> str:
-        return "the mean of the training samples"
-
-
-@dataclass(frozen=True, eq=False)
-class Given:
-    """A trajectory that is given, that of a simulator.
-
-    Attributes
-    ----------
-    y : From index 0 on, `(time, ny)`.
-    description : What it is.
-    """
-
-    y: Array
-    description: str
-
-    def predict(self, start: int, steps: int, last: Array) -> Array:
-        """See `Naive`."""
-        return self.y[start : start + steps]
-
-    def __str__(self) -> str:
-        return self.description
+    def predict(self, start: float, steps: int) -> Array:
+        """The samples `start`..`start + steps - 1`, counted from there, `(steps, ny)`."""
 
 
 def recent(y: Array) -> tuple[int, Array]:

@@ -64,9 +64,9 @@ class PeriodicRegression:
             tuple(max(len(m.frequencies) - m.harmonics, 0) for m in channels),
         )
 
-    def predict(self, start: int, steps: int, last: Array) -> Array:
-        """See `Naive`."""
-        return self.sinusoids.predict(start, steps, last)
+    def predict(self, start: float, steps: int) -> Array:
+        """See `naive.ByTime`."""
+        return self.sinusoids.predict(start, steps)
 
     def __str__(self) -> str:
         trends = described([modes.shape for modes in self.sinusoids.channels])

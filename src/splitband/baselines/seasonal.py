@@ -51,9 +51,9 @@ class SeasonalNaive:
         """Samples in a period."""
         return len(self.period)
 
-    def predict(self, start: int, steps: int, last: Array) -> Array:
-        """See `Naive`."""
-        index = np.arange(start, start + steps)
+    def predict(self, start: float, steps: int) -> Array:
+        """See `naive.ByTime`."""
+        index = round(start) + np.arange(steps)
         return np.asarray(self.period[(index - self.end) % self.lag] + trending(self.trends, index))
 
     def __str__(self) -> str:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,29 +12,29 @@ import typer
 from splitband.cli import given, options, showing
 from splitband.cli.simulators import each_with_simulator, with_simulator
 from splitband.data import Trajectory
-from splitband.evaluation.comparison import compare as run_comparison
-from splitband.evaluation.comparison import inputs_beyond
-from splitband.evaluation.defaults import default_methods, usual_methods
-from splitband.evaluation.selection import HELD_OUT, TRIED, WORTH_TRAINING, check_trial, try_out
+from splitband.evaluation.api import Comparison
+from splitband.evaluation.api import compare as compare_forecasters
+from splitband.evaluation.comparison import check
+from splitband.evaluation.runs import Work
+from splitband.evaluation.selection import TRIED, WORTH_TRAINING, check_trial
+from splitband.evaluation.setup import Setup, default_names, usual_names
 from splitband.filters.spectrum import periodogram
-from splitband.forecasters.methods import (
-    CALIBRATED,
-    HYBRIDS,
-    METHODS,
-    TRAINED,
-    Setup,
-    check,
-    with_variants,
-)
+from splitband.forecasters.backtest import HELD_OUT
+from splitband.forecasters.names import CALIBRATED, HYBRIDS, NAMES, with_variants
 from splitband.paper.settings import RECORD_SETTINGS, SAMPLE_FREQUENCY
-from splitband.report import pictures, results
-from splitband.runtime.files import CHECKPOINTS, output_folder, replacing, write_json
+from splitband.report import results
+from splitband.runtime.files import CHECKPOINTS, output_folder
 from splitband.runtime.threads import available_cores
 
 
+@options.with_groups
 def compare(
     context: typer.Context,
     record: options.Record,
+    reading: options.RecordOptions,
+    simulator: options.SimulatorOptions,
+    further: options.FurtherRecords,
+    model: options.ModelOptions,
     train: options.Train = None,
     horizon: Annotated[
         int | None,
@@ -48,9 +47,9 @@ def compare(
     methods: Annotated[
         str | None,
         typer.Option(
-            help=f"What to compare, separated by commas, out of {', '.join(METHODS)}.",
-            show_default=f"{','.join(default_methods(False))}; with a simulator "
-            f"{','.join(default_methods(True))}; with --inputs linear, too",
+            help=f"What to compare, separated by commas, out of {', '.join(NAMES)}.",
+            show_default=f"{','.join(default_names(False))}; with a simulator "
+            f"{','.join(default_names(True))}; with --inputs linear, too",
         ),
     ] = None,
     seeds: Annotated[
@@ -61,29 +60,8 @@ def compare(
     ] = 3,
     jobs: options.Jobs = None,
     out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = Path("out"),
-    columns: options.Columns = None,
-    inputs: options.Inputs = None,
-    time_column: options.TimeColumn = None,
-    sampling_time: options.SamplingTime = None,
-    gaps: options.GapsOption = "refuse",
-    more: options.More = None,
-    simulator: options.SimulatorOption = None,
-    simulator_columns: options.SimulatorColumns = None,
-    simulator_timeout: options.SimulatorTimeout = options.PATIENCE,
-    simulator_cache: options.SimulatorCache = None,
-    more_simulator: options.MoreSimulators = None,
     calibrate: options.Calibrate = False,
     conditioned: options.Conditioned = False,
-    cutoff: options.Cutoff = None,
-    order: options.Order = None,
-    downsampling: options.Downsampling = None,
-    warmup: options.Warmup = None,
-    window: options.Window = None,
-    epochs: options.Epochs = None,
-    recipe: options.RecipeOption = "default",
-    learning_rate: options.LearningRate = None,
-    lr_milestones: options.Milestones = None,
-    hidden: options.Hidden = None,
 ) -> None:
     """Compare models of a record with each other and with naive baselines.
 
@@ -101,38 +79,16 @@ def compare(
 
     --calibrate and --conditioned add rows: each method that can be is also run that way.
     """
-    trajectory = given.load_record(record, columns, inputs, time_column, sampling_time, gaps)
-    hybrid = simulator is not None or trajectory.y_sim is not None
-    by_default = default_methods(hybrid, trajectory.nu > 0)
-    asked = by_default if methods is None else given.names(methods)
+    trajectory = given.load_record(record, reading)
+    hybrid = simulator.simulator is not None or trajectory.y_sim is not None
+    by_default = default_names(hybrid, trajectory.nu > 0)
+    asked = by_default if methods is None else given.method_names(methods)
     chosen = with_variants(asked, calibrate, conditioned)
-    trajectory = with_simulator(
-        trajectory,
-        simulator,
-        simulator_columns,
-        simulator_timeout,
-        simulator_cache,
-        beyond=any(CALIBRATED in method for method in chosen),
-        time_column=time_column,
-    )
-    setup = given.setup(
-        record,
-        trajectory,
-        train,
-        recipe=recipe,
-        methods=chosen,
-        cutoff=cutoff,
-        order=order,
-        downsampling=downsampling,
-        warmup=warmup,
-        window=window,
-        epochs=epochs,
-        learning_rate=learning_rate,
-        milestones=lr_milestones,
-        hidden=hidden,
-    )
+    beyond = any(CALIBRATED in method for method in chosen)
+    trajectory = with_simulator(trajectory, simulator, reading, beyond=beyond)
+    setup = given.setup(record, trajectory, train, model, chosen)
     if methods is None:
-        chosen = with_variants(usual_methods(trajectory, setup), calibrate, conditioned)
+        chosen = with_variants(usual_names(trajectory, setup), calibrate, conditioned)
     if horizon is not None:
         if setup.train + horizon > len(trajectory):
             raise ValueError(
@@ -140,18 +96,12 @@ def compare(
                 f"samples after the {setup.train} of --train, got {horizon}"
             )
         trajectory = trajectory[: setup.train + horizon]
-    further = each_with_simulator(
-        given.load_further(more, trajectory, inputs, time_column, gaps),
-        chosen,
-        more_simulator,
-        simulator_columns,
-        simulator_timeout,
-        simulator_cache,
-        time_column,
-    )
-    _compare(context, trajectory, chosen, setup, seeds, jobs, out, further)
+    others = given.load_further(further, trajectory, reading)
+    others = each_with_simulator(others, chosen, further, simulator, reading)
+    _compare(context, Task(trajectory, chosen, setup, others, model.device), seeds, jobs, out)
 
 
+@options.with_groups
 def demo(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = Path("demo"),
@@ -165,53 +115,53 @@ def demo(
     name = "double-mass-spring"
     record = given.load_record(name)
     methods = ["gru", "split-gru", "persistence", "seasonal-naive", "harmonic"]
-    _compare(context, record, methods, given.setup(name, record, None), 1, jobs, out)
+    setup = given.setup(name, record, None, options.ModelOptions(), methods)
+    _compare(context, Task(record, methods, setup, [], "cpu"), 1, jobs, out)
 
 
-def _compare(
-    context: typer.Context,
-    record: Trajectory,
-    methods: list[str],
-    setup: Setup,
-    seeds: int,
-    jobs: int | None,
-    out: Path,
-    more: Sequence[Trajectory] = (),
-) -> None:
-    check(record, methods, setup, more)
-    check_trial(record, methods, setup, more)
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What is to be compared on what.
+
+    Attributes
+    ----------
+    record, setup : See `evaluation.api.compare`.
+    names : Of the methods.
+    others : Further records to train on.
+    device : Of the networks.
+    """
+
+    record: Trajectory
+    names: list[str]
+    setup: Setup
+    others: list[Trajectory]
+    device: str
+
+
+def _compare(context: typer.Context, task: Task, seeds: int, jobs: int | None, out: Path) -> None:
+    record, setup, others = task.record, task.setup, task.others
+    methods = [given.on_device(setup.forecaster(name), task.device) for name in task.names]
+    check(record, methods, setup, others)
+    check_trial(record, methods, setup, others)
     output_folder(out)
-    networks = len(set(methods) & set(TRAINED))
+    networks = sum(method.random for method in methods)
     jobs = min(jobs or available_cores(), max(seeds * networks, 1))
-    chosen = range(seeds)
-    with showing.progress(min(seeds, TRIED) * networks, "training on three quarters") as progress:
-        folder = out / CHECKPOINTS / "three quarters"
-        trial = try_out(record, methods, setup, chosen[:TRIED], jobs, progress, folder, more)
-    with showing.progress(seeds * networks, "training") as progress:
-        folder = out / CHECKPOINTS / "whole"
-        runs = run_comparison(
-            record, [*trial.errors], setup, chosen, jobs, progress, checkpoints=folder, more=more
+    total = (min(seeds, TRIED) + seeds) * networks
+    with showing.progress(total) as progress:
+        work = Work(jobs, progress, out / CHECKPOINTS)
+        found = compare_forecasters(
+            record, methods=methods, others=others, seeds=seeds, setup=setup, work=work
         )
-    trial = trial.settled(runs)
-    found = periodogram(record[: setup.train].y, record.sampling_rate)
     arguments = {k: str(v) if isinstance(v, Path) else v for k, v in context.params.items()}
     facts: dict[str, Any] = {"command": context.info_name, "arguments": arguments}
-    ahead = None if record.u is None else record.u[setup.train :]
-    beyond = inputs_beyond([record[: setup.train], *more], ahead)
-    facts["inputs_beyond_training"] = [asdict(each) for each in beyond]
-    write_json(out / "results.json", facts | results.results(record, setup, runs, trial))
-    with replacing(out / "predictions.csv") as temporary:
-        results.predictions(record, setup, runs, trial).to_csv(temporary, index=False)
-    pictures.save(pictures.rollouts(record, setup, runs, trial), out / "rollouts.png")
-    pictures.save(pictures.errors(record, setup, runs), out / "error.png")
-    pictures.save(
-        pictures.spectrum(record, found, setup.cutoff, setup.choice), out / "spectrum.png"
-    )
-    if any(of_method[0].components for of_method in runs.values()):
-        pictures.save(pictures.components(record, setup, runs), out / "components.png")
+    results.save(found, out, facts)
     shutil.rmtree(out / CHECKPOINTS)
-    showing.console.print(showing.comparison(_title(record, setup), record, setup, runs, trial))
-    best = trial.recommended
+    _say(found, task.names, out)
+
+
+def _say(found: Comparison, names: list[str], out: Path) -> None:
+    record, setup, trial, best = found.record, found.setup, found.require_trial(), found.recommended
+    showing.console.print(showing.comparison(_title(record, setup), found))
     showing.console.print(
         f"recommended: {best}, for its forecast of the last {HELD_OUT:.0%} of the training part "
         f"(held out: RMSE {trial.errors[best]:.3g}) and for how little its forecast of what "
@@ -219,15 +169,19 @@ def _compare(
         f"{WORTH_TRAINING:.0%} better than what needs no training"
     )
     if record.ny > 1:
-        showing.console.print(f"{best}: {showing.channels(record, setup, runs[best])}")
-    showing.console.print(
-        f"cut-off {setup.cutoff:g} Hz{_papers_cutoff(record, setup)}, order {setup.order}, the low "
-        f"band kept at every {showing.ordinal(setup.downsampling)} sample: "
-        + (setup.choice.reason if setup.choice else f"{found.share_below(setup.cutoff):.0%} below")
-    )
-    if setup.choice and setup.choice.simulator_helps is False and not set(methods) & set(HYBRIDS):
+        showing.console.print(f"{best}: {showing.channels(found, best)}")
+    bands = setup.bands
+    if bands.cutoff is not None and bands.downsampling is not None:
+        below = periodogram(record[: setup.train].y, record.sampling_rate).share_below(bands.cutoff)
+        showing.console.print(
+            f"cut-off {bands.cutoff:g} Hz{_papers_cutoff(record, setup)}, order {bands.order}, the "
+            f"low band kept at every {showing.ordinal(bands.downsampling)} sample: "
+            + (bands.choice.reason if bands.choice else f"{below:.0%} below")
+        )
+    unhelpful = bands.choice is not None and bands.choice.simulator_helps is False
+    if unhelpful and not set(names) & set(HYBRIDS):
         showing.console.print("hybrid models are left out; --methods brings them back")
-    showing.warn_of_inputs(beyond, given.names(context.params.get("inputs") or ""))
+    showing.warn_of_inputs(found.inputs_beyond_training, record.inputs)
     showing.console.print(f"results and pictures: {out}/")
 
 
@@ -242,6 +196,6 @@ def _title(record: Trajectory, setup: Setup) -> str:
 def _papers_cutoff(record: Trajectory, setup: Setup) -> str:
     """The number in the paper's table, where the cut-off is the paper's."""
     column = RECORD_SETTINGS.get(record.name)
-    if column is None or column.setup(record.sampling_rate).cutoff != setup.cutoff:
+    if column is None or column.setup(record.sampling_rate).bands.cutoff != setup.bands.cutoff:
         return ""
     return f" (the paper's w = {column.cutoff:g} at f = {SAMPLE_FREQUENCY:g})"

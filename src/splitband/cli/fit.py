@@ -1,9 +1,8 @@
-"""`splitband fit` and `splitband simulate`."""
+"""`splitband fit`."""
 
 from __future__ import annotations
 
 import shutil
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -11,33 +10,27 @@ import numpy as np
 import typer
 
 from splitband.cli import given, options, showing
-from splitband.cli.simulators import (
-    each_with_simulator,
-    with_simulator,
-)
-from splitband.data import Trajectory
+from splitband.cli.simulators import each_with_simulator, with_simulator
 from splitband.data.timing import as_json
-from splitband.evaluation.comparison import RunProgress, first_start, predict
-from splitband.forecasters.methods import (
-    CALIBRATED,
-    TRAINED,
-    as_seen,
-    build,
-    check_method,
-    prepared,
-    with_variants,
-)
+from splitband.evaluation.runs import RunProgress
+from splitband.forecasters import saving
+from splitband.forecasters.backtest import first_origin
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.names import CALIBRATED, TRAINED, with_variants
+from splitband.forecasters.networks import Network
 from splitband.metrics import rmse
-from splitband.models import Model, saving
 from splitband.report import results
 from splitband.runtime.files import CHECKPOINTS, output_folder, write_json
-from splitband.training import Progress
-from splitband.training import fit as train_model
-from splitband.training.checkpoints import Checkpoint
+from splitband.training import Checkpoint, Progress
 
 
+@options.with_groups
 def fit(
     record: options.Record,
+    reading: options.RecordOptions,
+    simulator: options.SimulatorOptions,
+    further: options.FurtherRecords,
+    model: options.ModelOptions,
     out: Annotated[
         Path, typer.Option(metavar="MODEL_DIR", help="Folder for the model.", show_default=False)
     ],
@@ -51,29 +44,8 @@ def fit(
     seed: Annotated[
         int, typer.Option(min=0, max=2**32 - 1, help="Of initial weights and order of windows.")
     ] = 0,
-    columns: options.Columns = None,
-    inputs: options.Inputs = None,
-    time_column: options.TimeColumn = None,
-    sampling_time: options.SamplingTime = None,
-    gaps: options.GapsOption = "refuse",
-    more: options.More = None,
-    simulator: options.SimulatorOption = None,
-    simulator_columns: options.SimulatorColumns = None,
-    simulator_timeout: options.SimulatorTimeout = options.PATIENCE,
-    simulator_cache: options.SimulatorCache = None,
-    more_simulator: options.MoreSimulators = None,
     calibrate: options.Calibrate = False,
     conditioned: options.Conditioned = False,
-    cutoff: options.Cutoff = None,
-    order: options.Order = None,
-    downsampling: options.Downsampling = None,
-    warmup: options.Warmup = None,
-    window: options.Window = None,
-    epochs: options.Epochs = None,
-    recipe: options.RecipeOption = "default",
-    learning_rate: options.LearningRate = None,
-    lr_milestones: options.Milestones = None,
-    hidden: options.Hidden = None,
 ) -> None:
     """Train one model on a record and save it.
 
@@ -83,87 +55,64 @@ def fit(
         method = with_variants([method], calibrate, conditioned)[-1]
     if method not in TRAINED:
         raise ValueError(f"--method must be one of {', '.join(TRAINED)}, got {method}")
-    trajectory = given.load_record(record, columns, inputs, time_column, sampling_time, gaps)
-    trajectory = with_simulator(
-        trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache,
-        beyond=CALIBRATED in method, time_column=time_column,
-    )  # fmt: skip
-    setup = given.setup(
-        record,
-        trajectory,
-        len(trajectory) if train is None else train,
-        ahead=0,
-        recipe=recipe,
-        methods=[method],
-        cutoff=cutoff,
-        order=order,
-        downsampling=downsampling,
-        warmup=warmup,
-        window=window,
-        epochs=epochs,
-        learning_rate=learning_rate,
-        milestones=lr_milestones,
-        hidden=hidden,
-    ).only_for(method)
-    further = each_with_simulator(
-        given.load_further(more, trajectory, inputs, time_column, gaps),
-        [method],
-        more_simulator,
-        simulator_columns,
-        simulator_timeout,
-        simulator_cache,
-        time_column,
-    )
-    check_method(method, trajectory[: setup.train], setup, further)
-    training, calibration = prepared(method, trajectory[: setup.train], setup.train)
-    records = [training, *(as_seen(other, calibration) for other in further)]
-    model = build(method, training, setup, seed)
+    trajectory = given.load_record(record, reading)
+    trajectory = with_simulator(trajectory, simulator, reading, beyond=CALIBRATED in method)
+    samples = len(trajectory) if train is None else train
+    setup = given.setup(record, trajectory, samples, model, [method], ahead=0)
+    others = given.load_further(further, trajectory, reading)
+    others = each_with_simulator(others, [method], further, simulator, reading)
+    forecaster = given.on_device(setup.forecaster(method), model.device)
+    training = trajectory[: setup.train]
+    forecaster.check(training, *others)
     output_folder(out)
-    networks = len(model.tasks(model.normalised(training)))
-    with showing.progress(networks, f"training {method}") as bar:
+    with showing.progress(1, f"training {method}") as bar:
 
         def update(at: Progress) -> None:
-            bar(RunProgress(at.task, seed, at.epoch / at.epochs, at.loss))
+            bar(RunProgress(f"{method}, {at.task}", seed, at.share, at.loss))
 
         (out / CHECKPOINTS).mkdir(exist_ok=True)
         checkpoint = Checkpoint(out / CHECKPOINTS / f"{method}-{seed}.safetensors")
-        history = train_model(model, records, setup.settings, seed, update, checkpoint)
-    within = _training_error(model, training, setup.settings.warmup)
-    seen = np.concatenate([each.seen for each in records])
+        forecaster.fit(training, *others, seed=seed, progress=update, checkpoint=checkpoint)
+    fitted = forecaster.require_fitted()
+    assert isinstance(forecaster, Network)
     facts = {
         "method": method,
         "seed": seed,
         "record": training.name,
-        "more": [other.name for other in further],
-        "range": [np.nanmin(seen, axis=0).tolist(), np.nanmax(seen, axis=0).tolist()],
+        "more": [other.name for other in others],
+        "range": fitted.y_range.tolist(),
         "sampling_time": training.sampling_time,
         "start": as_json(training.start),
         "columns": list(training.columns),
-        "inputs": given.names(inputs or ""),
-        "setup": asdict(setup),
-        "calibration": None if calibration is None else asdict(calibration),
+        "inputs": given.names(reading.inputs or ""),
+        "setup": setup.only_for(method).as_json(),
+        "calibration": given.calibration_facts(forecaster),
     }
-    saving.save(model, out, facts)
+    saving.save(forecaster, out, facts)
+    within = _training_error(forecaster)
     outcome = {
-        "final_loss": {name: losses[-1] for name, losses in history.losses.items()},
-        "seconds": history.seconds,
-        "notes": history.notes,
+        "final_loss": {name: losses[-1] for name, losses in fitted.report.losses.items()},
+        "seconds": fitted.report.seconds,
+        "notes": [*fitted.report.notes],
         "training_rmse": within,
     }
     write_json(out / "results.json", facts | outcome | {"environment": results.environment()})
     shutil.rmtree(out / CHECKPOINTS)
-    for note in history.notes:
+    for note in fitted.report.notes:
         showing.console.print(note)
+    calibration = given.calibration_of(forecaster)
     showing.console.print(
-        f"{method} trained on {len(training)} samples in {history.seconds:.1f} s; free run over "
-        f"them from the first {setup.settings.warmup}: RMSE {within:.4g}\n"
+        f"{method} trained on {len(training)} samples in {fitted.report.seconds:.1f} s; free run "
+        f"over them from the first {forecaster.warmup}: RMSE {within:.4g}\n"
         + ("" if calibration is None else f"simulator calibrated: {calibration}\n")
         + f"model: {out}/",
     )
 
 
-def _training_error(model: Model, training: Trajectory, warmup: int) -> float:
+def _training_error(forecaster: Forecaster) -> float:
     """RMSE of a free run over the training record from its first samples."""
-    start = first_start(training, warmup)
-    y = np.sum([*predict(model, training, start - warmup, start).values()], axis=0)
-    return rmse(training.seen[start:], y)
+    record = forecaster.require_fitted().record
+    start = first_origin(record, len(record), forecaster.warmup).at
+    with showing.without_warnings():
+        y = forecaster.predict(len(record) - start, record[:start]).y
+    return rmse(record.seen[start:], np.asarray(y))

@@ -3,30 +3,86 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband.cli import showing
-from splitband.cli.options import AUTO
-from splitband.data import Grid, Trajectory, aligned, read, resampled
-from splitband.data.gaps import Gaps, places
+from splitband.cli.options import AUTO, FurtherRecords, ModelOptions, RecordOptions
+from splitband.data import Trajectory, aligned, read, resampled
+from splitband.data.gaps import places
 from splitband.data.reading import ColumnError
 from splitband.data.timing import same_sampling
-from splitband.evaluation.defaults import default_setup
-from splitband.forecasters.methods import Setup, check_train
+from splitband.evaluation.comparison import check_train
+from splitband.evaluation.setup import Setup, default_setup
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.names import NAMES, Sizes
+from splitband.forecasters.networks import Network
+from splitband.forecasters.simulation import Simulation
+from splitband.models import Model
 from splitband.paper.settings import RECORD_SETTINGS
 from splitband.paper.systems import RECORDS
+from splitband.simulators.calibration import Calibration
 from splitband.training import Settings, default_warmup
-from splitband.training.recipes import Recipe, recipe_settings
+from splitband.training.recipes import recipe_settings
+
+AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
 
 
 def names(text: str) -> list[str]:
     """The parts of a comma-separated option."""
     return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def method_names(text: str) -> list[str]:
+    """The names of an option that lists methods; raises ValueError for unknown ones."""
+    found = names(text)
+    unknown = [name for name in found if name not in NAMES]
+    if unknown or not found:
+        raise ValueError(f"methods must be out of {', '.join(NAMES)}, got {', '.join(unknown)}")
+    return found
+
+
+def on_device(forecaster: AnyForecaster, device: str) -> AnyForecaster:
+    """A forecaster whose network, if it has one, is trained on a device."""
+    if isinstance(forecaster, Network) and device != "cpu":
+        _check_device(device)
+        return forecaster.to(device)
+    return forecaster
+
+
+def model_on_device(model: Model, device: str) -> Model:
+    """A model that is to be simulated on a device."""
+    if device != "cpu":
+        _check_device(device)
+    return model.to(device)
+
+
+def _check_device(device: str) -> None:
+    import torch  # noqa: PLC0415  it has been loaded by now
+
+    try:
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise ValueError(f"--device must be one that is there, got {device}: {reason}") from None
+
+
+def calibration_of(forecaster: Forecaster) -> Calibration | None:
+    """The calibration of a hybrid model's simulator, where it has been calibrated."""
+    base = getattr(forecaster, "base", None)
+    calibrated = isinstance(base, Simulation) and base.calibrated is not False
+    return base.calibration if isinstance(base, Simulation) and calibrated else None
+
+
+def calibration_facts(forecaster: Forecaster) -> dict[str, Any] | None:
+    """The same for a JSON file."""
+    calibration = calibration_of(forecaster)
+    return None if calibration is None else asdict(calibration)
 
 
 def _milestones(text: str) -> tuple[tuple[int, float], ...]:
@@ -37,7 +93,7 @@ def _milestones(text: str) -> tuple[tuple[int, float], ...]:
         raise ValueError(f"--lr-milestones must be EPOCH:RATE,EPOCH:RATE,..., got {text}") from None
 
 
-def _sizes(text: str) -> tuple[int, int]:
+def _hidden(text: str) -> tuple[int, int]:
     try:
         high, low = (int(part) for part in names(text))
     except ValueError:
@@ -45,15 +101,9 @@ def _sizes(text: str) -> tuple[int, int]:
     return high, low
 
 
-def load_record(
-    record: str,
-    columns: str | None = None,
-    inputs: str | None = None,
-    time_column: str | None = None,
-    sampling_time: float | None = None,
-    gaps: Gaps = "refuse",
-) -> Trajectory:
+def load_record(record: str, reading: RecordOptions | None = None) -> Trajectory:
     """A named record, or a file."""
+    reading = reading or RecordOptions()
     if record not in RECORDS:
         if not Path(record).exists():
             raise FileNotFoundError(
@@ -61,11 +111,11 @@ def load_record(
             )
         found = read(
             record,
-            columns=names(columns) if columns else None,
-            inputs=names(inputs or ""),
-            time_column=time_column,
-            sampling_time=sampling_time,
-            gaps=gaps,
+            columns=names(reading.columns) if reading.columns else None,
+            inputs=names(reading.inputs or ""),
+            time_column=reading.time_column,
+            sampling_time=reading.sampling_time,
+            gaps=reading.gaps,
         )
         if found.measured is not None:
             missing = ~found.complete
@@ -75,10 +125,10 @@ def load_record(
             )
         return found
     for option, value in (
-        ("--columns", columns),
-        ("--inputs", inputs),
-        ("--time-column", time_column),
-        ("--sampling-time", sampling_time),
+        ("--columns", reading.columns),
+        ("--inputs", reading.inputs),
+        ("--time-column", reading.time_column),
+        ("--sampling-time", reading.sampling_time),
     ):
         if value is not None:
             raise ValueError(f"{option} is for files; {record} is a named record, got {value}")
@@ -121,24 +171,20 @@ def differs(sampling_time: float, other: float) -> bool:
 
 
 def load_further(
-    files: Sequence[str] | None,
-    record: Trajectory,
-    inputs: str | None,
-    time_column: str | None,
-    gaps: Gaps,
+    further: FurtherRecords, record: Trajectory, reading: RecordOptions
 ) -> list[Trajectory]:
     """The records of --more, with the columns of `record`."""
     found = []
-    for file in files or []:
+    for file in further.more or []:
         if not Path(file).exists():
             raise FileNotFoundError(f"--more must be a file, got {file}")
         more = read_beside(
             file,
             record.sampling_time,
-            time_column,
+            reading.time_column,
             columns=record.columns,
-            inputs=names(inputs or ""),
-            gaps=gaps,
+            inputs=names(reading.inputs or ""),
+            gaps=reading.gaps,
         )
         if not differs(more.sampling_time, record.sampling_time):  # otherwise refused by `check`
             more = like(more, record.sampling_time, file)
@@ -147,12 +193,10 @@ def load_further(
 
 
 def inputs_ahead(
-    file: Path | None, inputs: list[str], ahead: Grid, time_column: str | None = None
+    file: Path | None, known: Trajectory, steps: int, reading: RecordOptions
 ) -> npt.NDArray[np.float64] | None:
-    """Known inputs at the times to come, `(steps, nu)`, where there are any.
-
-    `time_column` is the record's.
-    """
+    """Known inputs of the samples after a record, `(steps, nu)`, where there are any."""
+    inputs = names(reading.inputs or "")
     if (file is not None) != bool(inputs):
         raise ValueError(
             f"--future-inputs must be given exactly where there are known inputs; there are "
@@ -160,7 +204,8 @@ def inputs_ahead(
         )
     if file is None:
         return None
-    found = read_beside(file, ahead.step, time_column, columns=inputs)
+    ahead = known.grid.after(steps)
+    found = read_beside(file, ahead.step, reading.time_column, columns=inputs)
     # Straight lines, as inputs may jump.
     u = aligned(f"--future-inputs {file}", found.y, found.grid, ahead, smooth=False)
     if u.note:
@@ -172,10 +217,9 @@ def setup(
     record: str,
     trajectory: Trajectory,
     train: int | None,
-    ahead: int = 1,
-    recipe: Recipe = "default",
+    options: ModelOptions,
     methods: Sequence[str] | None = None,
-    **options: Any,
+    ahead: int = 1,
 ) -> Setup:
     """What the options say (`None`: nothing), the rest by the recipe.
 
@@ -187,35 +231,52 @@ def setup(
     if train is None:
         train = column.train if column else int(0.75 * len(trajectory))
     check_train(trajectory, train, ahead)
-    given = {name: value for name, value in options.items() if value is not None}
-    decided = {name: given.pop(name, None) for name in ("cutoff", "order", "downsampling")}
-    papers = column is not None and recipe == "paper" and decided["cutoff"] != AUTO
-    if decided["cutoff"] == AUTO:
-        decided["cutoff"] = None
-    if "hidden" in given:
-        given["hidden_high"], given["hidden_low"] = _sizes(given.pop("hidden"))
-    if "milestones" in given:
-        given["milestones"] = _milestones(given["milestones"])
-        given["one_cycle"] = False
-    training = {f.name: given.pop(f.name) for f in fields(Settings) if f.name in given}
+    bands = Bands(
+        None if options.cutoff == AUTO else options.cutoff, options.order, options.downsampling
+    )
+    if column is None or options.recipe != "paper":
+        settings = _trained(recipe_settings(options.recipe, trajectory[:train]), options)
+        found = default_setup(trajectory, train, options.recipe, settings, bands, methods)
+        return replace(found, sizes=_with_hidden(found.sizes, options))
+    papers = column.setup(trajectory.sampling_rate)
+    settings = _trained(papers.settings, options)
+    if options.cutoff == AUTO:
+        bands = default_setup(trajectory, train, "paper", settings, bands, methods).bands
+    else:
+        given = {name: value for name, value in vars(bands).items() if value is not None}
+        bands = replace(papers.bands, **given)
+    return Setup(
+        train,
+        settings,
+        bands,
+        _with_hidden(papers.sizes, options),
+        {name: _trained(other, options) for name, other in papers.overrides.items()},
+    )
 
-    def trained(settings: Settings) -> Settings:
-        more = dict(training)
-        if "window" in more:
-            more.setdefault("warmup", default_warmup(more["window"], settings.warmup))
-        return replace(settings, **more)
 
-    if column and recipe == "paper":
-        defaults = column.setup(trajectory.sampling_rate)
-        settings = trained(defaults.settings)
-        overrides = {name: trained(s) for name, s in defaults.overrides.items()}
-        defaults = replace(defaults, train=train, settings=settings, overrides=overrides)
-        if papers:
-            given |= {name: value for name, value in decided.items() if value is not None}
-            return replace(defaults, **given)
-        found = default_setup(trajectory, train, recipe, settings, **decided, methods=methods)
-        chosen = {name: getattr(found, name) for name in (*decided, "choice")}
-        return replace(defaults, **chosen, **given)
-    settings = trained(recipe_settings(recipe, trajectory[:train]))
-    defaults = default_setup(trajectory, train, recipe, settings, **decided, methods=methods)
-    return replace(defaults, **given)
+def setup_ahead(known: Trajectory, steps: int, methods: Sequence[str], epochs: int | None) -> Setup:
+    """For a forecast of `steps` samples beyond the end of a record."""
+    settings = recipe_settings("default", known)
+    settings = settings if epochs is None else replace(settings, epochs=epochs)
+    return default_setup(known, len(known), "default", settings, None, methods, steps)
+
+
+def _trained(settings: Settings, options: ModelOptions) -> Settings:
+    """Settings with what the options say about training."""
+    said: dict[str, Any] = {
+        field.name: getattr(options, field.name)
+        for field in fields(Settings)
+        if getattr(options, field.name, None) is not None
+    }
+    if "window" in said:
+        said.setdefault("warmup", default_warmup(said["window"], settings.warmup))
+    if options.lr_milestones is not None:
+        said |= {"milestones": _milestones(options.lr_milestones), "one_cycle": False}
+    return replace(settings, **said)
+
+
+def _with_hidden(sizes: Sizes, options: ModelOptions) -> Sizes:
+    if options.hidden is None:
+        return sizes
+    high, low = _hidden(options.hidden)
+    return replace(sizes, hidden_high=high, hidden_low=low)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass
+from functools import wraps
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
@@ -277,3 +281,90 @@ Jobs = Annotated[
         show_default="one a core",
     ),
 ]
+Device = Annotated[
+    str,
+    typer.Option(
+        help="Where networks are trained: cpu, cuda, cuda:1, ...", rich_help_panel=_TRAINING
+    ),
+]
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """How files are read."""
+
+    columns: Columns = None
+    inputs: Inputs = None
+    time_column: TimeColumn = None
+    sampling_time: SamplingTime = None
+    gaps: GapsOption = "refuse"
+
+
+@dataclass(frozen=True)
+class SimulatorOptions:
+    """Which simulator stands beside the record, and how it is run."""
+
+    simulator: SimulatorOption = None
+    simulator_columns: SimulatorColumns = None
+    simulator_timeout: SimulatorTimeout = PATIENCE
+    simulator_cache: SimulatorCache = None
+
+
+@dataclass(frozen=True)
+class FurtherRecords:
+    """Other records of the same system, to train on."""
+
+    more: More = None
+    more_simulator: MoreSimulators = None
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """Filters, networks and their training."""
+
+    cutoff: Cutoff = None
+    order: Order = None
+    downsampling: Downsampling = None
+    warmup: Warmup = None
+    window: Window = None
+    epochs: Epochs = None
+    recipe: RecipeOption = "default"
+    learning_rate: LearningRate = None
+    lr_milestones: Milestones = None
+    hidden: Hidden = None
+    device: Device = "cpu"
+
+
+def with_groups(command: Callable[..., None]) -> Callable[..., None]:
+    """A command for typer: each field of a parameter that is a dataclass is an option of its own.
+
+    Options that several commands share are so written down once, in the order above.
+    """
+    hints = get_type_hints(command, include_extras=True)
+    groups = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
+    parameters = []
+    for parameter in inspect.signature(command).parameters.values():
+        if parameter.name not in groups:
+            parameters.append(parameter.replace(annotation=hints[parameter.name]))
+            continue
+        of_group = get_type_hints(groups[parameter.name], include_extras=True)
+        parameters += [
+            parameter.replace(
+                name=field.name, default=field.default, annotation=of_group[field.name]
+            )
+            for field in fields(groups[parameter.name])
+        ]
+
+    @wraps(command)
+    def expanded(**given: Any) -> None:
+        for name, group in groups.items():
+            assert isinstance(group, type)
+            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
+        command(**given)
+
+    # What has a default comes last, as in any signature.
+    parameters.sort(key=lambda p: p.default is not inspect.Parameter.empty)
+    keywords = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in parameters]
+    expanded.__signature__ = inspect.Signature(keywords)  # type: ignore[attr-defined]
+    expanded.__annotations__ = {p.name: p.annotation for p in parameters}
+    return expanded

@@ -10,7 +10,7 @@ import typer
 from rich.table import Table as RichTable
 
 from splitband.cli import given, options, showing
-from splitband.forecasters.methods import TRAINED
+from splitband.forecasters.names import TRAINED
 from splitband.paper.costs import progress
 from splitband.paper.figures import FIGURES, figure, needed
 from splitband.paper.jobs import SYSTEMS

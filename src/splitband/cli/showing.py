@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import statistics
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from rich.console import Console
@@ -12,11 +13,10 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from rich.table import Table
 from rich.text import Text
 
-from splitband.data import Trajectory
-from splitband.evaluation.comparison import Run, RunProgress, by_channel, ensemble
-from splitband.evaluation.selection import Trial
-from splitband.forecasters.methods import Setup
-from splitband.metrics import FARTHEST, Extrapolation, spread
+from splitband.evaluation.api import TRIAL, Comparison
+from splitband.evaluation.comparison import Run, by_channel
+from splitband.evaluation.runs import RunProgress
+from splitband.metrics import FARTHEST, Extrapolation, ExtrapolationWarning, spread
 
 console = Console(
     soft_wrap=not sys.stdout.isatty(),
@@ -27,25 +27,16 @@ console = Console(
 )
 
 
-def comparison(
-    title: str,
-    record: Trajectory,
-    setup: Setup,
-    runs: Mapping[str, Sequence[Run]],
-    trial: Trial,
-) -> Table:
+def comparison(title: str, found: Comparison) -> Table:
     """Errors by method, mean and standard deviation over seeds; the lowest of each is bold.
 
     What could not be fitted comes last, without numbers.
     """
+    runs, trial = found.runs, found.require_trial()
     table = Table(title=title, title_justify="left", title_style="bold")
     table.add_column("method", min_width=max(map(len, [*runs, *trial.failed])))
-    table.add_column("held out", justify="right")
-    table.add_column("changed", justify="right")
-    table.add_column("from the start", justify="right")
-    table.add_column("forecast", justify="right")
-    table.add_column("in interval", justify="right")
-    table.add_column("fit (s)", justify="right")
+    for heading in ("held out", "changed", "from the start", "forecast", "in interval", "fit (s)"):
+        table.add_column(heading, justify="right")
     table.add_column("", style="dim")
     first = min(trial.errors[name] for name in runs)
     steadiest = min(trial.change(name) for name in runs)
@@ -57,37 +48,37 @@ def comparison(
             _spread(values(of_method), lowest)
             for values, lowest in zip((_total, _forecast), best, strict=True)
         ]
-        seconds = statistics.mean(r.seconds for r in of_method)
-        tried = trial.errors[name]
-        mean = ensemble(of_method, record, setup)
-        covers = trial.intervals[name].coverage(record.seen[setup.train :] - mean.forecast)
-        said = of_method[0].description
-        if len(of_method) > 1 and of_method[0].losses:
-            said = "; ".join(
-                filter(None, [f"their mean {mean.total_rmse:.3f}, {mean.forecast_rmse:.3f}", said])
-            )
-        if any(run.leaves is not None for run in of_method):
-            first_left = min(run.leaves for run in of_method if run.leaves is not None)
-            said = "; ".join(filter(None, [leaving(first_left), said]))
         table.add_row(
             name,
-            _spread([tried], first),
+            _spread([trial.errors[name]], first),
             _spread([trial.change(name)], steadiest),
             *cells,
-            f"{covers:.0%}",
-            f"{seconds:.1f}",
-            said,
+            f"{found.covers(name):.0%}",
+            f"{statistics.mean(r.fit.seconds for r in of_method):.1f}",
+            _remarks(found, name),
         )
     for name, reason in trial.failed.items():
         table.add_row(name, *["-"] * 6, f"could not be fitted: {reason}")
     return table
 
 
-def channels(record: Trajectory, setup: Setup, runs: Sequence[Run]) -> str:
+def _remarks(found: Comparison, name: str) -> str:
+    """What a row says beside its numbers."""
+    runs, mean = found.runs[name], found.means[name]
+    said = [runs[0].description]
+    if len(runs) > 1 and runs[0].fit.losses:
+        said.insert(0, f"their mean {mean.total_rmse:.3f}, {mean.forecast_rmse:.3f}")
+    left = [run.leaves for run in runs if run.leaves is not None]
+    if left:
+        said.insert(0, leaving(min(left)))
+    return "; ".join(filter(None, said))
+
+
+def channels(found: Comparison, name: str) -> str:
     """The errors of a method's mean, each channel by itself, as channels may differ in unit."""
-    mean = ensemble(runs, record, setup)
-    both = by_channel(record, mean.from_start), by_channel(record, mean.forecast)
-    deviations = spread(record.seen[: setup.train])
+    record, mean = found.record, found.means[name]
+    both = by_channel(record, mean.from_start.y), by_channel(record, mean.forecast.y)
+    deviations = spread(record.seen[: found.setup.train])
     parts = [
         f"{column} {whole:.3g} and {ahead:.3g} (its deviation is {deviation:.3g})"
         for column, whole, ahead, deviation in zip(record.columns, *both, deviations, strict=True)
@@ -96,7 +87,7 @@ def channels(record: Trajectory, setup: Setup, runs: Sequence[Run]) -> str:
 
 
 @contextmanager
-def progress(total: int, label: str) -> Iterator[Callable[[RunProgress], None]]:
+def progress(total: int, label: str = "training") -> Iterator[Callable[[RunProgress], None]]:
     """A bar over all trainings, and one for each that runs; silent where nobody watches."""
     bar = Progress(
         TextColumn("{task.description}"),
@@ -110,13 +101,15 @@ def progress(total: int, label: str) -> Iterator[Callable[[RunProgress], None]]:
     )
     with bar:
         overall = bar.add_task(label, total=max(total, 1), loss="")
-        rows: dict[tuple[str, int], TaskID] = {}
-        shares: dict[tuple[str, int], float] = {}
+        rows: dict[tuple[str, str, int], TaskID] = {}
+        shares: dict[tuple[str, str, int], float] = {}
 
         def update(at: RunProgress) -> None:
-            key = at.method, at.seed
+            key = at.stage, at.method, at.seed
             if key not in rows:
-                rows[key] = bar.add_task(f"  {at.method}, seed {at.seed}", total=1.0, loss="")
+                part = f" on {at.stage}" if at.stage == TRIAL else ""
+                text = f"  {at.method}, seed {at.seed}{part}"
+                rows[key] = bar.add_task(text, total=1.0, loss="")
             shares[key] = at.share
             bar.update(rows[key], completed=at.share, loss=f"loss {at.loss:.4g}")
             bar.update(rows[key], visible=at.share < 1)
@@ -154,6 +147,14 @@ def warn_of_inputs(found: Sequence[Extrapolation], names: Sequence[str]) -> None
     for beyond in found:
         named = names[beyond.channel] if beyond.channel < len(names) else ""
         console.print(f"warning: {beyond.describe(named)}", style="yellow")
+
+
+@contextmanager
+def without_warnings() -> Iterator[None]:
+    """Without the library's warnings of extrapolation, where the command says so itself."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ExtrapolationWarning)
+        yield
 
 
 def ordinal(k: int) -> str:

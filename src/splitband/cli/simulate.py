@@ -3,29 +3,26 @@
 from __future__ import annotations
 
 import math
-import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import pandas as pd
 import typer
 
 from splitband.cli import given, options, showing
-from splitband.cli.simulators import (
-    opened_simulator,
-    simulated_again,
-)
-from splitband.data import read
+from splitband.cli.simulators import Trained, opened_simulator, simulated_again
+from splitband.data import Trajectory, read
+from splitband.data.gaps import Gaps, last_before
 from splitband.data.timing import from_json
-from splitband.evaluation.comparison import last_start
-from splitband.metrics import ExtrapolationWarning, leaves_range
+from splitband.forecasters.prediction import Prediction
+from splitband.metrics import leaves_range
 from splitband.models import Hybrid, Model, saving
-from splitband.report import results
 from splitband.runtime.files import output_folder, replacing
 from splitband.simulators.calibration import Calibration
 
 
+@options.with_groups
 def simulate(
     model_dir: Annotated[
         Path, typer.Argument(metavar="MODEL_DIR", help="What `fit` wrote.", show_default=False)
@@ -46,13 +43,11 @@ def simulate(
         Path,
         typer.Option(metavar="FILE.csv", help="Where to write the samples.", show_default=False),
     ],
+    simulator: options.SimulatorOptions,
     future_inputs: options.FutureInputs = None,
     gaps: options.GapsOption = "refuse",
     time_column: options.TimeColumn = None,
-    simulator: options.SimulatorOption = None,
-    simulator_columns: options.SimulatorColumns = None,
-    simulator_timeout: options.SimulatorTimeout = options.PATIENCE,
-    simulator_cache: options.SimulatorCache = None,
+    device: options.Device = "cpu",
 ) -> None:
     """Simulate a saved model beyond a measured history.
 
@@ -66,54 +61,36 @@ def simulate(
     """
     model, facts = saving.load(model_dir)
     known = _Facts(model_dir, model, facts)
+    model = given.model_on_device(model, device)
     if out.is_dir():
         raise ValueError(f"--out must be a file, got the folder {out}")
-    past = read(
-        history,
-        columns=known.columns,
-        inputs=known.inputs,
-        time_column=time_column,
-        fallback_sampling_time=known.sampling_time,
-        gaps=gaps,
-    )
-    if given.differs(past.sampling_time, known.sampling_time):
+    reading = options.RecordOptions(inputs=",".join(known.inputs), time_column=time_column)
+    past = _history(history, known, reading, gaps)
+    start = last_before(past.complete, known.warmup, len(past))
+    if start is None:
         raise ValueError(
-            f"--history must be sampled like the training record, every {known.sampling_time:g} s, "
-            f"got every {past.sampling_time:g} s in {history}"
+            f"warmup must fit between the gaps of the first {len(past)} samples, got "
+            f"{known.warmup} samples"
         )
-    past = given.like(past, known.sampling_time, str(history))
-    if len(past) < known.warmup:
-        raise ValueError(
-            f"--history must have at least the {known.warmup} samples of the model's warm-up, "
-            f"got {len(past)}"
-        )
-    start = last_start(past, known.warmup, len(past))
     y_sim = None
     if isinstance(model, Hybrid):
-        if simulator is None:
+        if simulator.simulator is None:
             raise ValueError(
                 f"--simulator must be given for a hybrid model, this is {known.method}"
             )
-        opened = opened_simulator(
-            simulator, past, simulator_columns, simulator_timeout, time_column
-        )
-        y_sim = simulated_again(
-            opened, simulator, past, start - known.warmup, steps, known.start, known.calibration,
-            simulator_timeout, simulator_cache,
-        )  # fmt: skip
-    ahead = past.grid.after(steps)
-    u = given.inputs_ahead(future_inputs, known.inputs, ahead, time_column)
+        opened = opened_simulator(simulator, past, time_column)
+        trained = Trained(known.start, known.calibration)
+        y_sim = simulated_again(opened, simulator, past, start - known.warmup, steps, trained)
+    u = given.inputs_ahead(future_inputs, past, steps, reading)
     if u is not None and past.u is not None:
         u = np.concatenate([past.u[start - known.warmup :], u])
     since = len(past) - start
-    with warnings.catch_warnings():  # said below, by the inputs' names
-        warnings.simplefilter("ignore", ExtrapolationWarning)
+    with showing.without_warnings():  # said below, by the inputs' names
         y = model.simulate(past.y[start - known.warmup : start], since + steps, u, y_sim)[since:]
-    table = pd.DataFrame(y, columns=known.columns)
-    table.insert(0, results.time_header(known.columns), results.time_ahead(past, steps))
+    prediction = Prediction(y, past.grid.after(steps), tuple(known.columns))
     output_folder(out.parent)
     with replacing(out) as temporary:
-        table.to_csv(temporary, index=False)
+        prediction.to_frame().to_csv(temporary, index=False)
     showing.console.print(f"{steps} samples after {history}: {out}")
     left = leaves_range(known.range, y)
     if left is not None:
@@ -121,6 +98,30 @@ def simulate(
     if u is not None:
         ahead_only = model.extrapolations(u[known.warmup + since :])
         showing.warn_of_inputs(ahead_only, known.inputs)
+
+
+def _history(file: Path, known: _Facts, reading: options.RecordOptions, gaps: Gaps) -> Trajectory:
+    """The measured samples up to now, at the model's sampling time."""
+    past = read(
+        file,
+        columns=known.columns,
+        inputs=known.inputs,
+        time_column=reading.time_column,
+        fallback_sampling_time=known.sampling_time,
+        gaps=gaps,
+    )
+    if given.differs(past.sampling_time, known.sampling_time):
+        raise ValueError(
+            f"--history must be sampled like the training record, every {known.sampling_time:g} s, "
+            f"got every {past.sampling_time:g} s in {file}"
+        )
+    past = given.like(past, known.sampling_time, str(file))
+    if len(past) < known.warmup:
+        raise ValueError(
+            f"--history must have at least the {known.warmup} samples of the model's warm-up, "
+            f"got {len(past)}"
+        )
+    return replace(past, columns=tuple(known.columns))
 
 
 class _Facts:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +14,30 @@ import pandas as pd
 
 from splitband.cli import showing
 from splitband.cli.given import names, read_beside
+from splitband.cli.options import FurtherRecords, RecordOptions, SimulatorOptions
 from splitband.data import Grid, Trajectory
 from splitband.data.alignment import NEAR
 from splitband.data.timing import Stamp, in_words, seconds_between, stamp_after
-from splitband.forecasters.methods import CALIBRATED, HYBRIDS
+from splitband.forecasters.names import CALIBRATED, HYBRIDS
 from splitband.paper.systems import SIMULATORS
 from splitband.simulators import Recorded, Simulator, SimulatorTimeoutError, run
 from splitband.simulators.calibration import Calibration, samples_needed
 from splitband.simulators.isolation import Isolated
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What a saved model says of its training record and simulator.
+
+    Attributes
+    ----------
+    start : Time stamp of the first sample.
+    calibration : Of the simulator.
+    """
+
+    start: Stamp | None
+    calibration: Calibration
+
 
 LONGEST = 10**8
 """Samples from the training record to a history, over which a simulator is run."""
@@ -29,26 +45,24 @@ LONGEST = 10**8
 
 def with_simulator(
     record: Trajectory,
-    simulator: str | None,
-    columns: str | None,
-    timeout: float,
-    cache: Path | None,
+    options: SimulatorOptions,
+    reading: RecordOptions,
     ahead: int = 0,
     beyond: bool = False,
-    time_column: str | None = None,
 ) -> Trajectory:
     """The record with the trajectory of the simulator that the options name.
 
     It has to reach `ahead` samples beyond the record. `beyond` asks for more, for its calibration;
-    one that cannot say more is taken as it is. `time_column` is the record's.
+    one that cannot say more is taken as it is. `reading` says how the record was read.
     """
+    simulator, timeout = options.simulator, options.simulator_timeout
     if not math.isfinite(timeout):
         raise ValueError(f"--simulator-timeout must be a number of seconds, got {timeout:g}")
     if simulator is None and (beyond or ahead) and record.y_sim is not None:
         simulator = record.name  # a named record's own, for longer
     if simulator is None:
         return record
-    opened = opened_simulator(simulator, record, columns, timeout, time_column)
+    opened = opened_simulator(replace(options, simulator=simulator), record, reading.time_column)
     least = len(record) + ahead
     samples = samples_needed(least, len(record)) if beyond else least
     grid = Grid(record.start, record.sampling_time, samples)
@@ -58,28 +72,24 @@ def with_simulator(
     elif grid.start:
         showing.console.print(f"{simulator} is run on {_times(grid)}")
     try:
-        y_sim = simulated(
-            opened, simulator, replace(grid, samples=samples), record.ny, timeout, cache
-        )
+        y_sim = simulated(opened, options, replace(grid, samples=samples), record.ny)
     except ValueError as error:
         if samples == least or isinstance(error.__cause__, SimulatorTimeoutError):
             raise
-        y_sim = simulated(
-            opened, simulator, replace(grid, samples=least), record.ny, timeout, cache
-        )
+        y_sim = simulated(opened, options, replace(grid, samples=least), record.ny)
     rest = y_sim[len(record) :]
     return replace(record, y_sim=y_sim[: len(record)], beyond=rest if len(rest) else None)
 
 
 def simulated(
-    opened: Simulator,
-    name: str,
-    grid: Grid,
-    ny: int,
-    timeout: float,
-    cache: Path | None,
+    opened: Simulator, options: SimulatorOptions, grid: Grid, ny: int
 ) -> npt.NDArray[np.float64]:
     """The simulator's trajectory at the times of the grid, `(samples, ny)`."""
+    name, timeout, cache = (
+        options.simulator or "",
+        options.simulator_timeout,
+        options.simulator_cache,
+    )
     if isinstance(opened, Recorded):
         with _named(name):
             found = opened.on(grid)
@@ -101,20 +111,18 @@ def _named(simulator: str) -> Iterator[None]:
 
 def simulated_again(
     opened: Simulator,
-    name: str,
+    options: SimulatorOptions,
     past: Trajectory,
     warm: int,
     steps: int,
-    origin: Stamp | None,
-    calibration: Calibration,
-    timeout: float,
-    cache: Path | None,
+    trained: Trained,
 ) -> npt.NDArray[np.float64]:
     """A saved model's calibrated simulator, from row `warm` of a history to `steps` samples after.
 
-    What keeps a state is run from `origin` on, the first time stamp of the training record, where
-    the time of the calibration begins, too.
+    What keeps a state is run from the first time stamp of the training record on, where the time
+    of the calibration begins, too.
     """
+    name, origin, calibration = options.simulator, trained.start, trained.calibration
     begin, start = _since_training(past, origin, calibration)
     step, count = past.sampling_time, len(past) - warm + steps
     places = calibration.places(count, step, begin + warm)
@@ -134,7 +142,7 @@ def simulated_again(
     samples = math.ceil(places[-1] - first - 1e-6) + 1
     if start is not None:
         start = stamp_after(start, first * step)
-    y_sim = simulated(opened, name, Grid(start, step, samples), past.ny, timeout, cache)
+    y_sim = simulated(opened, options, Grid(start, step, samples), past.ny)
     return calibration.apply(y_sim, count, step, begin + warm, first)
 
 
@@ -177,14 +185,13 @@ def _check_length(begin: float) -> None:
 def each_with_simulator(
     records: Sequence[Trajectory],
     methods: Sequence[str],
-    simulators: Sequence[str] | None,
-    columns: str | None,
-    timeout: float,
-    cache: Path | None,
-    time_column: str | None = None,
+    further: FurtherRecords,
+    options: SimulatorOptions,
+    reading: RecordOptions,
 ) -> list[Trajectory]:
     """The records of --more, with their simulators where a method is a hybrid model."""
-    simulators, hybrid = simulators or [], any(method in HYBRIDS for method in methods)
+    simulators = further.more_simulator or []
+    hybrid = any(method in HYBRIDS for method in methods)
     if (hybrid or simulators) and len(simulators) != len(records):
         raise ValueError(
             f"--more-simulator must be given once for each --more, got {len(simulators)} for "
@@ -194,22 +201,17 @@ def each_with_simulator(
         return [*records]
     beyond = any(CALIBRATED in method for method in methods)
     return [
-        with_simulator(
-            record, simulator, columns, timeout, cache, beyond=beyond, time_column=time_column
-        )
+        with_simulator(record, replace(options, simulator=simulator), reading, beyond=beyond)
         for record, simulator in zip(records, simulators, strict=True)
     ]
 
 
 def opened_simulator(
-    text: str,
-    record: Trajectory,
-    chosen: str | None,
-    timeout: float,
-    time_column: str | None = None,
+    options: SimulatorOptions, record: Trajectory, time_column: str | None = None
 ) -> Simulator:
     """What --simulator names; of a file with the columns that --simulator-columns chooses."""
-    columns = names(chosen or "")
+    text, timeout = options.simulator or "", options.simulator_timeout
+    columns = names(options.simulator_columns or "")
     file, _, function = text.partition(".py:")
     file += ".py" if function else ""
     if text in SIMULATORS:

@@ -1,4 +1,4 @@
-"""`splitband spectrum` and `splitband data`."""
+"""`splitband spectrum`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from rich.table import Table
 from splitband.cli import given, options, showing
 from splitband.cli.simulators import with_simulator
 from splitband.data import Trajectory
-from splitband.filters import ComplementaryPair
 from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
 from splitband.metrics import rmse
 from splitband.paper.settings import RECORD_SETTINGS
@@ -23,8 +22,11 @@ from splitband.runtime.files import output_folder, write_json
 from splitband.training.recipes import Recipe
 
 
+@options.with_groups
 def spectrum(
     record: options.Record,
+    reading: options.RecordOptions,
+    simulator: options.SimulatorOptions,
     train: Annotated[
         int | None,
         typer.Option(
@@ -33,15 +35,6 @@ def spectrum(
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for results and picture.")] = Path("out"),
-    columns: options.Columns = None,
-    inputs: options.Inputs = None,
-    time_column: options.TimeColumn = None,
-    sampling_time: options.SamplingTime = None,
-    gaps: options.GapsOption = "refuse",
-    simulator: options.SimulatorOption = None,
-    simulator_columns: options.SimulatorColumns = None,
-    simulator_timeout: options.SimulatorTimeout = options.PATIENCE,
-    simulator_cache: options.SimulatorCache = None,
     cutoff: options.Cutoff = None,
     order: options.Order = None,
 ) -> None:
@@ -54,18 +47,16 @@ def spectrum(
     The cut-off is the one that `compare` chooses with the same --train, for the paper's records
     that of its tables where --cutoff does not say auto.
     """
-    trajectory = given.load_record(record, columns, inputs, time_column, sampling_time, gaps)
-    trajectory = with_simulator(
-        trajectory, simulator, simulator_columns, simulator_timeout, simulator_cache,
-        beyond=True, time_column=time_column,
-    )  # fmt: skip
+    trajectory = given.load_record(record, reading)
+    trajectory = with_simulator(trajectory, simulator, reading, beyond=True)
     recipe: Recipe = "paper" if record in RECORD_SETTINGS and cutoff is None else "default"
-    setup = given.setup(record, trajectory, train, 0, recipe, cutoff=cutoff, order=order)
+    model = options.ModelOptions(cutoff=cutoff, order=order, recipe=recipe)
+    setup = given.setup(record, trajectory, train, model, ahead=0)
     trajectory = trajectory[:train]
     rate = trajectory.sampling_rate
     found = periodogram(trajectory.y, rate)
-    chosen = setup.cutoff
-    pair = ComplementaryPair.butterworth(chosen, rate, setup.order)
+    pair = setup.bands.pair(rate)
+    chosen, choice = float(setup.bands.cutoff or 0.0), setup.bands.choice
     low, high = pair.split(trajectory.y)
     output_folder(out)
     facts: dict[str, Any] = {
@@ -75,7 +66,7 @@ def spectrum(
         "order": pair.order,
         "train": setup.train,
         "share_below": found.share_below(chosen),
-        "choice": None if setup.choice is None else asdict(setup.choice),
+        "choice": None if choice is None else asdict(choice),
         "reconstruction_rmse": rmse(trajectory.y, low + high),
         "peaks": [{"frequency": f, "share": s} for f, s in found.peaks()],
     }
@@ -83,12 +74,12 @@ def spectrum(
     if trajectory.y_sim is not None:
         facts["simulator"] = _show_simulator(trajectory, trajectory.y_sim, chosen, pair.order)
     write_json(out / "results.json", facts)
-    if setup.choice is not None:
+    if choice is not None:
         showing.console.print(
             f"by the first {setup.train} samples, the low band kept at every "
-            f"{showing.ordinal(setup.downsampling)} sample: {setup.choice.reason}"
+            f"{showing.ordinal(setup.bands.downsampling or 1)} sample: {choice.reason}"
         )
-    pictures.save(pictures.spectrum(trajectory, found, chosen, setup.choice), out / "spectrum.png")
+    pictures.save(pictures.spectrum(trajectory, found, chosen, choice), out / "spectrum.png")
     showing.console.print(f"picture: {out / 'spectrum.png'}")
 
 

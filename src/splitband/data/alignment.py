@@ -77,8 +77,8 @@ def resampled(record: Trajectory, sampling_time: float) -> Trajectory:
     """A record at another sampling time, from its first sample on.
 
     What was measured, and what a simulator says, is interpolated by a cubic spline, known inputs
-    by straight lines. A sample counts as measured where both of its neighbours were. What a
-    simulator says beyond the record is dropped.
+    by straight lines. A sample counts as measured where both of its neighbours were. What is known
+    beyond the record is dropped.
     """
     samples = reach(record.grid, replace(record.grid, step=sampling_time))
     rows = np.minimum(np.arange(samples) * (sampling_time / record.sampling_time), len(record) - 1)
@@ -98,6 +98,7 @@ def resampled(record: Trajectory, sampling_time: float) -> Trajectory:
         y_true=y_true,
         y_sim=y_sim,
         beyond=None,
+        u_beyond=None,
         measured=measured,
     )
 

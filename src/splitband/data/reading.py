@@ -296,7 +296,9 @@ def _assemble(
     u = _matrix(table, known, gaps, spaced.places) if known else None
     labels = (_NAMELESS,) if list(table) == ["0"] else tuple(measured)
     make = Trajectory if gaps == "refuse" else Trajectory.with_gaps
-    return make(y, spaced.step, u=u, name=name, columns=labels, start=spaced.start)
+    return make(
+        y, spaced.step, u=u, name=name, columns=labels, inputs=tuple(known), start=spaced.start
+    )
 
 
 def _matrix(

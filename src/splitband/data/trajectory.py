@@ -30,9 +30,12 @@ class Trajectory:
     u : known inputs, (time, nu): forces, set-points, or another model's prediction.
     y_true : the noise-free signal where it is known, (time, ny).
     y_sim : a simulator's trajectory, (time, ny).
-    beyond : what the simulator says after the record's end, (any time, ny), for its calibration.
+    beyond : what the simulator says after the record's end, (any time, ny): for forecasts, and for
+        its calibration.
+    u_beyond : the known inputs after the record's end, (any time, nu), for forecasts.
     name : what plots and tables call the record.
     columns : names of the channels of y; without them "y", or "y0", "y1", ...
+    inputs : names of the inputs; without them "u", or "u0", "u1", ...
     measured : where y was measured, (time, ny); elsewhere something stands in for it, that nothing
         is compared with. None: everywhere.
     start : time stamp of the first sample, seconds or a date. None where the record has no time
@@ -52,8 +55,10 @@ class Trajectory:
     y_true: FloatArray | None = None
     y_sim: FloatArray | None = None
     beyond: FloatArray | None = None
+    u_beyond: FloatArray | None = None
     name: str = ""
     columns: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
     measured: BoolArray | None = None
     start: Stamp | None = None
 
@@ -77,14 +82,21 @@ class Trajectory:
             names = _numbered("u", signal.shape[1]) if field == "u" else columns
             require_finite(field, signal, names)
             object.__setattr__(self, field, signal)
-        if self.beyond is not None:
-            beyond = _signal("beyond", self.beyond)
-            if self.y_sim is None or beyond.shape[1] != ny:
+        inputs = tuple(self.inputs) or (_numbered("u", self.nu) if self.nu else ())
+        if len(inputs) != self.nu:
+            raise ValueError(f"inputs must name each of the {self.nu} columns of u: got {inputs}")
+        object.__setattr__(self, "inputs", inputs)
+        for field, before, names in (("beyond", "y_sim", columns), ("u_beyond", "u", inputs)):
+            if (value := getattr(self, field)) is None:
+                continue
+            signal, earlier = _signal(field, value), getattr(self, before)
+            if earlier is None or signal.shape[1] != earlier.shape[1]:
                 raise ValueError(
-                    f"beyond must go on from y_sim, (any time, {ny}): its shape is {beyond.shape}"
+                    f"{field} must go on from {before}, (any time, {len(names)}): its shape is "
+                    f"{signal.shape}"
                 )
-            require_finite("beyond", beyond, columns)
-            object.__setattr__(self, "beyond", beyond)
+            require_finite(field, signal, names)
+            object.__setattr__(self, field, signal)
         object.__setattr__(self, "sampling_time", _positive_seconds(self.sampling_time))
         if self.start is not None:
             object.__setattr__(self, "start", as_stamp(self.start))
@@ -119,7 +131,8 @@ class Trajectory:
     def __getitem__(self, key: slice) -> Trajectory:
         """Return the samples `key`, of every signal, with their time stamps.
 
-        Without time stamps, `time` starts at 0 again.
+        What is known beside them for later samples, the simulator's output and the inputs, goes
+        on as `beyond` and `u_beyond`. Without time stamps, `time` starts at 0 again.
         """
         if not isinstance(key, slice):
             raise TypeError(f"a Trajectory takes slices only, as in traj[a:b]: got {key!r}")
@@ -128,11 +141,8 @@ class Trajectory:
         u, y_true, y_sim = (
             None if s is None else s[key] for s in (self.u, self.y_true, self.y_sim)
         )
-        beyond = self.beyond
-        if self.y_sim is not None:
-            end = key.indices(len(self))[1]
-            later = [self.y_sim[end:], *([] if beyond is None else [beyond])]
-            beyond = np.concatenate(later) if sum(map(len, later)) else None
+        end = key.indices(len(self))[1]
+        beyond, u_beyond = _after(self.y_sim, self.beyond, end), _after(self.u, self.u_beyond, end)
         y, measured = self.y[key], None if self.measured is None else self.measured[key]
         if measured is not None:
             # What stands in for a gap must not know what comes after the slice.
@@ -143,8 +153,8 @@ class Trajectory:
         if start is not None:
             start = stamp_after(start, key.indices(len(self))[0] * self.sampling_time)
         return replace(
-            self, y=y, u=u, y_true=y_true, y_sim=y_sim, beyond=beyond, measured=measured,
-            start=start,
+            self, y=y, u=u, y_true=y_true, y_sim=y_sim, beyond=beyond, u_beyond=u_beyond,
+            measured=measured, start=start,
         )  # fmt: skip
 
     @property
@@ -202,6 +212,14 @@ _OTHER_SIGNALS = {
     "y_true": "have the shape of y",
     "y_sim": "have the shape of y",
 }
+
+
+def _after(signal: FloatArray | None, beyond: FloatArray | None, end: int) -> FloatArray | None:
+    """What is known from row `end` of a signal on, (any time, channels); None for nothing."""
+    later = [
+        part for part in (None if signal is None else signal[end:], beyond) if part is not None
+    ]
+    return np.concatenate(later) if sum(map(len, later)) else None
 
 
 def _numbered(letter: str, count: int) -> tuple[str, ...]:

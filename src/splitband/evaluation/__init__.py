@@ -1,1 +1,1 @@
-"""Comparing forecasters: both protocols, held-out trials, selection, prediction intervals."""
+"""Comparing forecasters: protocols, trials on held-out samples, recommendation."""

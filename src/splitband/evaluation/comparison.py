@@ -1,4 +1,4 @@
-"""Running methods on a record over seeds, under both protocols.
+"""Comparing forecasters on a record, under both protocols.
 
 *From the start*: warm up on the first R samples, simulate to the end; the error counts everything
 after the warm-up. *Forecast*: warm up on the last R training samples, simulate beyond them.
@@ -6,80 +6,53 @@ after the warm-up. *Forecast*: warm up on the last R training samples, simulate 
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from splitband.baselines.naive import Naive
 from splitband.data import Trajectory
-from splitband.data.gaps import first_after, last_before
-from splitband.forecasters.methods import (
-    CALIBRATIONS,
-    FIXED,
-    Setup,
-    as_seen,
-    build,
-    calibrations_for,
-    check,
-    prepared,
-)
+from splitband.evaluation.runs import Asked, Failure, Work, run_all
+from splitband.evaluation.setup import Setup
+from splitband.forecasters.backtest import Backtest, Origin, first_origin
+from splitband.forecasters.base import FitReport, Forecaster
+from splitband.forecasters.prediction import Prediction
 from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
-from splitband.models import Model
-from splitband.runtime.processes import over
-from splitband.simulators.calibration import Calibration
-from splitband.training import Progress, fit
-from splitband.training.checkpoints import Checkpoint
 
 Array = npt.NDArray[np.float64]
-OVERFLOWED = 1e100
-"""Stands for predicted values that are not finite, so that their errors are finite, and huge."""
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One method with one seed.
+    """One forecaster with one seed, under both protocols.
 
     Attributes
     ----------
+    method : The forecaster's name.
     total_rmse, forecast_rmse : Of the two protocols, in the record's unit.
-    seconds : Of the fit.
-    from_start, forecast : The predictions `(time, ny)`, to the end of the record.
+    from_start, forecast : The predictions, to the end of the record.
     leaves : Samples of the forecast before it leaves the range of the training part, see
         `leaves_range`; None where it does not.
-    components : What `from_start` is the sum of, for a model of several parts.
-    unfiltered : What its filters were fed with, for a model that filters its output.
-    later : Forecasts from other samples, by the index of the first one; see `run`.
-    description : What a baseline or a calibration settled on, and what went wrong.
-    losses : Mean training loss of each epoch, by network.
+    fit : What the fit did.
+    description : What it has settled on, and what went wrong.
+    unfiltered : What the filters of a model were fed with, from the start.
     """
 
     method: str
-    seed: int
     total_rmse: float
     forecast_rmse: float
-    seconds: float
-    from_start: Array
-    forecast: Array
+    from_start: Prediction
+    forecast: Prediction
     leaves: int | None = None
-    components: dict[str, Array] = field(default_factory=dict)
+    fit: FitReport = field(default_factory=FitReport)
     description: str = ""
-    losses: dict[str, list[float]] = field(default_factory=dict)
-    unfiltered: dict[str, Array] = field(default_factory=dict)
-    later: dict[int, Array] = field(default_factory=dict)
+    unfiltered: Mapping[str, Array] = field(default_factory=dict)
 
-
-@dataclass(frozen=True)
-class Failure:
-    """One method that could not be fitted with one seed, and why."""
-
-    method: str
-    seed: int
-    reason: str
+    @property
+    def seed(self) -> int:
+        """It was fitted with."""
+        return self.fit.seed
 
 
 class Runs(dict[str, list[Run]]):
@@ -107,155 +80,15 @@ class Runs(dict[str, list[Run]]):
         raise KeyError(f"{method}: {self.failed.get(method, 'not among the methods')}")
 
 
-@dataclass(frozen=True)
-class RunProgress:
-    """An epoch of one run is over; `share` of the run's training is done."""
-
-    method: str
-    seed: int
-    share: float
-    loss: float
-
-
-def run(
-    method: str,
+def compare_methods(
     record: Trajectory,
-    setup: Setup,
-    seed: int,
-    progress: Callable[[RunProgress], None] | None = None,
-    later: Sequence[int] = (),
-    checkpoints: Path | None = None,
-    more: Sequence[Trajectory] = (),
-    cuts: Sequence[int] = (),
-) -> Run:
-    """Fit one method on the first `setup.train` samples and predict under both protocols.
-
-    From each of the indices in `later` a network also forecasts the rest of the record, warmed up
-    on the samples before, but fitted to the same ones; what needs no training is fitted again, to
-    the samples before each of `cuts`, and forecasts from there. A training that was cut off goes on
-    from its file in the folder `checkpoints`. Networks train on the records `more`, too.
-
-    Where there is a gap in what a simulation would warm up on, it begins before it, or, from the
-    start, after it.
-    """
-    if method in FIXED:
-        return run_baseline(method, FIXED[method], record, setup, seed, cuts)
-    record, calibration = prepared(method, record, setup.train)
-    more = [as_seen(other, calibration) for other in more]
-    model = build(method, record, setup, seed)
-    reporter = _reporter(method, seed, progress)
-    checkpoint = Checkpoint(checkpoints / f"{method}-{seed}.safetensors") if checkpoints else None
-    training = [record[: setup.train], *more]
-    history = fit(model, training, setup.settings_of(method), seed, reporter, checkpoint)
-    notes = [] if calibration is None else [f"simulator: {calibration}"]
-    warmup = setup.settings_of(method).warmup
-    first = first_start(record, warmup)
-    components = predict(model, record, first - warmup, first)
-    from_start, forecast = _total(components), _forecast(model, record, warmup, setup.train)
-    return Run(
-        method,
-        seed,
-        *_errors(record, setup, from_start, forecast),
-        history.seconds,
-        from_start,
-        forecast,
-        leaves_range(np.concatenate([r.seen for r in training]), forecast),
-        components if len(components) > 1 else {},
-        "; ".join([*notes, *history.notes]),
-        losses=history.losses,
-        unfiltered=model.simulate_unfiltered(*_known(record, first - warmup, first)),
-        later={start: _forecast(model, record, warmup, start) for start in later},
-    )
-
-
-def _forecast(model: Model, record: Trajectory, warmup: int, at: int) -> Array:
-    """From index `at` to the end of the record."""
-    start = last_start(record, warmup, at)
-    return _total(predict(model, record, start - warmup, start))[at - start :]
-
-
-def first_start(record: Trajectory, warmup: int) -> int:
-    """The first index with `warmup` measured samples right before it."""
-    found = first_after(record.complete, warmup)
-    if found is None:
-        raise ValueError(f"warmup must fit between the gaps of the record, got {warmup} samples")
-    return found
-
-
-def last_start(record: Trajectory, warmup: int, at: int) -> int:
-    """The last index up to `at` with `warmup` measured samples right before it."""
-    found = last_before(record.complete, warmup, at)
-    if found is None:
-        raise ValueError(
-            f"warmup must fit between the gaps of the first {at} samples, got {warmup} samples"
-        )
-    return found
-
-
-def run_baseline(
-    method: str,
-    baseline: Callable[[Trajectory, int], Naive],
-    record: Trajectory,
-    setup: Setup,
-    seed: int = 0,
-    cuts: Sequence[int] = (),
-) -> Run:
-    """As `run`, for a baseline."""
-    began = time.perf_counter()
-    naive = baseline(record, setup.train)
-    seconds = time.perf_counter() - began
-    first = first_start(record, setup.settings.warmup)
-    from_start, forecast = (_continued(naive, record, at) for at in (first, setup.train))
-    errors = _errors(record, setup, from_start, forecast)
-    return Run(
-        method,
-        seed,
-        *errors,
-        seconds,
-        from_start,
-        forecast,
-        leaves_range(record.seen[: setup.train], forecast),
-        description=str(naive),
-        later={
-            at: forecast if at == setup.train else _continued(baseline(record, at), record, at)
-            for at in cuts
-        },
-    )
-
-
-def _continued(naive: Naive, record: Trajectory, at: int) -> Array:
-    """From index `at` to the end of the record."""
-    last = [channel[~np.isnan(channel)][-1] for channel in record.seen[:at].T]
-    return naive.predict(at, len(record) - at, np.array(last))
-
-
-def _total(parts: Mapping[str, Array]) -> Array:
-    """Their sum, with `OVERFLOWED` where it is not finite."""
-    most = OVERFLOWED
-    return np.nan_to_num(np.sum([*parts.values()], axis=0), nan=most, posinf=most, neginf=-most)
-
-
-def _errors(
-    record: Trajectory, setup: Setup, from_start: Array, forecast: Array
-) -> tuple[float, float]:
-    """The RMSE of both protocols against the truth where it is known."""
-    truth = record.truth
-    return rmse(truth[-len(from_start) :], from_start), rmse(truth[setup.train :], forecast)
-
-
-def compare(
-    record: Trajectory,
-    methods: Sequence[str],
+    forecasters: Sequence[Forecaster],
     setup: Setup,
     seeds: Sequence[int] = (0,),
-    jobs: int = 1,
-    progress: Callable[[RunProgress], None] | None = None,
-    later: Sequence[int] = (),
-    checkpoints: Path | None = None,
-    more: Sequence[Trajectory] = (),
-    cuts: Sequence[int] = (),
+    work: Work | None = None,
+    others: Sequence[Trajectory] = (),
 ) -> Runs:
-    """Run every method with every seed; `jobs` changes the numbers by rounding at most.
+    """Fit every forecaster with every seed and predict under both protocols.
 
     What diverges, or cannot be fitted for another reason, is among the result's `failures` and
     does not keep the others from running.
@@ -263,88 +96,76 @@ def compare(
     Parameters
     ----------
     record : Training part and the rest; both protocols end where it ends.
-    methods : Names out of `METHODS`.
-    setup : Settings for all of them.
-    seeds : Each gives one run of each method.
-    jobs : Processes at once, each on one thread.
-    progress : Called in this process after each epoch of each run.
-    later, cuts : See `run`.
-    checkpoints : Folder, created if need be, from which trainings that were cut off go on.
-    more : Other records of the same system that networks train on too.
-
-    Returns
-    -------
-    Runs
-        The runs of each method, in the order of `seeds`; one of what draws nothing (`FIXED`).
+    forecasters : With settings and bands, see `Setup.forecaster`; their names must differ.
+    setup : How many samples are trained on, and the warm-up of what has none of its own.
+    seeds : Each gives one run of each forecaster that draws something.
+    work : How it is computed.
+    others : Further records of the same system that networks train on too.
 
     Raises
     ------
     ValueError
         Before anything is computed, for what `check` finds; and where every method fails.
     """
-    check(record, methods, setup, more)
-    drawn = {method: seeds[:1] if method in FIXED else seeds for method in methods}
-    # The longest first, so that no process is left with one of them at the end.
-    todo = sorted(((m, s) for m in methods for s in drawn[m]), key=lambda job: job[0] in FIXED)
-    if checkpoints is not None:
-        checkpoints.mkdir(parents=True, exist_ok=True)
-    calibrations = calibrations_for(record, methods, setup.train, cuts)
-    work = partial(
-        _work, record, setup, progress is None, later, checkpoints, more, cuts, calibrations
-    )
-    found = {(r.method, r.seed): r for r in over(work, todo, jobs, progress)}
-    done = [found[m, s] for m in methods for s in drawn[m]]
-    runs = {m: [r for r in done if isinstance(r, Run) and r.method == m] for m in methods}
-    failures = [r for r in done if isinstance(r, Failure)]
-    if len(failures) == len(done):
-        reasons = dict.fromkeys(f"{f.method}: {f.reason}" for f in failures)
-        raise ValueError(f"no method could be fitted; {'; '.join(reasons)}")
+    check(record, forecasters, setup, others)
+    shared = setup.settings.warmup
+    forecast = Origin(setup.train, setup.train)
+    first = {f.name: first_origin(record, setup.train, f.warmup or shared) for f in forecasters}
+    origins = {name: [at, forecast] for name, at in first.items()}
+    asked = Asked(record, origins, len(record), others)
+    found, failures = run_all(forecasters, asked, seeds, work or Work())
+    runs = {}
+    for forecaster in forecasters:
+        name = forecaster.name
+        if done := found[name].values():
+            runs[name] = [
+                as_run(name, record, setup.train, first[name], forecast, each) for each in done
+            ]
     for f in failures:
-        if runs[f.method]:
-            first, *others = runs[f.method]
-            said = "; ".join(filter(None, [first.description, f"seed {f.seed} failed: {f.reason}"]))
-            runs[f.method] = [replace(first, description=said), *others]
-    return Runs({m: of_method for m, of_method in runs.items() if of_method}, failures)
+        if f.method in runs:
+            one, *rest = runs[f.method]
+            said = "; ".join(filter(None, [one.description, f"seed {f.seed} failed: {f.reason}"]))
+            runs[f.method] = [replace(one, description=said), *rest]
+    return Runs(runs, failures)
 
 
-def ahead_of(record: Trajectory, steps: int, u: Array | None = None) -> Trajectory:
-    """The record with `steps` samples to come, to be forecast with all of it as training part.
-
-    The last sample stands in for what will be measured; nothing looks at it there.
-
-    Parameters
-    ----------
-    record : Whose simulator, if any, reaches `steps` samples beyond it (`beyond`).
-    steps : How many.
-    u : Known inputs of the samples to come, `(steps, nu)`, where the record has any.
-    """
-    if (u is None) != (record.u is None):
-        raise ValueError(f"u must be given exactly for a record with inputs, nu = {record.nu}")
-    y_sim = rest = None
-    if record.y_sim is not None:
-        beyond = np.empty((0, record.ny)) if record.beyond is None else record.beyond
-        if len(beyond) < steps:
-            raise ValueError(
-                f"the simulator must reach {steps} samples beyond the record, got {len(beyond)}"
-            )
-        y_sim, rest = np.concatenate([record.y_sim, beyond[:steps]]), beyond[steps:]
-    return replace(
-        record,
-        y=np.concatenate([record.y, np.repeat(record.y[-1:], steps, axis=0)]),
-        u=None if record.u is None or u is None else np.concatenate([record.u, u]),
-        y_true=None,
-        y_sim=y_sim,
-        beyond=rest if rest is not None and len(rest) else None,
-        measured=None
-        if record.measured is None
-        else np.concatenate([record.measured, np.ones((steps, record.ny), dtype=np.bool_)]),
+def as_run(
+    name: str, record: Trajectory, train: int, first: Origin, forecast: Origin, done: Backtest
+) -> Run:
+    """What a forecaster has said, with its errors."""
+    from_start, ahead = done.predictions[first], done.predictions[forecast]
+    return Run(
+        name,
+        *errors_of(record, train, from_start.y, ahead.y),
+        from_start,
+        ahead,
+        leaves_range(done.y_range, ahead.y),
+        done.report,
+        done.description,
+        done.unfiltered.get(first, {}),
     )
 
 
-def inputs_beyond(training: Sequence[Trajectory], u: Array | None) -> list[Extrapolation]:
-    """Which inputs `u` `(time, nu)` ahead go beyond those of the training records."""
-    seen = [record.u for record in training if record.u is not None]
-    return [] if u is None or not seen else extrapolations(*input_range(seen), u)
+def errors_of(
+    record: Trajectory, train: int, from_start: Array, forecast: Array
+) -> tuple[float, float]:
+    """The RMSE of both protocols against the truth where it is known."""
+    truth = record.truth
+    return rmse(truth[-len(from_start) :], from_start), rmse(truth[train:], forecast)
+
+
+def mean_run(runs: Sequence[Run], record: Trajectory, train: int) -> Run:
+    """The mean of the predictions of several seeds, with its own errors."""
+    first = runs[0]
+    if len(runs) == 1:
+        return first
+    from_start, forecast = (
+        replace(getattr(first, name), y=np.mean([getattr(r, name).y for r in runs], axis=0))
+        for name in ("from_start", "forecast")
+    )
+    errors = errors_of(record, train, from_start.y, forecast.y)
+    fit = replace(first.fit, seconds=sum(run.fit.seconds for run in runs))
+    return Run(first.method, *errors, from_start, forecast, fit=fit)
 
 
 def by_channel(record: Trajectory, predicted: Array) -> list[float]:
@@ -356,57 +177,52 @@ def by_channel(record: Trajectory, predicted: Array) -> list[float]:
     return [rmse(y, x) for y, x in zip(truth.T, predicted.T, strict=True)]
 
 
-def ensemble(runs: Sequence[Run], record: Trajectory, setup: Setup) -> Run:
-    """The mean of the predictions of several seeds, with its own errors."""
-    from_start, forecast = (
-        np.mean([getattr(run, name) for run in runs], axis=0) for name in ("from_start", "forecast")
-    )
-    errors = _errors(record, setup, from_start, forecast)
-    seconds = sum(run.seconds for run in runs)
-    return Run(runs[0].method, runs[0].seed, *errors, seconds, from_start, forecast)
+def inputs_beyond(training: Sequence[Trajectory], u: Array | None) -> list[Extrapolation]:
+    """Which inputs `u` `(time, nu)` ahead go beyond those of the training records."""
+    seen = [record.u for record in training if record.u is not None]
+    return [] if u is None or not seen else extrapolations(*input_range(seen), u)
 
 
-def predict(model: Model, record: Trajectory, begin: int, start: int) -> dict[str, Array]:
-    """Warm up on `begin`..`start - 1`, simulate to the end of the record; by component."""
-    return model.simulate_components(*_known(record, begin, start))
+def check_train(record: Trajectory, train: int, ahead: int = 1) -> None:
+    """Check that there is something to train on and `ahead` samples to predict."""
+    if not 2 <= train <= len(record) - ahead:
+        raise ValueError(
+            f"train must be between 2 and {len(record) - ahead} for a record of {len(record)} "
+            f"samples, got {train}"
+        )
 
 
-def _known(
-    record: Trajectory, begin: int, start: int
-) -> tuple[Array, int, Array | None, Array | None]:
-    """What a simulation from `start` to the end may know, warmed up from `begin` on."""
-    u, y_sim = (None if s is None else s[begin:] for s in (record.u, record.y_sim))
-    return record.y[begin:start], len(record) - start, u, y_sim
-
-
-def _reporter(
-    method: str, seed: int, progress: Callable[[RunProgress], None] | None
-) -> Callable[[Progress], None] | None:
-    if progress is None:
-        return None
-    return lambda at: progress(RunProgress(method, seed, at.share, at.loss))
-
-
-def _work(
+def check(
     record: Trajectory,
+    forecasters: Sequence[Forecaster],
     setup: Setup,
-    silent: bool,
-    later: Sequence[int],
-    checkpoints: Path | None,
-    more: Sequence[Trajectory],
-    cuts: Sequence[int],
-    calibrations: Mapping[str, Calibration],
-    job: tuple[str, int],
-    report: Callable[[RunProgress], None],
-) -> Run | Failure:
-    method, seed = job
-    watch = None if silent else report
-    CALIBRATIONS.learn(calibrations)
-    try:
-        return run(method, record, setup, seed, watch, later, checkpoints, more, cuts)
-    except OSError:
-        raise  # a full disk, or a process ended from outside, concerns every method
-    except Exception as error:
-        said = " ".join(str(error).split())
-        expected = isinstance(error, FloatingPointError | ValueError)
-        return Failure(method, seed, said if expected else f"{type(error).__name__}: {said}")
+    others: Sequence[Trajectory] = (),
+    ahead: int = 1,
+) -> None:
+    """Find what is wrong with a comparison before anything is computed.
+
+    `ahead` samples at least must follow the training part.
+    """
+    if not forecasters:
+        raise ValueError("methods must be one or several, got none")
+    names = [forecaster.name for forecaster in forecasters]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice:
+        raise ValueError(
+            f"methods must have names that differ, two are {twice}; a forecaster takes another "
+            "one as `name`"
+        )
+    check_train(record, setup.train, ahead)
+    if setup.settings.warmup >= setup.train:
+        raise ValueError(
+            f"warmup must be shorter than the {setup.train} training samples, "
+            f"got {setup.settings.warmup}"
+        )
+    for name, part in (("training", slice(setup.train)), ("predicted", slice(setup.train, None))):
+        predicted = record.truth[part]
+        if len(predicted) and np.isnan(predicted).all(axis=0).any():
+            raise ValueError(f"the {name} part must have a measured sample in every channel")
+    if others and not any(forecaster.random for forecaster in forecasters):
+        raise ValueError(f"further records are for networks, got {', '.join(names)}")
+    for forecaster in forecasters:
+        forecaster.check(record[: setup.train], *(others if forecaster.random else ()))

@@ -5,32 +5,32 @@ Not in the paper. No measured sample after the training part is looked at.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Trajectory
-from splitband.evaluation.comparison import Run, RunProgress, Runs, ahead_of, compare
-from splitband.evaluation.intervals import Interval
-from splitband.forecasters.methods import FIXED, Setup, check
-from splitband.metrics import rmse, spread
-from splitband.training import Settings
+from splitband.evaluation.comparison import check
+from splitband.evaluation.runs import Asked, Work, run_all
+from splitband.evaluation.setup import Setup
+from splitband.forecasters.backtest import (
+    HELD_OUT,
+    held_out_errors,
+    held_out_from,
+    held_out_origins,
+    interval_from,
+    root_mean_square,
+)
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.intervals import Interval
+from splitband.metrics import spread
 
 Array = npt.NDArray[np.float64]
 
-LEAST_FITTED = 20
-"""Measured samples of each channel that a baseline is fitted to for the intervals."""
-FAILED = 5.0
-"""Times the usual error of a method's first forecast samples: such a fit says nothing of others."""
-HELD_OUT = 0.25
-"""Share of the training part by which the recommended method is chosen."""
-CUTS = (0.25, 0.2, 0.15, 0.1)
-"""Such shares for what needs no training and is fitted again for each, the first as above."""
-LONGER_CUTS = (0.5, 0.375)
-"""More of them for the intervals alone: how errors grow shows over long horizons."""
+LEVEL = 0.9
+"""Share of the samples that an interval should hold."""
 TRIED = 2
 """Seeds of each network that are tried out, where more are asked for in the end."""
 WORTH_TRAINING = 0.1
@@ -40,24 +40,6 @@ CHANGE_COUNTS = 0.5
 truth, in ways of their own, differ by twice the square of that."""
 
 
-def hold_out(record: Trajectory, setup: Setup) -> tuple[Trajectory, Setup]:
-    """The training part as a record of its own, its last `HELD_OUT` to be predicted from the rest.
-
-    What a method does there can be known without a look at later samples. Training windows shrink
-    with the training part.
-    """
-    train = setup.train - max(1, round(HELD_OUT * setup.train))
-
-    def shorter(settings: Settings) -> Settings:
-        window = round(settings.window * (1 - HELD_OUT))
-        return replace(settings, window=min(max(window, settings.warmup + 1), settings.window))
-
-    overrides = {name: shorter(settings) for name, settings in setup.overrides.items()}
-    setup = replace(setup, settings=shorter(setup.settings), overrides=overrides)
-    part = replace(record[: setup.train], y_true=None)
-    return part, replace(setup, train=train)
-
-
 @dataclass(frozen=True, eq=False)
 class Trial:
     """What the methods did on the held-out part of the training samples; several seeds' mean did.
@@ -65,15 +47,15 @@ class Trial:
     Attributes
     ----------
     errors : RMSE of each method, fitted on the rest of the training part: of its forecasts to the
-        end of the part, together. A network's are from its beginning, from a third and from two
-        thirds of it, those of what needs no training from each of `CUTS`, to which it is fitted.
+        end of the part, together. See `backtest.held_out_origins`.
     scores : The same of channels scaled to a deviation of 1.
     intervals : Around each method's forecast of the record; from those forecasts and, for what
-        needs no training, longer ones (`LONGER_CUTS`).
+        needs no training, longer ones.
     early : What each method forecast of the samples after the training part, `(time, ny)`, fitted
-        on all but `HELD_OUT` of it.
+        on all but the last quarter of it.
     scale : By which the channels are scaled, `(ny,)`.
-    final : The same, once it is fitted on the whole training part; see `settled`.
+    trained : Which methods are.
+    final : What they forecast fitted on the whole training part; see `settled`.
     failed : Why methods could not be fitted, now or, after `settled`, on the whole training part.
     """
 
@@ -82,29 +64,24 @@ class Trial:
     intervals: Mapping[str, Interval]
     early: Mapping[str, Array]
     scale: Array
+    trained: frozenset[str]
     final: Mapping[str, Array] = field(default_factory=dict)
     failed: Mapping[str, str] = field(default_factory=dict)
 
-    def settled(self, runs: Runs) -> Trial:
+    def settled(self, final: Mapping[str, Array], failed: Mapping[str, str]) -> Trial:
         """With what the methods forecast after all, out of which one is recommended.
 
         The held-out part is short: a method may do well there and not know what comes much later.
         Then its forecast changes once it has seen all of the training part, and its interval is
         wider.
         """
-        final = {
-            m: np.mean([r.forecast for r in of_m], axis=0)
-            for m, of_m in runs.items()
-            if m in self.early
-        }
+        final = {name: y for name, y in final.items() if name in self.early}
         intervals = {m: self.intervals[m].widened(final[m] - self.early[m]) for m in final}
-        return replace(
-            self, final=final, intervals=intervals, failed={**self.failed, **runs.failed}
-        )
+        return replace(self, final=final, intervals=intervals, failed={**self.failed, **failed})
 
     def change(self, method: str) -> float:
         """RMSE between a method's early and final forecast, in the record's unit."""
-        return _size([self.final[method] - self.early[method]])
+        return root_mean_square([self.final[method] - self.early[method]])
 
     @property
     def recommended(self) -> str:
@@ -122,103 +99,78 @@ class Trial:
     @property
     def best_network(self) -> str | None:
         """Of the networks, the one with the lowest score."""
-        networks = [method for method in self.scores if method not in FIXED]
+        networks = [method for method in self.scores if method in self.trained]
         return min(networks, key=lambda method: self.scores[method], default=None)
 
     def _worth(self, method: str) -> float:
         change = 0.0
         if method in self.final:
-            change = _size([(self.final[method] - self.early[method]) / self.scale])
-        needed = 1.0 if method in FIXED else 1 + WORTH_TRAINING
+            change = root_mean_square([(self.final[method] - self.early[method]) / self.scale])
+        needed = 1 + WORTH_TRAINING if method in self.trained else 1.0
         return max(self.scores[method], float(np.sqrt(CHANGE_COUNTS)) * change) * needed
 
 
 def try_out(
     record: Trajectory,
-    methods: Sequence[str],
-    setup: Setup,
+    forecasters: Sequence[Forecaster],
+    steps: int,
     seeds: Sequence[int] = (0,),
-    jobs: int = 1,
-    progress: Callable[[RunProgress], None] | None = None,
-    checkpoints: Path | None = None,
-    more: Sequence[Trajectory] = (),
+    work: Work | None = None,
+    others: Sequence[Trajectory] = (),
 ) -> Trial:
-    """Fit each method on the first part of the training samples and forecast the rest of them.
+    """Fit each forecaster to the first part of a training record, to forecast the rest of it.
 
-    Arguments and errors as for `compare`; no measured sample after the training part is looked at.
+    Parameters
+    ----------
+    record : The training record, and nothing else; what is known of the inputs and the
+        simulator's output of the `steps` samples after it (`u_beyond`, `beyond`).
+    forecasters : With settings and bands. Training windows shrink with the record.
+    steps : How far beyond the record is to be forecast after all.
+    seeds, work, others : See `compare_methods`; errors likewise.
     """
-    part, shorter = hold_out(record, setup)
-    held = len(part) - shorter.train
-    u = None if record.u is None else record.u[setup.train :]
-    longer = ahead_of(part, len(record) - setup.train, u)
-    # One beginning may suit a method by chance: the last sample, held, is now and then the mean.
-    later = sorted({shorter.train + i * held // 3 for i in (1, 2)} - {shorter.train})
-    cuts = sorted({len(part) - max(1, round(share * len(part))) for share in CUTS})
-    cuts += _longer_cuts(part)
-    runs = compare(longer, methods, shorter, seeds, jobs, progress, later, checkpoints, more, cuts)
-    forecasts = {method: _forecasts(of_method, shorter.train) for method, of_method in runs.items()}
-    seen, scale = part.seen, spread(part.seen)
-    left = {
-        method: {
-            start: seen[start:] - forecast[: len(part) - start]
-            for start, forecast in of_method.items()
+    record = replace(record, y_true=None)
+    shorter = [f.for_fewer_samples(HELD_OUT) for f in forecasters]
+    origins = {f.name: held_out_origins(f, record) for f in shorter}
+    asked = Asked(record, origins, len(record) + steps, others)
+    found, failures = run_all(shorter, asked, seeds, work or Work())
+    forecasts = {
+        name: {
+            at: np.mean([done.predictions[at].y for done in of_method.values()], axis=0)
+            for at in origins[name]
         }
-        for method, of_method in forecasts.items()
+        for name, of_method in found.items()
+        if of_method
     }
-    scored = {m: [e for at, e in of_m.items() if at >= shorter.train] for m, of_m in left.items()}
-    longer_ones = {
-        m: [e for at, e in sorted(of_m.items(), reverse=True) if at < shorter.train]
-        for m, of_m in left.items()
+    scale = spread(record.seen)
+    scored = {name: held_out_errors(record, y) for name, y in forecasts.items()}
+    first = held_out_from(len(record))
+    early = {
+        name: next(y for at, y in of_method.items() if at.at == first)[len(record) - first :]
+        for name, of_method in forecasts.items()
     }
     return Trial(
-        {m: _size(e) for m, e in scored.items()},
-        {m: _size([error / scale for error in e]) for m, e in scored.items()},
-        {m: Interval.fit(_sound(scored[m], longer_ones[m], scale), seen) for m in left},
-        {m: of_m[shorter.train][held:] for m, of_m in forecasts.items()},
+        {name: root_mean_square(e) for name, e in scored.items()},
+        {name: root_mean_square([error / scale for error in e]) for name, e in scored.items()},
+        {name: interval_from(record, y, LEVEL) for name, y in forecasts.items()},
+        early,
         scale,
-        failed=runs.failed,
+        frozenset(f.name for f in shorter if f.random),
+        failed={f.method: f.reason for f in failures[::-1] if f.method not in early},
     )
 
 
-def _sound(scored: Sequence[Array], longer: Sequence[Array], scale: Array) -> list[Array]:
-    """All errors, but no `longer` ones from the first fit on that failed for want of samples.
-
-    `longer` begins with the fit to the most samples. A fit that does not know the record's period
-    yet is wrong from its first forecast samples on; growth alone shows later.
-    """
-    near = min(map(len, scored))
-    usual = _size([e[:near] / scale for e in scored])
-    sound = [_size([e[:near] / scale]) <= FAILED * usual for e in longer]
-    return [*scored, *longer[: [*sound, False].index(False)]]
-
-
-def _longer_cuts(part: Trajectory) -> list[int]:
-    """By `LONGER_CUTS`, where there is enough before them to fit a baseline to."""
-    cuts = [len(part) - round(share * len(part)) for share in LONGER_CUTS]
-    measured = ~np.isnan(part.seen)
-    return [cut for cut in cuts if (measured[:cut].sum(axis=0) >= LEAST_FITTED).all()]
-
-
-def _forecasts(runs: Sequence[Run], begin: int) -> dict[int, Array]:
-    """The mean over seeds, by the index of the first sample."""
-    found = {begin: np.mean([r.forecast for r in runs], axis=0)}
-    for start in runs[0].later:
-        found[start] = np.mean([r.later[start] for r in runs], axis=0)
-    return found
-
-
-def _size(errors: Sequence[Array]) -> float:
-    every = np.concatenate(errors)
-    return rmse(every, np.zeros_like(every))
-
-
 def check_trial(
-    record: Trajectory, methods: Sequence[str], setup: Setup, more: Sequence[Trajectory] = ()
+    record: Trajectory,
+    forecasters: Sequence[Forecaster],
+    setup: Setup,
+    others: Sequence[Trajectory] = (),
 ) -> None:
     """Find what is wrong with `try_out` before anything is computed."""
-    part, shorter = hold_out(record, setup)
+    part = replace(record[: setup.train], y_true=None)
+    train = held_out_from(setup.train)
+    shorter = [f.for_fewer_samples(HELD_OUT) for f in forecasters]
     try:
-        check(part, methods, shorter, more)
+        check(part, shorter, replace(setup, train=train), others)
     except ValueError as error:
         raise ValueError(
             f"{error} (a method is chosen on the last quarter of the {setup.train} training "

@@ -1,1 +1,1 @@
-"""What predicts, by name."""
+"""Whatever predicts, behind one interface: networks, simulators, baselines, means of seeds."""

@@ -239,6 +239,17 @@ def _weights(path: Path, digest: Any, expected: Mapping[str, Tensor]) -> dict[st
     return found
 
 
+def describe(module: nn.Module) -> dict[str, Any]:
+    """A model or a cell without its weights, as JSON; raises ValueError for an unknown one."""
+    described: dict[str, Any] = _describe(module)
+    return described
+
+
+def build(spec: Any, classes: Mapping[str, Callable[..., Any]] | None = None) -> Any:
+    """What `describe` was given, with new weights; `classes` are further ones by name."""
+    return _build(spec, {c.__name__: c for c in _SCHEMA} | dict(classes or {}))
+
+
 def _model(spec: Any, known: Mapping[str, Callable[..., Any]]) -> Model:
     model = _build(spec, known)
     if not isinstance(model, Model):

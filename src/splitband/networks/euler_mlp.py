@@ -26,6 +26,8 @@ class EulerMLP(nn.Module):
     nu : Known inputs of f.
     """
 
+    label = "rnn"
+
     def __init__(
         self,
         ny: int = 1,
@@ -64,6 +66,18 @@ class EulerMLP(nn.Module):
             nn.Tanh(),
             nn.Linear(recognition_size, state_size),
             nn.Tanh(),
+        )
+
+    def sized(self, ny: int, nu: int, warmup: int) -> EulerMLP:
+        """A new one with the same state, widths and step."""
+        return EulerMLP(
+            ny,
+            warmup,
+            self.state_size,
+            self.hidden_size,
+            self.recognition_size,
+            self.step_size,
+            nu,
         )
 
     def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:

@@ -15,17 +15,23 @@ class GRU(nn.Module):
 
     Parameters
     ----------
-    ny : Measured channels.
     hidden_size : Size of the state h.
+    ny : Measured channels.
     nu : Known inputs; they enter each step beside y.
     """
 
-    def __init__(self, ny: int = 1, hidden_size: int = 64, nu: int = 0) -> None:
+    label = "gru"
+
+    def __init__(self, hidden_size: int = 64, ny: int = 1, nu: int = 0) -> None:
         super().__init__()
         check_sizes(nu, ny=ny, hidden_size=hidden_size)
         self.ny, self.nu, self.hidden_size = ny, nu, hidden_size
         self.transition = nn.GRUCell(ny + nu, hidden_size)
         self.observation = nn.Linear(hidden_size, ny)
+
+    def sized(self, ny: int, nu: int, warmup: int) -> GRU:
+        """A new one of the same hidden size; it warms up on any number of samples."""
+        return GRU(self.hidden_size, ny, nu)
 
     def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
         """Run over the measured samples from h = 0 (paper: the warm-up phase)."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from splitband.forecasters.methods import FIXED
+from splitband.forecasters.names import QUICK
 from splitband.paper import published
 from splitband.paper.jobs import ORACLE, Job
 from splitband.paper.runs import disturbed, missing
@@ -40,7 +40,7 @@ def progress(jobs: Iterable[Job], folder: Path) -> Progress:
     measured = cache(lambda system, method: _seconds_per_epoch(folder / system / method))
     seconds, known = 0.0, True
     for job in todo:
-        if job.method in (*FIXED, ORACLE):
+        if job.method in (*QUICK, ORACLE):
             continue
         one = measured(job.system, job.method)
         known = known and one is not None

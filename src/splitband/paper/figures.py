@@ -5,28 +5,27 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from splitband.data import Trajectory
-from splitband.evaluation.comparison import Run
+from splitband.evaluation.api import Comparison
+from splitband.evaluation.comparison import Run, Runs
 from splitband.filters.spectrum import periodogram
-from splitband.forecasters.methods import FIXED, Setup
+from splitband.forecasters.names import QUICK
 from splitband.paper.jobs import ORACLE, SYSTEMS, Job
 from splitband.paper.runs import as_run, finished, load
 from splitband.paper.specs import SPECS, Line, chosen, lines
 from splitband.report import pictures
 
-Runs = dict[str, list[Run]]
 
-
-def _spectrum(record: Trajectory, setup: Setup, _: Runs) -> pictures.Picture:
+def _spectrum(comparison: Comparison) -> pictures.Picture:
+    record = comparison.record
     found = periodogram(record.y, record.sampling_rate)
-    return pictures.spectrum(record, found, setup.cutoff)
+    return pictures.spectrum(record, found, comparison.setup.bands.cutoff)
 
 
-def _unfiltered(record: Trajectory, setup: Setup, runs: Runs) -> pictures.Picture:
-    return pictures.components(record, setup, runs, "unfiltered")
+def _unfiltered(comparison: Comparison) -> pictures.Picture:
+    return pictures.components(comparison, "unfiltered")
 
 
-FIGURES: dict[str, Callable[[Trajectory, Setup, Runs], pictures.Picture]] = {
+FIGURES: dict[str, Callable[[Comparison], pictures.Picture]] = {
     "spectrum": _spectrum,
     "rollouts": pictures.rollouts,
     "components": pictures.components,
@@ -62,15 +61,15 @@ def needed(
 
 def figure(name: str, system: str, of: Sequence[Line], folder: Path) -> pictures.Picture:
     """Draw one figure of the runs in `folder`; raises what `load` does."""
-    runs: Runs = {}
+    runs: dict[str, list[Run]] = {}
     for line in of:
         facts = [load(job, folder) for job in finished(line.jobs, folder)]
-        good = [as_run(run) for run in facts if "diverged" not in run]
+        good = [as_run(run, line.jobs[0].record) for run in facts if "diverged" not in run]
         if good and good[0].seed == 0:
             runs[line.method] = good
     job = Job(system, next(iter(runs), "persistence"))
     record = job.record
-    return FIGURES[name](record, job.setup(record), runs)
+    return FIGURES[name](Comparison(record, job.setup(record), Runs(runs)))
 
 
 def _shown(name: str, method: str) -> bool:
@@ -80,4 +79,4 @@ def _shown(name: str, method: str) -> bool:
         return method.startswith(("split", "filtered", "residual"))
     if name == "unfiltered":
         return method.startswith("filtered")
-    return method not in FIXED or method in _SHOWN_BASELINES
+    return method not in QUICK or method in _SHOWN_BASELINES

@@ -9,7 +9,8 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 from splitband.data import Trajectory, double_torsion, drill_string, read
-from splitband.forecasters.methods import FIXED, METHODS, Setup
+from splitband.evaluation.setup import Setup
+from splitband.forecasters.names import NAMES, QUICK
 from splitband.paper.settings import HYBRID, LEARNING_BASED, Hybrid, LearningBased, in_hz
 from splitband.paper.systems import double_mass_spring, double_torsion_pendulum, van_der_pol
 
@@ -95,13 +96,13 @@ class Job:
         """Drop what is the paper's own value, so that equal runs are equal jobs."""
         if self.system not in SYSTEMS:
             raise ValueError(f"systems must be out of {', '.join(SYSTEMS)}, got {self.system}")
-        if self.method not in (*METHODS, ORACLE):
-            raise ValueError(f"methods must be out of {', '.join(METHODS)}, got {self.method}")
+        if self.method not in (*NAMES, ORACLE):
+            raise ValueError(f"methods must be out of {', '.join(NAMES)}, got {self.method}")
         column = SYSTEMS[self.system].column
         own = {"cutoff": column.cutoff, "downsampling": getattr(column, "downsampling", None)}
         own["epochs"] = self.full_epochs
         for name, value in own.items():
-            if getattr(self, name) == value or self.method in (*FIXED, ORACLE):
+            if getattr(self, name) == value or self.method in (*QUICK, ORACLE):
                 object.__setattr__(self, name, None)
 
     @property
@@ -133,7 +134,8 @@ class Job:
         if self.epochs is not None:
             setup = replace(setup, settings=replace(setup.settings, epochs=self.epochs))
         if self.cutoff is not None:
-            setup = replace(setup, cutoff=in_hz(self.cutoff, record.sampling_rate))
+            cutoff = in_hz(self.cutoff, record.sampling_rate)
+            setup = replace(setup, bands=replace(setup.bands, cutoff=cutoff))
         if self.downsampling is not None:
-            setup = replace(setup, downsampling=self.downsampling)
+            setup = replace(setup, bands=replace(setup.bands, downsampling=self.downsampling))
         return setup

@@ -6,7 +6,7 @@ import json
 import re
 import shutil
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -16,14 +16,22 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Trajectory
-from splitband.evaluation.comparison import Run, RunProgress, run, run_baseline
-from splitband.forecasters.methods import FIXED, Setup
+from splitband.evaluation.comparison import Run
+from splitband.evaluation.comparison import as_run as run_of
+from splitband.evaluation.runs import RunProgress
+from splitband.evaluation.setup import Setup
+from splitband.forecasters.backtest import Origin, backtest, first_origin
+from splitband.forecasters.base import FitReport, Forecaster
+from splitband.forecasters.names import named
+from splitband.forecasters.prediction import Prediction
+from splitband.forecasters.simulation import Simulation
 from splitband.metrics import rmse
 from splitband.paper.jobs import ORACLE, Job
-from splitband.paper.systems import double_mass_spring_oracle
+from splitband.paper.systems import MassSpringOracle
 from splitband.report.results import environment
 from splitband.runtime.files import CHECKPOINTS, write_json_lines
 from splitband.runtime.processes import over
+from splitband.training import Checkpoint, Progress
 
 Array = npt.NDArray[np.float64]
 FORMAT = 1
@@ -104,19 +112,22 @@ def load(job: Job, folder: Path) -> dict[str, Any]:
     return facts
 
 
-def as_run(facts: dict[str, Any]) -> Run:
-    """A loaded run with the predictions that its file holds."""
+def as_run(facts: dict[str, Any], record: Trajectory) -> Run:
+    """A loaded run with the predictions that its file holds, of its job's record."""
+
+    def prediction(values: Array, parts: dict[str, Array]) -> Prediction:
+        grid = record[: len(record) - len(values)].grid.after(len(values))
+        return Prediction(values, grid, record.columns, parts)
+
+    parts = {name: _array(values) for name, values in facts["components"].items()}
     return Run(
         facts["job"]["method"],
-        facts["job"]["seed"],
         facts["total_rmse"],
         facts["forecast_rmse"],
-        facts["seconds"],
-        _array(facts["from_start"]),
-        _array(facts["forecast"]),
-        components={name: _array(values) for name, values in facts["components"].items()},
+        prediction(_array(facts["from_start"]), parts),
+        prediction(_array(facts["forecast"]), {}),
+        fit=FitReport(facts["job"]["seed"], facts["seconds"], facts["losses"]),
         description=facts["description"],
-        losses=facts["losses"],
         unfiltered={name: _array(values) for name, values in facts["unfiltered"].items()},
     )
 
@@ -128,8 +139,13 @@ def whole_rmse(facts: dict[str, Any], job: Job) -> float:
     """
     record = job.record
     if job.method.startswith("simulator"):
-        simulator = FIXED[job.method](record, facts["settings"]["train"])
-        return rmse(record.truth, simulator.predict(0, len(record), record.y[0]))
+        simulator = named(job.method)
+        assert isinstance(simulator, Simulation)
+        train = facts["settings"]["train"]
+        simulator.fit(record[:train], horizon=len(record) - train)
+        y_sim = simulator.on(record).y_sim
+        assert y_sim is not None
+        return rmse(record.truth, y_sim)
     counted = len(facts["from_start"][0]) / len(record)
     return float(facts["total_rmse"] * counted**0.5)
 
@@ -170,16 +186,40 @@ def _work(folder: Path, silent: bool, job: Job, report: Callable[[RunProgress], 
     resumed = any(checkpoints.iterdir())
     began = time.process_time()
     try:
-        if job.method == ORACLE:
-            done = run_baseline(ORACLE, double_mass_spring_oracle, record, setup)
-        else:
-            watch = None if silent else report
-            done = run(job.method, record, setup, job.seed, watch, checkpoints=checkpoints)
-        facts = _results(job, done) | _time(done.seconds, time.process_time() - began, resumed)
+        done = run(job, record, setup, None if silent else report, checkpoints)
+        seconds = _time(done.fit.seconds, time.process_time() - began, resumed)
+        facts = _results(job, done) | seconds
     except FloatingPointError as error:
         facts = {"diverged": str(error)}
     write_json_lines(path, _identity(job, record, setup) | facts | {"environment": environment()})
     shutil.rmtree(checkpoints)
+
+
+def run(
+    job: Job,
+    record: Trajectory,
+    setup: Setup,
+    progress: Callable[[RunProgress], None] | None = None,
+    checkpoints: Path | None = None,
+) -> Run:
+    """One method on a system, under both protocols."""
+    oracle = job.method == ORACLE
+    forecaster: Forecaster = MassSpringOracle() if oracle else setup.forecaster(job.method)
+    forecaster.check(record[: setup.train])
+    first = first_origin(record, setup.train, setup.settings.warmup)
+    forecast = Origin(setup.train, setup.train)
+    checkpoint = None
+    if checkpoints is not None and forecaster.random:
+        checkpoint = Checkpoint(checkpoints / f"{job.method}-{job.seed}.safetensors")
+
+    def watch(at: Progress) -> None:
+        if progress is not None:
+            progress(RunProgress(job.method, job.seed, at.share, at.loss))
+
+    done = backtest(
+        forecaster, record, [first, forecast], len(record), (), job.seed, watch, checkpoint
+    )
+    return run_of(job.method, record, setup.train, first, forecast, done)
 
 
 def _results(job: Job, done: Run) -> dict[str, Any]:
@@ -192,13 +232,11 @@ def _results(job: Job, done: Run) -> dict[str, Any]:
         "total_rmse": done.total_rmse,
         "forecast_rmse": done.forecast_rmse,
         "description": done.description,
-        "losses": {name: _few(values) for name, values in done.losses.items()},
-        "from_start": [] if varied else _rounded(done.from_start),
-        "forecast": [] if varied else _rounded(done.forecast),
-        **{
-            name: {k: _rounded(v) for k, v in getattr(done, name).items()} if drawn else {}
-            for name in ("components", "unfiltered")
-        },
+        "losses": {name: _few(values) for name, values in done.fit.losses.items()},
+        "from_start": [] if varied else _rounded(done.from_start.y),
+        "forecast": [] if varied else _rounded(done.forecast.y),
+        "components": _parts(done.from_start.components) if drawn else {},
+        "unfiltered": _parts(done.unfiltered) if drawn else {},
     }
 
 
@@ -217,7 +255,7 @@ def _identity(job: Job, record: Trajectory, setup: Setup) -> dict[str, Any]:
         "format": FORMAT,
         "job": asdict(job),
         # The paper chose the filter pair, so that there is no choice of ours to keep.
-        "settings": {k: v for k, v in asdict(setup).items() if k != "choice"},
+        "settings": {k: v for k, v in setup.as_json().items() if k != "choice"},
         "record": {
             "name": record.name,
             "samples": len(record),
@@ -245,6 +283,10 @@ def _few(losses: Sequence[float]) -> list[float]:
     """At most `_LOSSES` of a curve's values, the last among them."""
     step = -(-len(losses) // _LOSSES)
     return [float(f"{value:.4g}") for value in losses[::-1][::step][::-1]]
+
+
+def _parts(parts: Mapping[str, Array]) -> dict[str, list[list[float]]]:
+    return {name: _rounded(values) for name, values in parts.items()}
 
 
 def _rounded(values: Array) -> list[list[float]]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from splitband.forecasters.methods import Setup
+from splitband.evaluation.setup import Setup
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.names import Sizes
 from splitband.training import Settings
 
 SAMPLE_FREQUENCY = 10.0
@@ -49,11 +51,8 @@ class LearningBased:
         return Setup(
             train=self.train,
             settings=settings,
-            cutoff=in_hz(self.cutoff, sampling_rate),
-            order=self.order,
-            downsampling=self.downsampling,
-            hidden_high=self.hidden_high,
-            hidden_low=self.hidden_low,
+            bands=Bands(in_hz(self.cutoff, sampling_rate), self.order, self.downsampling),
+            sizes=Sizes(self.hidden_high, self.hidden_low),
             overrides={} if gru == settings else {"gru": gru},
         )
 
@@ -104,11 +103,13 @@ class Hybrid:
         return Setup(
             train=self.train,
             settings=Settings(self.gru_window, self.warmup, self.gru_epochs, normalize=False),
-            cutoff=in_hz(self.cutoff, sampling_rate),
-            hidden_high=self.gru_hidden - self.gru_hidden // 4,
-            hidden_low=self.gru_hidden // 4,
-            state_size=self.rnn_state,
-            step_size=1 / sampling_rate,
+            bands=Bands(in_hz(self.cutoff, sampling_rate), order=1, downsampling=2),
+            sizes=Sizes(
+                self.gru_hidden - self.gru_hidden // 4,
+                self.gru_hidden // 4,
+                self.rnn_state,
+                1 / sampling_rate,
+            ),
             overrides=rnn,
         )
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from splitband.forecasters.methods import FIXED
+from splitband.forecasters.names import QUICK
 from splitband.paper import published
 from splitband.paper.jobs import ORACLE, Job
 from splitband.paper.published import Row
@@ -120,7 +120,7 @@ def lines(
             for method in chosen("methods", methods, spec.methods):
                 if method == ORACLE and system != "i":
                     continue
-                repeated = 1 if method in (*FIXED, ORACLE) else seeds
+                repeated = 1 if method in (*QUICK, ORACLE) else seeds
                 if spec.shows == "quantiles":
                     jobs = [Job(system, method, 0, int(d), epochs=epochs) for d in spec.values]
                 else:

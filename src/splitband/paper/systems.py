@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.baselines.naive import Given, Naive
 from splitband.data import Trajectory, double_torsion, drill_string
+from splitband.forecasters.base import Forecaster, Known
 from splitband.simulators import Ode, Recorded, Simulator, run
 
 Array = npt.NDArray[np.float64]
@@ -32,29 +33,47 @@ def double_mass_spring(
     return Trajectory(x + noise, 0.1, y_true=x, name="double-mass-spring", columns=("x",))
 
 
-def double_mass_spring_oracle(record: Trajectory, train: int) -> Naive:
+class MassSpringOracle(Forecaster):
     """What can be known of system (i): least squares on the true form, from the true values.
 
-    Two cosines and an offset, fitted on the first `train` samples. No learned model has to be
-    better than this.
+    Two cosines and an offset. No learned model has to be better than this.
     """
-    t = record.time - record.time[0]
 
-    def basis(frequencies: Array) -> Array:
-        phases = 2 * np.pi * np.outer(t, frequencies)
-        return np.column_stack([np.cos(phases), np.sin(phases), np.ones_like(t)])
+    name = "oracle"
 
-    def fitted(frequencies: Array) -> Array:
-        coefficients = np.linalg.lstsq(basis(frequencies)[:train], record.y[:train], rcond=None)[0]
-        return basis(frequencies) @ coefficients
+    def learn(self, records: Sequence[Trajectory], **_: Any) -> None:
+        """See `Forecaster`."""
+        self.step, y = records[0].sampling_time, records[0].y
+        time = self._time(0, len(y))
 
-    def residual(frequencies: Array) -> Array:
-        return (fitted(frequencies)[:train] - record.y[:train]).ravel()
+        def coefficients(frequencies: Array) -> Array:
+            return np.asarray(np.linalg.lstsq(self._basis(time, frequencies), y, rcond=None)[0])
 
-    found = scipy.optimize.least_squares(residual, [0.115, 0.57], x_scale=[1e-3, 1e-3]).x
-    return Given(
-        fitted(found), "two cosines and an offset, " + " and ".join(f"{f:.4g} Hz" for f in found)
-    )
+        def residual(frequencies: Array) -> Array:
+            fitted = self._basis(time, frequencies) @ coefficients(frequencies)
+            return np.asarray(fitted - y).ravel()
+
+        found = scipy.optimize.least_squares(residual, [0.115, 0.57], x_scale=[1e-3, 1e-3]).x
+        self.frequencies, self.coefficients = found, coefficients(found)
+
+    def extrapolate(self, known: Known) -> Array:
+        """See `Forecaster`."""
+        time = self._time(known.begin + len(known.y), known.steps)
+        return np.asarray(self._basis(time, self.frequencies) @ self.coefficients)
+
+    def describe(self) -> str:
+        """See `Forecaster`."""
+        found = " and ".join(f"{f:.4g} Hz" for f in self.frequencies)
+        return f"two cosines and an offset, {found}"
+
+    def _time(self, begin: float, samples: int) -> Array:
+        """In s since the training record began."""
+        return np.asarray(self.step * (begin + np.arange(samples)))
+
+    @staticmethod
+    def _basis(time: Array, frequencies: Array) -> Array:
+        phases = 2 * np.pi * np.outer(time, frequencies)
+        return np.column_stack([np.cos(phases), np.sin(phases), np.ones_like(time)])
 
 
 def van_der_pol(samples: int = 2000, simulator_rtol: float = 1e-10) -> Trajectory:

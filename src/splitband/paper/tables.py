@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from splitband.forecasters.methods import FIXED
+from splitband.forecasters.names import QUICK
 from splitband.paper.jobs import ORACLE, SYSTEMS, Job
 from splitband.paper.runs import (
     FEWEST_SEEDS,
@@ -100,7 +100,7 @@ def _facts(spec: Spec, line: Line, folder: Path) -> dict[str, Any]:
         line.method
     )
     losses = [final_losses(run) for _, run in good]
-    fixed = line.method in (*FIXED, ORACLE)
+    fixed = line.method in (*QUICK, ORACLE)
     return {
         "system": line.system,
         "title": SYSTEMS[line.system].title,

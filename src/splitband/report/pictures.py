@@ -13,12 +13,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splitband.data import Trajectory
-from splitband.evaluation.comparison import Run, by_channel, ensemble, first_start, last_start
-from splitband.evaluation.intervals import Interval
-from splitband.evaluation.selection import Trial
+from splitband.data.gaps import first_after, last_before
+from splitband.evaluation.api import Comparison, Forecast
+from splitband.evaluation.comparison import Run, by_channel
 from splitband.filters.cutoff import LEAST_BELOW, Choice
 from splitband.filters.spectrum import Spectrum, coherence, periodogram
-from splitband.forecasters.methods import Setup
+from splitband.forecasters.intervals import Interval
+from splitband.forecasters.prediction import Prediction
 from splitband.metrics import cumulative_rmse
 from splitband.runtime.files import replacing
 
@@ -39,20 +40,22 @@ def save(figure: Figure, path: str | Path) -> None:
         figure.savefig(temporary, format="png", dpi=110)
 
 
-def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None = None) -> Figure:
+def rollouts(comparison: Comparison) -> Figure:
     """Every method's prediction over the record, one row each; a column for each protocol.
 
-    With a `trial`, each forecast has its interval around it, and the recommended method is named.
+    With a trial, each forecast has its interval around it, and the recommended method is named.
     """
+    record, setup, runs = comparison.record, comparison.setup, comparison.runs
+    trial = comparison.trial
     rows = [(name, channel) for name in runs for channel in range(record.ny)]
     figure = Figure(figsize=(13, 1.1 + 1.25 * len(rows)), layout="constrained")
     grid = figure.subplots(len(rows), 2, sharex="col", sharey="row", squeeze=False)
     end, times = setup.train, _times(record)
     for axes, (name, channel) in zip(grid, rows, strict=True):
         warmup = setup.settings_of(name).warmup
-        starts = first_start(record, warmup), last_start(record, warmup, end)
-        mean = ensemble(runs[name], record, setup)
-        sides = (axes[0], starts[0], mean.from_start), (axes[1], starts[1], mean.forecast)
+        starts = _starts(record, warmup, end)
+        mean = comparison.means[name]
+        sides = (axes[0], starts[0], mean.from_start.y), (axes[1], starts[1], mean.forecast.y)
         for ax, start, prediction in sides:
             _draw_record(ax, record, channel, start - warmup)
             time = times[-len(prediction) :]
@@ -65,12 +68,11 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None =
             ax.set_title(title, fontsize=9, loc="left", pad=3)
             ax.margins(x=0.01)
         if trial is not None:
-            middle = mean.forecast[:, channel]
-            half = trial.intervals[name].half_widths(len(middle))[:, channel]
-            color = _color(runs, name)
-            axes[1].fill_between(
-                times[end:], middle - half, middle + half, color=color, alpha=0.18, lw=0
-            )
+            forecast = comparison.predictions[name]
+            assert forecast.lower is not None
+            assert forecast.upper is not None
+            edges = forecast.lower[:, channel], forecast.upper[:, channel]
+            axes[1].fill_between(times[end:], *edges, color=_color(runs, name), alpha=0.18, lw=0)
         axes[0].set_ylabel(_literal(record.columns[channel]))
         axes[0].set_ylim(*_limits(record.seen[:, channel]))
     for ax in grid[-1]:
@@ -86,42 +88,54 @@ def rollouts(record: Trajectory, setup: Setup, runs: Runs, trial: Trial | None =
     return figure
 
 
-def forecast(record: Trajectory, table: pd.DataFrame, method: str) -> Figure:
-    """The end of a record and what `reporting.forecast` says comes after it."""
-    figure = Figure(figsize=(11, 0.8 + 2.2 * record.ny), layout="constrained")
-    grid = figure.subplots(record.ny, 1, sharex=True, squeeze=False)[:, 0]
-    time, ahead = _times(record), _drawn(pd.Index(table.iloc[:, 0]))
-    if record.start is None:  # the table counts from the record's end
-        ahead = time[-1] + ahead
-    shown = max(len(record) - 2 * len(table), 0)
-    for i, (ax, column) in enumerate(zip(grid, record.columns, strict=True)):
-        ax.plot(time[shown:], record.seen[shown:, i], color="0.35", lw=0.9, label="measured")
-        ax.plot(ahead, table[column], color=_PALETTE[0], lw=1.2, label=_literal(method))
-        edges = table[f"{column}, lower"], table[f"{column}, upper"]
-        ax.fill_between(
-            ahead, *edges, color=_PALETTE[0], alpha=0.18, lw=0, label="should hold 90 %"
-        )
+def forecast(found: Forecast) -> Figure:
+    """The end of a record and what comes after it."""
+    return prediction(found.prediction, found.record, found.method)
+
+
+def prediction(
+    found: Prediction, record: Trajectory | None = None, method: str = "prediction"
+) -> Figure:
+    """A prediction with its interval, after the end of a record if one is given."""
+    figure = Figure(figsize=(11, 0.8 + 2.2 * len(found.columns)), layout="constrained")
+    grid = figure.subplots(len(found.columns), 1, sharex=True, squeeze=False)[:, 0]
+    ahead = _drawn(pd.Index(found.time))
+    title = f"{len(found)} samples ahead"
+    if record is not None:
+        time = _times(record)
+        ahead = time[-1] + ahead if record.start is None else ahead
+        shown = max(len(record) - 2 * len(found), 0)
+        title = f"{_literal(record.name)}: {title}"
+    for i, (ax, column) in enumerate(zip(grid, found.columns, strict=True)):
+        if record is not None:
+            ax.plot(time[shown:], record.seen[shown:, i], color="0.35", lw=0.9, label="measured")
+        ax.plot(ahead, found.y[:, i], color=_PALETTE[0], lw=1.2, label=_literal(method))
+        if found.lower is not None and found.upper is not None and found.level is not None:
+            label = f"should hold {found.level:.0%}".replace("%", " %")
+            edges = found.lower[:, i], found.upper[:, i]
+            ax.fill_between(ahead, *edges, color=_PALETTE[0], alpha=0.18, lw=0, label=label)
         ax.set_ylabel(_literal(column))
         ax.margins(x=0.01)
     grid[0].legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
-    title = f"{_literal(record.name)}: {len(table)} samples ahead"
     grid[0].set_title(title, fontsize=10, loc="left")
-    grid[-1].set_xlabel(_time_label(record))
+    dates = isinstance(found.time, pd.DatetimeIndex)
+    grid[-1].set_xlabel("time" if dates else "time (s)")
     return figure
 
 
 def components(
-    record: Trajectory,
-    setup: Setup,
-    runs: Runs,
-    what: Literal["components", "unfiltered"] = "components",
+    comparison: Comparison, what: Literal["components", "unfiltered"] = "components"
 ) -> Figure:
     """What each prediction from the start is the sum of, a row for each method of several parts.
 
     With "unfiltered", what the filters of a method were fed with instead.
     """
+    record, setup, runs = comparison.record, comparison.setup, comparison.runs
     parts: dict[str, Mapping[str, Array]] = {
-        name: getattr(of_method[0], what) for name, of_method in runs.items()
+        name: of_method[0].from_start.components
+        if what == "components"
+        else of_method[0].unfiltered
+        for name, of_method in runs.items()
     }
     rows = [(name, channel) for name in runs if parts[name] for channel in range(record.ny)]
     if not rows:
@@ -133,7 +147,7 @@ def components(
     for ax, (name, channel) in zip(grid, rows, strict=True):
         _draw_record(ax, record, channel, 0)
         warmup = setup.settings_of(name).warmup
-        start = first_start(record, warmup)
+        start = _starts(record, warmup, setup.train)[0]
         for color, (part, values) in zip(_PALETTE, parts[name].items(), strict=False):
             ax.plot(times[start:], values[:, channel], color=color, lw=1, label=part)
         ax.axvspan(times[start - warmup], times[start - 1], color="0.93", zorder=0)
@@ -146,8 +160,9 @@ def components(
     return figure
 
 
-def errors(record: Trajectory, setup: Setup, runs: Runs) -> Figure:
+def errors(comparison: Comparison) -> Figure:
     """The cumulative RMSE e_n over time under both protocols, mean and range over seeds."""
+    record, setup, runs = comparison.record, comparison.setup, comparison.runs
     figure = Figure(figsize=(13, 4.6), layout="constrained")
     protocols = (("from the start", _from_start), ("forecast", _forecast))
     times = _times(record)
@@ -249,11 +264,20 @@ def _draw_spectrum(ax: Axes, record: Trajectory, found: Spectrum) -> None:
 
 
 def _from_start(run: Run) -> Array:
-    return run.from_start
+    return run.from_start.y
 
 
 def _forecast(run: Run) -> Array:
-    return run.forecast
+    return run.forecast.y
+
+
+def _starts(record: Trajectory, warmup: int, train: int) -> tuple[int, int]:
+    """Where free runs start under the two protocols: right after a warm-up without a gap."""
+    first = first_after(record.complete, warmup)
+    last = last_before(record.complete, warmup, train)
+    assert first is not None, "predictions have been made from there"
+    assert last is not None, "predictions have been made from there"
+    return first, last
 
 
 def _interval(intervals: Iterable[Interval]) -> str:

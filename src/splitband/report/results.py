@@ -5,32 +5,48 @@ from __future__ import annotations
 import platform
 import statistics
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
-from splitband.data import Trajectory
-from splitband.data.timing import as_json, stamps_at
-from splitband.evaluation.comparison import Run, by_channel, ensemble
-from splitband.evaluation.intervals import Interval
-from splitband.evaluation.selection import Trial
-from splitband.forecasters.methods import Setup
+from splitband.data.timing import as_json
+from splitband.evaluation.api import Comparison, Forecast
+from splitband.evaluation.comparison import Run, by_channel
+from splitband.filters.spectrum import periodogram
+from splitband.forecasters.prediction import time_header
+from splitband.report import pictures
+from splitband.runtime.files import output_folder, replacing, write_json
 
 
-def results(
-    record: Trajectory,
-    setup: Setup,
-    runs: Mapping[str, Sequence[Run]],
-    trial: Trial,
-) -> dict[str, Any]:
+def save(comparison: Comparison, folder: Path, facts: dict[str, Any] | None = None) -> None:
+    """Write results.json, predictions.csv and the pictures of a comparison.
+
+    `facts` go into results.json before the others.
+    """
+    record, setup = comparison.record, comparison.setup
+    output_folder(folder)
+    write_json(folder / "results.json", (facts or {}) | results(comparison))
+    with replacing(folder / "predictions.csv") as temporary:
+        predictions(comparison).to_csv(temporary, index=False)
+    pictures.save(pictures.rollouts(comparison), folder / "rollouts.png")
+    pictures.save(pictures.errors(comparison), folder / "error.png")
+    found = periodogram(record[: setup.train].y, record.sampling_rate)
+    spectrum = pictures.spectrum(record, found, setup.bands.cutoff, setup.bands.choice)
+    pictures.save(spectrum, folder / "spectrum.png")
+    if any(runs[0].from_start.components for runs in comparison.runs.values()):
+        pictures.save(pictures.components(comparison), folder / "components.png")
+
+
+def results(comparison: Comparison) -> dict[str, Any]:
     """What `compare` writes to results.json."""
+    record, trial = comparison.record, comparison.require_trial()
     return {
+        "inputs_beyond_training": [asdict(each) for each in comparison.inputs_beyond_training],
         "record": {
             "name": record.name,
             "samples": len(record),
@@ -41,41 +57,41 @@ def results(
             "gaps": 0 if record.measured is None else int((~record.complete).sum()),
             "truth": "measured" if record.y_true is None else "noise-free",
         },
-        "settings": asdict(setup),
+        "settings": comparison.setup.as_json(),
         "recommended": trial.recommended,
         "methods": {
             name: _method(of_method)
             | {
                 "held_out_rmse": trial.errors[name],
                 "change": trial.change(name),
-                "interval": _interval(trial.intervals[name], record, setup, of_method),
-                "mean_of_seeds": _mean(record, setup, of_method),
-                "by_channel": _by_channel(record, setup, of_method),
+                "interval": _interval(comparison, name),
+                "mean_of_seeds": _mean(comparison, name),
+                "by_channel": _by_channel(comparison, name),
             }
-            for name, of_method in runs.items()
+            for name, of_method in comparison.runs.items()
         }
         | {name: {"failed": reason} for name, reason in trial.failed.items()},
         "environment": environment(),
     }
 
 
-def predictions(
-    record: Trajectory, setup: Setup, runs: Mapping[str, Sequence[Run]], trial: Trial
-) -> pd.DataFrame:
+def predictions(comparison: Comparison) -> pd.DataFrame:
     """What `compare` writes to predictions.csv: the record and the predictions.
 
     One column for each channel, method and protocol, empty before a prediction begins; of several
     seeds their mean. The forecast of the recommended method has its interval beside it.
     """
+    record = comparison.record
     table: dict[str, Any] = {time_header(record.columns): record.stamps}
     for i, column in enumerate(record.columns):
         table[column] = record.seen[:, i]
-        for name, of_method in runs.items():
-            mean = ensemble(of_method, record, setup)
-            sides = {"from start": mean.from_start, "forecast": mean.forecast}
-            if name == trial.recommended:
-                half = trial.intervals[name].half_widths(len(mean.forecast))
-                sides |= {"lower": mean.forecast - half, "upper": mean.forecast + half}
+        for name, mean in comparison.means.items():
+            forecast = comparison.predictions[name]
+            sides = {"from start": mean.from_start.y, "forecast": forecast.y}
+            if name == comparison.recommended:
+                assert forecast.lower is not None
+                assert forecast.upper is not None
+                sides |= {"lower": forecast.lower, "upper": forecast.upper}
             for protocol, predicted in sides.items():
                 values = np.full(len(record), np.nan)
                 values[len(record) - len(predicted) :] = predicted[:, i]
@@ -83,35 +99,26 @@ def predictions(
     return pd.DataFrame(table)
 
 
-def forecast(record: Trajectory, runs: Sequence[Run], interval: Interval) -> pd.DataFrame:
-    """What `forecast` writes: the samples after the record's last, and their interval.
-
-    A column of time stamps, see `time_ahead`, and three for each channel; of several seeds the
-    mean.
-    """
-    mean = np.mean([run.forecast for run in runs], axis=0)
-    half = interval.half_widths(len(mean))
-    table: dict[str, Any] = {time_header(record.columns): time_ahead(record, len(mean))}
-    for i, column in enumerate(record.columns):
-        table |= {
-            column: mean[:, i],
-            f"{column}, lower": (mean - half)[:, i],
-            f"{column}, upper": (mean + half)[:, i],
-        }
-    return pd.DataFrame(table)
-
-
-def time_ahead(record: Trajectory, steps: int) -> npt.NDArray[np.float64] | pd.DatetimeIndex:
-    """The time stamps of the samples after a record; without any, seconds after its last sample."""
-    rows = np.arange(steps)
-    if record.start is None:
-        return stamps_at(0.0, record.sampling_time, 1 + rows)
-    return stamps_at(record.start, record.sampling_time, len(record) + rows)
-
-
-def time_header(columns: Sequence[str]) -> str:
-    """The name of the time column beside `columns`."""
-    return "time (s)" if "time" in columns else "time"
+def forecast_facts(found: Forecast, others: Sequence[str]) -> dict[str, Any]:
+    """What `forecast` writes to results.json; `others` are the further records' names."""
+    record, trial = found.record, found.trial
+    return {
+        "record": record.name,
+        "samples": len(record),
+        "gaps": int((~record.complete).sum()),
+        "more": [*others],
+        "leaves_training_range_after": found.leaves,
+        "inputs_beyond_training": [asdict(each) for each in found.inputs_beyond_training],
+        "steps": len(found.prediction),
+        "method": found.method,
+        "description": found.description,
+        "held_out_rmse": dict(trial.errors),
+        "failed": dict(trial.failed),
+        "change": {name: trial.change(name) for name in trial.final},
+        "interval": asdict(trial.intervals[found.method]),
+        "seeds": [*found.seeds],
+        "environment": environment(),
+    }
 
 
 def environment() -> dict[str, Any]:
@@ -124,30 +131,30 @@ def environment() -> dict[str, Any]:
     }
 
 
-def _interval(
-    interval: Interval, record: Trajectory, setup: Setup, runs: Sequence[Run]
-) -> dict[str, Any]:
+def _interval(comparison: Comparison, name: str) -> dict[str, Any]:
     """The forecast's interval, and how many of the measured samples it really holds."""
-    forecast = ensemble(runs, record, setup).forecast
-    covers = interval.coverage(record.seen[setup.train :] - forecast)
-    mean = interval.half_widths(len(forecast)).mean(axis=0)
-    return asdict(interval) | {"covers": covers, "mean_half_width": mean.tolist()}
+    interval = comparison.require_trial().intervals[name]
+    mean = interval.half_widths(len(comparison.means[name].forecast)).mean(axis=0)
+    return asdict(interval) | {
+        "covers": comparison.covers(name),
+        "mean_half_width": mean.tolist(),
+    }
 
 
-def _mean(record: Trajectory, setup: Setup, runs: Sequence[Run]) -> dict[str, float] | None:
+def _mean(comparison: Comparison, name: str) -> dict[str, float] | None:
     """The errors of the mean over seeds, where there are several."""
-    if len(runs) < 2:
+    if len(comparison.runs[name]) < 2:
         return None
-    mean = ensemble(runs, record, setup)
+    mean = comparison.means[name]
     return {"total_rmse": mean.total_rmse, "forecast_rmse": mean.forecast_rmse}
 
 
-def _by_channel(record: Trajectory, setup: Setup, runs: Sequence[Run]) -> dict[str, list[float]]:
+def _by_channel(comparison: Comparison, name: str) -> dict[str, list[float]]:
     """The errors of the mean over seeds, each channel by itself."""
-    mean = ensemble(runs, record, setup)
+    mean = comparison.means[name]
     return {
-        "total_rmse": by_channel(record, mean.from_start),
-        "forecast_rmse": by_channel(record, mean.forecast),
+        "total_rmse": by_channel(comparison.record, mean.from_start.y),
+        "forecast_rmse": by_channel(comparison.record, mean.forecast.y),
     }
 
 
@@ -156,7 +163,7 @@ def _method(runs: Sequence[Run]) -> dict[str, Any]:
         "seeds": [r.seed for r in runs],
         "total_rmse": [r.total_rmse for r in runs],
         "forecast_rmse": [r.forecast_rmse for r in runs],
-        "seconds": [r.seconds for r in runs],
+        "seconds": [r.fit.seconds for r in runs],
     }
     for name in ("total_rmse", "forecast_rmse"):
         values = facts[name]
@@ -166,8 +173,8 @@ def _method(runs: Sequence[Run]) -> dict[str, Any]:
         facts["leaves_training_range_after"] = [r.leaves for r in runs]
     if runs[0].description:
         facts["description"] = runs[0].description
-    if runs[0].losses:
-        facts["final_loss"] = [{k: v[-1] for k, v in r.losses.items()} for r in runs]
+    if runs[0].fit.losses:
+        facts["final_loss"] = [{k: v[-1] for k, v in r.fit.losses.items()} for r in runs]
     return facts
 
 

@@ -36,6 +36,10 @@ class Checkpoint:
         self.path = Path(path)
         self._next = 0.0
 
+    def numbered(self, i: int) -> Checkpoint:
+        """One of several beside it."""
+        return Checkpoint(self.path.with_name(f"{self.path.stem}-{i}{self.path.suffix}"))
+
     def load(self, key: str) -> State | None:
         """The state of the training that `key` says, if the file holds it."""
         try:

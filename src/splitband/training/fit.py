@@ -17,7 +17,7 @@ from splitband.models import Model, Task
 from splitband.runtime.threads import one_torch_thread
 from splitband.training.checkpoints import Checkpoint, State, key_of
 from splitband.training.settings import Settings
-from splitband.training.windows import Places, joined, places_in, select, targets, windows
+from splitband.training.windows import WindowSet, joined, select, targets, windows, windows_in
 
 DIVERGED = 100.0
 """Loss, in multiples of the target's RMS or of the untrained network's loss, whichever is larger,
@@ -89,7 +89,7 @@ def fit(
     settings = settings or Settings.of(min(map(len, records)))
     for record in records:
         _check_channels(model, record)
-    places = places_in(records, settings.window, settings.warmup)
+    places = windows_in(records, settings.window, settings.warmup)
     model.adapt_to(records, settings.normalize)
     began = time.perf_counter()
     history = History()
@@ -142,7 +142,7 @@ def _prefixed(before: State, prefix: str, training: _Training) -> State:
 class _Training:
     """One network's training, epoch by epoch; an epoch depends on `state` and on nothing else."""
 
-    def __init__(self, task: Task, places: Places, settings: Settings, seed: int) -> None:
+    def __init__(self, task: Task, places: WindowSet, settings: Settings, seed: int) -> None:
         self.task, self.settings, self.starts = task, settings, places.starts
         self.known, self.target = windows(task, settings.window, settings.warmup)
         self.measured: Tensor | None = None

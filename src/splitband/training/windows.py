@@ -15,7 +15,7 @@ from splitband.models import Signals, Task
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class WindowSet:
     """Where windows may lie in training records, one record after the other.
 
     Attributes
@@ -28,7 +28,7 @@ class Places:
     measured: Tensor | None
 
 
-def places_in(records: Sequence[Trajectory], window: int, warmup: int) -> Places:
+def windows_in(records: Sequence[Trajectory], window: int, warmup: int) -> WindowSet:
     """Every place within a record whose warm-up was measured, and something after it.
 
     Raises
@@ -49,7 +49,7 @@ def places_in(records: Sequence[Trajectory], window: int, warmup: int) -> Places
             f"warmup must fit between the gaps of the training record, got {warmup} samples"
         )
     seen = np.concatenate([~np.isnan(record.seen) for record in records])
-    return Places(torch.from_numpy(starts), None if seen.all() else torch.from_numpy(seen))
+    return WindowSet(torch.from_numpy(starts), None if seen.all() else torch.from_numpy(seen))
 
 
 def window_starts(records: Sequence[Trajectory], window: int, warmup: int) -> npt.NDArray[np.int_]:

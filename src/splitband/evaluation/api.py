@@ -1,0 +1,298 @@
+"""Comparing and forecasting with everything decided for the user who does not say otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from splitband.data import Trajectory
+from splitband.evaluation.comparison import (
+    Run,
+    Runs,
+    check,
+    check_train,
+    compare_methods,
+    inputs_beyond,
+    mean_run,
+)
+from splitband.evaluation.runs import Asked, Work, run_all
+from splitband.evaluation.selection import LEVEL, TRIED, Trial, check_trial, try_out
+from splitband.evaluation.setup import Setup, default_setup, usual_names
+from splitband.forecasters.backtest import Backtest, Origin
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.prediction import Prediction
+from splitband.metrics import Extrapolation, leaves_range
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TRIAL, FINAL = "three quarters", "whole"
+"""The stages of a comparison: on how much of the training part the methods are fitted."""
+TRAINING_SHARE = 0.75
+"""Of a record, where nobody says how much of it is for training."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What forecasters did on a record, and which of them is recommended.
+
+    Attributes
+    ----------
+    record : The whole of it.
+    setup : What they shared.
+    runs : Of each method, one for each seed.
+    trial : What they did on held-out training samples; None where none has been made.
+    others : Further records that networks were trained on.
+    """
+
+    record: Trajectory
+    setup: Setup
+    runs: Runs
+    trial: Trial | None = None
+    others: tuple[Trajectory, ...] = ()
+
+    @property
+    def recommended(self) -> str:
+        """The method to use, chosen by training samples alone."""
+        return self.require_trial().recommended
+
+    @cached_property
+    def means(self) -> dict[str, Run]:
+        """The mean over seeds of each method, which is what is handed out."""
+        train = self.setup.train
+        return {name: mean_run(runs, self.record, train) for name, runs in self.runs.items()}
+
+    @cached_property
+    def predictions(self) -> dict[str, Prediction]:
+        """The forecast of each method beyond the training part, with its interval."""
+        intervals = {} if self.trial is None else self.trial.intervals
+        found = {}
+        for name, run in self.means.items():
+            found[name] = run.forecast
+            if name in intervals:
+                half = intervals[name].half_widths(len(run.forecast))
+                y = run.forecast.y
+                found[name] = replace(run.forecast, lower=y - half, upper=y + half, level=LEVEL)
+        return found
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """A row for each method: errors, share of samples in the interval, seconds of a fit."""
+        rows = {}
+        for name, runs in self.runs.items():
+            mean = self.means[name]
+            row = {
+                "from start": sum(r.total_rmse for r in runs) / len(runs),
+                "forecast": sum(r.forecast_rmse for r in runs) / len(runs),
+                "mean of seeds, from start": mean.total_rmse,
+                "mean of seeds, forecast": mean.forecast_rmse,
+                "fit (s)": sum(r.fit.seconds for r in runs) / len(runs),
+                "note": mean.description or runs[0].description,
+            }
+            if self.trial is not None:
+                row = {
+                    "held out": self.trial.errors[name],
+                    "changed": self.trial.change(name),
+                    **row,
+                    "in interval": self.covers(name),
+                    "recommended": name == self.recommended,
+                }
+            rows[name] = row
+        failed = {} if self.trial is None else self.trial.failed
+        rows |= {name: {"note": f"could not be fitted: {why}"} for name, why in failed.items()}
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("method")
+
+    def covers(self, name: str) -> float:
+        """The share of the measured samples that a method's interval holds, 0 to 1."""
+        forecast = self.means[name].forecast.y
+        errors = self.record.seen[self.setup.train :] - forecast
+        return self.require_trial().intervals[name].coverage(errors)
+
+    @property
+    def inputs_beyond_training(self) -> list[Extrapolation]:
+        """Which inputs after the training part go beyond those that were trained on."""
+        train, u = self.setup.train, self.record.u
+        training = [self.record[:train], *self.others]
+        return inputs_beyond(training, None if u is None else u[train:])
+
+    def require_trial(self) -> Trial:
+        """The trial; raises ValueError where none has been made."""
+        if self.trial is None:
+            raise ValueError("nothing has been tried on held-out samples in this comparison")
+        return self.trial
+
+    def plot(self) -> Figure:
+        """Every method's predictions over the record, with intervals."""
+        # Pictures are above comparisons in the layout, as they draw them.
+        return import_module("splitband.report.pictures").rollouts(self)
+
+    def save(self, folder: str | Path) -> None:
+        """Write results.json, predictions.csv and the pictures that `splitband compare` writes."""
+        import_module("splitband.report.results").save(self, Path(folder))
+
+
+def compare(
+    record: Trajectory,
+    train: int | None = None,
+    methods: Sequence[Forecaster] | None = None,
+    *,
+    others: Sequence[Trajectory] = (),
+    seeds: int = 3,
+    setup: Setup | None = None,
+    work: Work | None = None,
+) -> Comparison:
+    """Compare forecasters on a record, as `splitband compare` does.
+
+    Each is fitted to the first `train` samples, and for the recommendation to three quarters of
+    them.
+
+    Parameters
+    ----------
+    record : What was measured, and known beside it.
+    train : Samples to train on, by default three quarters.
+    methods : Forecasters; what they leave open is as in `setup`. By default what is worth comparing
+        on such a record.
+    others : Further records of the same system, to train networks on.
+    seeds : Trainings of each network.
+    setup : Settings, bands and sizes; by default chosen by the training samples.
+    work : Processes, progress and checkpoints.
+
+    Raises
+    ------
+    ValueError
+        For what `check` finds, before anything is computed; where no method can be fitted.
+    """
+    if setup is None:
+        train = int(TRAINING_SHARE * len(record)) if train is None else train
+        check_train(record, train)
+        setup = default_setup(record, train)
+    elif train not in (None, setup.train):
+        raise ValueError(f"train must be that of setup, {setup.train}, got {train}")
+    if methods is None:
+        methods = [setup.forecaster(name) for name in usual_names(record, setup)]
+    chosen = [method.with_defaults(setup.settings, setup.bands) for method in methods]
+    check(record, chosen, setup, others)
+    check_trial(record, chosen, setup, others)
+    work, all_seeds = work or Work(), range(seeds)
+    trial = try_out(
+        record[: setup.train],
+        chosen,
+        len(record) - setup.train,
+        all_seeds[:TRIED],
+        work.for_stage(TRIAL),
+        others,
+    )
+    fitted = [method for method in chosen if method.name in trial.errors]
+    runs = compare_methods(record, fitted, setup, all_seeds, work.for_stage(FINAL), others)
+    comparison = Comparison(record, setup, runs, None, tuple(others))
+    final = {name: mean.forecast.y for name, mean in comparison.means.items()}
+    return replace(comparison, trial=trial.settled(final, runs.failed))
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """What comes after the end of a record.
+
+    Attributes
+    ----------
+    record : It goes on from.
+    method : Which was recommended.
+    prediction : Its forecast, the mean over seeds, with the interval.
+    trial : What was tried, and how it did.
+    seeds : Of the recommended method.
+    description : What its fit has settled on.
+    leaves : Samples before the forecast leaves the range of the training samples by far.
+    inputs_beyond_training : Which inputs to come go beyond those that were trained on.
+    """
+
+    record: Trajectory
+    method: str
+    prediction: Prediction
+    trial: Trial
+    seeds: tuple[int, ...]
+    description: str
+    leaves: int | None
+    inputs_beyond_training: list[Extrapolation]
+
+
+def forecast(
+    record: Trajectory,
+    steps: int,
+    methods: Sequence[Forecaster] | None = None,
+    *,
+    others: Sequence[Trajectory] = (),
+    seeds: int = 3,
+    setup: Setup | None = None,
+    work: Work | None = None,
+) -> Forecast:
+    """What comes after the end of a record, by the method that its own last quarter recommends.
+
+    Parameters
+    ----------
+    record : All of it is trained on. Its known inputs, and its simulator's output, must reach
+        `steps` samples beyond it (`u_beyond`, `beyond`).
+    steps : How many samples.
+    methods, others, seeds, setup, work : See `compare`.
+
+    Raises
+    ------
+    ValueError
+        As `compare`, and where inputs or simulator do not reach so far.
+    """
+    _check_ahead(record, steps)
+    setup = setup or default_setup(record, len(record))
+    if methods is None:
+        methods = [setup.forecaster(name) for name in usual_names(record, setup)]
+    chosen = [method.with_defaults(setup.settings, setup.bands) for method in methods]
+    check(record, chosen, setup, others, ahead=0)
+    check_trial(record, chosen, setup, others)
+    work, all_seeds = work or Work(), range(seeds)
+    trial = try_out(record, chosen, steps, all_seeds[:TRIED], work.for_stage(TRIAL), others)
+    # Of the networks just the best one is worth its training on all of the record.
+    fitted = [m for m in chosen if m.name in trial.errors]
+    fitted = [m for m in fitted if not m.random or m.name == trial.best_network]
+    origin = Origin(len(record), len(record))
+    asked = Asked(record, {m.name: [origin] for m in fitted}, len(record) + steps, others)
+    found, failures = run_all(fitted, asked, all_seeds, work.for_stage(FINAL))
+    means = {name: _mean(of_method, origin) for name, of_method in found.items() if of_method}
+    failed = {f.method: f.reason for f in failures[::-1] if f.method not in means}
+    trial = trial.settled({name: mean.y for name, mean in means.items()}, failed)
+    best = trial.recommended
+    half, mean, done = trial.intervals[best].half_widths(steps), means[best], found[best]
+    left = [leaves_range(each.y_range, each.predictions[origin].y) for each in done.values()]
+    u = record.u_beyond
+    return Forecast(
+        record,
+        best,
+        replace(mean, lower=mean.y - half, upper=mean.y + half, level=LEVEL),
+        trial,
+        tuple(done),
+        next(iter(done.values())).description,
+        min((samples for samples in left if samples is not None), default=None),
+        inputs_beyond([record, *others], None if u is None else u[:steps]),
+    )
+
+
+def _mean(done: Mapping[int, Backtest], origin: Origin) -> Prediction:
+    """The mean over seeds of what was said from an origin."""
+    each = [backtest.predictions[origin] for backtest in done.values()]
+    return replace(each[0], y=np.mean([p.y for p in each], axis=0))
+
+
+def _check_ahead(record: Trajectory, steps: int) -> None:
+    if steps < 1:
+        raise ValueError(f"steps must be at least 1, got {steps}")
+    for what, known, ahead in (
+        ("known inputs", record.u, record.u_beyond),
+        ("the simulator", record.y_sim, record.beyond),
+    ):
+        reach = 0 if ahead is None else len(ahead)
+        if known is not None and reach < steps:
+            raise ValueError(f"{what} must reach {steps} samples beyond the record, got {reach}")

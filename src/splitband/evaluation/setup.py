@@ -1,0 +1,118 @@
+"""What the forecasters of a comparison share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from splitband.data import Trajectory
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.names import HYBRIDS, Sizes, base, named
+from splitband.forecasters.simulation import Simulation
+from splitband.training import Settings
+from splitband.training.recipes import Recipe, recipe_settings
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What the forecasters of a comparison share where they do not say otherwise.
+
+    Attributes
+    ----------
+    train : Samples at the beginning of the record that are trained on.
+    settings : How networks are trained.
+    bands : Which band is whose.
+    sizes : Of the networks that go by a name.
+    overrides : Other settings for some of these, by name.
+    """
+
+    train: int
+    settings: Settings
+    bands: Bands = field(default_factory=Bands)
+    sizes: Sizes = field(default_factory=Sizes)
+    overrides: Mapping[str, Settings] = field(default_factory=dict)
+
+    def settings_of(self, name: str) -> Settings:
+        """How the network of a name is trained."""
+        return self.overrides.get(base(name), self.settings)
+
+    def only_for(self, name: str) -> Setup:
+        """The setup of one method, whose settings are those of all there is."""
+        return replace(self, settings=self.settings_of(name), overrides={})
+
+    def forecaster(self, name: str) -> Forecaster:
+        """The forecaster of a name, with nothing left open but what the bands do."""
+        return named(name, self.sizes).with_defaults(self.settings_of(name), self.bands)
+
+    def as_json(self) -> dict[str, Any]:
+        """For a result file: flat, and with the settings that each of them is made of."""
+        bands, sizes = asdict(self.bands), asdict(self.sizes)
+        overrides = {name: asdict(settings) for name, settings in self.overrides.items()}
+        return (
+            {"train": self.train, "settings": asdict(self.settings)}
+            | {name: bands[name] for name in ("cutoff", "order", "downsampling")}
+            | sizes
+            | {"overrides": overrides, "choice": bands["choice"]}
+        )
+
+
+def default_names(with_simulator: bool, with_inputs: bool = False) -> list[str]:
+    """What is worth comparing in a reasonable time, with a simulator that helps or without.
+
+    What knows no inputs is asked even where there are some: they may not matter.
+    """
+    networks, simulator = ["split-gru", "split-gru-conditioned"], []
+    if with_simulator:
+        networks = ["filtered-gru-calibrated-conditioned", "residual-gru-calibrated-conditioned"]
+        simulator = ["simulator", "simulator-calibrated"]
+    naive = ["mean", "persistence", "seasonal-naive", "periodic", "harmonic"]
+    return ["gru", *networks, *simulator, *naive, *(["linear"] if with_inputs else [])]
+
+
+def usual_names(record: Trajectory, setup: Setup) -> list[str]:
+    """`default_names`, with the learned models where the record's simulator does not help."""
+    names = default_names(record.y_sim is not None, record.nu > 0)
+    if setup.bands.choice is None or setup.bands.choice.simulator_helps is not False:
+        return names
+    kept = [name for name in names if name.startswith("simulator")]
+    learned = default_names(False, record.nu > 0)
+    return [*learned[:3], *kept, *learned[3:]]
+
+
+def default_setup(
+    record: Trajectory,
+    train: int,
+    recipe: Recipe = "default",
+    settings: Settings | None = None,
+    bands: Bands | None = None,
+    names: Sequence[str] | None = None,
+    ahead: int | None = None,
+) -> Setup:
+    """A setup for a record of which nothing is known but its first `train` samples.
+
+    Parameters
+    ----------
+    record, train : No measured sample after the first `train` is looked at.
+    recipe, settings : How to train; by default as the recipe says.
+    bands : What is decided of them already; the rest is chosen, see `Bands.chosen`: for hybrid
+        models, if there are any and the simulator helps, otherwise for networks alone.
+    names : What the setup is for; by default `default_names`.
+    ahead : Samples after the training part that are going to be asked for; by default the rest.
+    """
+    if settings is None:
+        settings = recipe_settings(recipe, record[:train])
+    if names is None:
+        names = default_names(record.y_sim is not None)
+    y_sim = None
+    if record.y_sim is not None and any(name in HYBRIDS for name in names):
+        calibrated = any("calibrated" in name for name in names)
+        simulation = Simulation(calibrated=calibrated)
+        simulation.fit(record[:train], horizon=len(record) - train if ahead is None else ahead)
+        y_sim = simulation.on(record[:train]).y_sim
+    found = (bands or Bands()).chosen(
+        record[:train].y, record.sampling_rate, settings.warmup, y_sim
+    )
+    sizes = Sizes() if recipe == "paper" else Sizes(hidden_high=32, hidden_low=16)
+    return Setup(train, settings, found, sizes)

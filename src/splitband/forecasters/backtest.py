@@ -1,0 +1,208 @@
+"""Asking a forecaster about samples that are known, from several origins.
+
+Both protocols of a comparison, the trial on held-out training samples and the interval around a
+forecast are made of these forecasts.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.data import Trajectory
+from splitband.data.gaps import first_after
+from splitband.forecasters.base import FitReport, Forecaster
+from splitband.forecasters.intervals import Interval
+from splitband.forecasters.networks import Network
+from splitband.forecasters.prediction import Prediction
+from splitband.metrics import ExtrapolationWarning, rmse, spread
+from splitband.training import Checkpoint, Progress
+
+Array = npt.NDArray[np.float64]
+
+HELD_OUT = 0.25
+"""Share of the training part on which forecasts are tried, by what is fitted to the rest."""
+REFITS = (0.25, 0.2, 0.15, 0.1)
+"""Such shares for what is quickly fitted, and is fitted again for each; the first as above."""
+LONGER_REFITS = (0.5, 0.375)
+"""More of them for the intervals alone: how errors grow shows over long horizons."""
+FEWEST_FITTED = 20
+"""Measured samples of each channel that a baseline is fitted to for the intervals."""
+HOPELESS = 5.0
+"""Times the usual error of a method's first forecast samples: such a fit says nothing of others."""
+
+
+@dataclass(frozen=True, order=True)
+class Origin:
+    """Where a forecast begins.
+
+    Attributes
+    ----------
+    fitted : How many samples from the beginning of the record the forecaster is fitted to.
+    at : The index of the first sample that is forecast; it warms up on those before.
+    """
+
+    fitted: int
+    at: int
+
+
+@dataclass(frozen=True, eq=False)
+class Backtest:
+    """What one forecaster with one seed says from several origins.
+
+    Attributes
+    ----------
+    predictions : From each origin on, up to the same last sample.
+    report : What the fit did; of several fits the one to the most samples.
+    y_range : Lowest and highest value of each channel that it was fitted to, `(2, ny)`.
+    description : What it has settled on.
+    unfiltered : By origin, what a model's filters are fed with, where it has any.
+    """
+
+    predictions: Mapping[Origin, Prediction]
+    report: FitReport
+    y_range: Array
+    description: str
+    unfiltered: Mapping[Origin, Mapping[str, Array]] = field(default_factory=dict)
+
+
+def backtest(
+    forecaster: Forecaster,
+    record: Trajectory,
+    origins: Iterable[Origin],
+    end: int,
+    others: Sequence[Trajectory] = (),
+    seed: int = 0,
+    progress: Callable[[Progress], None] | None = None,
+    checkpoint: Checkpoint | None = None,
+) -> Backtest:
+    """Forecast a record from several origins on.
+
+    Parameters
+    ----------
+    forecaster : With its options; a copy is fitted to the beginning of the record, once for each
+        number of samples among the origins.
+    record : What is known. No prediction sees a measured sample after its origin.
+    origins : From where.
+    end : To which sample, exclusively. It may lie beyond the record, as far as its inputs and its
+        simulator's output are known (`u_beyond`, `beyond`).
+    others : Further training records.
+    seed, progress, checkpoint : See `Forecaster.fit`.
+    """
+    predictions: dict[Origin, Prediction] = {}
+    unfiltered: dict[Origin, Mapping[str, Array]] = {}
+    for samples, of_fit in groupby(sorted(origins), key=lambda origin: origin.fitted):
+        fitted = forecaster.copy().fit(
+            record[:samples],
+            *others,
+            seed=seed,
+            horizon=end - samples,
+            progress=progress,
+            checkpoint=checkpoint,
+        )
+        for origin in of_fit:
+            history = record[: origin.at]
+            with warnings.catch_warnings():  # they are kept with the prediction
+                warnings.simplefilter("ignore", ExtrapolationWarning)
+                predictions[origin] = fitted.predict(end - origin.at, history)
+            if isinstance(fitted, Network):
+                unfiltered[origin] = fitted.unfiltered(end - origin.at, history)
+    known = fitted.require_fitted()
+    return Backtest(predictions, known.report, known.y_range, fitted.describe(), unfiltered)
+
+
+def first_origin(record: Trajectory, train: int, warmup: int) -> Origin:
+    """The first sample with `warmup` measured samples right before it (the paper's protocol)."""
+    found = first_after(record.complete, warmup)
+    if found is None:
+        raise ValueError(f"warmup must fit between the gaps of the record, got {warmup} samples")
+    return Origin(train, found)
+
+
+def held_out_from(samples: int) -> int:
+    """The first sample of the last quarter of so many, which is held out."""
+    return samples - max(1, round(HELD_OUT * samples))
+
+
+def held_out_origins(forecaster: Forecaster, record: Trajectory) -> list[Origin]:
+    """From where forecasts of a record's own last quarter are tried.
+
+    What is trained is fitted once, and forecasts from the beginning of that quarter, from a third
+    and from two thirds of it: one beginning may suit a method by chance, as the last sample is now
+    and then the mean. What is fitted quickly is fitted again for each of several origins, some of
+    them earlier.
+    """
+    samples = len(record)
+    fitted = held_out_from(samples)
+    if forecaster.random:
+        held = samples - fitted
+        return sorted({Origin(fitted, fitted + i * held // 3) for i in range(3)})
+    ends = {samples - max(1, round(share * samples)) for share in REFITS}
+    measured = ~np.isnan(record.seen)
+    for share in LONGER_REFITS:
+        end = samples - round(share * samples)
+        if (measured[:end].sum(axis=0) >= FEWEST_FITTED).all():
+            ends.add(end)
+    return sorted(Origin(end, end) for end in ends)
+
+
+def held_out_errors(record: Trajectory, forecasts: Mapping[Origin, Array]) -> list[Array]:
+    """Errors of forecasts of a record's last quarter, by horizon: those that count in a score."""
+    first = held_out_from(len(record))
+    return [e for at, e in _errors(record, forecasts) if at >= first]
+
+
+def interval_from(record: Trajectory, forecasts: Mapping[Origin, Array], level: float) -> Interval:
+    """The interval for forecasts that go on from a record, by how well others forecast its end."""
+    first = held_out_from(len(record))
+    errors = _errors(record, forecasts)
+    scored = [e for at, e in errors if at >= first]
+    longer = [e for at, e in reversed(errors) if at < first]
+    return Interval.fit(_sound(scored, longer, spread(record.seen)), record.seen, level)
+
+
+def interval_of(forecaster: Forecaster, level: float) -> Interval:
+    """The interval of a fitted forecaster: copies of it are tried on its training record's end."""
+    fitted = forecaster.require_fitted()
+    record = fitted.record
+    if fitted.begin:
+        raise ValueError(
+            f"level must be one that was asked for before the forecaster was saved, got {level}; "
+            "of its training record only the end is left"
+        )
+    shorter = forecaster.for_fewer_samples(HELD_OUT)
+    origins = held_out_origins(forecaster, record)
+    done = backtest(shorter, record, origins, len(record), fitted.others, fitted.report.seed)
+    return interval_from(record, {at: p.y for at, p in done.predictions.items()}, level)
+
+
+def root_mean_square(errors: Sequence[Array]) -> float:
+    """Of errors `(time, ny)` of several forecasts, together; NaN does not count."""
+    every = np.concatenate(errors)
+    return rmse(every, np.zeros_like(every))
+
+
+def _errors(record: Trajectory, forecasts: Mapping[Origin, Array]) -> list[tuple[int, Array]]:
+    """By index of the first sample, in its order."""
+    seen = record.seen
+    return [
+        (origin.at, seen[origin.at :] - y[: len(record) - origin.at])
+        for origin, y in sorted(forecasts.items(), key=lambda pair: pair[0].at)
+    ]
+
+
+def _sound(scored: Sequence[Array], longer: Sequence[Array], scale: Array) -> list[Array]:
+    """All errors, but no `longer` ones from the first fit on that failed for want of samples.
+
+    `longer` begins with the fit to the most samples. A fit that does not know the record's period
+    yet is wrong from its first forecast samples on; growth alone shows later.
+    """
+    near = min(map(len, scored))
+    usual = root_mean_square([e[:near] / scale for e in scored])
+    sound = [root_mean_square([e[:near] / scale]) <= HOPELESS * usual for e in longer]
+    return [*scored, *longer[: [*sound, False].index(False)]]

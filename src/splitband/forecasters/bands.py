@@ -1,0 +1,86 @@
+"""Which frequency band is whose: cut-off, order and down-sampling, given or chosen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.filters import ComplementaryPair, butterworth
+from splitband.filters.cutoff import Choice, choose, choose_with_simulator
+
+Array = npt.NDArray[np.float64]
+
+LARGEST_SIZE = 10_000
+"""Of an order, a down-sampling or a network."""
+
+
+@dataclass(frozen=True)
+class Bands:
+    """How a filter pair parts a signal into two bands; None is chosen by the training samples.
+
+    Attributes
+    ----------
+    cutoff : In Hz.
+    order : Of each Butterworth filter.
+    downsampling : k: the low band keeps every k-th sample.
+    choice : Why they are what they are, where they were chosen.
+    """
+
+    cutoff: float | None = None
+    order: int | None = None
+    downsampling: int | None = None
+    choice: Choice | None = None
+
+    def __post_init__(self) -> None:
+        """Check sizes."""
+        for name in ("order", "downsampling"):
+            value = getattr(self, name)
+            if value is not None and not 1 <= value <= LARGEST_SIZE:
+                raise ValueError(f"{name} must be between 1 and {LARGEST_SIZE}, got {value}")
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is left to be chosen."""
+        return None not in (self.cutoff, self.order, self.downsampling)
+
+    def chosen(
+        self, y: Array, sampling_rate: float, warmup: int, y_sim: Array | None = None
+    ) -> Bands:
+        """With what is missing chosen by the training samples.
+
+        Parameters
+        ----------
+        y : The training samples, `(time, ny)`.
+        sampling_rate : In Hz.
+        warmup : R, in samples.
+        y_sim : The output of the simulator that is to have the low band, `(time, ny)`; by default
+            a network is. Where the simulator does not help, the choice says so
+            (`simulator_helps`), and is that for networks.
+        """
+        given = self.cutoff, self.order, self.downsampling
+        learned = choose(y, sampling_rate, warmup, *given)
+        found = learned
+        if y_sim is not None:
+            found = choose_with_simulator(y, y_sim, sampling_rate, warmup, *given)
+            if not found.simulator_helps:
+                reason = f"{found.reason}; chosen for networks alone: {learned.reason}"
+                found = replace(learned, reason=reason, simulator_helps=False)
+        return Bands(found.cutoff, found.order, found.downsampling, found)
+
+    def pair(self, sampling_rate: float) -> ComplementaryPair:
+        """The zero-phase pair of a split model."""
+        cutoff, order = self._known()
+        return ComplementaryPair.butterworth(cutoff, sampling_rate, order)
+
+    def one_way_pair(self, sampling_rate: float) -> ComplementaryPair:
+        """The pair of a hybrid model, which filters forwards only."""
+        cutoff, order = self._known()
+        b, a = butterworth(cutoff, sampling_rate, order)
+        return ComplementaryPair.perfect(b, a, sampling_rate, cutoff=cutoff)
+
+    def _known(self) -> tuple[float, int]:
+        if self.cutoff is None or self.order is None:
+            raise ValueError("cutoff and order must be given, or chosen first, see Bands.chosen")
+        return self.cutoff, self.order

@@ -1,0 +1,417 @@
+"""The interface of everything that predicts: fitted to a record, it says what comes next."""
+
+from __future__ import annotations
+
+import copy
+import time
+import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Self, final
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.data import Trajectory
+from splitband.data.timing import Stamp, seconds_between
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.intervals import Interval
+from splitband.forecasters.prediction import Prediction
+from splitband.metrics import (
+    ExtrapolationWarning,
+    extrapolations,
+    input_range,
+    leaves_range,
+)
+from splitband.training import Checkpoint, Progress, Settings
+
+Array = npt.NDArray[np.float64]
+
+OVERFLOWED = 1e100
+"""Stands for predicted values that are not finite, so that their errors are finite, and huge."""
+NEAR_ROW = 1e-3
+"""Of a sample: a history that begins so close to a sample of the training record begins there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What a forecaster may know when it is asked.
+
+    Attributes
+    ----------
+    y : What was measured up to the origin, `(time, ny)`; NaN where nothing was.
+    steps : How many samples after it are asked for.
+    begin : How many samples after the first one of the training record `y` begins.
+    u : The inputs over both, `(time + steps, nu)`, where there are any.
+    y_sim : A simulator's output over both, `(time + steps or more, ny)`, where there is one.
+    """
+
+    y: Array
+    steps: int
+    begin: float = 0.0
+    u: Array | None = None
+    y_sim: Array | None = None
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """What a fit did.
+
+    Attributes
+    ----------
+    seed : It was given.
+    seconds : How long it took.
+    losses : Mean training loss of each epoch, by network.
+    notes : What went wrong in training and was mended.
+    """
+
+    seed: int = 0
+    seconds: float = 0.0
+    losses: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """What a forecaster remembers of the records it was fitted to.
+
+    Attributes
+    ----------
+    record : The first one, or the end of it that a forecast from there needs.
+    begin : How many samples of it were dropped before `record`.
+    start : Time stamp of its first sample.
+    y_range : Lowest and highest measured value of each channel in all records, `(2, ny)`.
+    u_range : The same of the inputs, `(2, nu)`.
+    others : The other training records, as long as the first one is whole.
+    report : What the fit did.
+    """
+
+    record: Trajectory
+    begin: int
+    start: Stamp | None
+    y_range: Array
+    u_range: Array | None
+    others: tuple[Trajectory, ...] = ()
+    report: FitReport = field(default_factory=FitReport)
+
+    @classmethod
+    def of(cls, records: Sequence[Trajectory], seed: int) -> Fitted:
+        """What is known before anything is computed."""
+        seen = np.concatenate([record.seen for record in records])
+        inputs = [record.u for record in records if record.u is not None]
+        return cls(
+            records[0],
+            0,
+            records[0].start,
+            np.stack([np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)]),
+            np.stack(input_range(inputs)) if inputs else None,
+            tuple(records[1:]),
+            FitReport(seed),
+        )
+
+
+class Forecaster(ABC):
+    """Whatever predicts: a network, a simulator, a baseline, a mean of several.
+
+    A forecaster of your own says what it is called (`name`), what it learns (`learn`) and what
+    comes next (`extrapolate`); where time stamps, inputs and a simulator's output lie has been
+    seen to by then.
+
+    Attributes
+    ----------
+    fitted : What is remembered of the training records; None before `fit`.
+    interval : What surrounds its forecasts, once it has been asked for.
+    """
+
+    fitted: Fitted | None = None
+    interval: Interval | None = None
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """What tables and files call it; two of one comparison must differ."""
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What a record must bring: "inputs", "simulator"."""
+        return frozenset()
+
+    @property
+    def random(self) -> bool:
+        """Whether the result depends on a seed; such a forecaster is trained, and takes longer."""
+        return False
+
+    @property
+    def anchored(self) -> bool:
+        """Whether a forecast depends on the time since the training record began.
+
+        Such a forecaster cannot be asked about a record that has nothing to do with that time.
+        """
+        return False
+
+    @property
+    def warmup(self) -> int:
+        """Measured samples without a gap that a forecast begins with; 0 where it needs none."""
+        return 0
+
+    @abstractmethod
+    def extrapolate(self, known: Known) -> Array | dict[str, Array]:
+        """What comes after `known.y`: `(steps, ny)`, or the parts that add up to it, by name."""
+
+    def learn(
+        self,
+        records: Sequence[Trajectory],
+        *,
+        seed: int,
+        horizon: int,
+        progress: Callable[[Progress], None] | None,
+        checkpoint: Checkpoint | None,
+    ) -> None:
+        """Fit to the records; see `fit`. By default there is nothing to learn."""
+        return
+
+    def describe(self) -> str:
+        """What the fit has settled on, in a few words for a table."""
+        return ""
+
+    def with_defaults(self, settings: Settings, bands: Bands) -> Self:
+        """With what a comparison shares, where the forecaster does not say otherwise."""
+        return self
+
+    def for_fewer_samples(self, share: float) -> Self:
+        """For a training record that is shorter by a `share`, 0 to 1."""
+        return self
+
+    def settled(self, record: Trajectory, horizon: int) -> Self:
+        """With what is the same in every process, such as a simulator's output, computed."""
+        return self
+
+    def prepare(self, record: Trajectory, horizon: int) -> None:
+        """Compute once what the fits of several forecasters and seeds to a record share."""
+        return
+
+    def check(self, *records: Trajectory) -> None:
+        """Raise ValueError for what is wrong with the training records, before anything runs."""
+        if not records:
+            raise ValueError("records must be one or several, got none")
+        for record in records:
+            if "inputs" in self.needs and record.u is None:
+                raise ValueError(f"{self.name} needs known inputs, {_named(record)} has none")
+            if "simulator" in self.needs and record.y_sim is None:
+                raise ValueError(f"{self.name} needs a simulator, {_named(record)} has none")
+
+    @final
+    def fit(
+        self,
+        *records: Trajectory,
+        seed: int = 0,
+        horizon: int = 0,
+        progress: Callable[[Progress], None] | None = None,
+        checkpoint: Checkpoint | None = None,
+    ) -> Self:
+        """Fit to one or several records of the same system, and return the forecaster itself.
+
+        Parameters
+        ----------
+        records : The training records, and nothing else: cut them before. Forecasts go on from
+            the end of the first one where no other history is given.
+        seed : For all that is random, initial weights included: the same seed, the same result.
+        horizon : How many samples beyond the first record are going to be asked for, as far as
+            that is known: a calibrated simulator's clock must not run out before.
+        progress : Called after each epoch of a training.
+        checkpoint : Where a training that was cut off goes on, with the same numbers to the bit.
+
+        Raises
+        ------
+        ValueError
+            For records that do not fit together or to the forecaster, see `check`.
+        FloatingPointError
+            When a training diverges.
+        """
+        self.check(*records)
+        self.interval = None
+        self.fitted = Fitted.of(records, seed)
+        began = time.perf_counter()
+        self.learn(records, seed=seed, horizon=horizon, progress=progress, checkpoint=checkpoint)
+        report = self.fitted.report
+        if not report.seconds:  # a training says itself how long it took
+            report = replace(report, seconds=time.perf_counter() - began)
+        self.fitted = replace(self.fitted, report=report)
+        return self
+
+    @final
+    def predict(
+        self,
+        steps: int,
+        history: Trajectory | None = None,
+        u: npt.ArrayLike | None = None,
+        y_sim: npt.ArrayLike | None = None,
+        level: float | None = None,
+    ) -> Prediction:
+        """The samples that come after a history.
+
+        Parameters
+        ----------
+        steps : How many.
+        history : Measured samples up to the origin; by default the (first) training record. By its
+            time stamps it is known how much later than that record it begins; without any it is
+            taken to begin with it.
+        u : Known inputs of the samples to come, `(steps, nu)`; by default what the history says of
+            them (`u_beyond`), as a slice of a longer record does.
+        y_sim : A simulator's output of the samples to come, `(steps, ny)`, likewise (`beyond`).
+        level : Of the interval, 0 to 1: the share of samples that should lie in it. The first time
+            it is asked for, the forecaster is fitted again to three quarters of its training
+            record, to see how well it forecasts the rest.
+
+        Raises
+        ------
+        ValueError
+            For a forecaster that has not been fitted, and for a history, inputs or a simulator's
+            output that do not fit it or are too short.
+
+        Warns
+        -----
+        ExtrapolationWarning
+            For inputs beyond their range in training, and for a prediction that leaves the range of
+            the training samples by far.
+        """
+        fitted = self.require_fitted()
+        if steps < 1:
+            raise ValueError(f"steps must be at least 1, got {steps}")
+        known, past = self._known(steps, history, u, y_sim)
+        found = self.extrapolate(known)
+        y = total([*found.values()] if isinstance(found, dict) else [found])
+        parts = found if isinstance(found, dict) and len(found) > 1 else {}
+        if y.shape != (steps, past.ny):
+            raise ValueError(
+                f"{self.name} must extrapolate {steps} samples of {past.ny} channel(s), "
+                f"got the shape {y.shape}"
+            )
+        prediction = Prediction(y, past.grid.after(steps), past.columns, parts)
+        if level is not None:
+            half = self._interval_at(level).half_widths(steps)
+            prediction = replace(prediction, lower=y - half, upper=y + half, level=level)
+        messages = []
+        ahead = None if known.u is None else known.u[len(known.y) :]
+        if ahead is not None and fitted.u_range is not None:
+            low, high = fitted.u_range
+            beyond = extrapolations(low, high, ahead)
+            messages = [each.describe(past.inputs[each.channel]) for each in beyond]
+        left = leaves_range(fitted.y_range, y)
+        if left is not None:
+            messages.append(
+                f"the prediction of {self.name} goes far beyond the training samples after {left} "
+                "samples: not to be trusted from there on"
+            )
+        for message in messages:
+            warnings.warn(message, ExtrapolationWarning, stacklevel=2)
+        return replace(prediction, warnings=tuple(messages))
+
+    def save(self, folder: str | Path) -> None:
+        """Write the fitted forecaster to a folder, whole or not at all; `splitband.load` reads it.
+
+        With it go the end of the training record, on which a forecast warms up, calibration, units,
+        ranges of the inputs, and the interval, if one has been asked for.
+        """
+        from splitband.forecasters import saving  # noqa: PLC0415  it names every forecaster
+
+        saving.save(self, folder)
+
+    def copy(self) -> Self:
+        """An independent forecaster with the same options, not fitted."""
+        new = copy.copy(self)
+        new.fitted = new.interval = None
+        return copy.deepcopy(new)
+
+    def require_fitted(self) -> Fitted:
+        """What is remembered of the training records; raises ValueError before `fit`."""
+        if self.fitted is None:
+            raise ValueError(f"{self.name} must be fitted before it is asked: call fit(record)")
+        return self.fitted
+
+    def _known(
+        self,
+        steps: int,
+        history: Trajectory | None,
+        u: npt.ArrayLike | None,
+        y_sim: npt.ArrayLike | None,
+    ) -> tuple[Known, Trajectory]:
+        """What may be known of `steps` samples, and the history."""
+        fitted = self.require_fitted()
+        past, begin = fitted.record, float(fitted.begin)
+        if history is not None:
+            past, begin = history, self._begins(history)
+        training = fitted.record
+        if (past.ny, past.nu) != (training.ny, training.nu):
+            raise ValueError(
+                f"history must have the training record's {training.ny} channel(s) and "
+                f"{training.nu} input(s), got {past.ny} and {past.nu}"
+            )
+        inputs = None
+        if past.u is not None:
+            ahead = past.u_beyond if u is None else _columns(u)
+            inputs = np.concatenate([past.u, _enough("u", ahead, steps, past.nu)])
+        elif u is not None:
+            raise ValueError("u must be given exactly for a record with inputs, this has none")
+        simulated = None
+        if "simulator" in self.needs:
+            ahead = past.beyond if y_sim is None else _columns(y_sim)
+            if past.y_sim is None:
+                raise ValueError(f"history must bring a simulator's output (y_sim) for {self.name}")
+            simulated = np.concatenate(
+                [past.y_sim, _enough("y_sim", ahead, steps, past.ny, more=y_sim is None)]
+            )
+        return Known(past.seen, steps, begin, inputs, simulated), past
+
+    def _begins(self, history: Trajectory) -> float:
+        """How many samples after the training record's first one a history begins."""
+        fitted = self.require_fitted()
+        step = fitted.record.sampling_time
+        if abs(history.sampling_time - step) > 0.01 * step:
+            raise ValueError(
+                f"history must be sampled like the training record, every {step:g} s, "
+                f"got every {history.sampling_time:g} s"
+            )
+        if fitted.start is None or history.start is None:
+            return 0.0
+        begin = seconds_between(fitted.start, history.start) / step
+        return float(round(begin)) if abs(begin - round(begin)) < NEAR_ROW else begin
+
+    def _interval_at(self, level: float) -> Interval:
+        """The interval of a level, from held-out forecasts where none has been fitted yet."""
+        if self.interval is None or self.interval.share != level:
+            from splitband.forecasters.backtest import interval_of  # noqa: PLC0415  it fits copies
+
+            self.interval = interval_of(self, level)
+        return self.interval
+
+
+def total(parts: Sequence[Array]) -> Array:
+    """Their sum, with `OVERFLOWED` where it is not finite."""
+    most = OVERFLOWED
+    return np.nan_to_num(np.sum(parts, axis=0), nan=most, posinf=most, neginf=-most)
+
+
+def _columns(values: npt.ArrayLike) -> Array:
+    """`(time,)` or `(time, channels)` as the latter."""
+    array = np.asarray(values, dtype=np.float64)
+    return array[:, None] if array.ndim == 1 else array
+
+
+def _enough(
+    name: str, values: Array | None, steps: int, channels: int, more: bool = False
+) -> Array:
+    """The first `steps` rows of what lies ahead, or with `more` all of them."""
+    rows = 0 if values is None else len(values)
+    if values is None or rows < steps or values.shape[1] != channels:
+        shape = "none" if values is None else values.shape
+        raise ValueError(
+            f"{name} must hold the {steps} samples to come in {channels} channel(s), got {shape}"
+        )
+    return values if more else values[:steps]
+
+
+def _named(record: Trajectory) -> str:
+    return record.name or "the record"

@@ -1,0 +1,128 @@
+"""The mean of several seeds as one forecaster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, Self, final
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.data import Trajectory
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import FitReport, Forecaster, Known
+from splitband.training import Checkpoint, Progress, Settings
+
+Array = npt.NDArray[np.float64]
+
+
+@final
+class Ensemble(Forecaster):
+    """Several of one kind, each fitted with a seed of its own; their mean is the forecast.
+
+    Parameters
+    ----------
+    member : What each of them is.
+    count : How many; they are fitted with the seeds `seed`, `seed + 1`, ...
+    name : By default that of the member.
+    """
+
+    def __init__(self, member: Forecaster, count: int = 3, name: str | None = None) -> None:
+        if count < 1:
+            raise ValueError(f"count must be at least 1, got {count}")
+        self.member, self.count, self._name = member, count, name
+        self.members: list[Forecaster] = []
+
+    @property
+    def name(self) -> str:
+        """See `Forecaster`."""
+        return self._name or self.member.name
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What the members need."""
+        return self.member.needs
+
+    @property
+    def random(self) -> bool:
+        """Whether the members are."""
+        return self.member.random
+
+    @property
+    def anchored(self) -> bool:
+        """Whether the members are."""
+        return self.member.anchored
+
+    @property
+    def warmup(self) -> int:
+        """The members'."""
+        return max([m.warmup for m in self.members], default=self.member.warmup)
+
+    def with_defaults(self, settings: Settings, bands: Bands) -> Self:
+        """See `Forecaster`."""
+        return self._of(self.member.with_defaults(settings, bands))
+
+    def for_fewer_samples(self, share: float) -> Self:
+        """See `Forecaster`."""
+        return self._of(self.member.for_fewer_samples(share))
+
+    def settled(self, record: Trajectory, horizon: int) -> Self:
+        """See `Forecaster`."""
+        return self._of(self.member.settled(record, horizon))
+
+    def prepare(self, record: Trajectory, horizon: int) -> None:
+        """See `Forecaster`."""
+        self.member.prepare(record, horizon)
+
+    def check(self, *records: Trajectory) -> None:
+        """See `Forecaster`."""
+        self.member.check(*records)
+
+    def learn(
+        self,
+        records: Sequence[Trajectory],
+        *,
+        seed: int,
+        horizon: int,
+        progress: Callable[[Progress], None] | None,
+        checkpoint: Checkpoint | None,
+    ) -> None:
+        """See `Forecaster`; each member has a checkpoint of its own, beside the one given."""
+        self.members = []
+        for i in range(self.count):
+            of_member = None if checkpoint is None else checkpoint.numbered(i)
+            watch = None if progress is None else _shifted(progress, i, self.count)
+            member = self.member.copy()
+            member.fit(
+                *records, seed=seed + i, horizon=horizon, progress=watch, checkpoint=of_member
+            )
+            self.members.append(member)
+        reports = [member.require_fitted().report for member in self.members]
+        notes = tuple(f"seed {r.seed}: {note}" for r in reports for note in r.notes)
+        report = FitReport(seed, sum(r.seconds for r in reports), reports[0].losses, notes)
+        self.fitted = replace(self.require_fitted(), report=report)
+
+    def extrapolate(self, known: Known) -> dict[str, Array]:
+        """See `Forecaster`: the mean of the members, part by part."""
+        found = [member.extrapolate(known) for member in self.members]
+        parts: list[dict[str, Array]] = [
+            each if isinstance(each, dict) else {self.name: each} for each in found
+        ]
+        return {name: np.mean([p[name] for p in parts], axis=0) for name in parts[0]}
+
+    def describe(self) -> str:
+        """See `Forecaster`."""
+        return self.members[0].describe() if self.members else ""
+
+    def _of(self, member: Forecaster) -> Any:
+        new = self.copy()
+        new.member = member
+        return new
+
+
+def _shifted(
+    progress: Callable[[Progress], None], done: int, count: int
+) -> Callable[[Progress], None]:
+    """Progress of one member as that of all of them."""
+    return lambda at: progress(replace(at, share=(done + at.share) / count))

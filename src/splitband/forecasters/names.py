@@ -1,0 +1,148 @@
+"""Names for forecasters: for tables, files and the command line. Nothing else parses them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from splitband.forecasters.bands import LARGEST_SIZE
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.closed_form import (
+    Harmonic,
+    Linear,
+    Mean,
+    Periodic,
+    Persistence,
+    SeasonalNaive,
+)
+from splitband.forecasters.networks import Filtered, Residual, Single, Split, Template
+from splitband.forecasters.simulation import AFFINE, Simulation
+from splitband.networks import GRU, EulerMLP
+
+CALIBRATED, CONDITIONED = "-calibrated", "-conditioned"
+"""Suffixes: the simulator is calibrated first; faster networks are told what is slower."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Of the networks that go by a name.
+
+    Attributes
+    ----------
+    hidden_high, hidden_low : Hidden units of the two GRUs, here the paper's; a single GRU has
+        their sum.
+    state_size, step_size : Of the "RNN", an `EulerMLP`.
+    """
+
+    hidden_high: int = 64
+    hidden_low: int = 32
+    state_size: int = 4
+    step_size: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Check ranges."""
+        for name in ("hidden_high", "hidden_low", "state_size"):
+            if not 1 <= getattr(self, name) <= LARGEST_SIZE:
+                raise ValueError(
+                    f"{name} must be between 1 and {LARGEST_SIZE}, got {getattr(self, name)}"
+                )
+
+
+def _gru(sizes: Sizes) -> Template:
+    return GRU(sizes.hidden_high + sizes.hidden_low)
+
+
+def _rnn(sizes: Sizes) -> Template:
+    return EulerMLP(1, state_size=sizes.state_size, step_size=sizes.step_size)
+
+
+def _split(sizes: Sizes, filter_output: bool, conditioned: bool) -> Forecaster:
+    low, high = GRU(sizes.hidden_low), GRU(sizes.hidden_high)
+    return Split(low, high, filter_output=filter_output, conditioned=conditioned)
+
+
+def _hybrid(
+    kind: Callable[..., Forecaster],
+    cell: Callable[[Sizes], Template],
+    sizes: Sizes,
+    calibrated: bool,
+    conditioned: bool,
+) -> Forecaster:
+    return kind(None, cell(sizes), calibrated=calibrated, conditioned=conditioned)
+
+
+_SPLITS = {"split-gru": False, "split-gru-hp": True}
+_HYBRIDS: dict[str, tuple[Callable[..., Forecaster], Callable[[Sizes], Template]]] = {
+    "filtered-gru": (Filtered, _gru),
+    "filtered-rnn": (Filtered, _rnn),
+    "residual-gru": (Residual, _gru),
+    "residual-rnn": (Residual, _rnn),
+}
+# A line for each name: to add a cell, a baseline or a kind of model is to add its class and a line.
+NAMES: dict[str, Callable[[Sizes], Forecaster]] = {
+    "gru": lambda sizes: Single(_gru(sizes)),
+    "rnn": lambda sizes: Single(_rnn(sizes)),
+    **{
+        name + CONDITIONED * told: partial(_split, filter_output=hp, conditioned=told)
+        for name, hp in _SPLITS.items()
+        for told in (False, True)
+    },
+    **{
+        name + CALIBRATED * calibrated + CONDITIONED * told: partial(
+            _hybrid, kind, cell, calibrated=calibrated, conditioned=told
+        )
+        for name, (kind, cell) in _HYBRIDS.items()
+        for told in (False, True)
+        for calibrated in (False, True)
+    },
+    "simulator": lambda _: Simulation(),
+    "simulator-affine": lambda _: Simulation(calibrated=AFFINE),
+    "simulator" + CALIBRATED: lambda _: Simulation(calibrated=True),
+    "mean": lambda _: Mean(),
+    "persistence": lambda _: Persistence(),
+    "seasonal-naive": lambda _: SeasonalNaive(),
+    "harmonic": lambda _: Harmonic(),
+    "periodic": lambda _: Periodic(),
+    "linear": lambda _: Linear(),
+}
+HYBRIDS = tuple(name for name in NAMES if name.startswith((*_HYBRIDS,)))
+TRAINED = ("gru", "rnn", *(name for name in NAMES if name.startswith((*_SPLITS,))), *HYBRIDS)
+QUICK = tuple(name for name in NAMES if name not in TRAINED)
+"""What is fitted in closed form, and needs no seed."""
+
+
+def named(name: str, sizes: Sizes | None = None) -> Forecaster:
+    """The forecaster of a name; raises ValueError for an unknown one."""
+    if name not in NAMES:
+        raise ValueError(f"methods must be out of {', '.join(NAMES)}, got {name}")
+    return NAMES[name](sizes or Sizes())
+
+
+def base(name: str) -> str:
+    """The name without its suffixes."""
+    return name.removesuffix(CONDITIONED).removesuffix(CALIBRATED)
+
+
+def with_variants(names: Sequence[str], calibrate: bool, conditioned: bool) -> list[str]:
+    """The names and, after each, its calibrated and its conditioned variants, if asked for.
+
+    Raises ValueError where there are none.
+    """
+    found: dict[str, None] = {}
+    for name in names:
+        found[name] = None
+        for told in (False, True)[: 1 + conditioned]:
+            for calibrated in (False, True)[: 1 + calibrate]:
+                variant = base(name)
+                variant += CALIBRATED if calibrated or CALIBRATED in name else ""
+                variant += CONDITIONED if told or CONDITIONED in name else ""
+                found |= {variant: None} if variant in NAMES else {}
+    for argument, wanted, suffix in (
+        ("calibrate", calibrate, CALIBRATED),
+        ("conditioned", conditioned, CONDITIONED),
+    ):
+        if wanted and not any(suffix in name for name in found):
+            able = dict.fromkeys(base(name) for name in NAMES if suffix in name)
+            raise ValueError(f"{argument} needs one of {', '.join(able)}, got {', '.join(names)}")
+    return [*found]

@@ -1,0 +1,521 @@
+"""Networks as forecasters: a single one, one for each band, or one beside something slower.
+
+What is trained is a model of `splitband.models`; a forecaster adds how it is trained, which bands
+it has and what holds its slow part.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, Protocol, Self, final, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from splitband import models
+from splitband.data import Trajectory
+from splitband.data.gaps import first_after, last_before
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import FitReport, Forecaster, Known
+from splitband.forecasters.simulation import Simulation
+from splitband.models import Model
+from splitband.networks import Cell
+from splitband.simulators import Simulator
+from splitband.training import Checkpoint, Progress, Settings, fit
+from splitband.training.recipes import recipe_settings
+from splitband.training.windows import windows_in
+
+Array = npt.NDArray[np.float64]
+
+
+@runtime_checkable
+class Template(Protocol):
+    """A cell, or something else, that cells of the right sizes are made after."""
+
+    def sized(self, ny: int, nu: int, warmup: int) -> Cell:
+        """A new cell, its weights drawn by torch's generator.
+
+        `ny` and `nu` are its channels and inputs, `warmup` is the number of measured samples that
+        set its initial state.
+        """
+
+
+class Network(Forecaster):
+    """A forecaster that is trained by gradients.
+
+    Parameters
+    ----------
+    settings : How; by default the default recipe for the length of the record.
+    name : By default what it is made of.
+    """
+
+    def __init__(self, settings: Settings | None = None, name: str | None = None) -> None:
+        self.settings = settings
+        self.device = torch.device("cpu")
+        self.model: Model | None = None
+        self._name = name
+
+    @property
+    def name(self) -> str:
+        """See `Forecaster`."""
+        return self._name or self._derived_name()
+
+    @property
+    def random(self) -> bool:
+        """See `Forecaster`."""
+        return True
+
+    @property
+    def warmup(self) -> int:
+        """See `Forecaster`; 0 where it is not decided before `fit`."""
+        return 0 if self.settings is None else self.settings.warmup
+
+    @abstractmethod
+    def _derived_name(self) -> str:
+        """What it is made of, in a word."""
+
+    @abstractmethod
+    def build(self, record: Trajectory, settings: Settings) -> Model:
+        """The untrained model for a training record, its weights drawn by torch's generator."""
+
+    def to(self, device: str | torch.device) -> Self:
+        """Train and run on this device from now on."""
+        self.device = torch.device(device)
+        if self.model is not None:
+            self.model.to(self.device)
+        return self
+
+    def with_defaults(self, settings: Settings, bands: Bands) -> Self:
+        """See `Forecaster`."""
+        if self.settings is not None:
+            return self
+        new = self.copy()
+        new.settings = settings
+        return new
+
+    def for_fewer_samples(self, share: float) -> Self:
+        """See `Forecaster`: windows shrink with the record, but for the warm-up."""
+        if self.settings is None:
+            return self
+        window, warmup = self.settings.window, self.settings.warmup
+        shorter = min(max(round(window * (1 - share)), warmup + 1), window)
+        new = self.copy()
+        new.settings = replace(self.settings, window=shorter)
+        return new
+
+    def check(self, *records: Trajectory) -> None:
+        """See `Forecaster`."""
+        super().check(*records)
+        first, settings = records[0], self._settings_for(records[0])
+        complete = first.complete
+        if not complete.all() and first_after(complete, settings.warmup) is None:
+            raise ValueError(
+                f"warmup must fit between the gaps of the {len(first)} training samples, "
+                f"got {settings.warmup}"
+            )
+        if settings.window > len(first):
+            raise ValueError(
+                f"window must fit into the {len(first)} training samples, got {settings.window}"
+            )
+        for other in records[1:]:
+            _check_alike(other, first)
+        windows_in(records, settings.window, settings.warmup)
+        self._built(first, settings, seed=0)
+
+    def learn(
+        self,
+        records: Sequence[Trajectory],
+        *,
+        seed: int,
+        horizon: int,
+        progress: Callable[[Progress], None] | None,
+        checkpoint: Checkpoint | None,
+    ) -> None:
+        """See `Forecaster`."""
+        settings = self.settings = self._settings_for(records[0])
+        seen = self._seen(records, horizon)
+        self._decide(seen[0], settings)
+        self.model = self._built(seen[0], settings, seed).to(self.device)
+        history = fit(self.model, seen, settings, seed, progress, checkpoint)
+        report = FitReport(seed, history.seconds, history.losses, tuple(history.notes))
+        self.fitted = replace(self.require_fitted(), report=report)
+
+    def extrapolate(self, known: Known) -> dict[str, Array]:
+        """See `Forecaster`: a free run from the last `warmup` samples without a gap."""
+        parts = self._trained().simulate_components(*self._warm(known))
+        since = len(known.y) - self._start(known)
+        return {name: part[since:] for name, part in parts.items()}
+
+    def unfiltered(self, steps: int, history: Trajectory) -> dict[str, Array]:
+        """What the model's filters are fed with, by name; empty for a model without filters."""
+        known, _ = self._known(steps, history, None, None)
+        parts = self._trained().simulate_unfiltered(*self._warm(known))
+        since = len(known.y) - self._start(known)
+        return {name: part[since:] for name, part in parts.items()}
+
+    def describe(self) -> str:
+        """See `Forecaster`."""
+        return "; ".join(self.require_fitted().report.notes)
+
+    def _seen(self, records: Sequence[Trajectory], horizon: int) -> list[Trajectory]:
+        """The records as the model learns from them."""
+        return [*records]
+
+    def _decide(self, record: Trajectory, settings: Settings) -> None:
+        """Choose what has been left open, by the record as the model sees it."""
+
+    def _slow(self, known: Known) -> Array | None:
+        """What the model is given beside the measured samples, `(time + steps, ny)`."""
+        return None
+
+    def _built(self, record: Trajectory, settings: Settings, seed: int) -> Model:
+        """The untrained model, its parameters drawn from `seed`."""
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            return self.build(record, settings)
+
+    def _settings_for(self, record: Trajectory) -> Settings:
+        return self.settings or recipe_settings("default", record)
+
+    def _trained(self) -> Model:
+        self.require_fitted()
+        assert self.model is not None
+        return self.model
+
+    def _start(self, known: Known) -> int:
+        """Where the free run starts: after the last warm-up without a gap."""
+        complete = np.asarray(~np.isnan(known.y).any(axis=1))
+        found = last_before(complete, self.warmup, len(known.y))
+        if found is None:
+            raise ValueError(
+                f"history must have {self.warmup} measured samples in a row to warm up on, got "
+                f"{len(known.y)} samples, of which {int(complete.sum())} were measured in whole"
+            )
+        return found
+
+    def _warm(self, known: Known) -> tuple[Array, int, Array | None, Array | None]:
+        """What `Model.simulate` takes: warm-up, steps, inputs and the slow part."""
+        start = self._start(known)
+        begin = start - self.warmup
+        u, slow = (None if s is None else s[begin:] for s in (known.u, self._slow(known)))
+        return known.y[begin:start], len(known.y) + known.steps - start, u, slow
+
+
+@final
+class Single(Network):
+    """One network on the whole band: the baseline (paper, Sec. 4.1).
+
+    Parameters
+    ----------
+    cell : Such as `GRU(64)`; of its sizes the hidden ones count, the others are the record's.
+    settings, name : See `Network`.
+    """
+
+    def __init__(
+        self, cell: Template, settings: Settings | None = None, name: str | None = None
+    ) -> None:
+        super().__init__(settings, name)
+        self.cell = as_template(cell)
+
+    def build(self, record: Trajectory, settings: Settings) -> Model:
+        """See `Network`."""
+        return models.Recurrent(self.cell.sized(record.ny, record.nu, settings.warmup))
+
+    def _derived_name(self) -> str:
+        return label_of(self.cell)
+
+
+class _Banded(Network):
+    """A network that has but one of two bands, or is told about the other one."""
+
+    def __init__(
+        self, bands: Bands | None, conditioned: bool, settings: Settings | None, name: str | None
+    ) -> None:
+        super().__init__(settings, name)
+        self.bands, self.conditioned = bands or Bands(), conditioned
+
+    def with_defaults(self, settings: Settings, bands: Bands) -> Self:
+        """See `Forecaster`."""
+        new = super().with_defaults(settings, bands)
+        if not self.bands.complete:
+            new = new.copy()
+            given = {k: v for k, v in vars(self.bands).items() if v is not None}
+            new.bands = replace(bands, **given)
+        return new
+
+    def _decide(self, record: Trajectory, settings: Settings) -> None:
+        self.bands = self._bands_for(record, settings)
+
+    def _bands_for(self, record: Trajectory, settings: Settings) -> Bands:
+        """The bands, chosen where need be; by the slow part, once the record has its output."""
+        if self.bands.complete:
+            return self.bands
+        y_sim = record.y_sim if isinstance(self, Filtered) else None
+        return self.bands.chosen(record.y, record.sampling_rate, settings.warmup, y_sim)
+
+    def _told(self, record: Trajectory) -> int:
+        """Inputs of the network: the record's, and value and slope of what is slower."""
+        return record.nu + (2 * record.ny if self.conditioned else 0)
+
+
+@final
+class Split(_Banded):
+    """Two networks, each on its band (paper, Sec. 4.2): "split GRU" and "split GRU + HP".
+
+    Parameters
+    ----------
+    low, high : The cells of the low band and of the high band.
+    bands : Where one ends and the other begins; by default chosen by the training samples.
+    filter_output : High-pass the fast network's output too, the paper's "+HP".
+    conditioned : Tell the fast network what the slow one predicts. Not in the paper.
+    settings, name : See `Network`.
+    """
+
+    def __init__(
+        self,
+        low: Template,
+        high: Template,
+        bands: Bands | None = None,
+        filter_output: bool = False,
+        conditioned: bool = False,
+        settings: Settings | None = None,
+        name: str | None = None,
+    ) -> None:
+        super().__init__(bands, conditioned, settings, name)
+        self.low, self.high = as_template(low), as_template(high)
+        self.filter_output = filter_output
+
+    def check(self, *records: Trajectory) -> None:
+        """See `Forecaster`."""
+        super().check(*records)
+        _check_warmup(self._settings_for(records[0]), 3 * ((self.bands.order or 1) + 1), self.bands)
+
+    def build(self, record: Trajectory, settings: Settings) -> Model:
+        """See `Network`."""
+        bands = self._bands_for(record, settings)
+        assert bands.downsampling is not None
+        low = self.low.sized(record.ny, record.nu, settings.warmup)
+        high = self.high.sized(record.ny, self._told(record), settings.warmup)
+        return models.Split(
+            [low, high],
+            bands.pair(record.sampling_rate),
+            bands.downsampling,
+            self.filter_output,
+            self.conditioned,
+        )
+
+    def _derived_name(self) -> str:
+        cells = dict.fromkeys([label_of(self.low), label_of(self.high)])
+        return (
+            f"split-{'-'.join(cells)}{'-hp' if self.filter_output else ''}"
+            f"{'-conditioned' if self.conditioned else ''}"
+        )
+
+
+class SlowPart(Protocol):
+    """What can hold the low band: a forecaster that says something about the whole record."""
+
+    def trajectory(self, known: Known) -> Array:
+        """Over history and steps, `(time + steps, ny)`."""
+
+
+class _Hybrid(_Banded):
+    """A network beside something that holds the long term."""
+
+    def __init__(
+        self,
+        base: Forecaster | Simulator | None,
+        cell: Template,
+        bands: Bands | None,
+        calibrated: bool,
+        conditioned: bool,
+        settings: Settings | None,
+        name: str | None,
+    ) -> None:
+        super().__init__(bands, conditioned, settings, name)
+        self.cell = as_template(cell)
+        if not isinstance(base, Forecaster):
+            base = Simulation(base, calibrated)
+        elif calibrated:
+            raise ValueError(
+                f"calibrated is for a simulator, got {base.name}; Simulation(..., calibrated=True) "
+                "is one that is calibrated"
+            )
+        if not callable(getattr(base, "trajectory", None)):
+            raise ValueError(
+                f"base must say something about the whole record, as a simulator, Linear, Periodic "
+                f"and Harmonic do, got {base.name}"
+            )
+        self.base = base
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What holds the slow part needs it."""
+        return self.base.needs
+
+    @property
+    def anchored(self) -> bool:
+        """What holds the slow part is."""
+        return self.base.anchored and not isinstance(self.base, Simulation)
+
+    def check(self, *records: Trajectory) -> None:
+        """See `Forecaster`."""
+        self.base.check(*records)
+        super().check(*records)
+
+    def prepare(self, record: Trajectory, horizon: int) -> None:
+        """See `Forecaster`."""
+        self.base.prepare(record, horizon)
+
+    def settled(self, record: Trajectory, horizon: int) -> Self:
+        """See `Forecaster`."""
+        new = self.copy()
+        new.base = self.base.settled(record, horizon)
+        return new
+
+    def describe(self) -> str:
+        """See `Forecaster`."""
+        if not isinstance(self.base, Simulation):
+            said = f"{self.base.name}: {self.base.describe()}"
+        else:
+            said = f"simulator: {self.base.calibration}" if self.base.calibrated else ""
+        return "; ".join(filter(None, [said, super().describe()]))
+
+    def _seen(self, records: Sequence[Trajectory], horizon: int) -> list[Trajectory]:
+        """The records with the slow part as their simulator's output."""
+        self.base.fit(*records, horizon=horizon)
+        if isinstance(self.base, Simulation):
+            seen = [self.base.on(record) for record in records]
+        elif len(records) > 1:
+            raise ValueError(f"several records need a simulator, the base is {self.base.name}")
+        else:
+            record = records[0]
+            known = Known(record.seen, 0, 0.0, record.u)
+            seen = [replace(record, y_sim=self._slow(known), beyond=None)]
+        return seen
+
+    def _slow(self, known: Known) -> Array:
+        base: Any = self.base  # a `SlowPart`, which a Protocol cannot say of a Forecaster
+        return base.trajectory(known)
+
+    def _parts_of_name(self, kind: str) -> str:
+        slow = "" if isinstance(self.base, Simulation) else f"-{self.base.name}"
+        suffix = self.base.suffix if isinstance(self.base, Simulation) else ""
+        return (
+            f"{kind}{slow}-{label_of(self.cell)}{suffix}"
+            f"{'-conditioned' if self.conditioned else ''}"
+        )
+
+
+@final
+class Filtered(_Hybrid):
+    """Something slow in the low band, a network in the high band (paper, Sec. 4.3).
+
+    Parameters
+    ----------
+    base : What holds the low band: a simulator, or a forecaster that is fitted first, such as
+        `Linear()`; by default the simulator's output that a record brings.
+    cell : The network's.
+    bands : Where they part; by default chosen by where base and training samples agree.
+    calibrated : Calibrate the simulator to the training samples first. Not in the paper.
+    conditioned : Tell the network what the base says, value and slope. Not in the paper.
+    settings, name : See `Network`.
+    """
+
+    def __init__(
+        self,
+        base: Forecaster | Simulator | None,
+        cell: Template,
+        bands: Bands | None = None,
+        calibrated: bool = False,
+        conditioned: bool = False,
+        settings: Settings | None = None,
+        name: str | None = None,
+    ) -> None:
+        super().__init__(base, cell, bands, calibrated, conditioned, settings, name)
+
+    def check(self, *records: Trajectory) -> None:
+        """See `Forecaster`."""
+        super().check(*records)
+        _check_warmup(self._settings_for(records[0]), (self.bands.order or 1) - 1, self.bands)
+
+    def build(self, record: Trajectory, settings: Settings) -> Model:
+        """See `Network`."""
+        bands = self._bands_for(record, settings)
+        cell = self.cell.sized(record.ny, self._told(record), settings.warmup)
+        pair = bands.one_way_pair(record.sampling_rate)
+        return models.Filtered(cell, pair, self.conditioned)
+
+    def _derived_name(self) -> str:
+        return self._parts_of_name("filtered")
+
+
+@final
+class Residual(_Hybrid):
+    """A network for what something slower leaves (paper, Sec. 5.1).
+
+    Parameters
+    ----------
+    base : What is added to: see `Filtered`.
+    cell, calibrated, conditioned, settings, name : See `Filtered`.
+    """
+
+    def __init__(
+        self,
+        base: Forecaster | Simulator | None,
+        cell: Template,
+        calibrated: bool = False,
+        conditioned: bool = False,
+        settings: Settings | None = None,
+        name: str | None = None,
+    ) -> None:
+        # It has no filter: any bands will do.
+        super().__init__(base, cell, Bands(1.0, 1, 1), calibrated, conditioned, settings, name)
+
+    def build(self, record: Trajectory, settings: Settings) -> Model:
+        """See `Network`."""
+        cell = self.cell.sized(record.ny, self._told(record), settings.warmup)
+        return models.Residual(cell, self.conditioned)
+
+    def _derived_name(self) -> str:
+        return self._parts_of_name("residual")
+
+
+def as_template(cell: Any) -> Template:
+    """Check that cells can be made after it; raises TypeError otherwise."""
+    if not isinstance(cell, Template):
+        raise TypeError(
+            f"a cell must have a method sized(ny, nu, warmup) that makes one of these sizes, got "
+            f"{type(cell).__name__}"
+        )
+    return cell
+
+
+def label_of(template: Template) -> str:
+    """What names and tables call a cell: its `label`, or its class."""
+    return str(getattr(template, "label", type(template).__name__.lower()))
+
+
+def _check_warmup(settings: Settings, shortest: int, bands: Bands) -> None:
+    if settings.warmup <= shortest:
+        raise ValueError(
+            f"warmup must have more than {shortest} samples for filters of order "
+            f"{bands.order or 1}, got {settings.warmup}"
+        )
+
+
+def _check_alike(other: Trajectory, record: Trajectory) -> None:
+    """Check that another training record is of the same system."""
+    if (other.ny, other.nu) != (record.ny, record.nu):
+        raise ValueError(
+            f"{other.name} must have the record's {record.ny} channel(s) and {record.nu} "
+            f"input(s), got {other.ny} and {other.nu}"
+        )
+    if abs(other.sampling_time - record.sampling_time) > 0.01 * record.sampling_time:
+        raise ValueError(
+            f"{other.name} must be sampled like the record, every {record.sampling_time:g} s, "
+            f"got every {other.sampling_time:g} s"
+        )

@@ -1,0 +1,76 @@
+"""What a forecaster says: values, when, and how sure it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from splitband.data import Grid
+from splitband.data.timing import stamps_at
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The samples that follow an origin.
+
+    Attributes
+    ----------
+    y : `(steps, ny)`, in the record's unit.
+    grid : When they are.
+    columns : Names of the channels.
+    components : The parts that add up to `y`, by name; empty for a whole.
+    lower, upper : The interval around `y`, `(steps, ny)`, where one was asked for.
+    level : The share of samples that should lie in it.
+    warnings : What should make one doubt it.
+    """
+
+    y: Array
+    grid: Grid
+    columns: tuple[str, ...]
+    components: Mapping[str, Array] = field(default_factory=dict)
+    lower: Array | None = None
+    upper: Array | None = None
+    level: float | None = None
+    warnings: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+    @property
+    def time(self) -> Array | pd.DatetimeIndex:
+        """The time stamps, `(steps,)`: seconds or dates; without any, seconds after the origin."""
+        rows = np.arange(len(self))
+        if self.grid.start is None:
+            return stamps_at(0.0, self.grid.step, 1 + rows)
+        return stamps_at(self.grid.start, self.grid.step, rows)
+
+    def to_frame(self) -> pd.DataFrame:
+        """A table with a column of time stamps and one for each channel, with its interval."""
+        table: dict[str, object] = {time_header(self.columns): self.time}
+        for i, column in enumerate(self.columns):
+            table[column] = self.y[:, i]
+            if self.lower is not None and self.upper is not None:
+                table[f"{column}, lower"] = self.lower[:, i]
+                table[f"{column}, upper"] = self.upper[:, i]
+        return pd.DataFrame(table)
+
+    def plot(self) -> Figure:
+        """A picture of it."""
+        # Pictures know records and comparisons, and with them this module.
+        return import_module("splitband.report.pictures").prediction(self)
+
+
+def time_header(columns: tuple[str, ...]) -> str:
+    """The name of the time column beside `columns`."""
+    return "time (s)" if "time" in columns else "time"

@@ -1,0 +1,259 @@
+"""Saving forecasters whole, and loading them: JSON, and safetensors for the weights.
+
+Loading builds only the classes named here or by the caller. An FMU is opened again from where it
+was, if its content is what it was; other simulators are given to `load`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+from torch import nn
+
+from splitband.baselines.harmonic import HarmonicRegression
+from splitband.baselines.linear import Channel, OutputError
+from splitband.baselines.modes import Modes
+from splitband.baselines.periodic import PeriodicRegression
+from splitband.baselines.seasonal import SeasonalNaive as LastPeriod
+from splitband.baselines.trend import Shape, Trend
+from splitband.data import Trajectory
+from splitband.data.gaps import last_before
+from splitband.filters.cutoff import Candidate, Choice
+from splitband.forecasters import closed_form
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import FitReport, Fitted, Forecaster
+from splitband.forecasters.ensemble import Ensemble
+from splitband.forecasters.intervals import Interval
+from splitband.forecasters.networks import Filtered, Network, Residual, Single, Split
+from splitband.forecasters.simulation import Simulation
+from splitband.models import saving as models
+from splitband.networks import GRU, EulerMLP
+from splitband.runtime.files import write_json
+from splitband.simulators import Fmu, Recorded, Simulator
+from splitband.simulators.calibration import Calibration
+from splitband.training import Settings
+
+FORMAT = 1
+FILE = "forecaster.json"
+_PLAIN = (
+    Bands, Calibration, Candidate, Channel, Choice, FitReport, Fitted, HarmonicRegression, Interval,
+    LastPeriod, Modes, OutputError, PeriodicRegression, Recorded, Settings, Shape, Trajectory,
+    Trend,
+)  # fmt: skip
+"""Classes that are built from their fields."""
+_FORECASTERS = (
+    Ensemble, Filtered, Residual, Simulation, Single, Split,
+    closed_form.Harmonic, closed_form.Linear, closed_form.Mean, closed_form.Periodic,
+    closed_form.Persistence, closed_form.SeasonalNaive,
+)  # fmt: skip
+_KNOWN = {each.__name__: each for each in (*_PLAIN, *_FORECASTERS, GRU, EulerMLP, Fmu)}
+
+
+def save(
+    forecaster: Forecaster, folder: str | Path, facts: Mapping[str, Any] | None = None
+) -> None:
+    """Write a fitted forecaster to a folder, whole or not at all.
+
+    Parameters
+    ----------
+    forecaster : Fitted. One of your own must consist of numbers, texts, arrays and what the package
+        is made of.
+    folder : Created if need be.
+    facts : Anything else to keep, as JSON.
+
+    Raises
+    ------
+    ValueError
+        For a forecaster that has not been fitted, or holds what cannot be saved.
+    """
+    forecaster.require_fitted()
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    description = {"format": FORMAT, "forecaster": _encode(forecaster)}
+    if isinstance(forecaster, Network):
+        assert forecaster.model is not None
+        models.save(forecaster.model, folder, {**(facts or {}), **description})
+        return
+    if isinstance(forecaster, Ensemble):
+        for i, member in enumerate(forecaster.members):
+            save(member, folder / f"member-{i}")
+    write_json(folder / FILE, {**(facts or {}), **description})
+
+
+def load(
+    folder: str | Path,
+    simulator: Simulator | None = None,
+    classes: Mapping[str, Callable[..., Any]] | None = None,
+) -> Forecaster:
+    """Read what `Forecaster.save` wrote.
+
+    Parameters
+    ----------
+    folder : Of the forecaster.
+    simulator : In place of the one that it was fitted with.
+    classes : Forecasters and cells of your own, by the name of the class.
+
+    Raises
+    ------
+    FileNotFoundError
+        When a file is missing.
+    ValueError
+        When a file is damaged, of another format, or names a class that is not known.
+    """
+    folder, own = Path(folder), dict(classes or {})
+    if (folder / FILE).is_file():
+        try:
+            facts = json.loads((folder / FILE).read_text(encoding="utf-8"))
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"{folder / FILE} is damaged: {error}") from None
+        model = None
+    else:
+        cells = {name: c for name, c in own.items() if not _is_forecaster(c)}
+        model, facts = models.load(folder, cells)
+    try:
+        if facts["format"] != FORMAT:
+            raise ValueError(f"it has format {facts['format']!r}; this is for {FORMAT}")
+        found = _decode(facts["forecaster"], _KNOWN | own, simulator)
+    except KeyError as error:
+        raise ValueError(f"{folder} holds no forecaster: {error} is missing") from None
+    except (TypeError, ValueError, AttributeError) as error:
+        raise ValueError(f"{folder} holds no forecaster that can be read: {error}") from None
+    if not isinstance(found, Forecaster):
+        raise ValueError(f"{folder} holds no forecaster, but {type(found).__name__}")
+    if isinstance(found, Network):
+        found.model = model
+    if isinstance(found, Ensemble):
+        found.members = [
+            load(folder / f"member-{i}", simulator, classes) for i in range(found.count)
+        ]
+    return found
+
+
+def _is_forecaster(value: Any) -> bool:
+    return isinstance(value, type) and issubclass(value, Forecaster)
+
+
+def _end(forecaster: Forecaster) -> Fitted:
+    """What is remembered, with as much of the training record as a forecast from its end needs."""
+    fitted = forecaster.require_fitted()
+    record, warmup = fitted.record, forecaster.warmup
+    measured = ~np.isnan(record.seen)
+    first = min(int(np.flatnonzero(channel)[-1]) for channel in measured.T)
+    if warmup:
+        start = last_before(record.complete, warmup, len(record))
+        first = min(first, (warmup if start is None else start) - warmup)
+    first = max(0, min(first, len(record) - 2))
+    end = replace(record[first:], beyond=None, u_beyond=None)
+    return replace(fitted, record=end, begin=fitted.begin + first, others=())
+
+
+def _encode(value: Any) -> Any:  # noqa: PLR0911  a line for each kind
+    """As JSON; raises ValueError for what cannot be."""
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.ndarray):
+        flat = [None if math.isnan(v) else v for v in value.ravel().tolist()]
+        return {"array": flat, "shape": list(value.shape), "dtype": str(value.dtype)}
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, pd.Timestamp):
+        return {"date": value.isoformat()}
+    if isinstance(value, torch.device):
+        return {"device": str(value)}
+    if isinstance(value, Mapping):
+        return {"mapping": {str(k): _encode(v) for k, v in value.items()}}
+    if isinstance(value, Forecaster):
+        left = {"model", "members", "fitted"}
+        state = {k: _encode(v) for k, v in vars(value).items() if k not in left}
+        fitted = None if value.fitted is None else _encode(_end(value))
+        return {"class": type(value).__name__, "state": state | {"fitted": fitted}}
+    if isinstance(value, Fmu):
+        facts = {"path": str(value.path.resolve()), "outputs": value.outputs}
+        return {"class": "Fmu", "sha256": _digest(value.path), **facts,
+                "start_values": value.start_values}  # fmt: skip
+    if isinstance(value, nn.Module):
+        return {"cell": models.describe(value)}
+    if isinstance(value, _PLAIN):
+        names = getattr(value, "_fields", None) or [field.name for field in fields(value)]  # type: ignore[arg-type]
+        parts = {name: _encode(getattr(value, name)) for name in names}
+        return {"class": type(value).__name__, "fields": parts}
+    if isinstance(value, list | tuple | frozenset):
+        return {type(value).__name__: [_encode(v) for v in value]}
+    raise ValueError(
+        f"{type(value).__name__} cannot be saved with a forecaster; a simulator that is a function "
+        "is given to `load` again: save what was fitted with Recorded(...) in its place"
+    )
+
+
+def _decode(  # noqa: PLR0911, PLR0912  a line for each kind
+    value: Any, known: Mapping[str, Callable[..., Any]], simulator: Simulator | None
+) -> Any:
+    """What `_encode` was given."""
+
+    def again(part: Any) -> Any:
+        return _decode(part, known, simulator)
+
+    if not isinstance(value, dict):
+        return value
+    if "array" in value:
+        flat = [np.nan if v is None else v for v in value["array"]]
+        return np.array(flat, dtype=value["dtype"]).reshape(value["shape"])
+    for kind in (list, tuple, frozenset):
+        if kind.__name__ in value:
+            return kind(again(v) for v in value[kind.__name__])
+    if "date" in value:
+        return pd.Timestamp(value["date"])
+    if "device" in value:
+        return torch.device("cpu")  # where it was trained may not be there
+    if "mapping" in value:
+        return {k: again(v) for k, v in value["mapping"].items()}
+    if "cell" in value:
+        return models.build(value["cell"], {k: v for k, v in known.items() if not _is_plain(v)})
+    name = value["class"]
+    if name not in known:
+        raise ValueError(f"the class {name} is not known; give it to load as classes={{...}}")
+    if name == "Fmu":
+        return _reopened(value) if simulator is None else simulator
+    if "fields" in value:
+        if known[name] not in _PLAIN:
+            raise ValueError(f"{name} is not built from its fields")
+        return known[name](**{k: again(v) for k, v in value["fields"].items()})
+    make = known[name]
+    if not _is_forecaster(make):
+        raise ValueError(f"{name} is no forecaster")
+    found: Any = object.__new__(make)  # type: ignore[arg-type]
+    vars(found).update({k: again(v) for k, v in value["state"].items()})
+    if isinstance(found, Network):
+        found.model = None
+    if isinstance(found, Ensemble):
+        found.members = []
+    if isinstance(found, Simulation) and simulator is not None:
+        found.simulator = simulator
+    return found
+
+
+def _is_plain(value: Any) -> bool:
+    return value in _PLAIN or _is_forecaster(value) or value is Fmu
+
+
+def _reopened(facts: Mapping[str, Any]) -> Fmu:
+    """The FMU of a saved forecaster, if its file is what it was."""
+    path = Path(facts["path"])
+    if not path.is_file() or _digest(path) != facts["sha256"]:
+        raise ValueError(
+            f"the simulator {path} is not there any more, or is another one; give it as simulator"
+        )
+    return Fmu(path, facts["outputs"], facts["start_values"])
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
