@@ -14,15 +14,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
+from splitband.evaluation.defaults import default_setup
 from torch import Tensor
 
 from benchmarks.beyond import SYSTEMS
 from splitband.data import Trajectory
 from splitband.evaluation.comparison import predict
-from splitband.evaluation.defaults import default_setup
 from splitband.evaluation.selection import hold_out
+from splitband.evaluation.setup import Setup
 from splitband.filters import ComplementaryPair
-from splitband.forecasters.methods import Setup
 from splitband.metrics import rmse, spread
 from splitband.models import Split
 from splitband.models.base import Signals
@@ -49,7 +49,7 @@ def error(part: Trajectory, setup: Setup, kind: type[Split], seed: int) -> dict[
     """RMSE on the held-out part, and the last training loss, in standard deviations."""
     pair = ComplementaryPair.butterworth(setup.cutoff, part.sampling_rate, setup.order)
     torch.manual_seed(seed)
-    networks = [GRU(part.ny, setup.hidden_low), GRU(part.ny, setup.hidden_high, 2 * part.ny)]
+    networks = [GRU(setup.hidden_low, part.ny), GRU(setup.hidden_high, part.ny, 2 * part.ny)]
     model = kind(networks, pair, setup.downsampling, conditioned=True)
     training = part[: setup.train]
     told = replace(training, y_sim=pair.lowpass(training.y), beyond=None)

@@ -88,7 +88,7 @@ def gru_calls(hidden: int, batch: int, window: int) -> dict[str, Call]:
     warmup, target = y[:, :WARMUP], y[:, WARMUP:]
 
     def step(backend: Any) -> Call:
-        cell = GRU(1, hidden)
+        cell = GRU(hidden, 1)
         return training_step(
             lambda: rollout(cell, warmup, window, backend=backend), target, cell.parameters()
         )

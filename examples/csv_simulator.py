@@ -12,10 +12,12 @@ import numpy as np
 import pandas as pd
 import torch
 
-from splitband import GRU, ComplementaryPair, Filtered, Settings, fit, read
+from splitband import GRU, ComplementaryPair, Settings, read
 from splitband.filters import butterworth
 from splitband.metrics import rmse
+from splitband.models import Filtered
 from splitband.simulators import Recorded, run
+from splitband.training import fit
 
 TRAIN, WARMUP = 300, 20
 

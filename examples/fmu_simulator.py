@@ -7,10 +7,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import torch
 
-from splitband import GRU, ComplementaryPair, Filtered, Settings, Trajectory, fit
+from splitband import GRU, ComplementaryPair, Settings, Trajectory
 from splitband.filters import butterworth
 from splitband.metrics import rmse
+from splitband.models import Filtered
 from splitband.simulators import Fmu, run
+from splitband.training import fit
 
 SPRING = """from pythonfmu import Fmi2Causality, Fmi2Slave, Real
 class Spring(Fmi2Slave):

@@ -7,10 +7,12 @@ motion the network has to learn.
 import numpy as np
 import torch
 
-from splitband import GRU, ComplementaryPair, Filtered, Settings, Trajectory, fit
+from splitband import GRU, ComplementaryPair, Settings, Trajectory
 from splitband.filters import butterworth
 from splitband.metrics import rmse
+from splitband.models import Filtered
 from splitband.simulators import Ode, run
+from splitband.training import fit
 
 SAMPLING_TIME, SAMPLES, TRAIN, WARMUP = 0.05, 450, 300, 20
 

@@ -3,15 +3,18 @@
 import numpy as np
 import pytest
 import torch
-
-from splitband import GRU, EulerMLP, Settings, Trajectory, fit
 from splitband.forecasters.methods import Setup, build
+
+from splitband import GRU, EulerMLP, Settings, Trajectory
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.names import Sizes
 from splitband.models import Signals, Task
 from splitband.networks import Backend, rollout
+from splitband.training import fit
 from splitband.training.windows import targets
 
 SETTINGS = Settings(30, 10, 2, 16)
-SETUP = Setup(80, SETTINGS, cutoff=0.6, hidden_high=4, hidden_low=3)
+SETUP = Setup(80, SETTINGS, bands=Bands(0.6, 1, 2), sizes=Sizes(hidden_high=4, hidden_low=3))
 gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 
 
@@ -19,7 +22,7 @@ gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 @pytest.mark.parametrize("kind", ["gru", "euler"])
 @pytest.mark.parametrize("backend", ["plain", "fused"])
 def test_a_batch_of_nothing_has_gradients_of_zero(kind: str, nu: int, backend: Backend) -> None:
-    cell = GRU(1, 3, nu) if kind == "gru" else EulerMLP(1, 4, 2, 5, 5, nu=nu)
+    cell = GRU(3, 1, nu) if kind == "gru" else EulerMLP(1, 4, 2, 5, 5, nu=nu)
     y = torch.zeros(0, 4, 1, requires_grad=True)
     found = rollout(cell, y, 6, torch.zeros(0, 10, nu) if nu else None, backend)
     assert found.shape == (0, 6, 1)
@@ -32,7 +35,7 @@ def test_a_batch_of_nothing_has_gradients_of_zero(kind: str, nu: int, backend: B
 def test_what_was_measured_lies_where_the_target_does() -> None:
     """On a device without memory, as a GPU is not everywhere."""
     y = torch.zeros(40, 1, device="meta")
-    task = Task("network", GRU(1, 3), Signals(y), y, lambda known, steps: known.y)
+    task = Task("network", GRU(3, 1), Signals(y), y, lambda known, steps: known.y)
     assert targets(torch.ones(40, 1, dtype=torch.bool), task, 30, 10).device == y.device
 
 

@@ -37,9 +37,9 @@ import torch
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-from splitband import GRU, ComplementaryPair, Recurrent, Split, read
+from splitband import GRU, ComplementaryPair, read
 from splitband.cli import main
-from splitband.models import saving
+from splitband.models import Recurrent, Split, saving
 from splitband.runtime.files import write_json
 from splitband.training.checkpoints import Checkpoint
 
@@ -173,7 +173,7 @@ def readers(data: st.DataObject, edits: list[Edit], text: bytes | None, options:
 def model_files() -> dict[str, bytes]:
     """Those of a sound model."""
     pair = ComplementaryPair.butterworth(1.0, 10.0)
-    model = Split([GRU(1, 2), GRU(1, 3, 2)], pair, conditioned=True)
+    model = Split([GRU(2, 1), GRU(3, 1, 2)], pair, conditioned=True)
     with tempfile.TemporaryDirectory() as name:
         saving.save(model, name, {"columns": ["a"], "inputs": []})
         return {path.name: path.read_bytes() for path in Path(name).iterdir()}
@@ -307,7 +307,7 @@ def command_line(
 
 @cache
 def _small_model() -> Recurrent:
-    return Recurrent(GRU(1, 2))
+    return Recurrent(GRU(2, 1))
 
 
 def _facts() -> dict[str, Any]:

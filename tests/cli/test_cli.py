@@ -24,7 +24,9 @@ import scipy.signal
 from splitband import read
 from splitband.cli import main
 from splitband.evaluation.comparison import compare
-from splitband.forecasters.methods import Setup
+from splitband.evaluation.setup import Setup
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.names import Sizes
 from splitband.models import Filtered
 from splitband.models.saving import load
 from splitband.runtime.files import CHECKPOINTS
@@ -243,7 +245,13 @@ def test_compare_gives_the_numbers_of_the_library(compared: Path) -> None:
     facts = results(compared)
     chosen = {name: facts["settings"][name] for name in ("cutoff", "order", "downsampling")}
     setup = replace(
-        Setup(TRAIN, Settings(30, WARMUP, 2), 1.0, hidden_high=4, hidden_low=3), **chosen
+        Setup(
+            TRAIN,
+            Settings(30, WARMUP, 2),
+            bands=Bands(1.0, 1, 2),
+            sizes=Sizes(hidden_high=4, hidden_low=3),
+        ),
+        **chosen,
     )
     record = read("record.csv", columns="a")
     for name, (run,) in compare(record, ["gru", "split-gru-hp"], setup).items():

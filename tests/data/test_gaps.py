@@ -17,22 +17,25 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from splitband.evaluation.intervals import Interval
+from splitband.forecasters.methods import FIXED, Setup, build, check
 from torch import Tensor
 
-from splitband import GRU, Model, Progress, Recurrent, Settings, Trajectory, fit, read
+from splitband import GRU, Progress, Settings, Trajectory, read
 from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.naive import LONGEST, Naive, recent
 from splitband.baselines.periodic import PeriodicRegression
 from splitband.baselines.seasonal import SeasonalNaive, _last_period
 from splitband.cli.spectrum import _show_simulator
 from splitband.evaluation.comparison import compare, run
-from splitband.evaluation.intervals import Interval
 from splitband.evaluation.selection import try_out
-from splitband.forecasters.methods import FIXED, Setup, build, check
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.names import Sizes
 from splitband.metrics import cumulative_rmse, leaves_range, nrmse, rmse, spread
-from splitband.models import Signals, Task
+from splitband.models import Model, Recurrent, Signals, Task
 from splitband.models.saving import load
 from splitband.simulators.calibration import Term, calibrate
+from splitband.training import fit
 from splitband.training.checkpoints import Checkpoint
 from splitband.training.settings import MOST_BATCHES, STEPS
 from splitband.training.windows import joined, places_in, select, windows
@@ -297,7 +300,7 @@ def test_windows_begin_in_measured_samples_and_stay_in_their_record(
     assert (places.measured is None) == known.all()
     if places.measured is not None:
         np.testing.assert_array_equal(places.measured.numpy(), known)
-    model = Recurrent(GRU(ys[0].shape[1], 2))
+    model = Recurrent(GRU(2, ys[0].shape[1]))
     task = joined([model.tasks(model.normalised(r))[0] for r in records])
     known_of_all, targets = windows(task, window, warmup)
     whole = np.concatenate([1000 * i + np.arange(len(y)) for i, y in enumerate(ys)])
@@ -341,7 +344,7 @@ def test_the_loss_counts_what_was_measured(several: bool) -> None:
     """Of a network that says nothing, it is the size of the samples that are there."""
     y = holed(holed(record(ny=2).y, *GAPS), 45, slice(100, 104), channel=0)
     ys = [y[:60], y[60:]] if several else [y]
-    model = Recurrent(GRU(2, 3))
+    model = Recurrent(GRU(3, 2))
     with torch.no_grad():
         for parameter in model.parameters():
             parameter.zero_()
@@ -359,7 +362,7 @@ def test_the_loss_counts_what_was_measured(several: bool) -> None:
 def test_a_window_that_has_seen_nothing_yet_has_no_loss() -> None:
     """The free run grows: its first samples may all be in a gap."""
     y = holed(record().y[:30], slice(12, 20))
-    history = fit(Recurrent(GRU(1, 3)), with_gaps(y), Settings(30, 12, 2, 4, growth=1.0))
+    history = fit(Recurrent(GRU(3, 1)), with_gaps(y), Settings(30, 12, 2, 4, growth=1.0))
     assert history.losses["network"][0] == 0
     assert 0 < history.losses["network"][1] < np.inf
 
@@ -374,7 +377,7 @@ def test_the_units_are_those_of_all_records() -> None:
     a, b = (holed(record(2, 1, seed).y, *GAPS, channel=seed) for seed in (0, 1))
     b = 3 * b + 5
     u = [np.arange(LENGTH) / 10, -np.ones(LENGTH)]
-    model = Recurrent(GRU(2, 3, 1))
+    model = Recurrent(GRU(3, 2, 1))
     model.adapt_to([with_gaps(a, u=u[0]), with_gaps(b[:100], u=u[1][:100])])
     for channel in range(2):
         seen = [v for y in (a, b[:100]) for v in y[:, channel] if np.isfinite(v)]
@@ -472,7 +475,7 @@ class _Watched(Recurrent):
     """Keeps the first samples of the windows in each batch."""
 
     def __init__(self) -> None:
-        super().__init__(GRU(1, 2))
+        super().__init__(GRU(2, 1))
         self.batches: list[list[int]] = []
 
     def tasks(self, record: Signals) -> list[Task]:
@@ -515,7 +518,7 @@ def test_an_epoch_of_a_short_record_takes_every_window() -> None:
 
 def test_the_loss_of_an_epoch_is_the_mean_of_the_windows_that_were_taken() -> None:
     """Each is 0.5 for a network that always says 0.5 too little."""
-    model = Recurrent(GRU(1, 2))
+    model = Recurrent(GRU(2, 1))
     with torch.no_grad():
         for parameter in model.parameters():
             parameter.zero_()
@@ -1036,7 +1039,9 @@ def test_compare_trains_on_further_records_and_tries_out_with_them(
     folder: Path, compared: Path
 ) -> None:
     found = results(compared)["methods"]["gru"]
-    setup = Setup(150, Settings(30, 10, 2), 1.0, hidden_high=4, hidden_low=3)
+    setup = Setup(
+        150, Settings(30, 10, 2), bands=Bands(1.0, 1, 2), sizes=Sizes(hidden_high=4, hidden_low=3)
+    )
     gappy, whole = (
         read(folder / f"{name}.csv", columns="a", gaps="mask") for name in ("gappy", "whole")
     )

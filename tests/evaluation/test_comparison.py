@@ -5,16 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy
+from splitband.evaluation.defaults import default_methods, default_setup, usual_methods
+from splitband.forecasters.methods import CALIBRATED, HYBRIDS, Setup
 
 from splitband import Settings, Trajectory
 from splitband.evaluation.comparison import Run, by_channel, compare, ensemble
-from splitband.evaluation.defaults import default_methods, default_setup, usual_methods
 from splitband.evaluation.selection import Trial, hold_out, try_out
-from splitband.forecasters.methods import CALIBRATED, HYBRIDS, Setup
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.names import Sizes
 from splitband.report.pictures import rollouts
 
 DT, TRAIN, LENGTH, WARMUP = 0.1, 120, 200, 10
-SETUP = Setup(TRAIN, Settings(40, WARMUP, 1, 16), cutoff=0.6, hidden_high=4, hidden_low=3)
+SETUP = Setup(
+    TRAIN,
+    Settings(40, WARMUP, 1, 16),
+    bands=Bands(0.6, 1, 2),
+    sizes=Sizes(hidden_high=4, hidden_low=3),
+)
 SINES = ("persistence", "seasonal-naive", "harmonic")
 
 

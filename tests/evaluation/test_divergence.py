@@ -10,21 +10,25 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from splitband.forecasters.methods import FIXED, Setup
 
 import splitband.evaluation.comparison
-from splitband import GRU, Residual, Settings, Trajectory, fit
+from splitband import GRU, Settings, Trajectory
 from splitband.cli import main
 from splitband.evaluation.comparison import compare
 from splitband.evaluation.selection import try_out
-from splitband.forecasters.methods import FIXED, Setup
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.names import Sizes
+from splitband.models import Residual
 from splitband.report.results import results
+from splitband.training import fit
 
 DT, TRAIN, LENGTH = 0.1, 120, 200
 TIME = DT * np.arange(LENGTH)[:, None]
 SIMULATED = np.sin(2 * np.pi * 0.2 * TIME) + 0.4 * np.sin(2 * np.pi * 1.13 * TIME)
 RECORD = Trajectory(np.round(2 * SIMULATED + 1, 4), DT, y_sim=SIMULATED)
 QUICK = Settings(40, 10, 3, 16)
-SETUP = Setup(TRAIN, QUICK, cutoff=0.6, hidden_high=4, hidden_low=3)
+SETUP = Setup(TRAIN, QUICK, bands=Bands(0.6, 1, 2), sizes=Sizes(hidden_high=4, hidden_low=3))
 DIVERGING = replace(SETUP, overrides={"gru": replace(QUICK, learning_rate=1e30)})
 CALIBRATED = "simulator-calibrated"
 
@@ -40,7 +44,7 @@ def broken_mean(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_residual_much_smaller_than_an_untrained_networks_output_is_trained() -> None:
     torch.manual_seed(0)
-    model = Residual(GRU(1, 8))
+    model = Residual(GRU(8, 1))
     almost = replace(RECORD, y_sim=RECORD.y + 1e-5 * np.cos(TIME))[:TRAIN]
     history = fit(model, almost, QUICK)
     losses = history.losses["network"]
@@ -54,7 +58,7 @@ def test_a_training_that_diverges_later_is_still_found() -> None:
     torch.manual_seed(0)
     late = replace(QUICK, milestones=((1, 1e6),))
     with pytest.raises(FloatingPointError, match="network diverged in epoch 2"):
-        fit(Residual(GRU(1, 8)), RECORD[:TRAIN], late)
+        fit(Residual(GRU(8, 1)), RECORD[:TRAIN], late)
 
 
 def test_a_method_that_diverges_does_not_end_the_others() -> None:

@@ -12,10 +12,12 @@ import pytest
 import safetensors.torch
 import torch
 
-from splitband import GRU, Recurrent, Settings, Trajectory, fit
+from splitband import GRU, Settings, Trajectory
 from splitband.cli import main
 from splitband.metrics import ExtrapolationWarning, extrapolations
+from splitband.models import Recurrent
 from splitband.models.saving import load, save
+from splitband.training import fit
 
 LENGTH, TRAIN = 120, 80
 QUICK = ["--epochs", "1", "--window", "30", "--warmup", "10", "--seeds", "1", "--jobs", "1"]
@@ -49,7 +51,7 @@ def test_a_constant_may_not_change_and_others_may_go_a_tenth_beyond() -> None:
 def test_a_model_warns_of_inputs_that_it_was_not_trained_on(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     u = rng.uniform(-1, 1, (LENGTH, 1))
-    model = Recurrent(GRU(1, 4, 1))
+    model = Recurrent(GRU(4, 1, 1))
     training = Trajectory(np.cumsum(u, axis=0), 0.1, u=u)
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # not trained yet: no range is known
@@ -69,7 +71,7 @@ def test_a_model_warns_of_inputs_that_it_was_not_trained_on(tmp_path: Path) -> N
 
 
 def test_a_saved_model_from_before_ranges_were_kept_still_loads(tmp_path: Path) -> None:
-    model = Recurrent(GRU(1, 4, 1))
+    model = Recurrent(GRU(4, 1, 1))
     save(model, tmp_path)
     weights = safetensors.torch.load_file(tmp_path / "weights.safetensors")
     old = {name: tensor for name, tensor in weights.items() if name not in ("u_low", "u_high")}

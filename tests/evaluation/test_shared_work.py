@@ -6,14 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import splitband.forecasters.methods
 import threadpoolctl
 import torch
 
-import splitband.forecasters.methods
 from splitband import Settings, Trajectory
 from splitband.evaluation.comparison import compare
 from splitband.evaluation.selection import try_out
-from splitband.forecasters.methods import Setup
+from splitband.evaluation.setup import Setup
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.names import Sizes
 from splitband.forecasters.remembering import Remembered
 from splitband.report.pictures import components, rollouts
 from splitband.runtime.processes import over
@@ -24,7 +26,9 @@ TIME = DT * np.arange(LENGTH)[:, None]
 SIMULATED = np.sin(2 * np.pi * 0.2 * TIME) + 0.4 * np.sin(2 * np.pi * 1.13 * TIME)
 NOISE = 0.05 * np.random.default_rng(0).standard_normal((LENGTH, 1))
 RECORD = Trajectory(2 * SIMULATED + 1 + NOISE, DT, y_sim=SIMULATED)
-SETUP = Setup(TRAIN, Settings(40, 10, 1, 16), cutoff=0.6, hidden_high=4, hidden_low=3)
+SETUP = Setup(
+    TRAIN, Settings(40, 10, 1, 16), bands=Bands(0.6, 1, 2), sizes=Sizes(hidden_high=4, hidden_low=3)
+)
 CALIBRATED = ["residual-gru-calibrated", "filtered-gru-calibrated", "simulator-calibrated"]
 
 

@@ -73,7 +73,7 @@ def fused_euler(cell: Any, h0: Tensor, steps: int, u: Tensor | None = None) -> T
 
 def gru_case(sizes: Sizes, dtype: torch.dtype) -> tuple[Any, Tensor, int, Any]:
     batch, warmup, steps, ny, hidden, nu = sizes
-    cell = GRU(ny, hidden, nu).to(dtype)
+    cell = GRU(hidden, ny, nu).to(dtype)
     y = torch.randn(batch, warmup, ny, dtype=dtype, requires_grad=True)
     u = torch.randn(batch, warmup + steps + 1, nu, dtype=dtype, requires_grad=True)
     return cell, y, steps, u if nu else None

@@ -9,9 +9,9 @@ import scipy.signal
 import torch
 from torch import Tensor, nn
 
-from splitband import GRU, ComplementaryPair, EulerMLP, Filtered, Model, Recurrent, Residual, Split
+from splitband import GRU, ComplementaryPair, EulerMLP
 from splitband.filters import butterworth
-from splitband.models import Signals
+from splitband.models import Filtered, Model, Recurrent, Residual, Signals, Split
 
 Array = npt.NDArray[np.float64]
 
@@ -24,7 +24,7 @@ ONE_WAY = ComplementaryPair.perfect(*butterworth(0.5, 10.0, 2), 10.0)
 
 
 def gru(nu: int, told: int = 0) -> GRU:
-    return GRU(NY, 5, nu + told)
+    return GRU(5, NY, nu + told)
 
 
 def split(k: int, conditioned: bool = False, hp: bool = False) -> Callable[[int], Model]:

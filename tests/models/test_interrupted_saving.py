@@ -8,7 +8,8 @@ import pytest
 import torch
 from torch import nn
 
-from splitband import GRU, ComplementaryPair, Model, Recurrent, Split
+from splitband import GRU, ComplementaryPair
+from splitband.models import Model, Recurrent, Split
 from splitband.models.saving import load, save
 
 Y = np.random.default_rng(0).standard_normal((60, 1))
@@ -37,7 +38,7 @@ def test_whichever_rename_is_interrupted_a_whole_model_is_left(
     renames: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And if it is interrupted once more over what the first interruption has left."""
-    old, new = Recurrent(GRU(1, 3)), Recurrent(GRU(1, 3))
+    old, new = Recurrent(GRU(3, 1)), Recurrent(GRU(3, 1))
     save(old, tmp_path)
     for allowed in renames:
         with monkeypatch.context() as patched:
@@ -62,7 +63,7 @@ def interrupt_after(monkeypatch: pytest.MonkeyPatch, renames: int) -> None:
 
 
 def test_a_network_that_stands_for_two_bands_is_saved(tmp_path: Path) -> None:
-    cell = GRU(1, 3)
+    cell = GRU(3, 1)
     model = Split([cell, cell], ComplementaryPair.butterworth(0.5, 10.0))
     save(model, tmp_path)
     np.testing.assert_array_equal(simulated(load(tmp_path)[0]), simulated(model))

@@ -9,28 +9,20 @@ import numpy.typing as npt
 import pytest
 import scipy.signal
 import torch
+from splitband.forecasters.methods import FIXED, METHODS, TRAINED, Setup, build
 from torch import Tensor, nn
 
-from splitband import (
-    GRU,
-    ComplementaryPair,
-    EulerMLP,
-    Filtered,
-    Recurrent,
-    Residual,
-    Settings,
-    Split,
-    Trajectory,
-    fit,
-)
+from splitband import GRU, ComplementaryPair, EulerMLP, Settings, Trajectory
 from splitband.evaluation.comparison import predict, run
 from splitband.filters import butterworth
-from splitband.forecasters.methods import FIXED, METHODS, TRAINED, Setup, build
-from splitband.models import Model, Signals
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.names import Sizes
+from splitband.models import Filtered, Model, Recurrent, Residual, Signals, Split
+from splitband.training import fit
 
 DT, WARMUP, TRAIN, LENGTH = 0.1, 12, 90, 140
 QUICK = Settings(window=40, warmup=WARMUP, epochs=1, batch_size=16)
-SETUP = Setup(TRAIN, QUICK, cutoff=0.6, order=2, hidden_high=5, hidden_low=3)
+SETUP = Setup(TRAIN, QUICK, bands=Bands(0.6, 2, 2), sizes=Sizes(hidden_high=5, hidden_low=3))
 
 
 def record(ny: int = 1, nu: int = 0, seed: int = 0) -> Trajectory:
@@ -54,7 +46,7 @@ BANDS = [ComplementaryPair.butterworth(cutoff, 1 / DT, 2) for cutoff in (0.3, 0.
 def three_bands(trajectory: Trajectory) -> Model:
     torch.manual_seed(1)
     told = trajectory.nu + 2 * trajectory.ny
-    networks = [GRU(trajectory.ny, 4, nu) for nu in (trajectory.nu, told, told)]
+    networks = [GRU(4, trajectory.ny, nu) for nu in (trajectory.nu, told, told)]
     return Split(networks, BANDS, [4, 2], conditioned=True)
 
 
@@ -201,7 +193,7 @@ def test_three_bands_add_up_to_the_record_at_its_ends_too() -> None:
 
 
 def test_a_split_of_lists_is_that_of_a_single_pair() -> None:
-    networks = [GRU(1, 3), GRU(1, 5)]
+    networks = [GRU(3, 1), GRU(5, 1)]
     single, listed = Split(networks, BANDS[0], 3), Split(networks, [BANDS[0]], [3])
     y = record().y[:WARMUP]
     np.testing.assert_array_equal(listed.simulate(y, 40), single.simulate(y, 40))
@@ -396,63 +388,63 @@ def test_the_residual_model_adds_its_network_to_the_simulator() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: Recurrent(GRU(1, 4)).simulate(np.zeros((5, 2)), 3), "y_warmup must have 1"),
-        (lambda: Recurrent(GRU(1, 4)).simulate(np.zeros(5), 0), "steps must be at least 1, got 0"),
-        (lambda: Recurrent(GRU(1, 4)).simulate(np.zeros((0, 1)), 3), "at least 1 sample"),
-        (lambda: Recurrent(GRU(1, 4, 1)).simulate(np.zeros(5), 3), "u must be given"),
+        (lambda: Recurrent(GRU(4, 1)).simulate(np.zeros((5, 2)), 3), "y_warmup must have 1"),
+        (lambda: Recurrent(GRU(4, 1)).simulate(np.zeros(5), 0), "steps must be at least 1, got 0"),
+        (lambda: Recurrent(GRU(4, 1)).simulate(np.zeros((0, 1)), 3), "at least 1 sample"),
+        (lambda: Recurrent(GRU(4, 1, 1)).simulate(np.zeros(5), 3), "u must be given"),
         (
-            lambda: Recurrent(GRU(1, 4, 1)).simulate(np.zeros(5), 3, u=np.zeros((7, 1))),
+            lambda: Recurrent(GRU(4, 1, 1)).simulate(np.zeros(5), 3, u=np.zeros((7, 1))),
             "u must have 1 channel",
         ),
-        (lambda: Residual(GRU(1, 4)).simulate(np.zeros(5), 3), "y_sim must be given"),
+        (lambda: Residual(GRU(4, 1)).simulate(np.zeros(5), 3), "y_sim must be given"),
         (
-            lambda: Split([GRU(1, 4), GRU(2, 4)], ComplementaryPair.butterworth(1, 10)),
+            lambda: Split([GRU(4, 1), GRU(4, 2)], ComplementaryPair.butterworth(1, 10)),
             r"\(ny, nu\) must be \[\(1, 0\), \(1, 0\)\], got \[\(1, 0\), \(2, 0\)\]",
         ),
         (
-            lambda: Split([GRU(1, 4), GRU(1, 4)], ComplementaryPair.butterworth(2, 10), 3),
+            lambda: Split([GRU(4, 1), GRU(4, 1)], ComplementaryPair.butterworth(2, 10), 3),
             "downsampling by 3",
         ),
         (
-            lambda: Filtered(GRU(1, 4), ComplementaryPair.butterworth(2, 10)),
+            lambda: Filtered(GRU(4, 1), ComplementaryPair.butterworth(2, 10)),
             "must filter one way",
         ),
         (
-            lambda: Split([GRU(1, 4), GRU(1, 4, 1)], BANDS[0], conditioned=True),
+            lambda: Split([GRU(4, 1), GRU(4, 1, 1)], BANDS[0], conditioned=True),
             r"must be \[\(1, 0\), \(1, 2\)\], with 2 ny inputs for the slower bands, "
             r"got \[\(1, 0\), \(1, 1\)\]",
         ),
         (
-            lambda: Split([GRU(2, 4, 1), GRU(2, 4, 5), GRU(2, 4, 1)], BANDS, conditioned=True),
+            lambda: Split([GRU(4, 2, 1), GRU(4, 2, 5), GRU(4, 2, 1)], BANDS, conditioned=True),
             r"must be \[\(2, 1\), \(2, 5\), \(2, 5\)\].*got \[\(2, 1\), \(2, 5\), \(2, 1\)\]",
         ),
         (
-            lambda: Filtered(GRU(1, 4, 1), BANDS[0], conditioned=True),
+            lambda: Filtered(GRU(4, 1, 1), BANDS[0], conditioned=True),
             "at least 2 ny = 2 inputs.*got nu = 1",
         ),
         (
-            lambda: Residual(GRU(2, 4, 3), conditioned=True),
+            lambda: Residual(GRU(4, 2, 3), conditioned=True),
             "at least 2 ny = 4 inputs.*got nu = 3",
         ),
         (
-            lambda: Residual(GRU(1, 4, 3), conditioned=True).simulate(
+            lambda: Residual(GRU(4, 1, 3), conditioned=True).simulate(
                 np.zeros(5), 3, y_sim=np.zeros(8)
             ),
             "u must be given exactly where the model has inputs, nu = 1",
         ),
         (
-            lambda: Split([GRU(1, 4)] * 3, BANDS[::-1]),
+            lambda: Split([GRU(4, 1)] * 3, BANDS[::-1]),
             r"cut-offs must rise from pair to pair, got \[0\.9, 0\.3\] Hz",
         ),
         (
-            lambda: Split([GRU(1, 4)] * 3, [BANDS[0]] * 2),
+            lambda: Split([GRU(4, 1)] * 3, [BANDS[0]] * 2),
             r"cut-offs must rise from pair to pair, got \[0\.3, 0\.3\] Hz",
         ),
-        (lambda: Split([GRU(1, 4)] * 3, BANDS[0]), "3 networks need 2 .* got 1 and 2"),
-        (lambda: Split([GRU(1, 4)] * 3, BANDS, [2]), "3 networks need 2 .* got 2 and 1"),
-        (lambda: Split([GRU(1, 4)], []), "networks must be two at least, got 1"),
-        (lambda: Split([GRU(1, 4)] * 3, BANDS, [17, 2]), "downsampling by 17 .* of 0.3 Hz"),
-        (lambda: Split([GRU(1, 4)] * 3, BANDS, [4, 6]), "downsampling by 6 .* of 0.9 Hz"),
+        (lambda: Split([GRU(4, 1)] * 3, BANDS[0]), "3 networks need 2 .* got 1 and 2"),
+        (lambda: Split([GRU(4, 1)] * 3, BANDS, [2]), "3 networks need 2 .* got 2 and 1"),
+        (lambda: Split([GRU(4, 1)], []), "networks must be two at least, got 1"),
+        (lambda: Split([GRU(4, 1)] * 3, BANDS, [17, 2]), "downsampling by 17 .* of 0.3 Hz"),
+        (lambda: Split([GRU(4, 1)] * 3, BANDS, [4, 6]), "downsampling by 6 .* of 0.9 Hz"),
         (lambda: EulerMLP(ny=3, state_size=2), "state_size must be at least ny = 3, got 2"),
     ],
 )

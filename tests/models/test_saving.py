@@ -11,21 +11,11 @@ import numpy as np
 import pytest
 import safetensors.torch
 
-from splitband import (
-    GRU,
-    ComplementaryPair,
-    EulerMLP,
-    Filtered,
-    Model,
-    Recurrent,
-    Residual,
-    Settings,
-    Split,
-    Trajectory,
-    fit,
-)
+from splitband import GRU, ComplementaryPair, EulerMLP, Settings, Trajectory
 from splitband.filters import butterworth
+from splitband.models import Filtered, Model, Recurrent, Residual, Split
 from splitband.models.saving import load, save
+from splitband.training import fit
 
 RATE, WARMUP, STEPS = 10.0, 15, 40
 NY, NU = 2, 1
@@ -41,7 +31,7 @@ ONE_WAY = ComplementaryPair.perfect(*butterworth(1.0, RATE, 2), RATE, cutoff=1.0
 
 
 def gru(told: int = 0) -> GRU:
-    return GRU(NY, 5, NU + told)
+    return GRU(5, NY, NU + told)
 
 
 def rnn(warmup: int = WARMUP, told: int = 0) -> EulerMLP:
@@ -253,7 +243,7 @@ def test_the_weights_of_another_model_are_refused(folder: Path, tmp_path: Path) 
 @pytest.mark.parametrize(
     ("weights", "said"),
     [
-        (safetensors.torch.save(dict(Recurrent(GRU(NY, 6, NU)).state_dict())), "must be"),
+        (safetensors.torch.save(dict(Recurrent(GRU(6, NY, NU)).state_dict())), "must be"),
         (safetensors.torch.save(dict(Recurrent(rnn()).state_dict())), "must be"),
         (safetensors.torch.save(dict(Recurrent(gru()).half().state_dict())), "float16"),
         (safetensors.torch.save(dict(Recurrent(gru()).state_dict())) + bytes(2**21), "at most"),

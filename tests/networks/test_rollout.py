@@ -68,7 +68,7 @@ class Free(nn.Module):
 
 def gru(ny: int = NY, nu: int = 0) -> GRU:
     torch.manual_seed(1)
-    return GRU(ny, HIDDEN, nu).double()
+    return GRU(HIDDEN, ny, nu).double()
 
 
 def euler_mlp(ny: int = NY, nu: int = 0) -> EulerMLP:
@@ -300,7 +300,7 @@ class Squashed(GRU):
 
 
 def altered(how: str) -> GRU:
-    cell = GRU(NY, HIDDEN)
+    cell = GRU(HIDDEN, NY)
     if how == "other observation":
         cell.observation = nn.Sequential(nn.Linear(HIDDEN, NY), nn.Tanh())  # type: ignore[assignment]
     elif how == "no bias":

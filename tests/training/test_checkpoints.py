@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-
-from splitband import Settings, Trajectory, fit
 from splitband.forecasters.methods import Setup, build
+
+from splitband import Settings, Trajectory
 from splitband.models import Model
-from splitband.training import History, Progress
+from splitband.training import History, Progress, fit
 from splitband.training.checkpoints import Checkpoint, key_of
 from splitband.training.fit import MOST_RESTARTS, _Training
 from tests.models.test_models import QUICK, SETUP, TRAIN, record

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from splitband.forecasters.methods import build
 from torch import Tensor
 
-from splitband import GRU, History, Model, Progress, Recurrent, Settings, Trajectory, fit
+from splitband import GRU, Progress, Settings, Trajectory
 from splitband.evaluation.comparison import compare
-from splitband.forecasters.methods import build
-from splitband.models import Signals, Task
+from splitband.models import Model, Recurrent, Signals, Task
+from splitband.training import History, fit
 from splitband.training.windows import windows
 from tests.models.test_models import LENGTH, QUICK, SETUP, TRAIN, _Scripted, record
 
@@ -129,7 +130,7 @@ class _Watched(Recurrent):
     """Keeps how many steps its windows were simulated for."""
 
     def __init__(self) -> None:
-        super().__init__(GRU(1, 4))
+        super().__init__(GRU(4, 1))
         self.asked: list[int] = []
 
     def tasks(self, record: Signals) -> list[Task]:
@@ -189,14 +190,14 @@ def test_progress_reports_every_epoch_of_every_network() -> None:
 
 def test_a_constant_channel_trains_without_nan() -> None:
     flat = Trajectory(np.full(60, 7.0), 0.1)
-    model = Recurrent(GRU(1, 4))
+    model = Recurrent(GRU(4, 1))
     history = fit(model, flat, Settings(window=20, warmup=5, epochs=3))
     assert np.isfinite(history.losses["network"]).all()
     assert np.isfinite(model.simulate(flat.y[:5], 10)).all()
 
 
 def test_diverging_training_says_so() -> None:
-    cell = GRU(1, 4)
+    cell = GRU(4, 1)
     model = Recurrent(cell)
     with torch.no_grad():
         cell.observation.weight.fill_(float("nan"))
@@ -228,12 +229,12 @@ def test_diverging_training_says_so() -> None:
 )
 def test_settings_that_cannot_be_are_refused(change: Any, message: Any) -> None:
     with pytest.raises(ValueError, match=message):
-        fit(Recurrent(GRU(1, 4)), record(), Settings(**{**vars(QUICK), **change}))
+        fit(Recurrent(GRU(4, 1)), record(), Settings(**{**vars(QUICK), **change}))
 
 
 def test_a_record_of_other_channels_is_refused() -> None:
     with pytest.raises(ValueError, match=r"model's 1 channel\(s\) and 0 input\(s\), got 2 and 1"):
-        fit(Recurrent(GRU(1, 4)), record(2, 1), QUICK)
+        fit(Recurrent(GRU(4, 1)), record(2, 1), QUICK)
 
 
 def test_comparing_in_processes_gives_the_numbers_of_comparing_in_one() -> None:

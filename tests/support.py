@@ -1,0 +1,110 @@
+"""What several test files ask of the library by the names of methods."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband import Forecaster, Trajectory
+from splitband.evaluation.comparison import Run, Runs, compare_methods
+from splitband.evaluation.comparison import as_run as run_of
+from splitband.evaluation.runs import RunProgress, Work
+from splitband.evaluation.selection import Trial
+from splitband.evaluation.selection import try_out as try_forecasters_out
+from splitband.evaluation.setup import Setup
+from splitband.forecasters.backtest import Backtest, Origin, backtest, first_origin
+from splitband.forecasters.networks import Network
+from splitband.models import Model
+from splitband.training import Checkpoint, Progress
+
+Array = npt.NDArray[np.float64]
+Watch = Callable[[RunProgress], None]
+
+
+def forecasters(names: Sequence[str], setup: Setup) -> list[Forecaster]:
+    """Those of the names, with what the setup says."""
+    return [setup.forecaster(name) for name in names]
+
+
+def untrained(name: str, record: Trajectory, setup: Setup, seed: int) -> Model:
+    """The model of a method, its weights drawn from the seed."""
+    network = setup.forecaster(name)
+    assert isinstance(network, Network)
+    return network._built(record, setup.settings_of(name), seed)
+
+
+def asked(
+    name: str,
+    record: Trajectory,
+    setup: Setup,
+    seed: int = 0,
+    later: Sequence[int] = (),
+    others: Sequence[Trajectory] = (),
+    checkpoint: Path | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Backtest:
+    """Both protocols, and forecasts from `later` samples by the same fit."""
+    forecaster = setup.forecaster(name)
+    forecaster.check(record[: setup.train], *others)
+    origins = {
+        first_origin(record, setup.train, setup.settings_of(name).warmup),
+        Origin(setup.train, setup.train),
+        *(Origin(setup.train, at) for at in later),
+    }
+    kept = None if checkpoint is None else Checkpoint(checkpoint)
+    return backtest(forecaster, record, origins, len(record), others, seed, progress, kept)
+
+
+def run(name: str, record: Trajectory, setup: Setup, seed: int = 0) -> Run:
+    """One method with one seed under both protocols."""
+    first = first_origin(record, setup.train, setup.settings_of(name).warmup)
+    done = asked(name, record, setup, seed)
+    return run_of(name, record, setup.train, first, Origin(setup.train, setup.train), done)
+
+
+def compare(
+    record: Trajectory,
+    names: Sequence[str],
+    setup: Setup,
+    seeds: Sequence[int] = (0,),
+    jobs: int = 1,
+    progress: Watch | None = None,
+    others: Sequence[Trajectory] = (),
+    checkpoints: Path | None = None,
+) -> Runs:
+    """Methods by name, under both protocols."""
+    work = Work(jobs, progress, checkpoints)
+    return compare_methods(record, forecasters(names, setup), setup, seeds, work, others)
+
+
+def try_out(
+    record: Trajectory,
+    names: Sequence[str],
+    setup: Setup,
+    seeds: Sequence[int] = (0,),
+    jobs: int = 1,
+    progress: Watch | None = None,
+    others: Sequence[Trajectory] = (),
+    checkpoints: Path | None = None,
+) -> Trial:
+    """Methods by name, on the held-out end of the training part."""
+    part, steps = record[: setup.train], len(record) - setup.train
+    work = Work(jobs, progress, checkpoints)
+    return try_forecasters_out(part, forecasters(names, setup), steps, seeds, work, others)
+
+
+def settled(trial: Trial, runs: Runs) -> Trial:
+    """The trial with what the methods forecast after all, the mean of their seeds."""
+    final = {name: np.mean([r.forecast.y for r in of], axis=0) for name, of in runs.items()}
+    return trial.settled(final, runs.failed)
+
+
+def with_other_samples(record: Trajectory, start: int, stop: int | None = None) -> Trajectory:
+    """A record of which other samples were measured from index `start` on."""
+    y = record.y.copy()
+    y[start:stop] += 25.0
+    return replace(record, y=y)
