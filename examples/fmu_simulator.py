@@ -5,14 +5,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import torch
 
-from splitband import GRU, ComplementaryPair, Settings, Trajectory
-from splitband.filters import butterworth
-from splitband.metrics import rmse
-from splitband.models import Filtered
-from splitband.simulators import Fmu, run
-from splitband.training import fit
+import splitband as sb
+from splitband.simulators import run
 
 SPRING = """from pythonfmu import Fmi2Causality, Fmi2Slave, Real
 class Spring(Fmi2Slave):
@@ -30,13 +25,12 @@ with TemporaryDirectory() as folder:
 
         Path(folder, "spring.py").write_text(SPRING)
         FmuBuilder.build_FMU(f"{folder}/spring.py", path)
-    with Fmu(path) as fmu:
-        y_sim = run(fmu, samples=450, sampling_time=0.05)
-# The record is made up: the simulator's motion and a vibration that it does not know.
-record = Trajectory(y_sim[:, 0] + 0.3 * np.sin(0.8 * np.arange(450)), 0.05, y_sim=y_sim)
-torch.manual_seed(0)
-pair = ComplementaryPair.perfect(*butterworth(1.5, record.sampling_rate), record.sampling_rate)
-model = Filtered(GRU(hidden_size=16), pair)
-fit(model, record[:300], Settings(window=60, warmup=20, epochs=150, learning_rate=0.01))
-y, hybrid = record.y[300:], model.simulate(record.y[280:300], 150, y_sim=y_sim[280:])
-print(f"simulator RMSE {rmse(y, y_sim[300:]):.3f}\nhybrid RMSE {rmse(y, hybrid):.3f}")
+    with sb.Fmu(path) as fmu:
+        # The record is made up: the FMU's motion and a vibration that it does not know.
+        motion = run(fmu, samples=450, sampling_time=0.05)
+        record = sb.Trajectory(motion[:, 0] + 0.3 * np.sin(0.8 * np.arange(450)), 0.05)
+        settings = sb.Settings(window=60, warmup=20, epochs=150, learning_rate=0.01)
+        model = sb.Filtered(fmu, sb.GRU(16), sb.Bands(1.5, 1, 1), settings=settings)
+        hybrid = model.fit(record[:300], seed=0).predict(150)
+print(f"simulator RMSE {sb.rmse(record.y[300:], motion[300:]):.3f}")
+print(f"hybrid RMSE {sb.rmse(record.y[300:], hybrid.y):.3f}")

@@ -2,32 +2,78 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
 
 import typer
 from rich.console import Console
+from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
-from splitband.cli import compare, data, fit, forecast, paper, simulate, spectrum
+COMMANDS = {
+    "demo": ("compare", "Show what the package does, in under a minute."),
+    "compare": ("compare", "Compare models of a record with each other and with naive baselines."),
+    "forecast": ("forecast", "Forecast a record beyond its end, with an interval."),
+    "fit": ("fit", "Train one model on a record and save it."),
+    "simulate": ("simulate", "Simulate a saved model beyond a measured history."),
+    "spectrum": ("spectrum", "Show where the power of a record lies, and what a cut-off parts."),
+    "data": ("data", "The public records of the paper."),
+    "paper": ("paper", "Reproduce the tables and figures of the paper."),
+}
+"""The module of each command and a line about it; a module is loaded when its command is given."""
+
+
+class Commands(TyperGroup):
+    """The commands by name. Loading torch for a list of them would take seconds."""
+
+    listing = False
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Their names, in the order of a first look."""
+        return [*COMMANDS]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """A command, of a list just its name and a line about it."""
+        if cmd_name not in COMMANDS:
+            return None
+        module, line = COMMANDS[cmd_name]
+        if self.listing:
+            return typer.core.TyperCommand(cmd_name, help=line)
+        found = getattr(import_module(f"splitband.cli.{module}"), cmd_name)
+        if isinstance(found, typer.Typer):
+            return typer.main.get_group(found)
+        alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
+        alone.command(cmd_name)(found)
+        return typer.main.get_command(alone)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """The list of commands, without loading them."""
+        self.listing = True
+        try:
+            super().format_help(ctx, formatter)
+        finally:
+            self.listing = False
+
 
 app = typer.Typer(
     name="splitband",
-    help="Learn a dynamics model from a measured record whose free-running predictions stay "
-    "accurate, in the short term and in the long.",
+    cls=Commands,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
-app.command()(compare.demo)
-app.command()(compare.compare)
-app.command()(forecast.forecast)
-app.command()(fit.fit)
-app.command()(simulate.simulate)
-app.command()(spectrum.spectrum)
-app.add_typer(data.data, name="data")
-app.add_typer(paper.paper, name="paper")
+
+
+@app.callback()
+def splitband() -> None:
+    """Learn a dynamics model from a measured record whose free-running predictions stay accurate.
+
+    In the short term and in the long.
+    """
 
 
 INTERRUPTED = 130
@@ -46,7 +92,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         nothing = f"a command must be given: {' '.join(['splitband', *given])} COMMAND"
         return _complain((error.format_message().strip() or nothing) + _value(error, given))
     except (ValueError, OSError, FloatingPointError) as error:
-        return _complain(_in_one_line(error))
+        return _complain(_in_options(_in_one_line(error)))
     except (MemoryError, OverflowError) as error:
         return _complain(f"a number is too large for this machine: {_in_one_line(error)}")
     if status == INTERRUPTED:
@@ -69,6 +115,18 @@ def _complain(message: str) -> int:
     console = Console(stderr=True, soft_wrap=True, markup=False, emoji=False, highlight=False)
     console.print(f"error: {message}")
     return 2
+
+
+OPTIONS = (
+    "calibrate", "columns", "conditioned", "cutoff", "downsampling", "epochs", "inputs", "level",
+    "methods", "order", "steps", "train", "warmup", "window",
+)  # fmt: skip
+"""Arguments of the library that are options of the same name here."""
+
+
+def _in_options(message: str) -> str:
+    """A message of the library, which begins with an argument of its own, in the user's terms."""
+    return re.sub(rf"^({'|'.join(OPTIONS)}) (?=must|needs)", r"--\1 ", message)
 
 
 def _in_one_line(error: Exception) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import time
 import warnings
@@ -25,6 +26,7 @@ from splitband.metrics import (
     input_range,
     leaves_range,
 )
+from splitband.runtime.threads import one_thread
 from splitband.training import Checkpoint, Progress, Settings
 
 Array = npt.NDArray[np.float64]
@@ -234,7 +236,11 @@ class Forecaster(ABC):
         self.interval = None
         self.fitted = Fitted.of(records, seed)
         began = time.perf_counter()
-        self.learn(records, seed=seed, horizon=horizon, progress=progress, checkpoint=checkpoint)
+        # Closed forms work on small matrices, where the threads of BLAS wait for each other.
+        with contextlib.nullcontext() if self.random else one_thread():
+            self.learn(
+                records, seed=seed, horizon=horizon, progress=progress, checkpoint=checkpoint
+            )
         report = self.fitted.report
         if not report.seconds:  # a training says itself how long it took
             report = replace(report, seconds=time.perf_counter() - began)

@@ -156,6 +156,14 @@ def _end(forecaster: Forecaster) -> Fitted:
     return replace(fitted, record=end, begin=fitted.begin + first, others=())
 
 
+def _apart(forecaster: Forecaster) -> set[str]:
+    """Attributes that are not saved with the others."""
+    left = {"fitted"}
+    if isinstance(forecaster, Network):
+        left.add("model")
+    return left | {"members"} if isinstance(forecaster, Ensemble) else left
+
+
 def _encode(value: Any) -> Any:  # noqa: PLR0911  a line for each kind
     """As JSON; raises ValueError for what cannot be."""
     if value is None or isinstance(value, bool | int | float | str):
@@ -172,8 +180,7 @@ def _encode(value: Any) -> Any:  # noqa: PLR0911  a line for each kind
     if isinstance(value, Mapping):
         return {"mapping": {str(k): _encode(v) for k, v in value.items()}}
     if isinstance(value, Forecaster):
-        left = {"model", "members", "fitted"}
-        state = {k: _encode(v) for k, v in vars(value).items() if k not in left}
+        state = {k: _encode(v) for k, v in vars(value).items() if k not in _apart(value)}
         fitted = None if value.fitted is None else _encode(_end(value))
         return {"class": type(value).__name__, "state": state | {"fitted": fitted}}
     if isinstance(value, Fmu):
