@@ -3,6 +3,7 @@
 import math
 import re
 import runpy
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+
+import splitband
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
@@ -39,24 +42,56 @@ def test_an_example_prints_a_hybrid_model_that_beats_its_simulator(
 
 def test_the_examples_are_short_and_say_what_they_are() -> None:
     scripts = sorted(EXAMPLES.glob("*.py"))
-    assert [path.stem for path in scripts] == ["csv_simulator", "fmu_simulator", "ode_simulator"]
+    assert [path.stem for path in scripts] == [
+        "csv_simulator",
+        "fmu_simulator",
+        "ode_simulator",
+        "own_cell",
+        "own_forecaster",
+    ]
     for path in scripts:
         lines = path.read_text().splitlines()
-        assert len(lines) <= 40
+        assert len(lines) <= 60
         assert lines[0].startswith('"""')
 
 
-def test_the_python_of_the_readme_runs_as_it_stands(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("name", "best"), [("own_forecaster", "drift"), ("own_cell", "split-lstm")]
+)
+def test_what_users_add_is_compared_like_any_other(
+    name: str, best: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """On a record of two sinusoids; the default recipe takes fewer steps here."""
+    monkeypatch.setattr(sys, "argv", [f"{name}.py"])
+    runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+    printed = capfd.readouterr()
+    assert printed.err == ""
+    assert f"recommended: {best}\n" in printed.out
+
+
+def test_the_python_of_the_readme_runs_as_it_stands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, van_der_pol_fmu: Path
+) -> None:
+    """On a driven oscillator; fewer methods are compared here, and fewer steps trained."""
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    monkeypatch.setattr("splitband.training.settings.STEPS", 20)
+    monkeypatch.setattr("splitband.training.settings.STEPS", 10)
+    monkeypatch.setattr(
+        "splitband.evaluation.api.usual_names", lambda *_: ["gru", "mean", "persistence"]
+    )
     monkeypatch.chdir(tmp_path)
+    shutil.copy(van_der_pol_fmu, "rig.fmu")
     time = 0.1 * np.arange(2000)
-    y = np.sin(0.4 * time) + 0.3 * np.sin(7 * time)
-    pd.DataFrame({"time": time, "y": y}).to_csv("record.csv", index=False)
-    found: dict[str, Any] = {}
+    force = np.sin(0.4 * time)
+    columns = {"time": time, "force": force, "x": force + 0.3 * np.sin(7 * time)}
+    # The FMU has two outputs, and so has the rig.
+    pd.DataFrame(columns | {"v": np.cos(0.4 * time)}).to_csv("rig.csv", index=False)
+    new = splitband.read("rig.csv", inputs=["force"])[:1400]
+    found: dict[str, Any] = {"new": new}
     exec(code, found)
-    assert found["forecast"].shape == (500, 1)
-    assert np.isfinite(found["forecast"]).all()
+    assert [*found["result"].table.index] == ["gru", "mean", "persistence"]
+    assert "<table>" in Path("rig.html").read_text()
+    p = found["p"]
+    assert p.y.shape == (500, 2)
+    assert (p.lower < p.y).all()
+    np.testing.assert_allclose(p.time[0], 150.0)
+    exec(code, again := {"new": new})
+    np.testing.assert_array_equal(again["p"].y, p.y)

@@ -117,3 +117,36 @@ def test_only_the_command_line_prints() -> None:
         and node.func.id == "print"
     ]
     assert not printing
+
+
+MOST_PARAMETERS, MOST_FIELDS = 8, 9
+# The data container has a field for each signal and what it is called.
+LARGER = {"Trajectory"}
+
+
+def test_no_function_takes_more_parameters_than_one_can_keep_in_mind() -> None:
+    """Commands have as many as they have options."""
+    long = [
+        f"{path.relative_to(SOURCE)}: {node.name} has {count}"
+        for path in FILES
+        if module_of(path) not in ("cli", "kernels")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef)
+        and (count := len([a for a in (*node.args.args, *node.args.kwonlyargs)
+                           if a.arg not in ("self", "cls")])) > MOST_PARAMETERS
+    ]  # fmt: skip
+    assert not long
+
+
+def test_no_dataclass_has_more_fields_than_one_can_keep_in_mind() -> None:
+    large = [
+        f"{path.relative_to(SOURCE)}: {node.name} has {count}"
+        for path in FILES
+        if module_of(path) != "cli"
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef)
+        and any("dataclass" in ast.dump(decorator) for decorator in node.decorator_list)
+        and (count := sum(isinstance(line, ast.AnnAssign) for line in node.body)) > MOST_FIELDS
+        and node.name not in LARGER
+    ]
+    assert not large

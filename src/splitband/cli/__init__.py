@@ -68,12 +68,12 @@ app = typer.Typer(
 )
 
 
-@app.callback()
+@app.callback(
+    help="Learn a dynamics model from a measured record whose free-running predictions stay "
+    "accurate, in the short term and in the long."
+)
 def splitband() -> None:
-    """Learn a dynamics model from a measured record whose free-running predictions stay accurate.
-
-    In the short term and in the long.
-    """
+    """All commands; there are no options of its own."""
 
 
 INTERRUPTED = 130

@@ -137,6 +137,10 @@ class Comparison:
         """Write results.json, predictions.csv and the pictures that `splitband compare` writes."""
         import_module("splitband.report.results").save(self, Path(folder))
 
+    def report(self, path: str | Path) -> None:
+        """Write one HTML file with summary, table, pictures and settings, to send on."""
+        import_module("splitband.report.page").write(self, path)
+
 
 def compare(
     record: Trajectory,

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from splitband.data import Trajectory
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import FitReport, Forecaster, Known
+from splitband.forecasters.networks import Network
 from splitband.training import Checkpoint, Progress, Settings
 
 Array = npt.NDArray[np.float64]
@@ -58,6 +59,13 @@ class Ensemble(Forecaster):
     def warmup(self) -> int:
         """The members'."""
         return max([m.warmup for m in self.members], default=self.member.warmup)
+
+    def to(self, device: str) -> Self:
+        """Train and run the members' networks on this device from now on."""
+        for each in (self.member, *self.members):
+            if isinstance(each, Network):
+                each.to(device)
+        return self
 
     def with_defaults(self, settings: Settings, bands: Bands) -> Self:
         """See `Forecaster`."""
