@@ -44,8 +44,18 @@ def module_of(path: Path) -> str:
 
 
 def imports(path: Path) -> set[str]:
+    """What a file imports when it runs, which what is for type checkers alone does not."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    typing_only = [
+        inner
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    ]
+    for node in ast.walk(tree):
+        if node in typing_only:
+            continue
         if isinstance(node, ast.Import):
             found |= {name.name for name in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -120,8 +130,11 @@ def test_only_the_command_line_prints() -> None:
 
 
 MOST_PARAMETERS, MOST_FIELDS = 8, 9
-# The data container has a field for each signal and what it is called.
-LARGER = {"Trajectory"}
+LARGER = {
+    "Trajectory",  # the one data container: a field for each signal, and what it is called
+    "Settings",  # the paper's hyperparameters of a training and ours, named in every run file
+    "LearningBased", "Hybrid",  # columns of the paper's tables of hyperparameters
+}  # fmt: skip
 
 
 def test_no_function_takes_more_parameters_than_one_can_keep_in_mind() -> None:

@@ -67,7 +67,7 @@ def _start_worker(queue: Any) -> None:
 
 
 def _end_with_parent() -> None:
-    """Do not go on for nobody when the parent has been killed."""
+    """End this process when its parent has been killed, as nobody waits for its result."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
