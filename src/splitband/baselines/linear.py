@@ -31,6 +31,8 @@ _CUTS = (0.6, 0.7, 0.8, 0.9)
 """Shares of the samples that are fitted, to see how well the model forecasts the others."""
 _RANK = 1e-10
 """Singular values below this share of the largest one are cut."""
+_BRIEF = 1e-3
+"""The same for an initial state, which a few samples hardly tell."""
 _GONE = 0.1
 """A response to the initial state below this share of its peak is taken to have died out."""
 
@@ -69,10 +71,20 @@ class OutputError:
         scaled = (u - mean) / scale
         return cls(tuple(_fit_channel(channel, scaled) for channel in y.T), mean, scale)
 
-    def simulate(self, u: Array) -> Array:
-        """The record from its first sample on, `(time, ny)`, under the inputs `u` `(time, nu)`."""
+    def simulate(self, u: Array, y: Array | None = None) -> Array:
+        """The record from its first sample on, `(time, ny)`, under the inputs `u` `(time, nu)`.
+
+        Of another record of the system, `y` `(any time, ny)` are its first samples, NaN in gaps:
+        they tell its initial state.
+        """
         scaled = (u - self.mean) / self.scale
-        return np.stack([channel.simulate(scaled) for channel in self.channels], axis=1)
+        channels = self.channels
+        if y is not None:
+            channels = tuple(
+                channel.begun_with(of_channel, scaled)
+                for channel, of_channel in zip(channels, y.T, strict=True)
+            )
+        return np.stack([channel.simulate(scaled) for channel in channels], axis=1)
 
     def __str__(self) -> str:
         orders = "+".join(str(len(channel.a) - 1) for channel in self.channels)
@@ -91,6 +103,15 @@ class Channel(NamedTuple):
         """From index 0 on, `(time,)`."""
         forced = sum(scipy.signal.lfilter(b, self.a, x) for b, x in zip(self.b, u.T, strict=True))
         return np.asarray(forced + scipy.signal.lfilter(self.c, self.a, _impulse(u)) + self.offset)
+
+    def begun_with(self, y: Array, u: Array) -> Channel:
+        """With the initial state, C, that fits the first samples `y` `(any time,)` best."""
+        rest = self._replace(c=np.zeros_like(self.c)).simulate(u[: len(y)])
+        answers = scipy.signal.lfilter([1.0], self.a, _impulse(u[: len(y)]))
+        basis = np.stack([_delayed(answers, k) for k in range(len(self.c))], axis=1)
+        rows = known(y)
+        c = np.linalg.lstsq(basis[rows], (y - rest)[rows], rcond=_BRIEF)[0]
+        return self._replace(c=np.asarray(c, dtype=np.float64))
 
 
 def _fit_channel(y: Array, u: Array) -> Channel:

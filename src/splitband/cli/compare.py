@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from splitband.cli import given, options, showing
-from splitband.cli.simulators import each_with_simulator, with_simulator
+from splitband.cli.simulators import each_with_simulator, tests_with_simulator, with_simulator
 from splitband.data import Trajectory
 from splitband.evaluation.api import Comparison
 from splitband.evaluation.api import compare as compare_forecasters
@@ -34,6 +34,7 @@ def compare(
     reading: options.RecordOptions,
     simulator: options.SimulatorOptions,
     further: options.FurtherRecords,
+    testing: options.TestRecords,
     model: options.ModelOptions,
     train: options.Train = None,
     horizon: Annotated[
@@ -77,6 +78,9 @@ def compare(
     errors also give each forecast an interval in which nine tenths of the measured samples should
     lie; the table says how many do.
 
+    With --test every method is fitted to all of RECORD and warmed up on the first samples of the
+    test record, to simulate it to its end; the table shows the RMSE of the seeds' mean there.
+
     --calibrate and --conditioned add rows: each method that can be is also run that way.
     """
     trajectory = given.load_record(record, reading)
@@ -86,7 +90,8 @@ def compare(
     chosen = with_variants(asked, calibrate, conditioned)
     beyond = any(CALIBRATED in method for method in chosen)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=beyond)
-    setup = given.setup(record, trajectory, train, model, chosen)
+    tested = bool(testing.test)
+    setup = given.setup(record, trajectory, train, model, chosen, 1 - tested, tested)
     if methods is None:
         chosen = with_variants(usual_names(trajectory, setup), calibrate, conditioned)
     if horizon is not None:
@@ -96,9 +101,13 @@ def compare(
                 f"samples after the {setup.train} of --train, got {horizon}"
             )
         trajectory = trajectory[: setup.train + horizon]
-    others = given.load_further(further, trajectory, reading)
+    others = given.load_further(further.more, "--more", trajectory, reading)
     others = each_with_simulator(others, chosen, further, simulator, reading)
-    _compare(context, Task(trajectory, chosen, setup, others, model.device), seeds, jobs, out)
+    tests = tests_with_simulator(
+        given.load_further(testing.test, "--test", trajectory, reading), testing, simulator, reading
+    )
+    task = Task(trajectory, chosen, setup, others, tests, model.device)
+    _compare(context, task, seeds, jobs, out)
 
 
 @options.with_groups
@@ -116,7 +125,7 @@ def demo(
     record = given.load_record(name)
     methods = ["gru", "split-gru", "persistence", "seasonal-naive", "harmonic"]
     setup = given.setup(name, record, None, options.ModelOptions(), methods)
-    _compare(context, Task(record, methods, setup, [], "cpu"), 1, jobs, out)
+    _compare(context, Task(record, methods, setup, [], [], "cpu"), 1, jobs, out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +137,7 @@ class Task:
     record, setup : See `evaluation.api.compare`.
     names : Of the methods.
     others : Further records to train on.
+    tests : Records to test on.
     device : Of the networks.
     """
 
@@ -135,13 +145,14 @@ class Task:
     names: list[str]
     setup: Setup
     others: list[Trajectory]
+    tests: list[Trajectory]
     device: str
 
 
 def _compare(context: typer.Context, task: Task, seeds: int, jobs: int | None, out: Path) -> None:
-    record, setup, others = task.record, task.setup, task.others
+    record, setup, others, tests = task.record, task.setup, task.others, task.tests
     methods = [given.on_device(setup.forecaster(name), task.device) for name in task.names]
-    check(record, methods, setup, others)
+    check(record, methods, setup, others, tests)
     check_trial(record, methods, setup, others)
     output_folder(out)
     networks = sum(method.random for method in methods)
@@ -150,7 +161,13 @@ def _compare(context: typer.Context, task: Task, seeds: int, jobs: int | None, o
     with showing.progress(total) as progress:
         work = Work(jobs, progress, out / CHECKPOINTS)
         found = compare_forecasters(
-            record, methods=methods, others=others, seeds=seeds, setup=setup, work=work
+            record,
+            methods=methods,
+            others=others,
+            tests=tests,
+            seeds=seeds,
+            setup=setup,
+            work=work,
         )
     arguments = {k: str(v) if isinstance(v, Path) else v for k, v in context.params.items()}
     facts: dict[str, Any] = {"command": context.info_name, "arguments": arguments}
@@ -162,12 +179,22 @@ def _compare(context: typer.Context, task: Task, seeds: int, jobs: int | None, o
 def _say(found: Comparison, names: list[str], out: Path) -> None:
     record, setup, trial, best = found.record, found.setup, found.require_trial(), found.recommended
     showing.console.print(showing.comparison(_title(record, setup), found))
+    changed = (
+        f" and for how little its forecast of what follows changed once these were known "
+        f"({trial.change(best):.3g})"
+        if setup.train < len(record)
+        else ""
+    )
     showing.console.print(
         f"recommended: {best}, for its forecast of the last {HELD_OUT:.0%} of the training part "
-        f"(held out: RMSE {trial.errors[best]:.3g}) and for how little its forecast of what "
-        f"follows changed once these were known ({trial.change(best):.3g}); a network has to be "
+        f"(held out: RMSE {trial.errors[best]:.3g}){changed}; a network has to be "
         f"{WORTH_TRAINING:.0%} better than what needs no training"
     )
+    if found.left_out:
+        showing.console.print(
+            f"not tested: {', '.join(found.left_out)}; they go on from the training record, or need"
+            " a simulator of the test record (--test-simulator)"
+        )
     if record.ny > 1:
         showing.console.print(f"{best}: {showing.channels(found, best)}")
     bands = setup.bands

@@ -59,7 +59,7 @@ def fit(
     trajectory = with_simulator(trajectory, simulator, reading, beyond=CALIBRATED in method)
     samples = len(trajectory) if train is None else train
     setup = given.setup(record, trajectory, samples, model, [method], ahead=0)
-    others = given.load_further(further, trajectory, reading)
+    others = given.load_further(further.more, "--more", trajectory, reading)
     others = each_with_simulator(others, [method], further, simulator, reading)
     forecaster = given.on_device(setup.forecaster(method), model.device)
     training = trajectory[: setup.train]

@@ -64,10 +64,10 @@ def forecast(
     known = replace(known, u_beyond=u)
     setup = given.setup_ahead(known, steps, names, epochs)
     names = usual_names(known, setup) if method is None else names
-    others = given.load_further(further, known, reading)
+    others = given.load_further(further.more, "--more", known, reading)
     others = each_with_simulator(others, names, further, simulator, reading)
     methods = [given.on_device(setup.forecaster(name), device) for name in names]
-    check(known, methods, setup, others, ahead=0)
+    check(known, methods, setup, others, beyond=True)
     check_trial(known, methods, setup, others)
     output_folder(out)
     tried = len(set(names) & set(TRAINED))

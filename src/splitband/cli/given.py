@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.cli import showing
-from splitband.cli.options import AUTO, FurtherRecords, ModelOptions, RecordOptions
+from splitband.cli.options import AUTO, ModelOptions, RecordOptions
 from splitband.data import Trajectory, aligned, read, resampled
 from splitband.data.gaps import places
 from splitband.data.reading import ColumnError
@@ -171,13 +171,13 @@ def differs(sampling_time: float, other: float) -> bool:
 
 
 def load_further(
-    further: FurtherRecords, record: Trajectory, reading: RecordOptions
+    files: Sequence[str] | None, option: str, record: Trajectory, reading: RecordOptions
 ) -> list[Trajectory]:
-    """The records of --more, with the columns of `record`."""
+    """The records of --more or --test, with the columns of `record`."""
     found = []
-    for file in further.more or []:
+    for file in files or []:
         if not Path(file).exists():
-            raise FileNotFoundError(f"--more must be a file, got {file}")
+            raise FileNotFoundError(f"{option} must be a file, got {file}")
         more = read_beside(
             file,
             record.sampling_time,
@@ -188,7 +188,7 @@ def load_further(
         )
         if not differs(more.sampling_time, record.sampling_time):  # otherwise refused by `check`
             more = like(more, record.sampling_time, file)
-        found.append(replace(more, name=file))
+        found.append(replace(more, name=file if option == "--more" else Path(file).stem))
     return found
 
 
@@ -220,16 +220,18 @@ def setup(
     options: ModelOptions,
     methods: Sequence[str] | None = None,
     ahead: int = 1,
+    tested: bool = False,
 ) -> Setup:
     """What the options say (`None`: nothing), the rest by the recipe.
 
     The paper's recipe for its own records is the settings of its tables. `record` is the argument
     that `trajectory` comes from, `methods` what the setup is for; `ahead` samples at least must be
-    left to predict.
+    left to predict. What is `tested` on other records is trained on all of this one by default.
     """
     column = RECORD_SETTINGS.get(record)
     if train is None:
         train = column.train if column else int(0.75 * len(trajectory))
+        train = len(trajectory) if tested else train
     check_train(trajectory, train, ahead)
     bands = Bands(
         None if options.cutoff == AUTO else options.cutoff, options.order, options.downsampling

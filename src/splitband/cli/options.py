@@ -99,6 +99,28 @@ MoreSimulators = Annotated[
         show_default=False,
     ),
 ]
+Tests = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--test",
+        metavar="FILE",
+        help="Another record of the same system, to be simulated to its end from its first "
+        "samples (--warmup) by what is fitted to all of RECORD, or to --train samples; give it "
+        "once for each.",
+        rich_help_panel=_RECORD,
+        show_default=False,
+    ),
+]
+TestSimulators = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--test-simulator",
+        metavar="FILE",
+        help="The simulator of each --test, in their order; without, hybrid models are not tested.",
+        rich_help_panel=_SIMULATOR,
+        show_default=False,
+    ),
+]
 FutureInputs = Annotated[
     Path | None,
     typer.Option(
@@ -316,6 +338,16 @@ class FurtherRecords:
 
     more: More = None
     more_simulator: MoreSimulators = None
+
+
+@dataclass(frozen=True)
+class TestRecords:
+    """Other records of the same system, to test on."""
+
+    __test__ = False  # for pytest, it is no test
+
+    test: Tests = None
+    test_simulator: TestSimulators = None
 
 
 @dataclass(frozen=True)

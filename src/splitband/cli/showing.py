@@ -35,7 +35,11 @@ def comparison(title: str, found: Comparison) -> Table:
     runs, trial = found.runs, found.require_trial()
     table = Table(title=title, title_justify="left", title_style="bold")
     table.add_column("method", min_width=max(map(len, [*runs, *trial.failed])))
-    for heading in ("held out", "changed", "from the start", "forecast", "in interval", "fit (s)"):
+    ahead = any(run.forecast is not None for of_method in runs.values() for run in of_method)
+    tests = [_tested(test.name, i) for i, test in enumerate(found.tests)]
+    forecast = ["changed", "from the start", "forecast", "in interval"]
+    headings = ["held out", *(forecast if ahead else ["from the start"]), *tests, "fit (s)"]
+    for heading in headings:
         table.add_column(heading, justify="right")
     table.add_column("", style="dim")
     first = min(trial.errors[name] for name in runs)
@@ -43,23 +47,39 @@ def comparison(title: str, found: Comparison) -> Table:
     best = [
         min(statistics.mean(values(r)) for r in runs.values()) for values in (_total, _forecast)
     ]
+    best_tests = [
+        min((mean.errors.tests[i] for mean in found.means.values() if mean.tests), default=0.0)
+        for i in range(len(tests))
+    ]
     for name, of_method in runs.items():
-        cells = [
+        total, forecast_error = (
             _spread(values(of_method), lowest)
             for values, lowest in zip((_total, _forecast), best, strict=True)
-        ]
+        )
+        cells: list[str | Text] = [total]
+        if ahead:
+            covers = f"{found.covers(name):.0%}"
+            cells = [_spread([trial.change(name)], steadiest), total, forecast_error, covers]
+        # What is handed out is the mean of the seeds, and so is what is tested.
+        cells += [
+            _spread([error], lowest)
+            for error, lowest in zip(found.means[name].errors.tests, best_tests, strict=False)
+        ] or ["-"] * len(tests)
         table.add_row(
             name,
             _spread([trial.errors[name]], first),
-            _spread([trial.change(name)], steadiest),
             *cells,
-            f"{found.covers(name):.0%}",
             f"{statistics.mean(r.fit.seconds for r in of_method):.1f}",
             _remarks(found, name),
         )
     for name, reason in trial.failed.items():
-        table.add_row(name, *["-"] * 6, f"could not be fitted: {reason}")
+        table.add_row(name, *["-"] * len(headings), f"could not be fitted: {reason}")
     return table
+
+
+def _tested(name: str, i: int) -> str:
+    """The heading of a test record's errors."""
+    return f"test: {name or i + 1}"
 
 
 def _remarks(found: Comparison, name: str) -> str:
@@ -67,7 +87,10 @@ def _remarks(found: Comparison, name: str) -> str:
     runs, mean = found.runs[name], found.means[name]
     said = [runs[0].description]
     if len(runs) > 1 and runs[0].fit.losses:
-        said.insert(0, f"their mean {mean.total_rmse:.3f}, {mean.forecast_rmse:.3f}")
+        errors = (
+            [mean.total_rmse] if mean.forecast is None else [mean.total_rmse, mean.forecast_rmse]
+        )
+        said.insert(0, f"their mean {', '.join(f'{error:.3f}' for error in errors)}")
     left = [run.leaves for run in runs if run.leaves is not None]
     if left:
         said.insert(0, leaving(min(left)))
@@ -77,13 +100,16 @@ def _remarks(found: Comparison, name: str) -> str:
 def channels(found: Comparison, name: str) -> str:
     """The errors of a method's mean, each channel by itself, as channels may differ in unit."""
     record, mean = found.record, found.means[name]
-    both = by_channel(record, mean.from_start.y), by_channel(record, mean.forecast.y)
+    each = [by_channel(record, mean.from_start.y)]
+    if mean.forecast is not None:
+        each.append(by_channel(record, mean.forecast.y))
     deviations = spread(record.seen[: found.setup.train])
     parts = [
-        f"{column} {whole:.3g} and {ahead:.3g} (its deviation is {deviation:.3g})"
-        for column, whole, ahead, deviation in zip(record.columns, *both, deviations, strict=True)
+        f"{column} {' and '.join(f'{e:.3g}' for e in errors)} (its deviation is {deviation:.3g})"
+        for column, deviation, *errors in zip(record.columns, deviations, *each, strict=True)
     ]
-    return "RMSE from the start and of the forecast, by channel: " + "; ".join(parts)
+    what = "from the start" + (" and of the forecast" if mean.forecast is not None else "")
+    return f"RMSE {what}, by channel: " + "; ".join(parts)
 
 
 @contextmanager

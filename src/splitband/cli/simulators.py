@@ -14,7 +14,7 @@ import pandas as pd
 
 from splitband.cli import showing
 from splitband.cli.given import names, read_beside
-from splitband.cli.options import FurtherRecords, RecordOptions, SimulatorOptions
+from splitband.cli.options import FurtherRecords, RecordOptions, SimulatorOptions, TestRecords
 from splitband.data import Grid, Trajectory
 from splitband.data.alignment import NEAR
 from splitband.data.timing import Stamp, in_words, seconds_between, stamp_after
@@ -203,6 +203,27 @@ def each_with_simulator(
     return [
         with_simulator(record, replace(options, simulator=simulator), reading, beyond=beyond)
         for record, simulator in zip(records, simulators, strict=True)
+    ]
+
+
+def tests_with_simulator(
+    tests: Sequence[Trajectory],
+    testing: TestRecords,
+    options: SimulatorOptions,
+    reading: RecordOptions,
+) -> list[Trajectory]:
+    """The records of --test, each with its simulator where there is one."""
+    simulators = testing.test_simulator or []
+    if simulators and len(simulators) != len(tests):
+        raise ValueError(
+            f"--test-simulator must be given once for each --test, got {len(simulators)} for "
+            f"{len(tests)}"
+        )
+    if not simulators:
+        return [*tests]
+    return [
+        with_simulator(test, replace(options, simulator=simulator), reading, beyond=True)
+        for test, simulator in zip(tests, simulators, strict=True)
     ]
 
 

@@ -22,10 +22,10 @@ from splitband.evaluation.comparison import (
     inputs_beyond,
     mean_run,
 )
-from splitband.evaluation.runs import Asked, Work, run_all
+from splitband.evaluation.runs import Work, run_all
 from splitband.evaluation.selection import LEVEL, TRIED, Trial, check_trial, try_out
 from splitband.evaluation.setup import Setup, default_setup, usual_names
-from splitband.forecasters.backtest import Backtest, Origin
+from splitband.forecasters.backtest import Backtest, Origin, Question
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import Extrapolation, leaves_range
@@ -50,6 +50,7 @@ class Comparison:
     runs : Of each method, one for each seed.
     trial : What they did on held-out training samples; None where none has been made.
     others : Further records that networks were trained on.
+    tests : Records that nothing was fitted to, simulated from their first samples.
     """
 
     record: Trajectory
@@ -57,6 +58,7 @@ class Comparison:
     runs: Runs
     trial: Trial | None = None
     others: tuple[Trajectory, ...] = ()
+    tests: tuple[Trajectory, ...] = ()
 
     @property
     def recommended(self) -> str:
@@ -67,7 +69,14 @@ class Comparison:
     def means(self) -> dict[str, Run]:
         """The mean over seeds of each method, which is what is handed out."""
         train = self.setup.train
-        return {name: mean_run(runs, self.record, train) for name, runs in self.runs.items()}
+        return {
+            name: mean_run(runs, self.record, train, self.tests) for name, runs in self.runs.items()
+        }
+
+    @property
+    def left_out(self) -> list[str]:
+        """Methods that have nothing to say about the test records."""
+        return [name for name, mean in self.means.items() if self.tests and not mean.tests]
 
     @cached_property
     def predictions(self) -> dict[str, Prediction]:
@@ -75,10 +84,11 @@ class Comparison:
         intervals = {} if self.trial is None else self.trial.intervals
         found = {}
         for name, run in self.means.items():
-            found[name] = run.forecast
+            if run.forecast is None:
+                continue
+            y, found[name] = run.forecast.y, run.forecast
             if name in intervals:
-                half = intervals[name].half_widths(len(run.forecast))
-                y = run.forecast.y
+                half = intervals[name].half_widths(len(y))
                 found[name] = replace(run.forecast, lower=y - half, upper=y + half, level=LEVEL)
         return found
 
@@ -93,6 +103,12 @@ class Comparison:
                 "forecast": sum(r.forecast_rmse for r in runs) / len(runs),
                 "mean of seeds, from start": mean.total_rmse,
                 "mean of seeds, forecast": mean.forecast_rmse,
+                **{
+                    f"mean of seeds, test {_named(test, i)}": error
+                    for i, (test, error) in enumerate(
+                        zip(self.tests, mean.errors.tests, strict=False)
+                    )
+                },
                 "fit (s)": sum(r.fit.seconds for r in runs) / len(runs),
                 "note": mean.description or runs[0].description,
             }
@@ -110,10 +126,12 @@ class Comparison:
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("method")
 
     def covers(self, name: str) -> float:
-        """The share of the measured samples that a method's interval holds, 0 to 1."""
-        forecast = self.means[name].forecast.y
-        errors = self.record.seen[self.setup.train :] - forecast
-        return self.require_trial().intervals[name].coverage(errors)
+        """The share of the measured samples that a method's interval holds, 0 to 1.
+
+        NaN where there is no forecast.
+        """
+        errors = self.record.seen[self.setup.train :] - self.means[name].ahead
+        return self.require_trial().intervals[name].coverage(errors) if len(errors) else np.nan
 
     @property
     def inputs_beyond_training(self) -> list[Extrapolation]:
@@ -148,6 +166,7 @@ def compare(
     methods: Sequence[Forecaster] | None = None,
     *,
     others: Sequence[Trajectory] = (),
+    tests: Sequence[Trajectory] = (),
     seeds: int = 3,
     setup: Setup | None = None,
     work: Work | None = None,
@@ -160,10 +179,12 @@ def compare(
     Parameters
     ----------
     record : What was measured, and known beside it.
-    train : Samples to train on, by default three quarters.
+    train : Samples to train on, by default three quarters; with `tests` all.
     methods : Forecasters; what they leave open is as in `setup`. By default what is worth comparing
         on such a record.
     others : Further records of the same system, to train networks on.
+    tests : Records of the same system that nothing is fitted to: each is simulated to its end by
+        what warms up on its first samples.
     seeds : Trainings of each network.
     setup : Settings, bands and sizes; by default chosen by the training samples.
     work : Processes, progress and checkpoints.
@@ -174,15 +195,16 @@ def compare(
         For what `check` finds, before anything is computed; where no method can be fitted.
     """
     if setup is None:
-        train = int(TRAINING_SHARE * len(record)) if train is None else train
-        check_train(record, train)
+        usual = len(record) if tests else int(TRAINING_SHARE * len(record))
+        train = usual if train is None else train
+        check_train(record, train, 0 if tests else 1)
         setup = default_setup(record, train)
     elif train not in (None, setup.train):
         raise ValueError(f"train must be that of setup, {setup.train}, got {train}")
     if methods is None:
         methods = [setup.forecaster(name) for name in usual_names(record, setup)]
     chosen = [method.with_defaults(setup.settings, setup.bands) for method in methods]
-    check(record, chosen, setup, others)
+    check(record, chosen, setup, others, tests)
     check_trial(record, chosen, setup, others)
     work, all_seeds = work or Work(), range(seeds)
     trial = try_out(
@@ -194,9 +216,10 @@ def compare(
         others,
     )
     fitted = [method for method in chosen if method.name in trial.errors]
-    runs = compare_methods(record, fitted, setup, all_seeds, work.for_stage(FINAL), others)
-    comparison = Comparison(record, setup, runs, None, tuple(others))
-    final = {name: mean.forecast.y for name, mean in comparison.means.items()}
+    final_work = work.for_stage(FINAL)
+    runs = compare_methods(record, fitted, setup, all_seeds, final_work, others, tests)
+    comparison = Comparison(record, setup, runs, None, tuple(others), tuple(tests))
+    final = {name: mean.ahead for name, mean in comparison.means.items()}
     return replace(comparison, trial=trial.settled(final, runs.failed))
 
 
@@ -255,7 +278,7 @@ def forecast(
     if methods is None:
         methods = [setup.forecaster(name) for name in usual_names(record, setup)]
     chosen = [method.with_defaults(setup.settings, setup.bands) for method in methods]
-    check(record, chosen, setup, others, ahead=0)
+    check(record, chosen, setup, others, beyond=True)
     check_trial(record, chosen, setup, others)
     work, all_seeds = work or Work(), range(seeds)
     trial = try_out(record, chosen, steps, all_seeds[:TRIED], work.for_stage(TRIAL), others)
@@ -263,8 +286,9 @@ def forecast(
     fitted = [m for m in chosen if m.name in trial.errors]
     fitted = [m for m in fitted if not m.random or m.name == trial.best_network]
     origin = Origin(len(record), len(record))
-    asked = Asked(record, {m.name: [origin] for m in fitted}, len(record) + steps, others)
-    found, failures = run_all(fitted, asked, all_seeds, work.for_stage(FINAL))
+    question = Question(record, [origin], len(record) + steps, others)
+    questions = {method.name: question for method in fitted}
+    found, failures = run_all(fitted, questions, all_seeds, work.for_stage(FINAL))
     means = {name: _mean(of_method, origin) for name, of_method in found.items() if of_method}
     failed = {f.method: f.reason for f in failures[::-1] if f.method not in means}
     trial = trial.settled({name: mean.y for name, mean in means.items()}, failed)
@@ -282,6 +306,11 @@ def forecast(
         min((samples for samples in left if samples is not None), default=None),
         inputs_beyond([record, *others], None if u is None else u[:steps]),
     )
+
+
+def _named(test: Trajectory, i: int) -> str:
+    """What a test record is called."""
+    return test.name or str(i + 1)
 
 
 def _mean(done: Mapping[int, Backtest], origin: Origin) -> Prediction:

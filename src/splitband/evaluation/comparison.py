@@ -1,7 +1,8 @@
 """Comparing forecasters on a record, under both protocols.
 
 *From the start*: warm up on the first R samples, simulate to the end; the error counts everything
-after the warm-up. *Forecast*: warm up on the last R training samples, simulate beyond them.
+after the warm-up. *Forecast*: warm up on the last R training samples, simulate beyond them. *Test
+record*: warm up on the first R samples of a record that nothing was fitted to, simulate to its end.
 """
 
 from __future__ import annotations
@@ -13,25 +14,45 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Trajectory
-from splitband.evaluation.runs import Asked, Failure, Work, run_all
+from splitband.data.gaps import first_after
+from splitband.evaluation.runs import Failure, Work, run_all
 from splitband.evaluation.setup import Setup
-from splitband.forecasters.backtest import Backtest, Origin, first_origin
+from splitband.forecasters.backtest import Backtest, Origin, Question, first_origin
 from splitband.forecasters.base import FitReport, Forecaster
+from splitband.forecasters.networks import check_alike
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
 
 Array = npt.NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class Errors:
+    """RMSE of predictions, in the record's unit.
+
+    Attributes
+    ----------
+    total : From the start.
+    forecast : Of the forecast; None where the training part is the whole record.
+    tests : Of each test record; none for what has nothing to say about other records.
+    """
+
+    total: float
+    forecast: float | None
+    tests: tuple[float, ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One forecaster with one seed, under both protocols.
+    """One forecaster with one seed, under every protocol.
 
     Attributes
     ----------
     method : The forecaster's name.
-    total_rmse, forecast_rmse : Of the two protocols, in the record's unit.
-    from_start, forecast : The predictions, to the end of the record.
+    errors : Of the predictions.
+    from_start, forecast : To the end of the record; no forecast without samples after the training
+        part.
+    tests : Of the test records, to their ends.
     leaves : Samples of the forecast before it leaves the range of the training part, see
         `leaves_range`; None where it does not.
     fit : What the fit did.
@@ -40,10 +61,10 @@ class Run:
     """
 
     method: str
-    total_rmse: float
-    forecast_rmse: float
+    errors: Errors
     from_start: Prediction
-    forecast: Prediction
+    forecast: Prediction | None
+    tests: tuple[Prediction, ...] = ()
     leaves: int | None = None
     fit: FitReport = field(default_factory=FitReport)
     description: str = ""
@@ -53,6 +74,21 @@ class Run:
     def seed(self) -> int:
         """It was fitted with."""
         return self.fit.seed
+
+    @property
+    def total_rmse(self) -> float:
+        """From the start."""
+        return self.errors.total
+
+    @property
+    def forecast_rmse(self) -> float:
+        """Of the forecast; NaN where there is none."""
+        return np.nan if self.errors.forecast is None else self.errors.forecast
+
+    @property
+    def ahead(self) -> Array:
+        """The values of the forecast, `(time, ny)`, none where there is none."""
+        return self.from_start.y[:0] if self.forecast is None else self.forecast.y
 
 
 class Runs(dict[str, list[Run]]):
@@ -87,8 +123,9 @@ def compare_methods(
     seeds: Sequence[int] = (0,),
     work: Work | None = None,
     others: Sequence[Trajectory] = (),
+    tests: Sequence[Trajectory] = (),
 ) -> Runs:
-    """Fit every forecaster with every seed and predict under both protocols.
+    """Fit every forecaster with every seed and predict under every protocol.
 
     What diverges, or cannot be fitted for another reason, is among the result's `failures` and
     does not keep the others from running.
@@ -101,26 +138,26 @@ def compare_methods(
     seeds : Each gives one run of each forecaster that draws something.
     work : How it is computed.
     others : Further records of the same system that networks train on too.
+    tests : Records that nothing is fitted to, to be simulated from their first samples.
 
     Raises
     ------
     ValueError
         Before anything is computed, for what `check` finds; and where every method fails.
     """
-    check(record, forecasters, setup, others)
-    shared = setup.settings.warmup
-    forecast = Origin(setup.train, setup.train)
-    first = {f.name: first_origin(record, setup.train, f.warmup or shared) for f in forecasters}
-    origins = {name: [at, forecast] for name, at in first.items()}
-    asked = Asked(record, origins, len(record), others)
-    found, failures = run_all(forecasters, asked, seeds, work or Work())
-    runs = {}
-    for forecaster in forecasters:
-        name = forecaster.name
-        if done := found[name].values():
-            runs[name] = [
-                as_run(name, record, setup.train, first[name], forecast, each) for each in done
-            ]
+    check(record, forecasters, setup, others, tests)
+    questions = {
+        f.name: Question(
+            record, _origins(f, record, setup), len(record), others, tests, setup.settings.warmup
+        )
+        for f in forecasters
+    }
+    found, failures = run_all(forecasters, questions, seeds, work or Work())
+    runs = {
+        name: [as_run(name, questions[name], setup.train, each) for each in done.values()]
+        for name, done in found.items()
+        if done
+    }
     for f in failures:
         if f.method in runs:
             one, *rest = runs[f.method]
@@ -129,43 +166,66 @@ def compare_methods(
     return Runs(runs, failures)
 
 
-def as_run(
-    name: str, record: Trajectory, train: int, first: Origin, forecast: Origin, done: Backtest
-) -> Run:
+def _origins(forecaster: Forecaster, record: Trajectory, setup: Setup) -> list[Origin]:
+    """Of the two protocols; there is nothing to forecast where all of the record is trained on."""
+    warmup = forecaster.warmup or setup.settings.warmup
+    first = first_origin(record, setup.train, warmup)
+    return [first, Origin(setup.train, setup.train)][: 1 + (setup.train < len(record))]
+
+
+def as_run(name: str, question: Question, train: int, done: Backtest) -> Run:
     """What a forecaster has said, with its errors."""
-    from_start, ahead = done.predictions[first], done.predictions[forecast]
-    return Run(
+    first = min(question.origins, key=lambda origin: origin.at)
+    from_start = done.predictions[first]
+    forecast = done.predictions.get(Origin(train, train)) if train < question.end else None
+    run = Run(
         name,
-        *errors_of(record, train, from_start.y, ahead.y),
+        Errors(np.nan, None),
         from_start,
-        ahead,
-        leaves_range(done.y_range, ahead.y),
+        forecast,
+        tuple(done.tests),
+        None if forecast is None else leaves_range(done.y_range, forecast.y),
         done.report,
         done.description,
         done.unfiltered.get(first, {}),
     )
+    return replace(run, errors=errors_of(run, question.record, train, question.tests))
 
 
-def errors_of(
-    record: Trajectory, train: int, from_start: Array, forecast: Array
-) -> tuple[float, float]:
-    """The RMSE of both protocols against the truth where it is known."""
-    truth = record.truth
-    return rmse(truth[-len(from_start) :], from_start), rmse(truth[train:], forecast)
+def errors_of(run: Run, record: Trajectory, train: int, tests: Sequence[Trajectory] = ()) -> Errors:
+    """The RMSE of a run's predictions against the truth where it is known."""
+    truth, from_start = record.truth, run.from_start.y
+    return Errors(
+        rmse(truth[-len(from_start) :], from_start),
+        None if run.forecast is None else rmse(truth[train:], run.forecast.y),
+        tuple(
+            rmse(test.truth[-len(found) :], found.y)
+            for test, found in zip(tests if run.tests else (), run.tests, strict=True)
+        ),
+    )
 
 
-def mean_run(runs: Sequence[Run], record: Trajectory, train: int) -> Run:
+def mean_run(
+    runs: Sequence[Run], record: Trajectory, train: int, tests: Sequence[Trajectory] = ()
+) -> Run:
     """The mean of the predictions of several seeds, with its own errors."""
     first = runs[0]
     if len(runs) == 1:
         return first
-    from_start, forecast = (
-        replace(getattr(first, name), y=np.mean([getattr(r, name).y for r in runs], axis=0))
-        for name in ("from_start", "forecast")
+    mean = Run(
+        first.method,
+        first.errors,
+        _mean_of([run.from_start for run in runs]),
+        None if first.forecast is None else _mean_of([run.forecast for run in runs]),
+        tuple(_mean_of(of_test) for of_test in zip(*(run.tests for run in runs), strict=True)),
+        fit=replace(first.fit, seconds=sum(run.fit.seconds for run in runs)),
     )
-    errors = errors_of(record, train, from_start.y, forecast.y)
-    fit = replace(first.fit, seconds=sum(run.fit.seconds for run in runs))
-    return Run(first.method, *errors, from_start, forecast, fit=fit)
+    return replace(mean, errors=errors_of(mean, record, train, tests))
+
+
+def _mean_of(predictions: Sequence[Prediction | None]) -> Prediction:
+    every = [prediction for prediction in predictions if prediction is not None]
+    return replace(every[0], y=np.mean([prediction.y for prediction in every], axis=0))
 
 
 def by_channel(record: Trajectory, predicted: Array) -> list[float]:
@@ -197,11 +257,13 @@ def check(
     forecasters: Sequence[Forecaster],
     setup: Setup,
     others: Sequence[Trajectory] = (),
-    ahead: int = 1,
+    tests: Sequence[Trajectory] = (),
+    beyond: bool = False,
 ) -> None:
     """Find what is wrong with a comparison before anything is computed.
 
-    `ahead` samples at least must follow the training part.
+    Samples to predict must follow the training part, unless there are test records or what lies
+    `beyond` the record is asked for.
     """
     if not forecasters:
         raise ValueError("methods must be one or several, got none")
@@ -212,7 +274,15 @@ def check(
             f"methods must have names that differ, two are {twice}; a forecaster takes another "
             "one as `name`"
         )
-    check_train(record, setup.train, ahead)
+    check_train(record, setup.train, 0 if beyond or tests else 1)
+    for test in tests:
+        check_alike(test, record)
+        warmup = max(setup.settings.warmup, *(f.warmup for f in forecasters))
+        if len(test) <= warmup or first_after(test.complete, warmup) in (None, len(test)):
+            raise ValueError(
+                f"warmup must fit into the test record {test.name} of {len(test)} samples, with "
+                f"samples to predict after it, got {warmup}"
+            )
     if setup.settings.warmup >= setup.train:
         raise ValueError(
             f"warmup must be shorter than the {setup.train} training samples, "

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from splitband.data import Trajectory
-from splitband.forecasters.backtest import Backtest, Origin, backtest
+from splitband.forecasters.backtest import Backtest, Question, backtest
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.simulation import CALIBRATIONS
 from splitband.runtime.processes import over
@@ -65,39 +64,24 @@ class Failure:
     reason: str
 
 
-@dataclass(frozen=True, eq=False)
-class Asked:
-    """What every forecaster is asked.
-
-    Attributes
-    ----------
-    record : What is known.
-    origins : From where on each is to forecast, by name.
-    end : Up to which sample, exclusively; it may lie beyond the record.
-    others : Further training records, for networks.
-    """
-
-    record: Trajectory
-    origins: Mapping[str, Sequence[Origin]]
-    end: int
-    others: Sequence[Trajectory] = ()
-
-
 def run_all(
-    forecasters: Sequence[Forecaster], asked: Asked, seeds: Sequence[int], work: Work
+    forecasters: Sequence[Forecaster],
+    questions: Mapping[str, Question],
+    seeds: Sequence[int],
+    work: Work,
 ) -> tuple[dict[str, dict[int, Backtest]], list[Failure]]:
     """What each forecaster says with each seed, by name; and what could not be fitted.
 
-    What draws nothing is fitted once.
+    `questions` are by name, too. What draws nothing is fitted once, and to the first record alone.
     """
     if work.checkpoints is not None:
         work.checkpoints.mkdir(parents=True, exist_ok=True)
-    ready = {f.name: _prepared(f, asked) for f in forecasters}
+    ready = {f.name: _prepared(f, questions[f.name]) for f in forecasters}
     todo = [(f.name, s) for f in forecasters for s in (seeds if f.random else seeds[:1])]
     # The longest first, so that no process is left with one of them at the end.
     todo.sort(key=lambda job: not ready[job[0]].random)
     stage = None if work.progress is None else work.stage
-    job = partial(_work, ready, asked, stage, work.checkpoints, dict(CALIBRATIONS.results))
+    job = partial(_work, ready, questions, stage, work.checkpoints, dict(CALIBRATIONS.results))
     done = {(name, seed): found for name, seed, found in over(job, todo, work.jobs, work.progress)}
     results: dict[str, dict[int, Backtest]] = {f.name: {} for f in forecasters}
     failures = []
@@ -114,9 +98,9 @@ def run_all(
     return results, failures
 
 
-def _prepared(forecaster: Forecaster, asked: Asked) -> Forecaster:
+def _prepared(forecaster: Forecaster, asked: Question) -> Forecaster:
     """With what all of its jobs share computed here, once for all processes."""
-    fits = sorted({origin.fitted for origin in asked.origins[forecaster.name]})
+    fits = sorted({origin.fitted for origin in asked.origins})
     # What cannot be computed fails once more, and is reported, in the job that asks for it.
     with suppress(ValueError):
         forecaster = forecaster.settled(asked.record[: fits[-1]], asked.end - fits[-1])
@@ -127,7 +111,7 @@ def _prepared(forecaster: Forecaster, asked: Asked) -> Forecaster:
 
 def _work(
     forecasters: Mapping[str, Forecaster],
-    asked: Asked,
+    questions: Mapping[str, Question],
     stage: str | None,
     checkpoints: Path | None,
     calibrations: Mapping[str, Calibration],
@@ -140,12 +124,11 @@ def _work(
     checkpoint = None
     if checkpoints is not None and forecasters[name].random:
         checkpoint = Checkpoint(checkpoints / f"{file_name(name)}-{seed}.safetensors")
-    others = asked.others if forecasters[name].random else ()
-    origins = asked.origins[name]
+    question = questions[name]
+    if not forecasters[name].random:
+        question = replace(question, others=())
     try:
-        found = backtest(
-            forecasters[name], asked.record, origins, asked.end, others, seed, watch, checkpoint
-        )
+        found = backtest(forecasters[name], question, seed, watch, checkpoint)
     except OSError:
         raise  # a full disk, or a process ended from outside, concerns every method
     except Exception as error:

@@ -13,10 +13,11 @@ import numpy.typing as npt
 
 from splitband.data import Trajectory
 from splitband.evaluation.comparison import check
-from splitband.evaluation.runs import Asked, Work, run_all
+from splitband.evaluation.runs import Work, run_all
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import (
     HELD_OUT,
+    Question,
     held_out_errors,
     held_out_from,
     held_out_origins,
@@ -81,7 +82,8 @@ class Trial:
 
     def change(self, method: str) -> float:
         """RMSE between a method's early and final forecast, in the record's unit."""
-        return root_mean_square([self.final[method] - self.early[method]])
+        moved = self.final[method] - self.early[method]
+        return root_mean_square([moved]) if len(moved) else 0.0
 
     @property
     def recommended(self) -> str:
@@ -104,7 +106,7 @@ class Trial:
 
     def _worth(self, method: str) -> float:
         change = 0.0
-        if method in self.final:
+        if len(self.final.get(method, ())):
             change = root_mean_square([(self.final[method] - self.early[method]) / self.scale])
         needed = 1 + WORTH_TRAINING if method in self.trained else 1.0
         return max(self.scores[method], float(np.sqrt(CHANGE_COUNTS)) * change) * needed
@@ -131,8 +133,9 @@ def try_out(
     record = replace(record, y_true=None)
     shorter = [f.for_fewer_samples(HELD_OUT) for f in forecasters]
     origins = {f.name: held_out_origins(f, record) for f in shorter}
-    asked = Asked(record, origins, len(record) + steps, others)
-    found, failures = run_all(shorter, asked, seeds, work or Work())
+    end = len(record) + steps
+    questions = {name: Question(record, at, end, others) for name, at in origins.items()}
+    found, failures = run_all(shorter, questions, seeds, work or Work())
     forecasts = {
         name: {
             at: np.mean([done.predictions[at].y for done in of_method.values()], axis=0)

@@ -7,7 +7,7 @@ forecast are made of these forecasts.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 
@@ -52,12 +52,38 @@ class Origin:
 
 
 @dataclass(frozen=True, eq=False)
+class Question:
+    """What a forecaster is asked.
+
+    Attributes
+    ----------
+    record : What is known. No prediction sees a measured sample after its origin.
+    origins : From where it is to be forecast. The forecaster is fitted to the beginning of the
+        record, once for each number of samples among them.
+    end : To which sample, exclusively. It may lie beyond the record, as far as its inputs and its
+        simulator's output are known (`u_beyond`, `beyond`).
+    others : Further training records.
+    tests : Other records, each to be simulated to its end from its first samples, by what has been
+        fitted to the most samples.
+    warmup : How many samples these are, for what needs no number of its own.
+    """
+
+    record: Trajectory
+    origins: Sequence[Origin]
+    end: int
+    others: Sequence[Trajectory] = ()
+    tests: Sequence[Trajectory] = ()
+    warmup: int = 1
+
+
+@dataclass(frozen=True, eq=False)
 class Backtest:
     """What one forecaster with one seed says from several origins.
 
     Attributes
     ----------
     predictions : From each origin on, up to the same last sample.
+    tests : Of each test record, to its end; none where it has nothing to say about one of them.
     report : What the fit did; of several fits the one to the most samples.
     y_range : Lowest and highest value of each channel that it was fitted to, `(2, ny)`.
     description : What it has settled on.
@@ -65,6 +91,7 @@ class Backtest:
     """
 
     predictions: Mapping[Origin, Prediction]
+    tests: Sequence[Prediction]
     report: FitReport
     y_range: Array
     description: str
@@ -73,33 +100,22 @@ class Backtest:
 
 def backtest(
     forecaster: Forecaster,
-    record: Trajectory,
-    origins: Iterable[Origin],
-    end: int,
-    others: Sequence[Trajectory] = (),
+    question: Question,
     seed: int = 0,
     progress: Callable[[Progress], None] | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Backtest:
-    """Forecast a record from several origins on.
+    """Forecast a record from several origins on, with copies of a forecaster.
 
-    Parameters
-    ----------
-    forecaster : With its options; a copy is fitted to the beginning of the record, once for each
-        number of samples among the origins.
-    record : What is known. No prediction sees a measured sample after its origin.
-    origins : From where.
-    end : To which sample, exclusively. It may lie beyond the record, as far as its inputs and its
-        simulator's output are known (`u_beyond`, `beyond`).
-    others : Further training records.
-    seed, progress, checkpoint : See `Forecaster.fit`.
+    `seed`, `progress` and `checkpoint` are those of `Forecaster.fit`.
     """
+    record, end = question.record, question.end
     predictions: dict[Origin, Prediction] = {}
     unfiltered: dict[Origin, Mapping[str, Array]] = {}
-    for samples, of_fit in groupby(sorted(origins), key=lambda origin: origin.fitted):
+    for samples, of_fit in groupby(sorted(question.origins), key=lambda origin: origin.fitted):
         fitted = forecaster.copy().fit(
             record[:samples],
-            *others,
+            *question.others,
             seed=seed,
             horizon=end - samples,
             progress=progress,
@@ -112,8 +128,29 @@ def backtest(
                 predictions[origin] = fitted.predict(end - origin.at, history)
             if isinstance(fitted, Network):
                 unfiltered[origin] = fitted.unfiltered(end - origin.at, history)
+    tests = _tested(fitted, question)
     known = fitted.require_fitted()
-    return Backtest(predictions, known.report, known.y_range, fitted.describe(), unfiltered)
+    return Backtest(predictions, tests, known.report, known.y_range, fitted.describe(), unfiltered)
+
+
+def tested_by(forecaster: Forecaster, test: Trajectory) -> bool:
+    """Whether a forecaster can be asked about another record."""
+    simulated = "simulator" not in forecaster.needs or test.y_sim is not None
+    return simulated and not forecaster.anchored
+
+
+def _tested(fitted: Forecaster, question: Question) -> list[Prediction]:
+    """Each test record, simulated to its end from its first samples."""
+    predictions: list[Prediction] = []
+    if not all(tested_by(fitted, test) for test in question.tests):
+        return predictions
+    for test in question.tests:
+        at = first_origin(test, 0, fitted.warmup or question.warmup).at
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExtrapolationWarning)
+            history = test[:at]
+            predictions.append(fitted.predict(len(test) - at, history, other_record=True))
+    return predictions
 
 
 def first_origin(record: Trajectory, train: int, warmup: int) -> Origin:
@@ -177,7 +214,8 @@ def interval_of(forecaster: Forecaster, level: float) -> Interval:
         )
     shorter = forecaster.for_fewer_samples(HELD_OUT)
     origins = held_out_origins(forecaster, record)
-    done = backtest(shorter, record, origins, len(record), fitted.others, fitted.report.seed)
+    question = Question(record, origins, len(record), fitted.others)
+    done = backtest(shorter, question, fitted.report.seed)
     return interval_from(record, {at: p.y for at, p in done.predictions.items()}, level)
 
 

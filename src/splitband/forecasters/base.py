@@ -45,14 +45,15 @@ class Known:
     ----------
     y : What was measured up to the origin, `(time, ny)`; NaN where nothing was.
     steps : How many samples after it are asked for.
-    begin : How many samples after the first one of the training record `y` begins.
+    begin : How many samples after the first one of the training record `y` begins; None for
+        another record, whose time has nothing to do with that.
     u : The inputs over both, `(time + steps, nu)`, where there are any.
     y_sim : A simulator's output over both, `(time + steps or more, ny)`, where there is one.
     """
 
     y: Array
     steps: int
-    begin: float = 0.0
+    begin: float | None = 0.0
     u: Array | None = None
     y_sim: Array | None = None
 
@@ -255,6 +256,7 @@ class Forecaster(ABC):
         u: npt.ArrayLike | None = None,
         y_sim: npt.ArrayLike | None = None,
         level: float | None = None,
+        other_record: bool = False,
     ) -> Prediction:
         """The samples that come after a history.
 
@@ -270,6 +272,9 @@ class Forecaster(ABC):
         level : Of the interval, 0 to 1: the share of samples that should lie in it. The first time
             it is asked for, the forecaster is fitted again to three quarters of its training
             record, to see how well it forecasts the rest.
+        other_record : The history is of another record: its time stamps are not compared with
+            those of the training record. What depends on the time since then (`anchored`) has
+            nothing to say.
 
         Raises
         ------
@@ -287,6 +292,13 @@ class Forecaster(ABC):
         if steps < 1:
             raise ValueError(f"steps must be at least 1, got {steps}")
         known, past = self._known(steps, history, u, y_sim)
+        if other_record:
+            if self.anchored:
+                raise ValueError(
+                    f"history must go on from the training record for {self.name}, which depends "
+                    "on the time since then"
+                )
+            known = replace(known, begin=None)
         found = self.extrapolate(known)
         y = total([*found.values()] if isinstance(found, dict) else [found])
         parts = found if isinstance(found, dict) and len(found) > 1 else {}

@@ -133,11 +133,6 @@ class Linear(Forecaster):
     name = "linear"
     needs = frozenset({"inputs"})
 
-    @property
-    def anchored(self) -> bool:
-        """See `Forecaster`."""
-        return True
-
     def learn(self, records: Sequence[Trajectory], **_: Any) -> None:
         """See `Forecaster`; of several records the first one is fitted."""
         self.u = _inputs(records[0].u)
@@ -150,9 +145,12 @@ class Linear(Forecaster):
     def trajectory(self, known: Known) -> Array:
         """Over the history, too, `(time + steps, ny)`, simulated from the training record's start.
 
-        Raises ValueError for a history that does not begin with a sample of the training record,
-        or right after it: what the inputs were in between is not known.
+        Of another record the history tells the initial state. Raises ValueError for a history that
+        does not begin with a sample of the training record, or right after it: what the inputs were
+        in between is not known.
         """
+        if known.begin is None:
+            return self.model.simulate(_inputs(known.u), known.y)
         begin = int(known.begin)
         if begin != known.begin or not 0 <= begin <= len(self.u):
             raise ValueError(
@@ -166,8 +164,9 @@ class Linear(Forecaster):
         return str(self.model)
 
 
-def _whole(begin: float) -> float:
+def _whole(begin: float | None) -> float:
     """As an integer where it is one, so that times are the same to the bit."""
+    assert begin is not None, "what depends on the time is not asked about other records"
     return int(begin) if begin == int(begin) else begin
 
 

@@ -121,7 +121,7 @@ class Network(Forecaster):
                 f"window must fit into the {len(first)} training samples, got {settings.window}"
             )
         for other in records[1:]:
-            _check_alike(other, first)
+            check_alike(other, first)
         windows_in(records, settings.window, settings.warmup)
         self._built(first, settings, seed=0)
 
@@ -359,7 +359,7 @@ class _Hybrid(_Banded):
     @property
     def anchored(self) -> bool:
         """What holds the slow part is."""
-        return self.base.anchored and not isinstance(self.base, Simulation)
+        return self.base.anchored
 
     def check(self, *records: Trajectory) -> None:
         """See `Forecaster`."""
@@ -507,8 +507,8 @@ def _check_warmup(settings: Settings, shortest: int, bands: Bands) -> None:
         )
 
 
-def _check_alike(other: Trajectory, record: Trajectory) -> None:
-    """Check that another training record is of the same system."""
+def check_alike(other: Trajectory, record: Trajectory) -> None:
+    """Check that another record can be of the same system; raises ValueError otherwise."""
     if (other.ny, other.nu) != (record.ny, record.nu):
         raise ValueError(
             f"{other.name} must have the record's {record.ny} channel(s) and {record.nu} "

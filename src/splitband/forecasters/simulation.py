@@ -63,11 +63,6 @@ class Simulation(Forecaster):
         return "-affine" if self.calibrated == AFFINE else "-" + "-".join(self.calibrated)
 
     @property
-    def anchored(self) -> bool:
-        """See `Forecaster`."""
-        return True
-
-    @property
     def needs(self) -> frozenset[str]:
         """A simulator's output on the record, where it brings no simulator of its own."""
         return frozenset({"simulator"} if self.simulator is None else ())
@@ -98,14 +93,15 @@ class Simulation(Forecaster):
         """Over the history, too, `(time + steps, ny)`."""
         samples = len(known.y) + known.steps
         record = self.require_fitted().record
-        y_sim, begin_sim = known.y_sim, known.begin
+        begin = known.begin or 0.0  # a simulator of another record begins with it
+        y_sim, begin_sim = known.y_sim, begin
         if self.simulator is not None:
-            places = self.calibration.places(samples, record.sampling_time, known.begin)
+            places = self.calibration.places(samples, record.sampling_time, begin)
             start = replace(record, start=self.require_fitted().start)
             y_sim, begin_sim = self._run(start, int(np.ceil(places[-1] - 1e-6)) + 1), 0.0
         if y_sim is None:
             raise ValueError(f"{self.name} needs a simulator's output (y_sim)")
-        return self.calibration.apply(y_sim, samples, record.sampling_time, known.begin, begin_sim)
+        return self.calibration.apply(y_sim, samples, record.sampling_time, begin, begin_sim)
 
     def on(self, record: Trajectory) -> Trajectory:
         """A record that begins with the simulator, with its calibrated output as `y_sim`."""

@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Trajectory
-from splitband.evaluation.comparison import Run
+from splitband.evaluation.comparison import Errors, Run
 from splitband.evaluation.comparison import as_run as run_of
 from splitband.evaluation.runs import RunProgress
 from splitband.evaluation.setup import Setup
-from splitband.forecasters.backtest import Origin, backtest, first_origin
+from splitband.forecasters.backtest import Origin, Question, backtest, first_origin
 from splitband.forecasters.base import FitReport, Forecaster
 from splitband.forecasters.names import named
 from splitband.forecasters.prediction import Prediction
@@ -122,8 +122,7 @@ def as_run(facts: dict[str, Any], record: Trajectory) -> Run:
     parts = {name: _array(values) for name, values in facts["components"].items()}
     return Run(
         facts["job"]["method"],
-        facts["total_rmse"],
-        facts["forecast_rmse"],
+        Errors(facts["total_rmse"], facts["forecast_rmse"]),
         prediction(_array(facts["from_start"]), parts),
         prediction(_array(facts["forecast"]), {}),
         fit=FitReport(facts["job"]["seed"], facts["seconds"], facts["losses"]),
@@ -216,10 +215,9 @@ def run(
         if progress is not None:
             progress(RunProgress(job.method, job.seed, at.share, at.loss))
 
-    done = backtest(
-        forecaster, record, [first, forecast], len(record), (), job.seed, watch, checkpoint
-    )
-    return run_of(job.method, record, setup.train, first, forecast, done)
+    question = Question(record, [first, forecast], len(record))
+    done = backtest(forecaster, question, job.seed, watch, checkpoint)
+    return run_of(job.method, question, setup.train, done)
 
 
 def _results(job: Job, done: Run) -> dict[str, Any]:
@@ -234,7 +232,7 @@ def _results(job: Job, done: Run) -> dict[str, Any]:
         "description": done.description,
         "losses": {name: _few(values) for name, values in done.fit.losses.items()},
         "from_start": [] if varied else _rounded(done.from_start.y),
-        "forecast": [] if varied else _rounded(done.forecast.y),
+        "forecast": [] if varied else _rounded(done.ahead),
         "components": _parts(done.from_start.components) if drawn else {},
         "unfiltered": _parts(done.unfiltered) if drawn else {},
     }

@@ -56,9 +56,14 @@ class MassSpringOracle(Forecaster):
         found = scipy.optimize.least_squares(residual, [0.115, 0.57], x_scale=[1e-3, 1e-3]).x
         self.frequencies, self.coefficients = found, coefficients(found)
 
+    @property
+    def anchored(self) -> bool:
+        """See `Forecaster`."""
+        return True
+
     def extrapolate(self, known: Known) -> Array:
         """See `Forecaster`."""
-        time = self._time(known.begin + len(known.y), known.steps)
+        time = self._time((known.begin or 0.0) + len(known.y), known.steps)
         return np.asarray(self._basis(time, self.frequencies) @ self.coefficients)
 
     def describe(self) -> str:

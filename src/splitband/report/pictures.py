@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -13,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splitband.data import Trajectory
-from splitband.data.gaps import first_after, last_before
+from splitband.data.gaps import last_before
 from splitband.evaluation.api import Comparison, Forecast
 from splitband.evaluation.comparison import Run, by_channel
 from splitband.filters.cutoff import LEAST_BELOW, Choice
@@ -40,52 +41,93 @@ def save(figure: Figure, path: str | Path) -> None:
         figure.savefig(temporary, format="png", dpi=110)
 
 
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """One protocol's column in the picture of free runs.
+
+    Attributes
+    ----------
+    record : What was measured.
+    start : Index of the first predicted sample.
+    y : What was predicted from there to the record's end.
+    """
+
+    record: Trajectory
+    start: int
+    y: Array
+
+
 def rollouts(comparison: Comparison) -> Figure:
     """Every method's prediction over the record, one row each; a column for each protocol.
 
-    With a trial, each forecast has its interval around it, and the recommended method is named.
+    Test records have a column each. With a trial, each forecast has its interval around it, and the
+    recommended method is named.
     """
-    record, setup, runs = comparison.record, comparison.setup, comparison.runs
-    trial = comparison.trial
+    record, runs, trial = comparison.record, comparison.runs, comparison.trial
     rows = [(name, channel) for name in runs for channel in range(record.ny)]
-    figure = Figure(figsize=(13, 1.1 + 1.25 * len(rows)), layout="constrained")
-    grid = figure.subplots(len(rows), 2, sharex="col", sharey="row", squeeze=False)
-    end, times = setup.train, _times(record)
+    ahead = any(mean.forecast is not None for mean in comparison.means.values())
+    columns = 1 + ahead + len(comparison.tests)
+    figure = Figure(figsize=(6.5 * max(columns, 2), 1.1 + 1.25 * len(rows)), layout="constrained")
+    grid = figure.subplots(len(rows), columns, sharex="col", sharey="row", squeeze=False)
+    end, times = comparison.setup.train, _times(record)
     for axes, (name, channel) in zip(grid, rows, strict=True):
-        warmup = setup.settings_of(name).warmup
-        starts = _starts(record, warmup, end)
-        mean = comparison.means[name]
-        sides = (axes[0], starts[0], mean.from_start.y), (axes[1], starts[1], mean.forecast.y)
-        for ax, start, prediction in sides:
-            _draw_record(ax, record, channel, start - warmup)
-            time = times[-len(prediction) :]
-            ax.plot(time, prediction[:, channel], color=_color(runs, name), lw=1.1)
-            ax.axvspan(times[start - warmup], times[start - 1], color="0.93", zorder=0)
-            ax.axvline(times[end], color="0.4", ls=":", lw=1)
+        warmup = comparison.setup.settings_of(name).warmup
+        for ax, side in zip(axes, _sides(comparison, name, ahead), strict=False):
+            _draw_side(ax, side, channel, warmup, _color(runs, name))
             chosen = trial is not None and name == trial.recommended
-            error = by_channel(record, prediction)[channel]
+            error = by_channel(side.record, side.y)[channel]
             title = f"{name}{' (recommended)' if chosen else ''}   RMSE {error:.3g}"
             ax.set_title(title, fontsize=9, loc="left", pad=3)
-            ax.margins(x=0.01)
-        if trial is not None:
-            forecast = comparison.predictions[name]
-            assert forecast.lower is not None
-            assert forecast.upper is not None
+        for ax in axes[: 1 + ahead]:
+            if end < len(record):
+                ax.axvline(times[end], color="0.4", ls=":", lw=1)
+        forecast = comparison.predictions.get(name)
+        if forecast is not None and forecast.lower is not None and forecast.upper is not None:
             edges = forecast.lower[:, channel], forecast.upper[:, channel]
             axes[1].fill_between(times[end:], *edges, color=_color(runs, name), alpha=0.18, lw=0)
         axes[0].set_ylabel(_literal(record.columns[channel]))
         axes[0].set_ylim(*_limits(record.seen[:, channel]))
     for ax in grid[-1]:
         ax.set_xlabel(_time_label(record))
-    figure.suptitle(
-        f"{_literal(record.name)}: free runs (colour, mean of the seeds) over the record (grey)\n"
-        "left: from the start; right: forecast from the end of the training part "
-        "(dotted line)"
-        + (f", in {_interval(trial.intervals.values())}" if trial is not None else "")
-        + "; shaded grey: warm-up",
-        fontsize=10,
-    )
+    figure.suptitle(_rollouts_title(comparison, ahead), fontsize=10)
     return figure
+
+
+def _sides(comparison: Comparison, name: str, ahead: bool) -> list[_Side]:
+    """What a method predicted under each protocol, the mean of its seeds."""
+    record, mean = comparison.record, comparison.means[name]
+    warmup, end = comparison.setup.settings_of(name).warmup, comparison.setup.train
+    sides = [_Side(record, len(record) - len(mean.from_start), mean.from_start.y)]
+    if ahead:
+        start = last_before(record.complete, warmup, end)
+        sides.append(_Side(record, end if start is None else start, mean.ahead))
+    return sides + [
+        _Side(test, len(test) - len(predicted), predicted.y)
+        for test, predicted in zip(comparison.tests, mean.tests, strict=False)
+    ]
+
+
+def _draw_side(ax: Axes, side: _Side, channel: int, warmup: int, color: str) -> None:
+    times, begin = _times(side.record), max(side.start - warmup, 0)
+    _draw_record(ax, side.record, channel, begin)
+    ax.plot(times[-len(side.y) :], side.y[:, channel], color=color, lw=1.1)
+    ax.axvspan(times[begin], times[max(side.start - 1, 0)], color="0.93", zorder=0)
+    ax.margins(x=0.01)
+
+
+def _rollouts_title(comparison: Comparison, ahead: bool) -> str:
+    sides = ["from the start"]
+    if ahead:
+        sides.append("forecast from the end of the training part (dotted line)")
+        if comparison.trial is not None:
+            sides[-1] += f", in {_interval(comparison.trial.intervals.values())}"
+    sides += [f"test record {_literal(test.name)}" for test in comparison.tests]
+    places = ["left", "right"] if len(sides) == 2 else [str(i + 1) for i in range(len(sides))]
+    listed = "; ".join(f"{place}: {side}" for place, side in zip(places, sides, strict=False))
+    return (
+        f"{_literal(comparison.record.name)}: free runs (colour, mean of the seeds) over the record"
+        f" (grey)\n{listed}; shaded grey: warm-up"
+    )
 
 
 def forecast(found: Forecast) -> Figure:
@@ -147,11 +189,12 @@ def components(
     for ax, (name, channel) in zip(grid, rows, strict=True):
         _draw_record(ax, record, channel, 0)
         warmup = setup.settings_of(name).warmup
-        start = _starts(record, warmup, setup.train)[0]
+        start = len(record) - len(next(iter(parts[name].values())))
         for color, (part, values) in zip(_PALETTE, parts[name].items(), strict=False):
             ax.plot(times[start:], values[:, channel], color=color, lw=1, label=part)
         ax.axvspan(times[start - warmup], times[start - 1], color="0.93", zorder=0)
-        ax.axvline(times[setup.train], color="0.4", ls=":", lw=1)
+        if setup.train < len(record):
+            ax.axvline(times[setup.train], color="0.4", ls=":", lw=1)
         ax.set_title(f"{name}: {says}", fontsize=9, loc="left", pad=3)
         ax.set_ylabel(_literal(record.columns[channel]))
         ax.margins(x=0.01)
@@ -164,9 +207,12 @@ def errors(comparison: Comparison) -> Figure:
     """The cumulative RMSE e_n over time under both protocols, mean and range over seeds."""
     record, setup, runs = comparison.record, comparison.setup, comparison.runs
     figure = Figure(figsize=(13, 4.6), layout="constrained")
-    protocols = (("from the start", _from_start), ("forecast", _forecast))
-    times = _times(record)
-    for ax, (title, prediction) in zip(figure.subplots(1, 2), protocols, strict=True):
+    protocols = [("from the start", _from_start), ("forecast", _forecast)]
+    times, end = _times(record), setup.train
+    if end == len(record):  # nothing is forecast
+        protocols = protocols[:1]
+    grid = figure.subplots(1, len(protocols), squeeze=False)[0]
+    for ax, (title, prediction) in zip(grid, protocols, strict=True):
         for name, of_method in runs.items():
             steps = len(prediction(of_method[0]))
             truth, time = record.truth[-steps:], times[-steps:]
@@ -175,7 +221,8 @@ def errors(comparison: Comparison) -> Figure:
             ax.plot(time, curves.mean(axis=0), color=color, lw=1.4, label=name)
             if len(curves) > 1:
                 ax.fill_between(time, curves.min(0), curves.max(0), color=color, alpha=0.15, lw=0)
-        ax.axvline(times[setup.train], color="0.4", ls=":", lw=1)
+        if end < len(record):
+            ax.axvline(times[end], color="0.4", ls=":", lw=1)
         ax.set_yscale("log")
         # The first samples after a warm-up say little, and would set the scale.
         settled = [line.get_ydata()[10:] for line in ax.lines if len(line.get_ydata()) > 20]
@@ -268,16 +315,7 @@ def _from_start(run: Run) -> Array:
 
 
 def _forecast(run: Run) -> Array:
-    return run.forecast.y
-
-
-def _starts(record: Trajectory, warmup: int, train: int) -> tuple[int, int]:
-    """Where free runs start under the two protocols: right after a warm-up without a gap."""
-    first = first_after(record.complete, warmup)
-    last = last_before(record.complete, warmup, train)
-    assert first is not None, "predictions have been made from there"
-    assert last is not None, "predictions have been made from there"
-    return first, last
+    return run.ahead
 
 
 def _interval(intervals: Iterable[Interval]) -> str:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from splitband.data import Trajectory
 from splitband.data.timing import as_json
 from splitband.evaluation.api import Comparison, Forecast
 from splitband.evaluation.comparison import Run, by_channel
@@ -57,6 +58,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
             "gaps": 0 if record.measured is None else int((~record.complete).sum()),
             "truth": "measured" if record.y_true is None else "noise-free",
         },
+        **({"tests": [_test_facts(test) for test in comparison.tests]} if comparison.tests else {}),
         "settings": comparison.setup.as_json(),
         "recommended": trial.recommended,
         "methods": {
@@ -86,9 +88,10 @@ def predictions(comparison: Comparison) -> pd.DataFrame:
     for i, column in enumerate(record.columns):
         table[column] = record.seen[:, i]
         for name, mean in comparison.means.items():
-            forecast = comparison.predictions[name]
-            sides = {"from start": mean.from_start.y, "forecast": forecast.y}
-            if name == comparison.recommended:
+            sides = {"from start": mean.from_start.y}
+            forecast = comparison.predictions.get(name)
+            sides |= {} if forecast is None else {"forecast": forecast.y}
+            if name == comparison.recommended and forecast is not None:
                 assert forecast.lower is not None
                 assert forecast.upper is not None
                 sides |= {"lower": forecast.lower, "upper": forecast.upper}
@@ -131,41 +134,53 @@ def environment() -> dict[str, Any]:
     }
 
 
+def _test_facts(test: Trajectory) -> dict[str, Any]:
+    return {"name": test.name, "samples": len(test), "start": as_json(test.start)}
+
+
 def _interval(comparison: Comparison, name: str) -> dict[str, Any]:
     """The forecast's interval, and how many of the measured samples it really holds."""
     interval = comparison.require_trial().intervals[name]
-    mean = interval.half_widths(len(comparison.means[name].forecast)).mean(axis=0)
+    ahead = len(comparison.means[name].ahead)
+    if not ahead:
+        return asdict(interval)
+    mean = interval.half_widths(ahead).mean(axis=0)
     return asdict(interval) | {
         "covers": comparison.covers(name),
         "mean_half_width": mean.tolist(),
     }
 
 
-def _mean(comparison: Comparison, name: str) -> dict[str, float] | None:
+def _mean(comparison: Comparison, name: str) -> dict[str, Any] | None:
     """The errors of the mean over seeds, where there are several."""
-    if len(comparison.runs[name]) < 2:
-        return None
     mean = comparison.means[name]
-    return {"total_rmse": mean.total_rmse, "forecast_rmse": mean.forecast_rmse}
+    if len(comparison.runs[name]) < 2 and not mean.tests:
+        return None
+    facts: dict[str, Any] = {"total_rmse": mean.total_rmse}
+    facts |= {} if mean.forecast is None else {"forecast_rmse": mean.forecast_rmse}
+    return facts | ({"test_rmse": [*mean.errors.tests]} if mean.tests else {})
 
 
 def _by_channel(comparison: Comparison, name: str) -> dict[str, list[float]]:
     """The errors of the mean over seeds, each channel by itself."""
     mean = comparison.means[name]
-    return {
-        "total_rmse": by_channel(comparison.record, mean.from_start.y),
-        "forecast_rmse": by_channel(comparison.record, mean.forecast.y),
-    }
+    facts = {"total_rmse": by_channel(comparison.record, mean.from_start.y)}
+    if mean.forecast is not None:
+        facts["forecast_rmse"] = by_channel(comparison.record, mean.forecast.y)
+    return facts
 
 
 def _method(runs: Sequence[Run]) -> dict[str, Any]:
     facts: dict[str, Any] = {
         "seeds": [r.seed for r in runs],
         "total_rmse": [r.total_rmse for r in runs],
-        "forecast_rmse": [r.forecast_rmse for r in runs],
+        **({} if runs[0].forecast is None else {"forecast_rmse": [r.forecast_rmse for r in runs]}),
+        **({"test_rmse": [[*r.errors.tests] for r in runs]} if runs[0].tests else {}),
         "seconds": [r.fit.seconds for r in runs],
     }
     for name in ("total_rmse", "forecast_rmse"):
+        if name not in facts:
+            continue
         values = facts[name]
         spread = statistics.stdev(values) if len(values) > 1 else None
         facts[f"{name}_mean"], facts[f"{name}_std"] = statistics.mean(values), spread
