@@ -39,8 +39,6 @@ import time as clock
 
 import numpy as np
 
-Array = npt.NDArray[np.float64]
-
 number = 3
 
 
