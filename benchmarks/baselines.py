@@ -26,7 +26,8 @@ import numpy.typing as npt
 import scipy
 
 from splitband.data import Trajectory
-from splitband.forecasters.methods import FIXED
+from splitband.forecasters.backtest import Origin, backtest
+from splitband.forecasters.names import QUICK, named
 from splitband.metrics import rmse
 from splitband.runtime.files import write_json
 from splitband.runtime.processes import over
@@ -34,7 +35,7 @@ from splitband.runtime.processes import over
 Array = npt.NDArray[np.float64]
 Rng = np.random.Generator
 
-BASELINES = tuple(name for name in FIXED if not name.startswith("simulator") and name != "linear")
+BASELINES = tuple(name for name in QUICK if not name.startswith("simulator") and name != "linear")
 TRAINING, AHEAD = (250, 600), 500
 DEVELOPMENT, REPORT = range(6), range(100, 106)
 
@@ -183,11 +184,11 @@ def _measured(job: tuple[str, int], report: object) -> dict[str, Any]:
     train = TRAINING[seed % len(TRAINING)]
     made = KINDS[kind](train, np.random.default_rng([seed, *kind.encode()]))
     record = Trajectory(made.y[:, None], 1.0, name=kind)
-    future, found = record.y[train:], {}
+    future, found, origin = record.y[train:], {}, Origin(train, train)
     began = time.process_time()
     for name in BASELINES:
-        forecast = FIXED[name](record, train).predict(train, AHEAD, record.y[train - 1])
-        found[name] = rmse(future, forecast)
+        done = backtest(named(name), record, [origin], len(record))
+        found[name] = rmse(future, done.predictions[origin].y)
     seconds = time.process_time() - began
     oracle = rmse(future[:, 0], made.oracle)
     return {"kind": kind, "seed": seed, "rmse": found, "oracle": oracle, "seconds": seconds}

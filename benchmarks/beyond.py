@@ -20,16 +20,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.comparing import compared, forecasters
 from splitband.data import Trajectory, double_torsion, drill_string
-from splitband.evaluation.comparison import compare, run_baseline
-from splitband.evaluation.defaults import default_methods, default_setup
-from splitband.evaluation.selection import try_out
-from splitband.forecasters.methods import Setup, with_variants
+from splitband.evaluation.comparison import compare_methods
+from splitband.evaluation.runs import Work
+from splitband.evaluation.setup import Setup, default_names, default_setup
+from splitband.forecasters.names import with_variants
 from splitband.metrics import rmse
 from splitband.paper.settings import HYBRID, LEARNING_BASED
 from splitband.paper.systems import (
+    MassSpringOracle,
     double_mass_spring,
-    double_mass_spring_oracle,
     double_torsion_pendulum,
     van_der_pol,
     van_der_pol_simulator,
@@ -82,39 +83,38 @@ def measured(name: str, seeds: int, jobs: int) -> Facts:
     hybrid = record.y_sim is not None
     many = name.startswith("i,")
     base = ["filtered-gru"] if hybrid else ["split-gru"]
-    methods = default_methods(hybrid)
+    methods = default_names(hybrid)
     if not many:
         plain = ["residual-gru"] if hybrid else []
         methods = [*dict.fromkeys([*methods, *with_variants(base, hybrid, True), *plain])]
     setup = default_setup(record, system.train)
     chosen = range(1 if many else seeds)
-    trial = try_out(record, methods, setup, chosen, jobs)
-    runs = compare(record, methods, setup, chosen, jobs)
-    facts = results(record, setup, runs, trial.settled(runs))
+    comparison = compared(record, methods, setup, chosen, jobs)
+    facts = results(comparison)
     facts["same samples"] = {
         method: {
-            "from_start": statistics.mean(_after(record, setup, r.from_start) for r in of_method),
-            "forecast": statistics.mean(_after(record, setup, r.forecast) for r in of_method),
+            "from_start": statistics.mean(_after(record, setup, r.from_start.y) for r in of_method),
+            "forecast": statistics.mean(_after(record, setup, r.forecast.y) for r in of_method),
         }
-        for method, of_method in runs.items()
-        if of_method[0].losses
+        for method, of_method in comparison.runs.items()
+        if of_method[0].fit.losses
     }
     if many:
-        oracle = run_baseline("oracle", double_mass_spring_oracle, record, setup)
+        (oracle,) = compare_methods(record, [MassSpringOracle()], setup)["oracle"]
         facts["oracle"] = {"total_rmse": oracle.total_rmse, "forecast_rmse": oracle.forecast_rmse}
     else:
         column = (LEARNING_BASED | HYBRID)[system.column].setup(record.sampling_rate)
         left_out = {
             "the paper's recipe": replace(setup, settings=paper_settings(system.train)),
-            "the paper's cut-off": replace(
-                setup, cutoff=column.cutoff, order=column.order, downsampling=column.downsampling
-            ),
+            "the paper's cut-off": replace(setup, bands=column.bands),
         }
-        best = default_methods(hybrid)[1:3]
+        best = default_names(hybrid)[1:3]
         facts["variants"] = {
             f"{method}, {name}": [run.total_rmse for run in of_method]
             for name, variant in left_out.items()
-            for method, of_method in compare(record, best, variant, chosen[:3], jobs).items()
+            for method, of_method in compare_methods(
+                record, forecasters(best, variant), variant, chosen[:3], Work(jobs)
+            ).items()
         }
     return facts
 

@@ -14,15 +14,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from splitband.evaluation.defaults import default_setup
 from torch import Tensor
 
 from benchmarks.beyond import SYSTEMS
+from benchmarks.comparing import held_out
 from splitband.data import Trajectory
-from splitband.evaluation.comparison import predict
-from splitband.evaluation.selection import hold_out
-from splitband.evaluation.setup import Setup
-from splitband.filters import ComplementaryPair
+from splitband.evaluation.setup import Setup, default_setup
 from splitband.metrics import rmse, spread
 from splitband.models import Split
 from splitband.models.base import Signals
@@ -47,15 +44,16 @@ class ToldTheMeasurement(Split):
 
 def error(part: Trajectory, setup: Setup, kind: type[Split], seed: int) -> dict[str, float]:
     """RMSE on the held-out part, and the last training loss, in standard deviations."""
-    pair = ComplementaryPair.butterworth(setup.cutoff, part.sampling_rate, setup.order)
+    pair, sizes = setup.bands.pair(part.sampling_rate), setup.sizes
+    assert setup.bands.downsampling is not None
     torch.manual_seed(seed)
-    networks = [GRU(setup.hidden_low, part.ny), GRU(setup.hidden_high, part.ny, 2 * part.ny)]
-    model = kind(networks, pair, setup.downsampling, conditioned=True)
+    networks = [GRU(sizes.hidden_low, part.ny), GRU(sizes.hidden_high, part.ny, 2 * part.ny)]
+    model = kind(networks, pair, setup.bands.downsampling, conditioned=True)
     training = part[: setup.train]
     told = replace(training, y_sim=pair.lowpass(training.y), beyond=None)
     history = fit(model, told, setup.settings, seed)
-    plain = replace(part, y_sim=None, beyond=None)
-    parts = predict(model, plain, setup.train - setup.settings.warmup, setup.train)
+    warm = part.y[setup.train - setup.settings.warmup : setup.train]
+    parts = model.simulate_components(warm, len(part) - setup.train)
     left = (part.y[setup.train :] - sum(parts.values())) / spread(part.y)
     return {
         "held_out": rmse(left, 0 * left),
@@ -73,7 +71,7 @@ def main() -> None:
     found: dict[str, dict[str, list[dict[str, float]]]] = {}
     for name in arguments.systems or STUDIED:
         record = replace(SYSTEMS[name].record(), y_sim=None, beyond=None)
-        part, setup = hold_out(record, default_setup(record, SYSTEMS[name].train))
+        part, setup = held_out(record, default_setup(record, SYSTEMS[name].train))
         found[name] = {
             label: [error(part, setup, kind, seed) for seed in range(arguments.seeds)]
             for label, kind in (("prediction", Split), ("measurement", ToldTheMeasurement))

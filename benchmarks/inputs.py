@@ -15,10 +15,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from benchmarks.comparing import compared
 from splitband.data import Trajectory
-from splitband.evaluation.comparison import compare
-from splitband.evaluation.defaults import default_setup, usual_methods
-from splitband.evaluation.selection import try_out
+from splitband.evaluation.setup import default_setup, usual_names
 from splitband.report.results import results
 from splitband.runtime.files import write_json
 
@@ -86,10 +85,8 @@ def main() -> None:
     for make in RECORDS:
         record = make(np.random.default_rng(0))
         setup = default_setup(record, TRAINING)
-        methods, seeds = usual_methods(record, setup), range(arguments.seeds)
-        trial = try_out(record, methods, setup, seeds, arguments.jobs)
-        runs = compare(record, methods, setup, seeds, arguments.jobs)
-        facts = results(record, setup, runs, trial.settled(runs))
+        methods, seeds = usual_names(record, setup), range(arguments.seeds)
+        facts = results(compared(record, methods, setup, seeds, arguments.jobs))
         found[record.name] = facts
         print(f"{record.name}: recommended {facts['recommended']}")
         for method, of_method in facts["methods"].items():

@@ -20,10 +20,11 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks.beyond import SYSTEMS
-from splitband.evaluation.comparison import compare
-from splitband.evaluation.defaults import default_setup
-from splitband.evaluation.selection import hold_out
-from splitband.forecasters.methods import CALIBRATED, CONDITIONED, Setup
+from benchmarks.comparing import forecasters, held_out
+from splitband.evaluation.comparison import compare_methods
+from splitband.evaluation.runs import Work
+from splitband.evaluation.setup import Setup, default_setup
+from splitband.forecasters.names import CALIBRATED, CONDITIONED
 from splitband.metrics import spread
 from splitband.runtime.files import write_json
 from splitband.training.recipes import paper_settings
@@ -56,15 +57,22 @@ def _steps(setup: Setup, factor: float) -> Setup:
 
 def _cutoff(setup: Setup, factor: float) -> Setup:
     """Another cut-off; above the old one with less down-sampling, as that one just allowed it."""
-    downsampling = max(1, round(setup.downsampling / max(1, factor)))
-    return replace(setup, cutoff=factor * setup.cutoff, downsampling=downsampling)
+    cutoff, downsampling = setup.bands.cutoff, setup.bands.downsampling
+    assert cutoff is not None
+    assert downsampling is not None
+    fewer = max(1, round(downsampling / max(1, factor)))
+    return replace(setup, bands=replace(setup.bands, cutoff=factor * cutoff, downsampling=fewer))
+
+
+def _hidden(setup: Setup, high: int, low: int) -> Setup:
+    return replace(setup, sizes=replace(setup.sizes, hidden_high=high, hidden_low=low))
 
 
 BASE = "rate 3e-3"
 VARIANTS: dict[str, Callable[[Setup], Setup]] = {
     "rate 3e-3": lambda setup: setup,
-    "hidden 16, 8": lambda setup: replace(setup, hidden_high=16, hidden_low=8),
-    "hidden 64, 32": lambda setup: replace(setup, hidden_high=64, hidden_low=32),
+    "hidden 16, 8": partial(_hidden, high=16, low=8),
+    "hidden 64, 32": partial(_hidden, high=64, low=32),
     "windows of 150": partial(_window, samples=150),
     "windows of 400": partial(_window, samples=400),
     "half the steps": partial(_steps, factor=0.5),
@@ -75,26 +83,18 @@ VARIANTS: dict[str, Callable[[Setup], Setup]] = {
     "rate 6e-3": partial(_training, learning_rate=6e-3),
     "rate 1e-2": partial(_training, learning_rate=1e-2),
     "rate 2e-2": partial(_training, learning_rate=2e-2),
-    "hidden 48, 24, rate 1e-2": lambda setup: _training(
-        replace(setup, hidden_high=48, hidden_low=24), learning_rate=1e-2
-    ),
-    "hidden 64, 32, rate 1e-2": lambda setup: _training(
-        replace(setup, hidden_high=64, hidden_low=32), learning_rate=1e-2
-    ),
-    "hidden 64, 32, no growth": lambda setup: _training(
-        replace(setup, hidden_high=64, hidden_low=32), growth=0.0
-    ),
-    "hidden 64, 32, rate 6e-3": lambda setup: _training(
-        replace(setup, hidden_high=64, hidden_low=32), learning_rate=6e-3
-    ),
+    "hidden 48, 24, rate 1e-2": lambda setup: _training(_hidden(setup, 48, 24), learning_rate=1e-2),
+    "hidden 64, 32, rate 1e-2": lambda setup: _training(_hidden(setup, 64, 32), learning_rate=1e-2),
+    "hidden 64, 32, no growth": lambda setup: _training(_hidden(setup, 64, 32), growth=0.0),
+    "hidden 64, 32, rate 6e-3": lambda setup: _training(_hidden(setup, 64, 32), learning_rate=6e-3),
     "hidden 64, 32, no growth, rate 6e-3": lambda setup: _training(
-        replace(setup, hidden_high=64, hidden_low=32), growth=0.0, learning_rate=6e-3
+        _hidden(setup, 64, 32), growth=0.0, learning_rate=6e-3
     ),
     "rate 1e-3": partial(_training, learning_rate=1e-3),
     "constant rate 1e-3": partial(_training, learning_rate=1e-3, one_cycle=False),
     "third of the cut-off": partial(_cutoff, factor=1 / 3),
     "3 times the cut-off": partial(_cutoff, factor=3.0),
-    "filters of order 2": lambda setup: replace(setup, order=2),
+    "filters of order 2": lambda setup: replace(setup, bands=replace(setup.bands, order=2)),
     "trained as in the paper": lambda setup: replace(setup, settings=paper_settings(setup.train)),
 }
 
@@ -105,13 +105,15 @@ def measured(name: str, seeds: int, jobs: int) -> Found:
     for system in STUDIED:
         record, train = SYSTEMS[system].record(), SYSTEMS[system].train
         methods = LEARNED if record.y_sim is None else HYBRID
-        part, shorter = hold_out(
+        part, shorter = held_out(
             record, VARIANTS[name](_training(default_setup(record, train), learning_rate=3e-3))
         )
-        runs = compare(part, methods, shorter, range(seeds), jobs)
+        runs = compare_methods(
+            part, forecasters(methods, shorter), shorter, range(seeds), Work(jobs)
+        )
         scale = float(spread(part.y).mean())
         found[system] = {m: [r.forecast_rmse / scale for r in of] for m, of in runs.items()}
-        found[system][SECONDS] = [r.seconds for of in runs.values() for r in of]
+        found[system][SECONDS] = [r.fit.seconds for of in runs.values() for r in of]
     return found
 
 

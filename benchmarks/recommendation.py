@@ -28,13 +28,13 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks import inputs
+from benchmarks.comparing import compared
 from benchmarks.kinds import DEVELOPMENT, KINDS, REPORTED, WITH_INPUTS, drawn, driven
 from splitband.data import Trajectory, double_torsion, drill_string
-from splitband.evaluation.comparison import compare
-from splitband.evaluation.defaults import default_setup, usual_methods
-from splitband.evaluation.intervals import Interval
-from splitband.evaluation.selection import Trial, try_out
-from splitband.forecasters.methods import FIXED
+from splitband.evaluation.selection import Trial
+from splitband.evaluation.setup import default_setup, usual_names
+from splitband.forecasters.intervals import Interval
+from splitband.forecasters.names import QUICK
 from splitband.metrics import rmse
 from splitband.paper.systems import double_mass_spring, double_torsion_pendulum, van_der_pol
 from splitband.runtime.files import write_json
@@ -99,12 +99,12 @@ def _measured(job: Job, report: object) -> Facts:
     setup = default_setup(record, job.train)
     methods = job.methods.split(",")
     if job.methods in (USUAL, BASELINES):
-        usual = usual_methods(record, setup)
-        methods = [name for name in usual if job.methods == USUAL or name in FIXED]
-    runs = compare(record, methods, setup)
-    tried = try_out(record, methods, setup)
-    settled = tried.settled(runs)
-    left = {m: record.y[job.train :] - r[0].forecast for m, r in runs.items()}
+        usual = usual_names(record, setup)
+        methods = [name for name in usual if job.methods == USUAL or name in QUICK]
+    comparison = compared(record, methods, setup, seeds=[0], jobs=1)
+    settled = comparison.require_trial()
+    tried = replace(settled, final={})
+    left = {m: record.y[job.train :] - r[0].forecast.y for m, r in comparison.runs.items()}
     errors = {m: rmse(e, np.zeros_like(e)) for m, e in left.items()}
     facts = {
         "kind": job.kind,

@@ -11,7 +11,6 @@ from pathlib import Path
 from unittest import mock
 
 from benchmarks.timing import circumstances, threads, write
-from splitband.evaluation.comparison import run
 from splitband.networks import GRU
 from splitband.paper import published
 from splitband.paper.settings import LEARNING_BASED
@@ -23,7 +22,8 @@ def seconds(epochs: int) -> float:
     record = double_mass_spring()
     setup = LEARNING_BASED["i"].setup(record.sampling_rate)
     short = replace(setup, settings=replace(setup.settings, epochs=epochs))
-    return run("split-gru", record, short, seed=0).seconds
+    fitted = short.forecaster("split-gru").fit(record[: short.train])
+    return fitted.require_fitted().report.seconds
 
 
 def main() -> None:

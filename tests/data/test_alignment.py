@@ -16,6 +16,7 @@ import scipy.signal
 from splitband import Trajectory, read
 from splitband.cli import main
 from splitband.cli.given import load_further
+from splitband.cli.options import FurtherRecords, RecordOptions, SimulatorOptions
 from splitband.cli.simulators import each_with_simulator, with_simulator
 from splitband.data import Grid, aligned, resampled
 from splitband.data.alignment import reach
@@ -90,7 +91,8 @@ def refused(line: str, capsys: pytest.CaptureFixture[str]) -> str:
 def simulator_error(simulator: str, time_column: str | None = None) -> float:
     """RMSE of what --simulator comes to beside record.csv."""
     record = read("record.csv", time_column=time_column)
-    found = with_simulator(record, simulator, None, 60.0, None, time_column=time_column)
+    reading = RecordOptions(time_column=time_column)
+    found = with_simulator(record, SimulatorOptions(simulator), reading)
     assert found.y_sim is not None
     return rmse(found.y, found.y_sim)
 
@@ -372,8 +374,9 @@ def test_further_records_are_resampled_and_have_simulators_of_their_own_time(
     other = times(50, 0.1009)
     write(Path("more.csv"), other, y=signal(other))
     write(Path("sim.csv"), times(48, samples=400), y=signal(times(48, samples=400)))
-    further = load_further(["more.csv"], record, None, None, "refuse")
-    (found,) = each_with_simulator(further, ["residual-gru"], ["sim.csv"], None, 30.0, None)
+    further, reading = FurtherRecords(["more.csv"], ["sim.csv"]), RecordOptions()
+    records = load_further(further, record, reading)
+    (found,) = each_with_simulator(records, ["residual-gru"], further, SimulatorOptions(), reading)
     assert (
         "more.csv: sampled every 0.1009 s, interpolated to every 0.1 s" in capsys.readouterr().out
     )

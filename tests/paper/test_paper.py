@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
+from splitband import Trajectory
 from splitband.cli import main
-from splitband.forecasters.methods import simulated
+from splitband.forecasters.base import Known
 from splitband.metrics import rmse
 from splitband.paper import published
 from splitband.paper.costs import progress
@@ -20,12 +22,14 @@ from splitband.paper.jobs import SYSTEMS, Job
 from splitband.paper.runs import as_run, complete, load, whole_rmse
 from splitband.paper.specs import SPECS, lines
 from splitband.paper.systems import (
+    MassSpringOracle,
     double_mass_spring,
-    double_mass_spring_oracle,
     double_torsion_pendulum,
 )
 from splitband.paper.tables import table
 from splitband.runtime.files import CHECKPOINTS
+
+Array = npt.NDArray[np.float64]
 
 pytestmark = pytest.mark.xdist_group("paper")  # its fixture is made once
 
@@ -54,13 +58,14 @@ def test_a_row_is_run_and_stands_beside_the_papers(folder: Path) -> None:
 
 def test_a_file_holds_what_was_predicted(folder: Path) -> None:
     job = Job("i", "split-gru", 1, epochs=2)
-    found, record = as_run(load(job, folder / "runs")), job.record
+    record = job.record
+    found = as_run(load(job, folder / "runs"), record)
     truth = record.y_true
     assert truth is not None
-    assert rmse(truth[30:], found.from_start) == pytest.approx(found.total_rmse, abs=1e-3)
-    assert rmse(truth[250:], found.forecast) == pytest.approx(found.forecast_rmse, abs=1e-3)
-    first = as_run(load(replace(job, seed=0), folder / "runs"))
-    np.testing.assert_allclose(sum(first.components.values()), first.from_start, atol=2e-3)
+    assert rmse(truth[30:], found.from_start.y) == pytest.approx(found.total_rmse, abs=1e-3)
+    assert rmse(truth[250:], found.forecast.y) == pytest.approx(found.forecast_rmse, abs=1e-3)
+    first = as_run(load(replace(job, seed=0), folder / "runs"), record).from_start
+    np.testing.assert_allclose(sum(first.components.values()), first.y, atol=2e-3)
 
 
 def test_finished_runs_are_not_repeated(folder: Path) -> None:
@@ -119,7 +124,7 @@ def _copies(folder: Path, out: Path, job: Job, **changes: Any) -> None:
     """A finished run of two epochs as that of another job, with other results."""
     facts = json.loads((folder / "runs/i/split-gru/epochs2-seed0.json").read_text(encoding="utf-8"))
     setup = job.setup(job.record)
-    settings = {k: v for k, v in asdict(setup).items() if k != "choice"}
+    settings = {k: v for k, v in setup.as_json().items() if k != "choice"}
     path = out / job.path
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(facts | {"job": asdict(job), "settings": settings} | changes))
@@ -197,11 +202,12 @@ def test_the_whole_trajectory_counts_the_warm_up_too() -> None:
     for method in ("simulator", "residual-gru"):
         job = Job("vi", method)
         facts = load(job, RESULTS / "runs")
-        truth, run = job.record.truth, as_run(facts)
+        record = job.record
         # A network takes the measured samples over; a simulator has its own there.
-        start = job.record.y if method == "residual-gru" else simulated(job.record)
-        whole = np.concatenate([start[:50], run.from_start])
-        assert rmse(truth, whole) == pytest.approx(whole_rmse(facts, job), abs=1e-3)
+        start = record.y if method == "residual-gru" else record.y_sim
+        assert start is not None
+        whole = np.concatenate([start[:50], as_run(facts, record).from_start.y])
+        assert rmse(record.truth, whole) == pytest.approx(whole_rmse(facts, job), abs=1e-3)
 
 
 def test_the_list_counts_the_runs_and_estimates_the_missing_ones(
@@ -283,18 +289,22 @@ def test_an_own_record_takes_the_place_of_an_unpublished_one(
     assert abs(record.y.mean()) < 1e-12
 
 
+def oracle_on(record: Trajectory) -> Array:
+    """What the oracle that knows 250 samples says of the whole record."""
+    known = Known(record.y[:0], len(record))
+    return MassSpringOracle().fit(record[:250]).extrapolate(known)
+
+
 def test_the_oracle_of_system_i_has_the_noise_floor() -> None:
     errors = []
     for draw in range(30):
         record = double_mass_spring(seed=draw)
         assert record.y_true is not None
-        oracle = double_mass_spring_oracle(record, 250)
-        errors.append(rmse(record.y_true, oracle.predict(0, len(record), record.y[0])))
+        errors.append(rmse(record.y_true, oracle_on(record)))
     # 200 draws in the reading notes: mean 0.175, median 0.161.
     assert 0.14 < np.median(errors) < 0.2
     clean = double_mass_spring(noise_variance=0.0)
-    exact = double_mass_spring_oracle(clean, 250).predict(0, 1000, clean.y[0])
-    np.testing.assert_allclose(exact, clean.y, atol=1e-6)
+    np.testing.assert_allclose(oracle_on(clean), clean.y, atol=1e-6)
 
 
 def test_the_simulated_pendulum_sticks_and_follows_its_drive() -> None:

@@ -67,6 +67,7 @@ def forecast(
     others = given.load_further(further.more, "--more", known, reading)
     others = each_with_simulator(others, names, further, simulator, reading)
     methods = [given.on_device(setup.forecaster(name), device) for name in names]
+    given.check_needs(methods, known)
     check(known, methods, setup, others, beyond=True)
     check_trial(known, methods, setup, others)
     output_folder(out)

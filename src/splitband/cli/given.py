@@ -21,6 +21,7 @@ from splitband.evaluation.setup import Setup, default_setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES, Sizes
+from splitband.forecasters.names import with_variants as variants
 from splitband.forecasters.networks import Network
 from splitband.forecasters.simulation import Simulation
 from splitband.models import Model
@@ -45,6 +46,25 @@ def method_names(text: str) -> list[str]:
     if unknown or not found:
         raise ValueError(f"methods must be out of {', '.join(NAMES)}, got {', '.join(unknown)}")
     return found
+
+
+def with_variants(methods: Sequence[str], calibrate: bool, conditioned: bool) -> list[str]:
+    """See `names.with_variants`; an error names the option."""
+    try:
+        return variants(methods, calibrate, conditioned)
+    except ValueError as error:  # it begins with the argument
+        raise ValueError(f"--{error}") from None
+
+
+def check_needs(methods: Sequence[Forecaster], record: Trajectory) -> None:
+    """Raise ValueError, which names the option, where a record lacks what a method needs."""
+    for what, need, given in (
+        ("a simulator", "simulator", record.y_sim),
+        ("known inputs", "inputs", record.u),
+    ):
+        lacking = next((m for m in methods if need in m.needs and given is None), None)
+        if lacking is not None:
+            raise ValueError(f"{lacking.name} needs {what} (--{need}), {record.name} has none")
 
 
 def on_device(forecaster: AnyForecaster, device: str) -> AnyForecaster:

@@ -154,8 +154,11 @@ def _tested(fitted: Forecaster, question: Question) -> list[Prediction]:
 
 
 def first_origin(record: Trajectory, train: int, warmup: int) -> Origin:
-    """The first sample with `warmup` measured samples right before it (the paper's protocol)."""
-    found = first_after(record.complete, warmup)
+    """The first sample with `warmup` measured samples right before it (the paper's protocol).
+
+    There are two at least, as a history is a record, which has no fewer.
+    """
+    found = first_after(record.complete, max(warmup, 2))
     if found is None:
         raise ValueError(f"warmup must fit between the gaps of the record, got {warmup} samples")
     return Origin(train, found)

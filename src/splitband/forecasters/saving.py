@@ -153,7 +153,9 @@ def _end(forecaster: Forecaster) -> Fitted:
         first = min(first, (warmup if start is None else start) - warmup)
     first = max(0, min(first, len(record) - 2))
     end = replace(record[first:], beyond=None, u_beyond=None)
-    return replace(fitted, record=end, begin=fitted.begin + first, others=())
+    # Without the time that it took, the same fit is saved as the same file, to the byte.
+    report = replace(fitted.report, seconds=0.0)
+    return replace(fitted, record=end, begin=fitted.begin + first, others=(), report=report)
 
 
 def _apart(forecaster: Forecaster) -> set[str]:

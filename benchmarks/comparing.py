@@ -1,0 +1,44 @@
+"""What several benchmarks ask of the library by the names of methods."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from splitband import Comparison, Forecaster, Trajectory
+from splitband.evaluation.comparison import compare_methods
+from splitband.evaluation.runs import Work
+from splitband.evaluation.selection import try_out
+from splitband.evaluation.setup import Setup
+from splitband.forecasters.backtest import HELD_OUT, held_out_from
+from splitband.forecasters.networks import Network
+
+
+def forecasters(names: Sequence[str], setup: Setup) -> list[Forecaster]:
+    """Those of the names, with what the setup says."""
+    return [setup.forecaster(name) for name in names]
+
+
+def compared(
+    record: Trajectory, names: Sequence[str], setup: Setup, seeds: Sequence[int], jobs: int
+) -> Comparison:
+    """What `splitband.compare` finds; but every seed is tried out, where that takes two."""
+    methods, work = forecasters(names, setup), Work(jobs)
+    trial = try_out(record[: setup.train], methods, len(record) - setup.train, seeds, work)
+    runs = compare_methods(record, methods, setup, seeds, work)
+    final = {name: np.mean([run.forecast.y for run in of], axis=0) for name, of in runs.items()}
+    return Comparison(record, setup, runs, trial.settled(final, runs.failed))
+
+
+def held_out(record: Trajectory, setup: Setup) -> tuple[Trajectory, Setup]:
+    """The training part as a record of its own, the last quarter of it to be predicted.
+
+    Training windows shrink with what is left to train on.
+    """
+    network = setup.forecaster("gru").for_fewer_samples(HELD_OUT)
+    assert isinstance(network, Network)
+    assert network.settings is not None
+    part = replace(record[: setup.train], y_true=None)
+    return part, replace(setup, train=held_out_from(setup.train), settings=network.settings)

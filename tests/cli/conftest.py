@@ -1,0 +1,54 @@
+"""Records and models that tests of several commands use."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.cli.support import QUICK, call, write_records
+
+
+@pytest.fixture(scope="session")
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("cli")
+    write_records(folder)
+    return folder
+
+
+@pytest.fixture
+def inside(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The test runs in the folder of the records."""
+    monkeypatch.chdir(workspace)
+
+
+@pytest.fixture
+def drawn() -> None:
+    """For tests that look at pictures."""
+
+
+@pytest.fixture
+def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures are made, but not written, which takes the longest; unless a test looks at them."""
+    if "drawn" not in request.fixturenames:
+        monkeypatch.setattr("splitband.report.pictures.save", lambda figure, path: None)
+
+
+@pytest.fixture(scope="session")
+def model(workspace: Path) -> Path:
+    out = workspace / "gru"
+    call(f"fit {workspace}/record.csv --columns a,b --method gru {QUICK}", out)
+    return out
+
+
+@pytest.fixture(scope="session")
+def hybrid_model(workspace: Path) -> Path:
+    out = workspace / "filtered"
+    call(f"fit {workspace}/record.csv --columns a --method filtered-gru --calibrate {QUICK} "
+         f"--simulator {workspace}/simulated.csv", out)  # fmt: skip
+    return out
+
+
+@pytest.fixture(scope="session")
+def driven_model(workspace: Path) -> Path:
+    out = workspace / "driven"
+    call(f"fit {workspace}/record.csv --columns a --inputs force --method gru {QUICK}", out)
+    return out

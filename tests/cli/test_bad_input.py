@@ -1,0 +1,222 @@
+"""Bad input ends in one line and exit status 2, and leaves no file."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cli.support import (
+    AHEAD,
+    DRIVEN_AHEAD,
+    FIT,
+    GRU,
+    HYBRID_AHEAD,
+    SIMULATOR,
+    SPLIT,
+    assert_fails,
+)
+
+pytestmark = [
+    pytest.mark.usefixtures("inside", "undrawn"),
+    pytest.mark.xdist_group("models"),  # what its fixtures train is made once
+]
+
+
+def bad(line: str, *says: str, id: str = "") -> Any:
+    """A command line that must fail with a line that holds every one of `says`."""
+    for prefix in (SPLIT, GRU, SIMULATOR, FIT, AHEAD, HYBRID_AHEAD, DRIVEN_AHEAD):
+        id = id or (line.removeprefix(prefix) if line.startswith(prefix) else "")
+    return pytest.param(line, says, id=id or line or "nothing")
+
+
+RECORDS = [
+    bad("compare nothing.csv --out out", "RECORD", "nothing.csv"),
+    bad("compare folder --out out", "folder", "directory"),
+    bad("compare record.csv --columns torque --out out", "record.csv", "'torque'", "'a'"),
+    bad("compare record.csv --inputs torque --out out", "record.csv", "'torque'"),
+    bad("compare record.csv --columns a --inputs a --out out", "column 'a'", "twice"),
+    bad("compare record.csv --time-column stamp --out out", "record.csv", "'stamp'"),
+    bad("compare worded.csv --columns a --out out", "worded.csv", "'a'", "row 9", "'oops'"),
+    bad("compare holed.csv --columns a --out out", "holed.csv", "'a'", "row 7", "nan"),
+    bad("compare infinite.csv --columns a --out out", "infinite.csv", "'a'", "row 8", "inf"),
+    bad("spectrum infinite.csv --columns a --out out", "infinite.csv", "'a'", "row 8", "inf"),
+    bad("compare uneven.csv --out out", "uneven.csv", "'time'", "row 50", "0.15"),
+    bad("compare untimed.csv --out out", "untimed.csv", "--sampling-time", "--time-column"),
+    bad("compare untimed.csv --sampling-time nan --out out", "untimed.csv", "sampling", "nan"),
+    bad("compare untimed.csv --sampling-time 0 --out out", "untimed.csv", "sampling", "got 0"),
+    bad("compare untimed.csv --sampling-time inf --out out", "untimed.csv", "sampling", "inf"),
+    bad("compare record.csv --sampling-time 0.3 --out out", "record.csv", "0.3", "0.1 s"),
+    bad("compare empty.csv --out out", "empty.csv", "at least 2 rows", "has 0"),
+    bad("compare still.csv --out out", "constant"),
+    bad("compare van-der-pol --columns a --out out", "--columns", "van-der-pol", "got a"),
+    bad("compare tiny.csv --columns a --window 30 --out out", "window", "3 training", "got 30"),
+]
+
+SETTINGS = [
+    bad(SPLIT + "--train 0", "train", "got 0"),
+    bad(SPLIT + "--train -5", "train", "got -5"),
+    bad(SPLIT + "--train 200", "train", "199", "got 200"),
+    bad(SPLIT + "--train 20", "window", "20 training samples", "got 30"),
+    bad(SPLIT + "--horizon 51", "--horizon", "at most 50", "got 51"),
+    bad(SPLIT + "--methods gru,lstm", "methods", "split-gru-hp", "got lstm"),
+    bad(SPLIT + "--cutoff 0", "cutoff", "5 Hz", "got 0 Hz"),
+    bad(SPLIT + "--cutoff -1", "cutoff", "got -1 Hz"),
+    bad(SPLIT + "--cutoff 5", "cutoff", "Nyquist", "got 5 Hz"),
+    bad(SPLIT + "--cutoff nan", "cutoff", "got nan"),
+    bad(SPLIT + "--cutoff inf", "cutoff", "got inf"),
+    bad("spectrum record.csv --columns a --out out --cutoff 7", "cutoff", "got 7 Hz"),
+    bad(GRU + "--cutoff 0", "cutoff", "got 0"),
+    bad(GRU + "--cutoff 7", "cutoff", "got 7"),
+    bad(GRU + "--cutoff nan", "cutoff", "nan"),
+    bad(SPLIT + "--cutoff 1 --downsampling 5", "downsampling by 5", "1 Hz", "at most 4"),
+    bad(SPLIT + "--downsampling 0", "downsampling", "got 0"),
+    bad(SPLIT + "--cutoff 1 --downsampling 0", "downsampling", "got 0"),
+    bad(SPLIT + "--downsampling -1", "downsampling", "got -1"),
+    bad(SPLIT + "--order 0", "order", "got 0"),
+    bad(SPLIT + "--order 40", "order", "40"),
+    bad(GRU + "--order 0", "order", "got 0"),
+    bad(SPLIT + "--warmup 30", "warm-up", "30", "window"),
+    bad(SPLIT + "--warmup 0", "warmup", "got 0"),
+    bad(SPLIT + "--window 1", "window", "got 1"),
+    bad(SPLIT + "--lr-milestones 20", "--lr-milestones", "EPOCH:RATE", "got 20"),
+    bad(SPLIT + "--lr-milestones 20:fast", "--lr-milestones", "20:fast"),
+    bad(SPLIT + "--lr-milestones 1:-0.5", "learning rate", "-0.5"),
+    bad(SPLIT + "--lr-milestones 1:nan", "learning rate", "nan"),
+    bad(SPLIT + "--lr-milestones -5:1e-4", "milestones", "-5"),
+    bad(SPLIT + "--hidden 4", "--hidden", "HIGH,LOW", "got 4"),
+    bad(SPLIT + "--hidden 4,x", "--hidden", "got 4,x"),
+    bad(SPLIT + "--hidden 4,0", "hidden", "got 0"),
+    bad(GRU + "--hidden 4,-1", "hidden", "-1"),
+    bad(SPLIT + "--learning-rate -1", "learning rate", "-1"),
+    bad(SPLIT + "--learning-rate nan", "learning rate", "nan"),
+    bad(SPLIT + "--learning-rate inf", "learning rate", "inf"),
+    bad(GRU + "--learning-rate 1e30", "diverged", "learning rate", "1e+30"),
+    bad(SPLIT + "--epochs 0", "epochs", "got 0"),
+    bad(GRU + "--conditioned", "--conditioned", "split-gru", "filtered-gru", "got gru"),
+    bad(GRU + "--calibrate", "--calibrate", "filtered-gru", "got gru"),
+    bad(SPLIT + "--calibrate", "--calibrate", "residual-gru", "got split-gru"),
+    bad(SPLIT + "--calibrate --conditioned", "--calibrate", "got split-gru"),
+]
+
+WORDS = [
+    bad(SPLIT + "--train abc", "--train", "abc"),
+    bad(SPLIT + "--cutoff low", "--cutoff", "low"),
+    bad(SPLIT + "--horizon -7", "--horizon", "-7"),
+    bad(SPLIT + "--seeds -7", "--seeds", "-7"),
+    bad(SPLIT + "--jobs -7", "--jobs", "-7"),
+    bad(SPLIT + "--speed 3", "--speed"),
+    bad("compare", "RECORD"),
+    bad("fit record.csv", "--out"),
+    bad("learn record.csv", "learn"),
+    bad("data learn", "learn"),
+    bad("", "command"),
+    bad("data", "command"),
+    bad("data fetch moon", "'moon'", "drill_string_data"),
+]
+
+OUTPUTS = [
+    bad(GRU + "--out record.csv", "--out", "record.csv"),
+    bad(GRU + "--out record.csv/below", "--out", "record.csv/below"),
+    bad(FIT + "--out record.csv/below", "--out", "record.csv/below"),
+    bad("spectrum record.csv --columns a --out record.csv", "--out", "record.csv"),
+    bad(f"{GRU} --out {'x' * 300}", "--out", "xxx"),
+    bad(AHEAD + "history.csv --out record.csv/below.csv", "--out", "record.csv"),
+    bad(AHEAD + "history.csv --out folder", "--out", "folder"),
+]
+
+SIMULATORS = [
+    bad(f"{GRU} --methods filtered-gru", "filtered-gru", "--simulator"),
+    bad(f"{FIT} --method residual-gru", "residual-gru", "--simulator"),
+    bad(GRU + "--methods simulator-affine", "simulator-affine", "--simulator"),
+    bad(SIMULATOR + "nothing.csv", "--simulator", "nothing.csv"),
+    bad(SIMULATOR + "nothing.py:good", "nothing.py"),
+    bad(SIMULATOR + "broken.py:good", "broken.py", "SyntaxError"),
+    bad(SIMULATOR + "functions.py:number", "functions.py", "number"),
+    bad(SIMULATOR + "functions.py:absent", "functions.py", "absent"),
+    bad(SIMULATOR + "simulated_holed.csv", "simulated_holed.csv", "'a'", "row 3", "nan"),
+    bad(SIMULATOR + "simulated_short.csv", "simulator", "0 s to 19.9 s", "0 s to 18.9 s"),
+    bad(SIMULATOR + "simulated_short.csv", "simulated_short.csv", id="the file that is too short"),
+    bad(SIMULATOR + "simulated_slow.csv", "simulated_slow.csv", "19.9 s", "19.8 s"),
+    bad(SIMULATOR + "simulated_names.csv", "--simulator-columns", "1 column", "p, q"),
+    bad(SIMULATOR + "simulated_names.csv --simulator-columns z", "simulated_names.csv", "'z'"),
+    bad(SIMULATOR + "functions.py:raising", "simulator", "200 samples", "RuntimeError",
+        "no convergence after 7 steps"),
+    bad(SIMULATOR + "functions.py:short", "simulator", "(200, 1)", "(10, 1)"),
+    bad(SIMULATOR + "functions.py:wide", "simulator", "(200, 1)", "(200, 3)"),
+    bad(SIMULATOR + "functions.py:holed", "simulator", "finite", "1.7 s"),
+    bad(SIMULATOR + "functions.py:holed", "functions.py", id="the function that is to blame"),
+    bad(SIMULATOR + "functions.py:hanging --simulator-timeout 0.2", "simulator", "0.2 s"),
+    bad(SIMULATOR + "functions.py:good --simulator-timeout -1", "--simulator-timeout"),
+    bad(SIMULATOR + "functions.py:good --simulator-timeout inf", "timeout", "inf"),
+    bad(SIMULATOR + "functions.py:leaving", "simulator", "SystemExit"),
+    bad(SIMULATOR + "damaged.fmu", "damaged.fmu", "zip"),
+    bad(SIMULATOR + "hollow.fmu", "hollow.fmu"),
+    bad(SIMULATOR + "nothing.fmu", "nothing.fmu"),
+]  # fmt: skip
+
+MODELS = [
+    bad(f"{FIT} --method lstm", "--method", "got lstm"),
+    bad(f"{FIT} --method persistence", "--method", "got persistence"),
+    bad(FIT + "--conditioned", "--conditioned", "split-gru", "got gru"),
+    bad(FIT + "--calibrate", "--calibrate", "filtered-gru", "got gru"),
+    bad(FIT + "--method filtered-gru --calibrate", "filtered-gru-calibrated", "--simulator"),
+    bad(FIT + "--train 201", "train", "200", "got 201"),
+    bad(FIT + "--seed 99999999999999999999", "seed", "9999"),
+    bad("simulate nothing --history history.csv --steps 5 --out ahead.csv", "nothing"),
+    bad(AHEAD + "nothing.csv", "nothing.csv"),
+    bad(AHEAD + "history_short.csv", "--history", "10", "got 5"),
+    bad(AHEAD + "history_renamed.csv", "history_renamed.csv", "'a'", "'z'"),
+    bad(AHEAD + "history_slow.csv", "history_slow.csv", "0.1 s", "0.2 s"),
+    bad(AHEAD + "history_holed.csv", "history_holed.csv", "'a'", "row 7", "nan"),
+    bad(AHEAD + "history.csv --steps 0", "--steps"),
+    bad(AHEAD + "history.csv --future-inputs future.csv", "--future-inputs", "none"),
+    bad("forecast record.csv --columns a --out out", "--steps"),
+    bad("forecast record.csv --columns a --out out --steps 0", "--steps", "got 0"),
+    bad(
+        "forecast record.csv --columns a --out out --steps 5 --method best", "--method", "got best"
+    ),
+    bad("forecast record.csv --columns a --out out --steps 5 --method simulator", "simulator"),
+    bad("forecast record.csv --columns a --inputs force --out out --steps 5", "--future-inputs"),
+    bad(
+        "forecast record.csv --columns a --out out --steps 5 --method linear", "linear", "--inputs"
+    ),
+    bad("compare record.csv --columns a --out out --methods mean,linear", "linear", "--inputs"),
+    bad(
+        "forecast record.csv --columns a --out out --steps 5 --method filtered-gru "
+        "--simulator simulated.csv",
+        "0 s to 20.4 s",
+        "0 s to 19.9 s",
+    ),
+    bad(HYBRID_AHEAD, "--simulator", "filtered-gru"),
+    bad(HYBRID_AHEAD + "--simulator functions.py:holed", "simulator", "1.7 s"),
+    bad(HYBRID_AHEAD + "--steps 190 --simulator simulated.csv", "must cover", "0 s to 19.9 s"),
+    bad(DRIVEN_AHEAD, "--future-inputs", "force"),
+    bad(DRIVEN_AHEAD + "--future-inputs nothing.csv", "nothing.csv"),
+    bad(DRIVEN_AHEAD + "--future-inputs simulated.csv", "simulated.csv", "'force'"),
+    bad(DRIVEN_AHEAD + "--future-inputs future_short.csv", "--future-inputs", "20", "got 10"),
+]
+
+
+@pytest.mark.usefixtures("model", "hybrid_model", "driven_model")
+@pytest.mark.parametrize(
+    ("line", "says"), [*RECORDS, *SETTINGS, *WORDS, *OUTPUTS, *SIMULATORS, *MODELS]
+)
+def test_bad_input_is_one_line_and_leaves_no_file(
+    line: str, says: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert_fails(line, says, capsys)
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tmp_path.chmod(0o500)
+    try:
+        (tmp_path / "probe").touch()
+    except OSError:
+        assert_fails(f"{GRU} --out {tmp_path / 'below'}", ("--out", str(tmp_path)), capsys)
+        assert_fails(f"{FIT} --out {tmp_path}", ("--out", str(tmp_path)), capsys)
+    else:
+        pytest.skip("this user can write into every folder")
+    finally:
+        tmp_path.chmod(0o700)

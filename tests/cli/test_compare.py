@@ -1,0 +1,208 @@
+"""`splitband compare`: what it writes, draws and prints."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from splitband import read
+from splitband.evaluation.setup import Setup
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.names import Sizes
+from splitband.runtime.processes import over
+from splitband.training import Settings
+from tests.cli.support import (
+    DT,
+    FAST,
+    QUICK,
+    SAMPLES,
+    SLOW,
+    TIME,
+    TRAIN,
+    WARMUP,
+    A,
+    B,
+    assert_pictures,
+    call,
+    files,
+    results,
+    written,
+)
+from tests.records import rms
+from tests.support import compare
+
+pytestmark = [
+    pytest.mark.usefixtures("inside", "undrawn"),
+    pytest.mark.xdist_group("compare"),  # what its fixtures train is made once
+]
+
+
+@pytest.fixture(scope="module")
+def compared(workspace: Path) -> Path:
+    methods = "gru,split-gru-hp,persistence,seasonal-naive,harmonic"
+    out = workspace / "compared"
+    line = f"compare {workspace}/record.csv --columns a --methods {methods} {QUICK} --seeds 1"
+    call(f"{line} --jobs 1", out)
+    return out
+
+
+def test_compare_writes_every_method_with_one_entry_a_seed(compared: Path) -> None:
+    found = results(compared)
+    names = ["gru", "split-gru-hp", "persistence", "seasonal-naive", "harmonic"]
+    assert list(found["methods"]) == names
+    for facts in found["methods"].values():
+        for key in ("total_rmse", "forecast_rmse", "seconds"):
+            assert [type(value) for value in facts[key]] == [float]
+            assert facts[key][0] >= 0
+    assert set(found["methods"]["gru"]["final_loss"][0]) == {"network"}
+    assert set(found["methods"]["split-gru-hp"]["final_loss"][0]) == {"low band", "high band"}
+
+
+def test_compare_writes_what_is_needed_to_run_it_again(compared: Path) -> None:
+    found = results(compared)
+    assert found["record"] == {
+        "name": "record", "samples": SAMPLES, "sampling_time": pytest.approx(DT),
+        "start": 0.0, "columns": ["a"], "inputs": 0, "gaps": 0, "truth": "measured",
+    }  # fmt: skip
+    settings = found["settings"]
+    choice = settings["choice"]
+    for name in ("cutoff", "order", "downsampling"):
+        assert settings[name] == choice[name]
+    assert [c["cutoff"] for c in choice["candidates"] if not c["rejected"]] == [choice["cutoff"]]
+    assert settings["train"] == TRAIN
+    assert (settings["hidden_high"], settings["hidden_low"]) == (4, 3)
+    training = settings["settings"]
+    assert (training["window"], training["warmup"], training["epochs"]) == (30, WARMUP, 2)
+    assert SLOW < settings["cutoff"] < FAST
+    assert found["command"] == "compare"
+    assert (found["arguments"]["columns"], found["arguments"]["hidden"]) == ("a", "4,3")
+    assert set(found["environment"]) == {"versions", "machine", "commit"}
+    assert found["environment"]["versions"]["numpy"] == np.__version__
+
+
+def test_compare_gives_the_numbers_of_the_library(compared: Path) -> None:
+    facts = results(compared)
+    chosen = {name: facts["settings"][name] for name in ("cutoff", "order", "downsampling")}
+    sizes = Sizes(hidden_high=4, hidden_low=3)
+    setup = Setup(TRAIN, Settings(30, WARMUP, 2), Bands(**chosen), sizes)
+    record = read("record.csv", columns="a")
+    for name, (run,) in compare(record, ["gru", "split-gru-hp"], setup).items():
+        assert facts["methods"][name]["total_rmse"] == [run.total_rmse]
+        assert facts["methods"][name]["forecast_rmse"] == [run.forecast_rmse]
+
+
+def test_compare_follows_both_protocols_to_the_letter(compared: Path) -> None:
+    facts = results(compared)["methods"]
+    held = facts["persistence"]
+    assert held["total_rmse"] == [pytest.approx(rms(A[WARMUP:] - A[WARMUP - 1]))]
+    assert held["forecast_rmse"] == [pytest.approx(rms(A[TRAIN:] - A[TRAIN - 1]))]
+    assert facts["harmonic"]["total_rmse"][0] < 1e-6  # the record is two sinusoids
+
+
+def test_compare_draws_its_pictures(compared: Path) -> None:
+    assert_pictures(compared, "rollouts.png", "error.png", "spectrum.png", "components.png")
+
+
+def test_compare_recommends_a_method_and_says_how_sure_it_is(compared: Path) -> None:
+    found = results(compared)
+    held_out = {name: facts["held_out_rmse"] for name, facts in found["methods"].items()}
+    assert found["recommended"] == min(held_out, key=lambda name: held_out[name]) == "harmonic"
+    table = written(compared / "predictions.csv").iloc[TRAIN:]
+    lower, middle, upper = (table[f"a, harmonic, {s}"] for s in ("lower", "forecast", "upper"))
+    assert (lower <= middle).all()
+    assert (middle <= upper).all()
+    inside = table["a"].between(lower, upper).mean()
+    assert found["methods"]["harmonic"]["interval"]["covers"] == pytest.approx(inside)
+    assert "a, gru, lower" not in table
+
+
+def test_compare_leaves_nothing_but_results_and_pictures(compared: Path) -> None:
+    pictures = {path.name for path in compared.glob("*.png")}
+    assert set(files(compared)) == {"results.json", "predictions.csv", *pictures}
+
+
+def test_the_predictions_beside_the_results_have_the_errors_in_them(compared: Path) -> None:
+    table, found = written(compared / "predictions.csv"), results(compared)["methods"]
+    np.testing.assert_allclose(table["time"], TIME)
+    np.testing.assert_array_equal(table["a"], A)
+    for name, facts in found.items():
+        for protocol, key in (("from start", "total_rmse"), ("forecast", "forecast_rmse")):
+            predicted = table[f"a, {name}, {protocol}"].dropna()
+            assert len(predicted) == SAMPLES - (WARMUP if key == "total_rmse" else TRAIN)
+            errors = (table["a"] - predicted).dropna().to_numpy()
+            assert facts[key] == [pytest.approx(rms(errors))]
+
+
+def test_compare_prints_its_table_and_where_the_files_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call("compare record.csv --columns a --methods persistence,harmonic --horizon 20", tmp_path)
+    found, facts = capsys.readouterr(), results(tmp_path)["methods"]
+    row = next(line for line in found.out.splitlines() if "persistence" in line)
+    assert f"{facts['persistence']['total_rmse'][0]:.3f}" in row
+    assert f"{facts['persistence']['forecast_rmse'][0]:.3f}" in row
+    assert "from the start" in found.out
+    assert str(tmp_path) in found.out
+    assert found.err == ""
+
+
+def test_the_horizon_ends_both_protocols(tmp_path: Path) -> None:
+    call("compare record.csv --columns a --methods persistence --train 120 --horizon 30 "
+         "--warmup 10", tmp_path)  # fmt: skip
+    found = results(tmp_path)
+    assert found["record"]["samples"] == 150
+    facts = found["methods"]["persistence"]
+    assert facts["forecast_rmse"] == [pytest.approx(rms(A[120:150] - A[119]))]
+    assert facts["total_rmse"] == [pytest.approx(rms(A[10:150] - A[9]))]
+
+
+@pytest.mark.usefixtures("drawn")
+def test_compare_takes_several_channels_and_known_inputs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call(f"compare record.csv --columns a,b --inputs force --methods rnn,split-gru,persistence "
+         f"{QUICK} --seeds 1 --jobs 1 --lr-milestones 1:1e-4 --order 2 "
+         "--cutoff 1", tmp_path)  # fmt: skip
+    found = results(tmp_path)
+    assert (found["record"]["columns"], found["record"]["inputs"]) == (["a", "b"], 1)
+    assert found["settings"]["settings"]["milestones"] == [[1, 1e-4]]
+    assert (found["settings"]["cutoff"], found["settings"]["order"]) == (1.0, 2)
+    held = [rms(*(y[n:] - y[n - 1] for y in (A, B))) for n in (WARMUP, TRAIN)]
+    facts = found["methods"]["persistence"]
+    assert [*facts["total_rmse"], *facts["forecast_rmse"]] == pytest.approx(held)
+    assert np.isfinite(found["methods"]["rnn"]["total_rmse"]).all()
+    each = [[rms(y[n:] - y[n - 1]) for y in (A, B)] for n in (WARMUP, TRAIN)]
+    expected = dict(zip(("total_rmse", "forecast_rmse"), each, strict=True))
+    assert facts["by_channel"] == {name: pytest.approx(both) for name, both in expected.items()}
+    assert "by channel: a " in capsys.readouterr().out
+    assert_pictures(tmp_path, "rollouts.png", "error.png", "spectrum.png", "components.png")
+
+
+def test_several_seeds_are_run_by_as_many_processes_as_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def in_this_process(work: Any, jobs: Any, processes: int, progress: Any) -> Any:
+        asked.append((len(jobs), processes))
+        return over(work, jobs, 1, progress)
+
+    monkeypatch.setattr("splitband.evaluation.runs.over", in_this_process)
+    call(f"compare record.csv --columns a --methods gru {QUICK} --seeds 3 --jobs 2", tmp_path)
+    assert asked == [(2, 2), (3, 2)]  # two seeds are tried out, three trained
+    found = results(tmp_path)["methods"]["gru"]
+    assert found["seeds"] == [0, 1, 2]
+    assert len({*found["total_rmse"]}) == 3
+    assert found["total_rmse_std"] == pytest.approx(np.std(found["total_rmse"], ddof=1))
+
+
+@pytest.mark.usefixtures("public_data")
+def test_the_seasonal_baseline_finds_the_period_of_the_double_torsion_record(
+    tmp_path: Path,
+) -> None:
+    call("compare double-torsion --recipe paper --methods seasonal-naive,persistence", tmp_path)
+    facts = results(tmp_path)["methods"]["seasonal-naive"]
+    assert "160 training samples" in facts["description"]
+    assert facts["forecast_rmse"] == [pytest.approx(0.068, abs=5e-4)]
+    assert facts["total_rmse"] == [pytest.approx(0.062, abs=1e-3)]

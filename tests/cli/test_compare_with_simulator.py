@@ -1,0 +1,84 @@
+"""`splitband compare` with hybrid models and their simulator."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.support import (
+    QUICK,
+    SIMULATED,
+    TRAIN,
+    WARMUP,
+    A,
+    assert_pictures,
+    call,
+    results,
+)
+from tests.records import rms
+
+pytestmark = [
+    pytest.mark.usefixtures("inside", "undrawn"),
+    pytest.mark.xdist_group("compare with a simulator"),  # what its fixtures train is made once
+]
+
+
+@pytest.fixture(scope="module")
+def hybrid(workspace: Path) -> Path:
+    methods = "filtered-gru,residual-gru,gru,simulator,simulator-affine"
+    out = workspace / "hybrid"
+    call(f"compare {workspace}/record.csv --columns a --simulator {workspace}/simulated.csv "
+         f"--methods {methods} --calibrate {QUICK} --seeds 1 --jobs 1", out)  # fmt: skip
+    return out
+
+
+def test_calibration_adds_a_row_to_each_hybrid_method_only(hybrid: Path) -> None:
+    found = results(hybrid)["methods"]
+    assert list(found) == [
+        "filtered-gru", "filtered-gru-calibrated", "residual-gru", "residual-gru-calibrated",
+        "gru", "simulator", "simulator-calibrated", "simulator-affine",
+    ]  # fmt: skip
+    for name in ("filtered-gru", "residual-gru"):
+        assert found[name]["total_rmse"] != found[f"{name}-calibrated"]["total_rmse"]
+
+
+def test_calibrated_and_conditioned_variants_follow_the_method(tmp_path: Path) -> None:
+    call("compare record.csv --columns a --simulator simulated.csv --methods filtered-gru "
+         f"--calibrate --conditioned {QUICK} --seeds 1 --jobs 1", tmp_path)  # fmt: skip
+    found = results(tmp_path)["methods"]
+    assert list(found) == [
+        "filtered-gru", "filtered-gru-calibrated", "filtered-gru-conditioned",
+        "filtered-gru-calibrated-conditioned",
+    ]  # fmt: skip
+    errors = [facts["total_rmse"][0] for facts in found.values()]
+    assert np.isfinite(errors).all()
+    assert len(set(errors)) == 4
+
+
+def test_the_simulator_rows_are_its_error_raw_and_after_least_squares(hybrid: Path) -> None:
+    found = results(hybrid)["methods"]
+    gain, offset = np.polyfit(SIMULATED[:TRAIN], A[:TRAIN], 1)
+    for name, y in (("simulator", SIMULATED), ("simulator-affine", gain * SIMULATED + offset)):
+        assert found[name]["total_rmse"] == [pytest.approx(rms((A - y)[WARMUP:]))]
+        assert found[name]["forecast_rmse"] == [pytest.approx(rms((A - y)[TRAIN:]))]
+
+
+def test_hybrid_comparisons_show_the_components(hybrid: Path) -> None:
+    assert_pictures(hybrid, "rollouts.png", "error.png", "spectrum.png", "components.png")
+
+
+@pytest.mark.usefixtures("drawn")
+def test_without_methods_of_several_parts_there_is_no_picture_of_components(tmp_path: Path) -> None:
+    call("compare record.csv --columns a --methods persistence,simulator --warmup 10 "
+         "--simulator functions.py:good", tmp_path)  # fmt: skip
+    assert_pictures(tmp_path, "rollouts.png", "error.png", "spectrum.png")
+
+
+def test_a_function_is_as_good_a_simulator_as_its_exported_trajectory(
+    hybrid: Path, tmp_path: Path
+) -> None:
+    call("compare record.csv --columns a --methods simulator --warmup 10 "
+         "--simulator functions.py:good --simulator-timeout 30", tmp_path)  # fmt: skip
+    expected = results(hybrid)["methods"]["simulator"]
+    found = results(tmp_path)["methods"]["simulator"]
+    assert found["total_rmse"] == pytest.approx(expected["total_rmse"], rel=1e-9)

@@ -1,0 +1,89 @@
+"""A saved model that is damaged is refused in one line."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cli.support import HYBRID_AHEAD, assert_fails
+
+pytestmark = [
+    pytest.mark.usefixtures("inside", "undrawn"),
+    pytest.mark.xdist_group("models"),  # what its fixtures train is made once
+]
+
+
+def change_json(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        path = folder / "model.json"
+        description = json.loads(path.read_text())
+        change(description)
+        path.write_text(json.dumps(description))
+
+    return damage
+
+
+def cut_weights(folder: Path) -> None:
+    path = folder / "weights.safetensors"
+    path.write_bytes(path.read_bytes()[:-4])
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (lambda f: (f / "model.json").write_text("{"), ("damaged/model.json", "damaged:")),
+        (lambda f: (f / "model.json").unlink(), ("damaged", "model.json is missing")),
+        (cut_weights, ("damaged/weights.safetensors", "damaged:")),
+        (change_json(lambda d: d.update(format=9)), ("damaged/model.json", "format 9")),
+        (change_json(lambda d: d["model"].update(type="eval")), ("model.json", "'eval'")),
+        (change_json(lambda d: d.update(facts={})), ("`splitband fit`", "method")),
+        pytest.param(
+            change_json(lambda d: d["facts"]["setup"]["settings"].update(warmup=-3)), ("warm",)
+        ),
+        pytest.param(
+            change_json(lambda d: d["facts"].update(columns=["a"])), ("columns",)
+        ),
+    ],
+    ids=["json", "no json", "weights", "format", "type", "no facts", "warm-up", "columns"],
+)  # fmt: skip
+def test_a_damaged_model_is_one_line(
+    damage: Callable[[Path], None],
+    says: tuple[str, ...],
+    model: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    shutil.copy("history.csv", tmp_path)
+    shutil.copytree(model, tmp_path / "damaged")
+    monkeypatch.chdir(tmp_path)
+    damage(Path("damaged"))
+    line = "simulate damaged --history history.csv --steps 5 --out ahead.csv"
+    assert_fails(line, says, capsys)
+
+
+@pytest.mark.parametrize(
+    "calibration",
+    [
+        3, [1.0], {"speed": 1.0}, {"clock": "fast"}, {"clock": None}, {"delay": "late"},
+        {"gain": ["high"]}, {"gain": [1.0, 2.0]}, {"clock": float("nan")},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_damaged_calibration_is_one_line(
+    calibration: Any,
+    hybrid_model: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    shutil.copytree(hybrid_model, tmp_path / "damaged")
+    for name in ("history.csv", "simulated.csv"):
+        shutil.copy(name, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    change_json(lambda d: d["facts"].update(calibration=calibration))(Path("damaged"))
+    line = HYBRID_AHEAD.replace("filtered", "damaged") + "--simulator simulated.csv"
+    assert_fails(line, ("damaged",), capsys)

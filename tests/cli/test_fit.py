@@ -1,0 +1,59 @@
+"""`splitband fit`: the model that it writes."""
+
+import shlex
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from splitband.cli import main
+from splitband.models.saving import load
+from tests.cli.support import FIT, QUICK, SAMPLES, WARMUP, A, B, call, files, results
+from tests.records import rms
+
+pytestmark = [
+    pytest.mark.usefixtures("inside", "undrawn"),
+    pytest.mark.xdist_group("models"),  # what its fixtures train is made once
+]
+
+
+def test_fit_writes_a_model_and_what_it_reached(model: Path) -> None:
+    assert set(files(model)) == {"model.json", "weights.safetensors", "results.json"}
+    found = results(model)
+    assert (found["method"], found["columns"], found["inputs"]) == ("gru", ["a", "b"], [])
+    assert found["setup"]["train"] == SAMPLES
+    loaded, _ = load(model)
+    y = np.stack([A, B], axis=1)
+    error = loaded.simulate(y[:WARMUP], SAMPLES - WARMUP) - y[WARMUP:]
+    assert found["training_rmse"] == pytest.approx(rms(*error.T))
+
+
+def test_the_same_seed_fits_the_same_model(model: Path, tmp_path: Path) -> None:
+    line = f"fit record.csv --columns a,b --method gru {QUICK} --seed"
+    for seed in (0, 1):
+        call(f"{line} {seed}", tmp_path / str(seed))
+    weights = [p / "weights.safetensors" for p in (model, tmp_path / "0", tmp_path / "1")]
+    expected, same, other = (path.read_bytes() for path in weights)
+    assert same == expected != other
+
+
+def test_fit_sees_the_training_samples_only(model: Path, tmp_path: Path) -> None:
+    pd.read_csv("record.csv").assign(a=lambda t: t["a"].where(t.index < 100, 50.0)).to_csv(
+        tmp_path / "other.csv", index=False
+    )
+    for name in ("record.csv", str(tmp_path / "other.csv")):
+        call(f"fit {name} --columns a --method split-gru --train 100 {QUICK}",
+             tmp_path / Path(name).stem)  # fmt: skip
+    found = [tmp_path / name / "weights.safetensors" for name in ("record", "other")]
+    assert found[0].read_bytes() == found[1].read_bytes()
+
+
+def test_a_fit_that_fails_leaves_the_old_model(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(model, tmp_path / "model")
+    before = files(tmp_path)
+    assert main(shlex.split(f"{FIT} --cutoff nan --out {tmp_path / 'model'}")) == 2
+    assert files(tmp_path) == before

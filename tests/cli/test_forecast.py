@@ -1,0 +1,66 @@
+"""`splitband forecast`: what comes after the end of a record."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.integrate
+import scipy.signal
+
+from tests.cli.support import DT, SAMPLES, SLOW, A, assert_pictures, call, results, written
+from tests.records import rms
+
+pytestmark = pytest.mark.usefixtures("inside", "undrawn")
+
+
+@pytest.mark.usefixtures("drawn")
+def test_forecast_goes_on_from_the_end_of_a_record(tmp_path: Path) -> None:
+    pd.read_csv("record.csv").iloc[:150].to_csv(tmp_path / "begun.csv", index=False)
+    call(
+        f"forecast {tmp_path}/begun.csv --columns a --steps 50 --seeds 1 --jobs 1 --epochs 2",
+        tmp_path / "out",
+    )
+    table, found = written(tmp_path / "out" / "forecast.csv"), results(tmp_path / "out")
+    assert list(table) == ["time", "a", "a, lower", "a, upper"]
+    np.testing.assert_allclose(table["time"], DT * np.arange(150, 200))
+    assert found["method"] == min(found["held_out_rmse"], key=found["held_out_rmse"].get)
+    assert found["method"] == "harmonic"
+    np.testing.assert_allclose(table["a"], A[150:], atol=1e-4)  # the record is two sinusoids
+    assert_pictures(tmp_path / "out", "forecast.png")
+
+
+def test_forecast_by_a_linear_model_of_the_inputs(tmp_path: Path) -> None:
+    n = np.arange(400)
+    u = np.sign(np.sin(n**1.3 / 20))
+    y = scipy.signal.lfilter([0.3, 0.1], [1, -1.6, 0.8], u)
+    table = pd.DataFrame({"time": n * DT, "y": y, "force": u})
+    table[:300].to_csv(tmp_path / "begun.csv", index=False)
+    table[["force"]][300:].to_csv(tmp_path / "coming.csv", index=False)
+    call(f"forecast {tmp_path}/begun.csv --columns y --inputs force --steps 100 --epochs 1 "
+         f"--seeds 1 --jobs 1 --future-inputs {tmp_path}/coming.csv", tmp_path / "out")  # fmt: skip
+    found = results(tmp_path / "out")
+    assert found["method"] == "linear"
+    np.testing.assert_allclose(written(tmp_path / "out" / "forecast.csv")["y"], y[300:], atol=1e-5)
+
+
+def test_forecast_takes_known_inputs_and_several_seeds(tmp_path: Path) -> None:
+    pd.DataFrame({"force": [1.0] * 20}).to_csv(tmp_path / "coming.csv", index=False)
+    line = f"forecast record.csv --columns a,b --inputs force --steps 20 --future-inputs {tmp_path}"
+    call(f"{line}/coming.csv --method gru --seeds 2 --jobs 1 --epochs 2", tmp_path / "out")
+    found = results(tmp_path / "out")
+    assert (found["method"], found["seeds"]) == ("gru", [0, 1])
+    table = written(tmp_path / "out" / "forecast.csv")
+    assert table.shape == (20, 7)
+    assert np.isfinite(table.to_numpy()).all()
+
+
+def test_forecast_asks_a_simulator_for_what_is_to_come(tmp_path: Path) -> None:
+    call("forecast record.csv --columns a --steps 30 --method simulator-calibrated "
+         "--simulator functions.py:good", tmp_path)  # fmt: skip
+    time = DT * np.arange(SAMPLES, SAMPLES + 30)
+    good = 0.8 * np.sin(2 * np.pi * 0.3 * time + 0.2) + 0.3
+    found = written(tmp_path / "forecast.csv")["a"]
+    assert rms(found - np.sin(2 * np.pi * SLOW * time)) < rms(
+        good - np.sin(2 * np.pi * SLOW * time)
+    )

@@ -1,0 +1,243 @@
+"""Commands on records with gaps, and on several records."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from splitband import Settings, read
+from splitband.cli.spectrum import _show_simulator
+from splitband.evaluation.setup import Setup
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.names import Sizes
+from splitband.models.saving import load
+from tests.cli.support import A, B, assert_fails, call, results, written
+from tests.records import DT, NAN, rms, with_gaps
+from tests.support import compare, try_out
+
+pytestmark = pytest.mark.xdist_group("gaps")  # what its fixtures compare is made once
+
+
+QUICKLY = "--recipe paper --epochs 2 --hidden 4,3 --window 30 --warmup 10"
+
+GRU_ON = f"--columns a --methods gru {QUICKLY} --seeds 1 --jobs 1 --out out"
+
+FIT_ON = f"--columns a --method gru {QUICKLY} --out out"
+
+BAD_ROWS = {*range(5), *range(80, 84), *range(140, 150), *range(160, 166)}
+
+SEEN = np.where(np.isin(np.arange(200), [*BAD_ROWS]), NAN, A)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Records with gaps, and without."""
+    found = tmp_path_factory.mktemp("gaps")
+    whole = pd.DataFrame({"time": (DT * np.arange(200)).round(9), "a": A, "b": B})
+    gappy = whole.copy()
+    gappy.loc[:4, "a"] = NAN
+    gappy.loc[140:149, "a"] = NAN
+    gappy.loc[160:165, "a"] = np.inf
+    history = whole.iloc[:60].copy()
+    history.loc[52:59, "a"] = NAN
+    slow = whole.iloc[:80].assign(time=(2 * DT * np.arange(80)).round(9))
+    tables = {
+        "gappy": gappy.drop(index=range(80, 84)), "whole": whole, "history": history, "slow": slow,
+        "short": whole.iloc[:25], "renamed": whole.rename(columns={"a": "z"}),
+        "ended": gappy.iloc[:166].drop(index=range(80, 84)), "wide": whole.assign(a=10 * A),
+        "named": whole.rename(columns={"a": "y", "b": "z"}), "turned": whole[["time", "b", "a"]],
+    }  # fmt: skip
+    for name, table in tables.items():
+        table.to_csv(found / f"{name}.csv", index=False)
+    return found
+
+
+@pytest.fixture(scope="module")
+def compared(folder: Path) -> Path:
+    line = f"compare {folder}/gappy.csv --gaps mask --columns a --more {folder}/whole.csv"
+    call(f"{line} --methods gru,persistence,mean {QUICKLY} --seeds 2 --jobs 1", folder / "compared")
+    return folder / "compared"
+
+
+def test_compare_gives_finite_numbers_around_gaps_and_counts_them(compared: Path) -> None:
+    found = results(compared)
+    assert found["record"]["samples"] == 200
+    assert found["record"]["gaps"] == len(BAD_ROWS)
+    for facts in found["methods"].values():
+        numbers = [facts["held_out_rmse"], facts["change"], facts["interval"]["covers"]]
+        numbers += [*facts["total_rmse"], *facts["forecast_rmse"]]
+        numbers += [half for row in facts["interval"]["half_width"] for half in row]
+        assert np.isfinite(numbers).all()
+    assert found["arguments"]["gaps"] == "mask"
+
+
+def test_the_predictions_are_empty_in_gaps_of_the_record_alone(compared: Path) -> None:
+    table, found = written(compared / "predictions.csv"), results(compared)["methods"]
+    np.testing.assert_array_equal(table["a"], SEEN)
+    for name in ("gru", "persistence", "mean"):
+        from_start, forecast = (table[f"a, {name}, {p}"] for p in ("from start", "forecast"))
+        # Warmed up on samples 5 to 14.
+        assert np.flatnonzero(np.isfinite(from_start)).tolist() == [*range(15, 200)]
+        assert np.flatnonzero(np.isfinite(forecast)).tolist() == [*range(150, 200)]
+        mean = found[name]["mean_of_seeds"]
+        for key, predicted in (("total_rmse", from_start), ("forecast_rmse", forecast)):
+            error = (SEEN - predicted).dropna().to_numpy()
+            reported = found[name][key][0] if mean is None else mean[key]
+            assert reported == pytest.approx(rms(error))
+    assert (table["a, persistence, forecast"].dropna() == A[139]).all()
+
+
+def test_compare_trains_on_further_records_and_tries_out_with_them(
+    folder: Path, compared: Path
+) -> None:
+    found = results(compared)["methods"]["gru"]
+    setup = Setup(
+        150, Settings(30, 10, 2), bands=Bands(1.0, 1, 2), sizes=Sizes(hidden_high=4, hidden_low=3)
+    )
+    gappy, whole = (
+        read(folder / f"{name}.csv", columns="a", gaps="mask") for name in ("gappy", "whole")
+    )
+    runs = compare(gappy, ["gru"], setup, (0, 1), others=[whole])["gru"]
+    assert found["total_rmse"] == [each.total_rmse for each in runs]
+    trial = try_out(gappy, ["gru"], setup, (0, 1), others=[whole])
+    assert found["held_out_rmse"] == trial.errors["gru"]
+    assert trial.errors != try_out(gappy, ["gru"], setup, (0, 1)).errors
+    assert found["total_rmse"] != [
+        each.total_rmse for each in compare(gappy, ["gru"], setup, (0, 1))["gru"]
+    ]
+
+
+def test_fit_and_simulate_go_around_gaps(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = f"fit {folder}/gappy.csv --gaps mask --columns a,b --method split-gru {QUICKLY}"
+    call(f"{line} --more {folder}/whole.csv --more {folder}/ended.csv", tmp_path / "model")
+    said = capsys.readouterr().out
+    assert "25 of 200 samples were not measured" in said
+    assert "rows 0 to 4, 80 to 83, 140 to 149, 160 to 165" in said
+    found = results(tmp_path / "model")
+    assert found["more"] == [f"{folder}/whole.csv", f"{folder}/ended.csv"]
+    assert np.isfinite(found["training_rmse"])
+    ahead = f"simulate {tmp_path}/model --history {folder}/history.csv --steps 20"
+    call(f"{ahead} --gaps mask", tmp_path / "ahead.csv")
+    model, _ = load(tmp_path / "model")
+    y = np.stack([A, B], axis=1)
+    expected = model.simulate(y[42:52], 28)[8:]  # on the last measured samples, across the gap
+    table = written(tmp_path / "ahead.csv")
+    np.testing.assert_allclose(table["time"], DT * np.arange(60, 80))
+    np.testing.assert_allclose(table[["a", "b"]], expected, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_forecast_goes_on_from_a_record_that_ends_in_a_gap(folder: Path, tmp_path: Path) -> None:
+    line = f"forecast {folder}/ended.csv --gaps mask --columns a --steps 7 --method mean"
+    call(line, tmp_path / "out")
+    assert results(tmp_path / "out")["gaps"] == len(BAD_ROWS)
+    table = written(tmp_path / "out" / "forecast.csv")
+    np.testing.assert_allclose(table["time"], DT * np.arange(166, 173))
+    np.testing.assert_allclose(table["a"], np.nanmean(SEEN[:166]), atol=1e-3)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_forecast_trains_on_further_records(folder: Path, tmp_path: Path) -> None:
+    line = f"forecast {folder}/ended.csv --gaps mask --columns a --steps 7 --method gru --seeds 1"
+    found = []
+    for more in ("", f"--more {folder}/wide.csv"):
+        call(f"{line} --jobs 1 --epochs 1 {more}", tmp_path / "out")
+        found.append(written(tmp_path / "out" / "forecast.csv")["a"].to_numpy())
+    assert np.isfinite(found).all()
+    assert not np.allclose(found[1], found[0], rtol=0.1)
+
+
+HYBRID = f"--columns a --simulator whole.csv --method residual-gru {QUICKLY} --out out"
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        (f"compare history.csv {GRU_ON}", ("history.csv", "rows 52 to 59", "--gaps mask")),
+        (f"compare gappy.csv {GRU_ON}", ("gappy.csv", "row 80", "--gaps mask")),
+        (f"compare gappy.csv --gaps fill {GRU_ON}", ("--gaps", "fill")),
+        (f"compare whole.csv --more renamed.csv {GRU_ON}", ("renamed.csv", "'a'", "'z'")),
+        (f"compare whole.csv --more slow.csv {GRU_ON}", ("slow.csv", "every 0.1 s", "0.2 s")),
+        (f"fit whole.csv --more slow.csv {FIT_ON}", ("slow.csv", "every 0.1 s", "0.2 s")),
+        (f"fit whole.csv --more renamed.csv {FIT_ON}", ("renamed.csv", "'a'")),
+        (f"fit whole.csv --more short.csv {FIT_ON}", ("window", "25 samples", "30")),
+        (f"fit whole.csv --more nothing.csv {FIT_ON}", ("--more", "nothing.csv")),
+        (f"fit whole.csv --more gappy.csv {FIT_ON}", ("gappy.csv", "--gaps mask")),
+        (
+            f"fit whole.csv --more slow.csv --more-simulator whole.csv {FIT_ON}",
+            ("every 0.1 s", "every 0.2 s"),
+        ),
+        (
+            f"fit whole.csv --more gappy.csv --gaps mask {HYBRID}",
+            ("--more-simulator must be given once for each --more", "got 0 for 1"),
+        ),
+        (
+            f"fit whole.csv --more-simulator whole.csv {HYBRID}",
+            ("--more-simulator must be given once for each --more", "got 1 for 0"),
+        ),
+    ],
+)
+def test_what_cannot_be_is_one_line(
+    line: str,
+    says: tuple[str, ...],
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(folder)
+    assert_fails(line, says, capsys)
+
+
+def test_each_further_record_has_its_own_simulator(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The network of a residual model learns nothing from simulators that are right."""
+    monkeypatch.chdir(folder)
+    line = f"fit whole.csv --gaps mask --more wide.csv --more gappy.csv {HYBRID}"
+    line = line.replace("--out out", "")
+    call(f"{line} --more-simulator wide.csv --more-simulator whole.csv", tmp_path / "right")
+    call(f"{line} --more-simulator whole.csv --more-simulator wide.csv", tmp_path / "swapped")
+    right, swapped = (
+        results(tmp_path / name)["final_loss"]["network"] for name in ("right", "swapped")
+    )
+    assert right < 0.2 * swapped
+
+
+def test_a_column_named_y_is_found_in_further_records(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    line = f"fit named.csv --more named.csv --columns y --method gru {QUICKLY}"
+    call(line, tmp_path)
+
+
+def test_the_columns_of_further_records_go_by_name(folder: Path, tmp_path: Path) -> None:
+    for name in ("whole", "turned"):
+        line = f"fit {folder}/whole.csv --more {folder}/{name}.csv --method gru {QUICKLY}"
+        call(line, tmp_path / name)
+    expected, found = (results(tmp_path / name)["final_loss"] for name in ("whole", "turned"))
+    assert found == expected
+
+
+def test_further_records_of_other_columns_are_refused_where_all_are_taken(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(folder)
+    line = f"fit whole.csv --more renamed.csv --method gru {QUICKLY} --out out"
+    assert_fails(line, ("renamed.csv", "'a'"), capsys)
+
+
+def test_the_range_of_a_model_is_that_of_all_its_records(folder: Path, tmp_path: Path) -> None:
+    call(
+        f"fit {folder}/whole.csv --more {folder}/wide.csv --columns a --method gru {QUICKLY}",
+        tmp_path,
+    )
+    assert results(tmp_path)["range"] == [[10 * A.min()], [10 * A.max()]]
+
+
+def test_the_error_of_a_simulator_counts_what_was_measured() -> None:
+    found = _show_simulator(with_gaps(SEEN[:, None]), 10 * A[:, None], cutoff=1.0, order=1)
+    assert found["total_rmse"] == pytest.approx(rms((SEEN - 10 * A)[np.isfinite(SEEN)]))

@@ -1,0 +1,97 @@
+"""Ctrl-C stops a command in one line and leaves nothing half written."""
+
+import os
+import shlex
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from splitband.cli import main
+from splitband.runtime.files import CHECKPOINTS
+from tests.cli.support import SIMULATOR, complaints, files
+from tests.runtime.test_processes import eventually
+
+pytestmark = pytest.mark.usefixtures("inside", "undrawn")
+
+
+def test_an_interrupt_says_so_and_leaves_no_file(capsys: pytest.CaptureFixture[str]) -> None:
+    before = files(Path())
+    assert main(shlex.split(SIMULATOR + "functions.py:interrupted")) == 130
+    said = capsys.readouterr().err
+    assert said == (
+        "error: stopped; no file is half written, and the same command goes on from here\n"
+    )
+    assert files(Path()) == before
+
+
+# In a process that multiprocessing begins, it runs before anything else is loaded.
+ANNOUNCE = """
+import os, pathlib, sys
+if "spawn_main" in " ".join(sys.orig_argv):
+    pathlib.Path(__file__).with_name(f"{os.getpid()}.loading").touch()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends a signal to a group of processes")
+@pytest.mark.parametrize(
+    ("jobs", "files"),
+    [
+        pytest.param(1, "out/*/*/*.safetensors", id="while it trains"),
+        pytest.param(2, "*.loading", id="while its processes are loading"),
+        pytest.param(2, "out/*/*/*.safetensors", id="while its processes train"),
+    ],
+)
+def test_ctrl_c_stops_at_once_and_leaves_nothing_half_written(
+    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jobs: int, files: str
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text(ANNOUNCE)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    line = (
+        f"compare {workspace}/record.csv --columns a --methods gru,split-gru --epochs 100000 "
+        f"--seeds 2 --jobs {jobs} --out {tmp_path / 'out'}"
+    )
+    running = command_line(line)
+    eventually(lambda: len([*tmp_path.glob(files)]) >= jobs)
+    assert interrupted(running) == [
+        "error: stopped; no file is half written, and the same command goes on from here"
+    ]
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {CHECKPOINTS}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends a signal to a group of processes")
+def test_ctrl_c_stops_it_while_it_loads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # What takes long to load, by a module that does.
+    (tmp_path / "typer.py").write_text(
+        "import pathlib, time\npathlib.Path(__file__).with_name('here').touch()\ntime.sleep(600)\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    running = command_line("data list")
+    eventually((tmp_path / "here").exists)
+    assert interrupted(running) == ["error: stopped before anything was begun"]
+
+
+def command_line(line: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "splitband", *shlex.split(line)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        text=True,
+        # A shell's job in the background would pass on that Ctrl-C is nothing to it.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
+    )
+
+
+def interrupted(running: subprocess.Popen[str]) -> list[str]:
+    """What it says after Ctrl-C, and that it stops as shells expect."""
+    os.killpg(running.pid, signal.SIGINT)
+    try:
+        _, said = running.communicate(timeout=300)
+    finally:
+        running.kill()
+    # Python ends by the signal itself where it came in an `exec`: shells show 130 for both.
+    assert running.returncode in (130, -signal.SIGINT)
+    return complaints(said)

@@ -1,0 +1,62 @@
+"""What holds for every command: help, entry points, messages."""
+
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+from splitband.cli import main
+from tests.cli.support import call, complaints, process, results
+
+pytestmark = pytest.mark.usefixtures("inside", "undrawn")
+
+
+@pytest.mark.parametrize(
+    ("command", "word"),
+    [
+        ("", "compare"),
+        ("compare", "--simulator"),
+        ("fit", "MODEL_DIR"),
+        ("simulate", "--future-inputs"),
+        ("spectrum", "--cutoff"),
+        ("demo", "under a minute"),
+        ("data", "fetch"),
+    ],
+)
+def test_every_command_has_help(
+    command: str, word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call(f"{command} --help")
+    found = capsys.readouterr()
+    assert word in found.out
+    assert found.err == ""
+
+
+def test_the_entry_point_writes_results_and_no_warning(tmp_path: Path) -> None:
+    script = shutil.which("splitband", path=str(Path(sys.executable).parent))
+    assert script is not None
+    found = process(script, "spectrum", "record.csv", "--columns", "a", "--out", str(tmp_path))
+    assert (found.returncode, complaints(found.stderr)) == (0, [])
+    assert results(tmp_path)["record"] == "record"
+
+
+def test_as_a_module_it_fails_with_one_line_too() -> None:
+    found = process(sys.executable, "-m", "splitband", "spectrum", "nothing.csv")
+    assert (found.returncode, found.stdout) == (2, "")
+    assert found.stderr.startswith("error: RECORD must be a file")
+    assert found.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "price [EUR].csv",
+        pytest.param("a :car: b.csv"),
+    ],
+)
+def test_a_message_shows_file_names_as_they_are(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["compare", name]) == 2
+    assert name in capsys.readouterr().err

@@ -1,0 +1,44 @@
+"""What `--simulator` takes: files, functions and FMUs."""
+
+from pathlib import Path
+
+import pytest
+import scipy.integrate
+import scipy.signal
+
+from tests.cli.support import TIME, A, call, results
+from tests.records import rms
+
+pytestmark = pytest.mark.usefixtures("inside", "undrawn")
+
+
+@pytest.mark.parametrize("options", ["simulated.csv", "simulated_names.csv --simulator-columns q"])
+def test_the_columns_of_an_exported_trajectory_go_by_name_or_as_asked(
+    options: str, tmp_path: Path
+) -> None:
+    call(f"spectrum record.csv --columns b --simulator {options}", tmp_path)
+    assert results(tmp_path)["simulator"]["total_rmse"] == pytest.approx(0.1)
+
+
+def test_an_fmu_serves_as_simulator(van_der_pol_fmu: Path, tmp_path: Path) -> None:
+    call(f"spectrum record.csv --columns a --simulator {van_der_pol_fmu} --simulator-columns x",
+         tmp_path)  # fmt: skip
+    y = scipy.integrate.solve_ivp(
+        lambda _, s: [s[1], (1 - s[0] ** 2) * s[1] - s[0]], (0, TIME[-1]), [-2, 1], t_eval=TIME,
+        rtol=1e-9, atol=1e-9,
+    ).y[0]  # fmt: skip
+    assert results(tmp_path)["simulator"]["total_rmse"] == pytest.approx(rms(A - y), rel=1e-6)
+
+
+def test_a_slow_function_is_kept_by_its_content(tmp_path: Path) -> None:
+    code = (
+        "def simulate(time):\n    with open('calls', 'a') as file:\n        file.write('x')\n"
+        "    return {} * time\n"
+    )
+    line = f"spectrum record.csv --columns a --simulator f.py:simulate --simulator-cache {tmp_path}"
+    for slope in (1, 1, 2):
+        Path("f.py").write_text(code.format(slope))
+        call(line, tmp_path / "out")
+    assert Path("calls").read_text() == "xx"
+    Path("calls").unlink()
+    Path("f.py").unlink()

@@ -1,0 +1,159 @@
+"""`splitband spectrum`, with SciPy for comparison."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.integrate
+import scipy.signal
+
+from splitband.cli import main
+from tests.cli.support import (
+    DT,
+    FAST,
+    SAMPLES,
+    SIMULATED,
+    SLOW,
+    A,
+    assert_pictures,
+    call,
+    results,
+)
+from tests.records import rms
+
+pytestmark = [
+    pytest.mark.usefixtures("inside", "undrawn"),
+    pytest.mark.xdist_group("spectrum"),  # what its fixtures train is made once
+]
+
+
+@pytest.fixture(scope="module")
+def spectra(workspace: Path) -> dict[str, Any]:
+    out = workspace / "spectra"
+    call(f"spectrum {workspace}/record.csv --columns a --cutoff 1 --order 2 "
+         f"--simulator {workspace}/simulated.csv", out)  # fmt: skip
+    assert_pictures(out, "spectrum.png")
+    return results(out)
+
+
+def test_spectrum_finds_the_peaks_and_the_share_of_the_low_band(spectra: dict[str, Any]) -> None:
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(SAMPLES) / SAMPLES)
+    power = np.abs(np.fft.rfft((A - A.mean()) * window)) ** 2
+    power[0] = 0
+    frequencies = np.fft.rfftfreq(SAMPLES, DT)
+    assert spectra["share_below"] == pytest.approx(power[frequencies <= 1].sum() / power[:-1].sum())
+    assert [p["frequency"] for p in spectra["peaks"]] == pytest.approx([SLOW, FAST])
+    shares = np.array([1, 0.3**2]) / (1 + 0.3**2)
+    assert [p["share"] for p in spectra["peaks"]] == pytest.approx(shares, rel=1e-6)
+
+
+def test_spectrum_says_how_well_the_pair_adds_up(spectra: dict[str, Any]) -> None:
+    bands = [
+        scipy.signal.filtfilt(*scipy.signal.butter(2, 1, band, fs=1 / DT), A)
+        for band in ("low", "high")
+    ]
+    assert (spectra["cutoff"], spectra["order"]) == (1.0, 2)
+    assert spectra["sampling_rate"] == pytest.approx(1 / DT)
+    assert spectra["reconstruction_rmse"] == pytest.approx(rms(A - sum(bands)), rel=1e-6)
+
+
+def test_spectrum_checks_the_simulator_as_scipy_does(spectra: dict[str, Any]) -> None:
+    found = spectra["simulator"]
+    assert found["total_rmse"] == pytest.approx(rms(A - SIMULATED))
+    frequencies, agreement = scipy.signal.coherence(A, SIMULATED, 1 / DT, nperseg=SAMPLES // 8)
+    expected = agreement[frequencies <= 1].mean()
+    assert found["mean_coherence_below_cutoff"] == pytest.approx(expected)
+    assert [check["cutoff"] for check in found["oracle"]].count(1.0) == 1
+    for check in found["oracle"]:
+        b, a = scipy.signal.butter(2, check["cutoff"], fs=1 / DT)
+        low, own = (
+            scipy.signal.lfilter(b, a, y, zi=scipy.signal.lfilter_zi(b, a) * y[0])[0]
+            for y in (SIMULATED, A)
+        )
+        assert check["no_network"] == pytest.approx(rms(A - low), rel=1e-6)
+        assert check["perfect_network"] == pytest.approx(rms(own - low), rel=1e-6)
+
+
+@pytest.mark.usefixtures("drawn")
+def test_spectrum_without_a_simulator_is_about_the_record_alone(tmp_path: Path) -> None:
+    call("spectrum record.csv --columns a,b", tmp_path)
+    found = results(tmp_path)
+    assert "simulator" not in found
+    assert SLOW <= found["cutoff"] < FAST
+    assert_pictures(tmp_path, "spectrum.png")
+
+
+@pytest.mark.parametrize("options", ["", "--train 120"])
+def test_spectrum_and_compare_choose_the_same_cutoff(options: str, tmp_path: Path) -> None:
+    """An input is no channel, and what follows the training part does not matter."""
+    time = DT * np.arange(400)
+    slow = np.sin(2 * np.pi * 0.2 * time) + 0.3 * np.sin(2 * np.pi * 1.1 * time)
+    y = np.where(time < 30, slow, 3 * np.sin(2 * np.pi * 3.3 * time))
+    force = np.sign(np.sin(2 * np.pi * 2.1 * time))
+    record = tmp_path / "record.csv"
+    pd.DataFrame({"time": time, "y": y, "force": force}).to_csv(record, index=False)
+    call(f"spectrum {record} --inputs force {options}", tmp_path / "spectrum")
+    call(f"compare {record} --inputs force --methods mean {options}", tmp_path / "compared")
+    found, settings = results(tmp_path / "spectrum"), results(tmp_path / "compared")["settings"]
+    assert [found[name] for name in ("cutoff", "order", "train")] == [
+        settings[name] for name in ("cutoff", "order", "train")
+    ]
+    call(f"spectrum {record} {options}", tmp_path / "channels")
+    assert results(tmp_path / "channels")["cutoff"] != found["cutoff"]
+
+
+@pytest.mark.parametrize("simulator", ["functions.py:good", "simulated.csv"])
+def test_spectrum_and_compare_choose_the_same_cutoff_with_a_simulator(
+    simulator: str, tmp_path: Path
+) -> None:
+    options = f"record.csv --columns a --simulator {simulator} --train 120"
+    call(f"spectrum {options}", tmp_path / "spectrum")
+    methods = "filtered-gru-calibrated,simulator-calibrated"
+    call(f"compare {options} --methods {methods} --seeds 1 --epochs 1 --hidden 2,2 --jobs 1",
+         tmp_path / "compared")  # fmt: skip
+    found, settings = results(tmp_path / "spectrum"), results(tmp_path / "compared")["settings"]
+    assert found["choice"] == settings["choice"]
+
+
+def test_spectrum_takes_a_constant_simulator(tmp_path: Path) -> None:
+    call("spectrum record.csv --columns a --simulator functions.py:constant", tmp_path)
+    assert results(tmp_path)["simulator"]["total_rmse"] == pytest.approx(rms(A - 1))
+
+
+@pytest.mark.usefixtures("public_data")
+@pytest.mark.parametrize(
+    ("name", "cutoff", "total", "perfect", "nothing"),
+    [("drill-string", 1.0, 0.7292, 0.659, 0.774), ("van-der-pol", 0.5, 0.405, 0.2996, 0.450)],
+)
+def test_spectrum_gives_the_oracle_figures_of_the_papers_systems(
+    tmp_path: Path, name: str, cutoff: float, total: float, perfect: float, nothing: float
+) -> None:
+    call(f"spectrum {name}", tmp_path)
+    found = results(tmp_path)
+    assert found["cutoff"] == pytest.approx(cutoff)
+    simulator = found["simulator"]
+    assert simulator["total_rmse"] == pytest.approx(total, abs=5e-5)
+    check = next(c for c in simulator["oracle"] if c["cutoff"] == found["cutoff"])
+    assert check["perfect_network"] == pytest.approx(perfect, abs=1e-3)
+    assert check["no_network"] == pytest.approx(nothing, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["run[a]", "[/b]"])
+def test_square_brackets_in_names_are_printed(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy("record.csv", tmp_path / f"{name.replace('/', '')}.csv")
+    record = tmp_path / f"{name.replace('/', '')}.csv"
+    assert main(["spectrum", str(record), "--columns", "a", "--out", str(tmp_path / name)]) == 0
+    found = capsys.readouterr().out
+    assert f"{record.stem}: strongest peaks" in found
+    assert str(tmp_path / name) in found
+
+
+@pytest.mark.usefixtures("drawn")
+def test_dollar_signs_in_names_are_drawn(tmp_path: Path) -> None:
+    pd.read_csv("record.csv").rename(columns={"a": "US$_{1$"}).to_csv(tmp_path / "r.csv")
+    call(f"spectrum {tmp_path / 'r.csv'} --columns 'US$_{{1$'", tmp_path / "out")

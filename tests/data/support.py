@@ -1,0 +1,81 @@
+"""A table of random numbers, and the files that tests of reading begin with."""
+
+from collections.abc import Callable, Sequence
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.io
+
+from splitband.data import (
+    read,
+)
+from splitband.data.reading import ColumnError
+
+STEP = 0.25
+
+RNG = np.random.default_rng(7)
+
+Y = RNG.standard_normal((40, 2))
+
+U = RNG.standard_normal(40)
+
+TIME = STEP * np.arange(40)
+
+NAMES = ["time", "torque", "angle", "force"]
+
+FRAME = pd.DataFrame(np.column_stack([TIME, Y, U]), columns=NAMES)
+
+
+def text_file(folder: Path, text: str | bytes, name: str = "record.csv") -> Path:
+    path = folder / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def stamped(folder: Path, stamps: Sequence[object], name: str = "t") -> Path:
+    """A CSV with the given stamps, as they are to be printed, and a channel y."""
+    rows = "".join(f"{stamp},{row}\n" for row, stamp in enumerate(stamps))
+    return text_file(folder, f"{name},y\n{rows}")
+
+
+def message(path: Path, **options: Any) -> str:
+    """The message of the ValueError that reading raises: one line that begins with the path."""
+    with pytest.raises(ValueError, match=r"^[^\n]+$") as caught:
+        read(path, **options)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert type(caught.value) in (ValueError, ColumnError)
+    return str(caught.value)
+
+
+def iso(seconds: Sequence[float]) -> list[str]:
+    return [(datetime(2024, 2, 29, 23, 59, 59) + timedelta(seconds=s)).isoformat() for s in seconds]
+
+
+def write_npz(path: Path) -> None:
+    columns: dict[str, Any] = {name: FRAME[name].to_numpy() for name in NAMES}
+    np.savez(path, **columns)
+
+
+def write_mat(path: Path) -> None:  # columns, as MATLAB has them
+    scipy.io.savemat(path, {name: FRAME[[name]].to_numpy() for name in NAMES})
+
+
+WRITERS: dict[str, Callable[[Path], object]] = {
+    "record.csv": lambda path: FRAME.to_csv(path, index=False),
+    "index.csv": FRAME.to_csv,
+    "semicolon.csv": lambda path: FRAME.to_csv(path, index=False, sep=";"),
+    "comma.csv": lambda path: FRAME.to_csv(path, index=False, sep=";", decimal=","),
+    "utf16.csv": lambda path: FRAME.to_csv(path, index=False, encoding="utf-16"),
+    "windows.csv": lambda path: FRAME.to_csv(path, index=False, lineterminator="\r\n"),
+    "record.tsv": lambda path: FRAME.to_csv(path, index=False, sep="\t"),
+    "record.txt": lambda path: FRAME.to_csv(path, index=False, sep=" "),
+    "record.log": lambda path: FRAME.to_csv(path, index=False, sep="\t"),
+    "record.parquet": FRAME.to_parquet,
+    "index.pq": lambda path: FRAME.set_index("time").to_parquet(path),
+    "record.npz": write_npz,
+    "record.mat": write_mat,
+}

@@ -1,0 +1,171 @@
+"""What is written in any format is read again."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.io
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from splitband.data import (
+    read,
+)
+from splitband.data.gaps import FloatArray
+from tests.data.support import STEP, WRITERS, U, Y, message, text_file
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_round_trip(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    WRITERS[name](path)
+
+    everything = read(path)
+    np.testing.assert_array_equal(everything.y, np.column_stack([Y, U]))
+    assert everything.columns == ("torque", "angle", "force")
+    assert everything.sampling_time == pytest.approx(STEP, rel=1e-12)
+    assert everything.name == path.stem
+
+    conditioned = read(str(path), inputs=["force"])
+    np.testing.assert_array_equal(conditioned.y, Y)
+    np.testing.assert_array_equal(conditioned.u, U[:, None])
+
+    chosen = read(path, columns=["angle"], inputs="torque", time_column="time")
+    np.testing.assert_array_equal(chosen.y, Y[:, 1:])
+    np.testing.assert_array_equal(chosen.u, Y[:, :1])
+    assert chosen.columns == ("angle",)
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("plain.txt", lambda path: np.savetxt(path, Y, fmt="%.17g", header="two channels")),
+        ("plain.dat", lambda path: np.savetxt(path, Y, fmt="%.17g", delimiter=" , ")),
+        ("plain.csv", lambda path: np.savetxt(path, Y, fmt="%.17g", delimiter=",")),
+        ("noextension", lambda path: np.savetxt(path, Y, fmt="%.17g", delimiter=";")),
+        ("plain.npy", lambda path: np.save(path, Y)),
+        ("big-endian.npy", lambda path: np.save(path, np.asfortranarray(Y).astype(">f8"))),
+    ],
+)
+def test_without_header_columns_are_positions(
+    tmp_path: Path, name: str, write: Callable[[Any], None]
+) -> None:
+    path = tmp_path / name
+    with path.open("wb") as file:  # np.save adds an extension to names without one
+        write(file)
+    np.testing.assert_array_equal(read(path, sampling_time=STEP).y, Y)
+    for position in (1, "1"):
+        part = read(path, columns=[position], inputs=[0], sampling_time=STEP)
+        np.testing.assert_array_equal(part.y, Y[:, 1:])
+        np.testing.assert_array_equal(part.u, Y[:, :1])
+    assert "the columns are '0', '1'" in message(path, columns=[2], sampling_time=STEP)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("row.txt", "# one line\n" + ",".join(map(str, range(300))) + "\n"),
+        ("row.csv", ",".join(map(str, range(300))) + ",\n"),
+        ("row.dat", " ".join(map(str, range(300)))),
+        ("column.txt", "# one\n\n" + "\n".join(f"{i}  # note" for i in range(300))),
+    ],
+)
+def test_a_single_row_or_column_is_one_channel(
+    tmp_path: Path, name: str, text: str | bytes
+) -> None:
+    trajectory = read(text_file(tmp_path, text, name), sampling_time=STEP)
+    np.testing.assert_array_equal(trajectory.y, np.arange(300.0)[:, None])
+    assert trajectory.columns == ("y",)
+
+
+def test_single_row_of_an_npy_is_one_channel(tmp_path: Path) -> None:
+    np.save(tmp_path / "row.npy", Y[:, 0][None, :])
+    np.testing.assert_array_equal(read(tmp_path / "row.npy", sampling_time=1).y, Y[:, :1])
+
+
+@pytest.mark.parametrize("save", [np.savez, scipy.io.savemat], ids=["npz", "mat"])
+def test_matrices_and_scalars_of_a_variable_file(tmp_path: Path, save: Any) -> None:
+    path = tmp_path / ("record.npz" if save is np.savez else "record.mat")
+    variables: dict[str, Any] = {"y": Y, "force": U[None, :], "gains": np.arange(3.0), "Ts": STEP}
+    if save is np.savez:
+        np.savez(path, **variables)
+    else:
+        scipy.io.savemat(path, variables)
+
+    trajectory = read(path, inputs=["force"])
+    assert trajectory.columns == ("y[0]", "y[1]")
+    assert trajectory.sampling_time == STEP
+    np.testing.assert_array_equal(trajectory.u, U[:, None])
+    np.testing.assert_array_equal(read(path, columns=["y"]).y, Y)
+    np.testing.assert_array_equal(read(path, columns="y[1]").y, Y[:, 1:])
+    assert read(path, sampling_time=2.0).sampling_time == 2.0
+    np.testing.assert_array_equal(read(path, columns="gains").y[:, 0], [0, 1, 2])
+    words = "'force' has 40 rows, 'gains' has 3"
+    assert words in message(path, columns=["gains"], inputs=["force"])
+
+
+def test_columns_that_hold_no_number_or_name_are_left_out(tmp_path: Path) -> None:
+    text = ",y,status,\n0,1.5,good,\n1,2.5,bad,\n"
+    trajectory = read(text_file(tmp_path, text), sampling_time=1)
+    assert trajectory.columns == ("y",)
+    np.testing.assert_array_equal(trajectory.y[:, 0], [1.5, 2.5])
+
+
+@pytest.mark.parametrize(
+    ("text", "columns"),
+    [
+        ("motor #1,2 mass,0\n1,2,3\n4,5,6\n", ("motor #1", "2 mass", "0")),
+        (b"\xb0C,y\n1,2\n3,4\n", ("°C", "y")),
+        ("\ufeffx,y\n1,2\n3,4\n", ("x", "y")),
+        ('y, "x, mm"\n1, 2\n3, 4\n', ("y", "x, mm")),
+        ("motor torque\n1\n2\n", ("motor torque",)),
+    ],
+)
+def test_awkward_headers(tmp_path: Path, text: str | bytes, columns: tuple[str, ...]) -> None:
+    assert read(text_file(tmp_path, text), sampling_time=1).columns == columns
+
+
+def test_a_single_column_of_a_tsv_may_have_a_space_in_its_name(tmp_path: Path) -> None:
+    path = text_file(tmp_path, "torque, N m\n1\n2\n", "record.tsv")
+    assert read(path, sampling_time=1).columns == ("torque, N m",)
+
+
+def test_a_byte_order_mark_is_no_part_of_the_first_number(tmp_path: Path) -> None:
+    trajectory = read(text_file(tmp_path, "\ufeff1,2\n3,4\n"), sampling_time=1)
+    np.testing.assert_array_equal(trajectory.y, [[1, 2], [3, 4]])
+
+
+def test_warnings_of_the_readers_do_not_escape(tmp_path: Path) -> None:
+    path = tmp_path / "record.mat"
+    scipy.io.savemat(path, {"y": Y})
+    content = path.read_bytes()
+    path.write_bytes(content + content[128:])  # a second variable of the same name
+    with pytest.warns(scipy.io.matlab.MatReadWarning):
+        scipy.io.loadmat(path)
+    np.testing.assert_array_equal(read(path, sampling_time=1).y, Y)
+
+
+@settings(suppress_health_check=[HealthCheck.too_slow])
+@given(
+    values=hnp.arrays(
+        np.float64,
+        hnp.array_shapes(min_dims=2, max_dims=2, min_side=2, max_side=9),
+        elements=st.floats(-1e100, 1e100).filter(lambda x: x == 0 or abs(x) > 1e-100),
+    ),
+    separator=st.sampled_from([",", ";", "\t"]),
+    header=st.booleans(),
+)
+def test_text_round_trip_is_exact(
+    tmp_path_factory: pytest.TempPathFactory, values: FloatArray, separator: str, header: bool
+) -> None:
+    path = tmp_path_factory.mktemp("property") / "record.csv"
+    names = [f"c{i}" for i in range(values.shape[1])]
+    pd.DataFrame(values, columns=names).to_csv(path, sep=separator, header=header, index=False)
+    trajectory = read(path, sampling_time=1)
+    np.testing.assert_array_equal(trajectory.y, values)
+    if header:
+        assert trajectory.columns == tuple(names)

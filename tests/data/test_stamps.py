@@ -1,0 +1,166 @@
+"""Time columns: found, put in seconds, and even."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from splitband.data import (
+    read,
+)
+from tests.data.support import U, iso, message, stamped, text_file
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("t", 1),
+        ("TIME", 1),
+        ("time_s", 1),
+        ("time [s]", 1),
+        ("t (s)", 1),
+        ("Time [ms]", 1e-3),
+        ("timestamp_us", 1e-6),
+        ("time/min", 60),
+    ],
+)
+def test_time_columns_are_found_by_name_and_unit(tmp_path: Path, name: str, unit: float) -> None:
+    trajectory = read(stamped(tmp_path, [10, 12, 14, 16], name))
+    assert trajectory.sampling_time == pytest.approx(2 * unit, rel=1e-12)
+    assert trajectory.columns == ("y",)
+
+
+def test_time_column_by_position(tmp_path: Path) -> None:
+    path = text_file(tmp_path, "1 0.0\n2 0.5\n5 1.0\n", "record.txt")
+    trajectory = read(path, time_column=1)
+    assert trajectory.sampling_time == 0.5
+    np.testing.assert_array_equal(trajectory.y, [[1], [2], [5]])
+
+
+@pytest.mark.parametrize("name", ["T", "ts", "torque_s", "times"])
+def test_a_channel_is_not_taken_for_the_time(tmp_path: Path, name: str) -> None:
+    options: dict[str, Any] = (
+        {"columns": ["T"]} if name == "T" else {}
+    )  # asked for, it is a temperature
+    path = text_file(tmp_path, f"{name}\n3\n1\n2\n")
+    assert read(path, sampling_time=1, **options).columns == (name,)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "step"),
+    [
+        (iso([0.0, 0.25, 0.5, 0.75, 1.0]), 0.25),  # isoformat drops the zero fractions
+        ([f"{stamp}+02:00" for stamp in iso([0, 1, 2, 3])], 1.0),
+        (["29.02.2024 10:00:00", "29.02.2024 10:00:02", "29.02.2024 10:00:04"], 2.0),
+        (["00:00:01.5", "00:00:02.0", "00:00:02.5"], 0.5),
+    ],
+)
+def test_dates(tmp_path: Path, stamps: Sequence[object], step: float) -> None:
+    trajectory = read(stamped(tmp_path, stamps, "date"))
+    assert trajectory.sampling_time == pytest.approx(step, rel=1e-12)
+    assert trajectory.columns == ("y",)
+
+
+def test_dates_without_a_header(tmp_path: Path) -> None:
+    path = text_file(tmp_path, "2024-01-01 00:00:00,1\n2024-01-01 00:00:01,2\n")
+    trajectory = read(path, time_column=0)
+    assert trajectory.sampling_time == 1.0
+    assert len(trajectory) == 2, "the first row must not pass for a header"
+
+
+@pytest.mark.parametrize(
+    "index",
+    [pd.date_range("2024", periods=40, freq="10ms"), pd.to_timedelta(0.01 * np.arange(40), "s")],
+    ids=["dates", "durations"],
+)
+def test_time_in_the_index_of_a_parquet_file(tmp_path: Path, index: pd.Index) -> None:
+    pd.DataFrame({"y": U}, index=index).to_parquet(tmp_path / "record.parquet")
+    trajectory = read(tmp_path / "record.parquet")
+    assert trajectory.sampling_time == pytest.approx(0.01, rel=1e-12)
+    assert trajectory.columns == ("y",)
+
+
+@pytest.mark.parametrize(
+    ("step", "places", "start"),
+    [
+        (1 / 30, 2, 0),
+        (1 / 60, 2, 0),
+        (1 / 3, 1, 5),
+        (1 / 64, 2, 0),
+        (1 / 30, 3, 1_074_000_002),
+        (0.01, 2, 0),
+    ],
+)
+@pytest.mark.parametrize("rows", [40, 1000])
+def test_rounded_stamps_are_even_but_a_gap_is_not(
+    tmp_path: Path, step: float, places: int, start: float, rows: int
+) -> None:
+    stamps = [f"{start + step * row:.{places}f}" for row in range(rows)]
+    found = read(stamped(tmp_path, stamps)).sampling_time
+    assert found == pytest.approx(step, rel=1 / rows**1.5)
+    assert "must be even" in message(stamped(tmp_path, stamps[:25] + stamps[26:]))
+
+
+def test_the_rounding_of_the_last_stamp_does_not_set_the_step(tmp_path: Path) -> None:
+    stamps = [f"{row / 30:.2f}" for row in range(50)]  # the ends alone say 0.03327 s
+    found = read(stamped(tmp_path, stamps)).sampling_time
+    assert found == pytest.approx(1 / 30, rel=2e-4)
+
+
+def test_a_gap_is_named_among_rounded_stamps(tmp_path: Path) -> None:
+    stamps = [f"{row / 30:.2f}" for row in range(1000) if row != 500]
+    words = "expected a step of 0.03 s at row 500, found 0.07 s"
+    assert words in message(stamped(tmp_path, stamps))
+
+
+def test_rounding_to_float32_is_allowed_for(tmp_path: Path) -> None:
+    stamps = (0.001 * np.arange(20000)).astype(np.float32)
+    assert np.ptp(np.diff(stamps)) > 1e-3 * 0.001, "steps must differ for this to test anything"
+    np.savez(tmp_path / "record.npz", t=stamps + np.float32(500), y=np.arange(20000.0))
+    assert read(tmp_path / "record.npz").sampling_time == pytest.approx(0.001, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "words"),
+    [
+        ([0, 1, 2, 4, 5, 6], "must be even: expected a step of 1 s at row 3, found 2 s"),
+        ([0.0, 0.1, 0.2, 0.32, 0.42], "at row 3, found 0.12 s"),
+        ([0, 1, 2, 2, 3], "must increase: row 3 (2 s) follows 2 s"),
+        ([0, 1, 2, 1, 3], "must increase: row 3 (1 s) follows 2 s"),
+        ([f"{0.0025 * i:.3f}" for i in range(9)] + ["0.032", "0.042"], "must be even"),
+        ([0, 1, "soon", 3], "must be numeric: row 2 holds 'soon'"),
+        ([0, 1, "", 3], "must be finite: 1 bad value, the first (nan) at row 2"),
+        ([*iso([0, 1]), "later"], "must hold numbers or dates: row 2 holds 'later'"),
+        ([1700000000000, 1700000000010], "must be in seconds, or name its unit"),
+    ],
+)
+def test_bad_stamps(tmp_path: Path, stamps: Sequence[object], words: str) -> None:
+    text = message(stamped(tmp_path, stamps))
+    assert words in text
+    assert "time column 't'" in text
+
+
+def test_a_drift_within_the_rounding_of_each_step_is_found(tmp_path: Path) -> None:
+    steps = np.repeat([0.010, 0.011], 60)  # each pair differs by one printed unit only
+    stamps = [f"{stamp:.3f}" for stamp in np.cumsum(steps)]
+    assert "must be even" in message(stamped(tmp_path, stamps))
+
+
+def test_sampling_time_beside_stamps(tmp_path: Path) -> None:
+    path = stamped(tmp_path, [0, 0.5, 1.0])
+    assert read(path, sampling_time=0.5004).sampling_time == 0.5004
+    words = "sampling_time (--sampling-time) is 0.4 s, but time column 't' steps by 0.5 s"
+    assert words in message(path, sampling_time=0.4)
+    assert words in message(path, sampling_time=0.4, time_column="t")
+    ignored = read(path, sampling_time=0.4, time_column="")
+    assert ignored.sampling_time == 0.4
+    assert ignored.columns == ("y",)
+
+
+def test_without_any_time(tmp_path: Path) -> None:
+    text = message(text_file(tmp_path, "y\n1\n2\n"))
+    assert "sampling_time (--sampling-time)" in text
+    assert "time_column (--time-column)" in text

@@ -1,0 +1,157 @@
+"""Trajectories: their signals, their slices and what they refuse."""
+
+from dataclasses import FrozenInstanceError
+from typing import Any
+
+import numpy as np
+import pytest
+
+from splitband.data import (
+    Trajectory,
+)
+from splitband.data.gaps import FloatArray
+from tests.data.support import RNG, STEP, U, Y
+
+
+def test_signals_become_read_only_matrices() -> None:
+    y: Any = np.arange(5, dtype=np.float32)
+    trajectory = Trajectory(y, 0.5, u=np.ones((5, 3)), y_sim=y + 1, name="demo")
+    assert trajectory.y.shape == (5, 1)
+    assert trajectory.y.dtype == np.float64
+    assert trajectory.y.flags.c_contiguous
+    assert (trajectory.ny, trajectory.nu, len(trajectory)) == (1, 3, 5)
+    assert trajectory.sampling_rate == 2.0
+    np.testing.assert_array_equal(trajectory.time, [0.0, 0.5, 1.0, 1.5, 2.0])
+    assert trajectory.columns == ("y",)
+    assert trajectory.u is not None
+    assert trajectory.y_sim is not None
+    for signal in (trajectory.y, trajectory.u, trajectory.y_sim):
+        with pytest.raises(ValueError, match="read-only"):
+            signal[0] = 9.0
+    y[0] = 9.0
+    assert trajectory.y[0, 0] == 0.0, "the caller's array must have been copied"
+    with pytest.raises(FrozenInstanceError):
+        trajectory.name = "other"  # type: ignore[misc]
+
+
+def test_channels_are_named_and_fortran_order_is_undone() -> None:
+    trajectory = Trajectory(np.asfortranarray(Y), STEP)
+    assert trajectory.y.flags.c_contiguous
+    assert trajectory.columns == ("y0", "y1")
+    assert Trajectory(Y, STEP, columns=("a", "b")).columns == ("a", "b")
+    assert trajectory.nu == 0
+
+
+def test_slices_cut_every_signal() -> None:
+    whole = Trajectory(Y, STEP, u=U, y_true=Y + 1, y_sim=Y + 2, name="n", columns=("a", "b"))
+    part = whole[10:-5]
+    np.testing.assert_array_equal(part.y, Y[10:-5])
+    np.testing.assert_array_equal(part.u, U[10:-5, None])
+    np.testing.assert_array_equal(part.y_true, Y[10:-5] + 1)
+    np.testing.assert_array_equal(part.y_sim, Y[10:-5] + 2)
+    assert (part.name, part.columns, part.sampling_time) == ("n", ("a", "b"), STEP)
+    assert len(whole[:7]) == 7
+    assert part.time[0] == 0.0
+
+
+@pytest.mark.parametrize("later", [0, 6])
+@pytest.mark.parametrize("key", [slice(None, 12), slice(5, 30), slice(-9, -4), slice(3, None)])
+def test_a_slice_hands_what_the_simulator_says_after_it_to_beyond(key: slice, later: int) -> None:
+    simulated = RNG.standard_normal((40 + later, 2))
+    whole = Trajectory(Y, STEP, y_sim=simulated[:40], beyond=simulated[40:] if later else None)
+    part = whole[key]
+    assert part.y_sim is not None
+    np.testing.assert_array_equal(part.y_sim, simulated[:40][key])
+    following = simulated[range(40)[key][-1] + 1 :]
+    if len(following):
+        assert part.beyond is not None
+        np.testing.assert_array_equal(part.beyond, following)
+    else:
+        assert part.beyond is None
+    again = whole[:30][5:20]
+    assert again.beyond is not None
+    np.testing.assert_array_equal(again.beyond, simulated[20:])
+
+
+def test_without_a_simulator_a_slice_has_nothing_beyond() -> None:
+    assert Trajectory(Y, STEP)[:10].beyond is None
+
+
+def test_what_lies_beyond_is_a_signal_like_the_others() -> None:
+    y: Any = np.arange(5, dtype=np.float32)
+    record = Trajectory(y, STEP, y_sim=y, beyond=y[:2])
+    assert record.beyond is not None
+    assert record.beyond.shape == (2, 1)
+    assert record.beyond.dtype == np.float64
+    with pytest.raises(ValueError, match="read-only"):
+        record.beyond[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("key", "error", "words"),
+    [
+        (slice(0, 10, 2), ValueError, "step 1"),
+        (slice(None, None, -1), ValueError, "step -1"),
+        (slice(3, 4), ValueError, "at least 2 samples"),
+        (3, TypeError, "slices only"),
+    ],
+)
+def test_other_indices_are_refused(key: Any, error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        Trajectory(Y, STEP)[key]
+
+
+def with_bad(*cells: tuple[int, int], value: float = np.nan) -> FloatArray:
+    y = Y.copy()
+    for cell in cells:
+        y[cell] = value
+    return y
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (
+            {"y": with_bad((17, 1), (20, 0), (21, 0)), "columns": ("angle", "torque")},
+            "y must be finite: 3 bad values, the first (nan) at row 17, column 'torque'",
+        ),
+        ({"y": with_bad((3, 0), value=-np.inf)}, "1 bad value, the first (-inf) at row 3"),
+        ({"u": with_bad((5, 1))}, "u must be finite: 1 bad value, the first (nan) at row 5"),
+        ({"u": with_bad((5, 1))}, "column 'u1'"),
+        ({"y_sim": with_bad((5, 1))}, "y_sim must be finite"),
+        ({"y_true": with_bad((5, 1))}, "y_true must be finite"),
+        ({"u": np.ones(39)}, "u must have as many samples as y, (40, 2): its shape is (39, 1)"),
+        ({"y_sim": np.ones(40)}, "y_sim must have the shape of y, (40, 2): its shape is (40, 1)"),
+        ({"y_true": np.ones((41, 2))}, "y_true must have the shape of y"),
+        (
+            {"beyond": np.ones((3, 2))},
+            "beyond must go on from y_sim, (any time, 2): its shape is (3, 2)",
+        ),
+        (
+            {"y_sim": Y, "beyond": np.ones(3)},
+            "beyond must go on from y_sim, (any time, 2): its shape is (3, 1)",
+        ),
+        (
+            {"y_sim": Y, "beyond": with_bad((4, 1)), "columns": ("angle", "torque")},
+            "beyond must be finite: 1 bad value, the first (nan) at row 4, column 'torque'",
+        ),
+        ({"y_sim": Y, "beyond": "later"}, "beyond must be an array of numbers"),
+        ({"y": [1.0]}, "y must have at least 2 samples: it has 1"),
+        ({"y": np.ones((4, 2, 2))}, "its shape is (4, 2, 2)"),
+        ({"y": 3.0}, "its shape is ()"),
+        ({"y": np.ones((4, 0))}, "its shape is (4, 0)"),
+        ({"y": np.ones(4) * 1j}, "y must be real"),
+        ({"y": ["a", "b"]}, "y must be an array of numbers"),
+        ({"y": [[1.0, 2.0], [3.0]]}, "y must be an array of numbers"),
+        ({"sampling_time": 0.0}, "sampling_time must be a positive number of seconds: got 0.0"),
+        ({"sampling_time": -0.1}, "got -0.1"),
+        ({"sampling_time": np.nan}, "got nan"),
+        ({"sampling_time": np.inf}, "got inf"),
+        ({"sampling_time": "fast"}, "got 'fast'"),
+        ({"columns": ("one",)}, "columns must name each of the 2 channels of y: got ('one',)"),
+    ],
+)
+def test_invalid_trajectories_are_refused_in_one_line(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=r"^[^\n]+$") as caught:
+        Trajectory(**{"y": Y, "sampling_time": STEP, **changes})
+    assert words in str(caught.value)

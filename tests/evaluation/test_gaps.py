@@ -1,0 +1,103 @@
+"""Comparisons and trials of records with gaps."""
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from splitband import Trajectory
+from splitband.forecasters.backtest import Origin
+from splitband.training import fit
+from tests.records import (
+    DT,
+    LENGTH,
+    QUICK,
+    SETUP,
+    TRAIN,
+    WARMUP,
+    error_of,
+    holed,
+    record,
+    with_gaps,
+)
+from tests.support import asked, compare, settled, try_out, untrained
+
+Array = npt.NDArray[np.float64]
+
+
+def test_errors_and_coverage_do_not_depend_on_what_stands_in_for_later_gaps() -> None:
+    methods = ["gru", "mean", "persistence", "seasonal-naive"]
+    y = holed(holed(record(ny=2).y, 25, slice(60, 66)), TRAIN, slice(100, 110), channel=1)
+    records = []
+    for value in (0.0, 300.0):
+        standing = np.where(np.arange(LENGTH) < TRAIN, 0.0, value)[:, None]
+        known = np.isfinite(y)
+        records.append(Trajectory(np.where(known, y, standing), DT, measured=known))
+    first, other = (compare(each, methods, SETUP) for each in records)
+    trials = [settled(try_out(each, methods, SETUP), first) for each in records]
+    for method in methods:
+        a, b = first[method][0], other[method][0]
+        np.testing.assert_array_equal(a.forecast.y, b.forecast.y)
+        assert (a.total_rmse, a.forecast_rmse) == (b.total_rmse, b.forecast_rmse)
+        assert a.total_rmse == pytest.approx(error_of(y[-len(a.from_start) :], a.from_start.y))
+        assert a.forecast_rmse == pytest.approx(error_of(y[TRAIN:], a.forecast.y))
+        left = y[TRAIN:] - a.forecast.y
+        half = trials[0].intervals[method].half_widths(len(left))
+        inside = [abs(e) <= h for e, h in zip(left.flat, half.flat, strict=True) if not np.isnan(e)]
+        for each, trial in zip(records, trials, strict=True):
+            covered = trial.intervals[method].coverage(each.seen[TRAIN:] - a.forecast.y)
+            assert covered == pytest.approx(np.mean(inside))
+    assert trials[0].errors == trials[1].errors
+    assert trials[0].intervals == trials[1].intervals
+
+
+def test_held_out_errors_count_what_was_measured() -> None:
+    train = 80  # of which the last 20, 16, 12 and 8 are held out
+    y = holed(record().y, 64, slice(70, 74))
+    trial = try_out(with_gaps(y), ["persistence"], replace(SETUP, train=train))
+    last = {60: y[59], 64: y[63], 68: y[67], 72: y[69]}
+    left = np.concatenate([y[start:train] - value for start, value in last.items()])
+    assert trial.errors["persistence"] == pytest.approx(np.sqrt(np.nanmean(left**2)))
+
+
+def test_simulations_warm_up_before_a_gap_or_after_it() -> None:
+    y = holed(record().y, 4, TRAIN - 3, TRAIN + 20)
+    r = with_gaps(y)
+    model = untrained("gru", r, SETUP, 0)
+    fit(model, r[:TRAIN], QUICK, seed=0)
+    later = [TRAIN + 2, TRAIN + 20, TRAIN + 25]
+    found = asked("gru", r, SETUP, later=later).predictions
+
+    def ahead(start: int) -> Array:
+        assert np.isfinite(y[start - WARMUP : start]).all()
+        return model.simulate(y[start - WARMUP : start], LENGTH - start)
+
+    for start, at in (
+        (5 + WARMUP, 5 + WARMUP),
+        (TRAIN - 3, TRAIN),
+        (TRAIN - 3, TRAIN + 2),
+        (TRAIN + 20, TRAIN + 20),
+        (TRAIN + 20, TRAIN + 25),
+    ):
+        prediction = found[Origin(TRAIN, at)].y
+        np.testing.assert_allclose(prediction, ahead(start)[at - start :], rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        (slice(TRAIN), "the training part must have a measured sample in every channel"),
+        (slice(TRAIN, None), "the predicted part must have a measured sample in every channel"),
+    ],
+)
+def test_a_channel_that_was_not_measured_in_a_part_is_refused(rows: slice, words: str) -> None:
+    r = with_gaps(holed(record(ny=2).y, rows, channel=1))
+    with pytest.raises(ValueError, match=words):
+        compare(r, ["mean"], SETUP)
+
+
+def test_gaps_that_leave_no_warm_up_for_a_forecast_are_refused() -> None:
+    r = with_gaps(holed(record().y, *range(5, TRAIN, 12)))
+    with pytest.raises(ValueError, match="between the gaps of the 90 training samples, got 12"):
+        compare(r, ["gru"], SETUP)

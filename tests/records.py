@@ -1,0 +1,68 @@
+"""Short records that tests train on, with gaps and without, and a setup for them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband import Settings, Trajectory
+from splitband.evaluation.setup import Setup
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.names import Sizes
+
+Array = npt.NDArray[np.float64]
+
+NAN = np.nan
+DT, WARMUP, TRAIN, LENGTH = 0.1, 12, 90, 140
+QUICK = Settings(window=40, warmup=WARMUP, epochs=1, batch_size=16)
+SETUP = Setup(TRAIN, QUICK, bands=Bands(0.6, 2, 2), sizes=Sizes(hidden_high=5, hidden_low=3))
+
+
+def record(ny: int = 1, nu: int = 0, seed: int = 0) -> Trajectory:
+    """Two sinusoids in each channel under a little noise, with a simulator of the slower one."""
+    rng = np.random.default_rng(seed)
+    t = DT * np.arange(LENGTH)[:, None]
+    phase = rng.uniform(0, 6, (2, ny))
+    y = np.sin(2 * np.pi * 0.2 * t + phase[0]) + 0.4 * np.sin(2 * np.pi * 1.1 * t + phase[1])
+    y_sim = 0.8 * np.sin(2 * np.pi * 0.2 * t + phase[0]) + 0.3
+    u = rng.standard_normal((LENGTH, nu)) if nu else None
+    return Trajectory(y + 0.05 * rng.standard_normal(y.shape), DT, u=u, y_sim=y_sim)
+
+
+def holed(y: Array, *rows: Any, channel: Any = slice(None)) -> Array:
+    """A copy without the given rows."""
+    y = y.copy()
+    for row in rows:
+        y[row, channel] = NAN
+    return y
+
+
+def with_gaps(y: Array, **others: Any) -> Trajectory:
+    """A record of which NaN was not measured."""
+    return Trajectory.with_gaps(y, DT, **others)
+
+
+def standing_in(y: Array, value: float, **others: Any) -> Trajectory:
+    """The record of `y`, with one value in all of its gaps."""
+    known = np.isfinite(y)
+    return Trajectory(np.where(known, y, value), DT, measured=known, **others)
+
+
+def rms(*errors: Array) -> float:
+    """The root of the mean of the squares, added over the channels that are given."""
+    return float(np.sqrt(np.mean(sum(e**2 for e in errors))))
+
+
+def error_of(y: Array, prediction: Array) -> float:
+    """RMSE by definition: each channel's mean square over what was measured of it, added up."""
+    total = 0.0
+    for channel in range(y.shape[1]):
+        squares = [
+            (a - b) ** 2
+            for a, b in zip(y[:, channel], prediction[:, channel], strict=True)
+            if not np.isnan(a)
+        ]
+        total += sum(squares) / len(squares) if squares else NAN
+    return float(np.sqrt(total))

@@ -1,0 +1,66 @@
+"""What several tests of training share."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+from torch import Tensor
+
+from splitband import Settings, Trajectory
+from splitband.models import Model
+from splitband.training import fit
+from tests.records import (
+    QUICK,
+    SETUP,
+)
+from tests.support import untrained
+
+Array = npt.NDArray[np.float64]
+
+
+def parameters(model: Model) -> Tensor:
+    """All weights of a model, one after the other."""
+    return torch.cat([p.detach().flatten() for p in model.parameters()])
+
+
+def seen_by_adam(
+    monkeypatch: pytest.MonkeyPatch, look: Callable[[dict[str, Any]], Any]
+) -> list[Any]:
+    """What `look` finds in the optimizer's parameter group before each step."""
+    seen: list[Any] = []
+    step = torch.optim.Adam.step
+
+    def watched(self: torch.optim.Adam, *arguments: Any, **options: Any) -> Any:
+        seen.append(look(self.param_groups[0]))
+        return step(self, *arguments, **options)
+
+    monkeypatch.setattr(torch.optim.Adam, "step", watched)
+    return seen
+
+
+def starts_of(ys: Sequence[Array], window: int, warmup: int) -> list[int]:
+    """Where windows begin by definition, the samples of all records counted through."""
+    found, before = [], 0
+    for y in ys:
+        for start in range(len(y) - window + 1):
+            warm = all(np.isfinite(y[start + n]).all() for n in range(warmup))
+            something = any(np.isfinite(y[start + n]).any() for n in range(warmup, window))
+            if warm and something:
+                found.append(before + start)
+        before += len(y)
+    return found
+
+
+GAPS = (slice(30, 36), 70)
+
+
+def fitted(
+    records: Trajectory | Sequence[Trajectory], method: str = "gru", **changes: Any
+) -> Model:
+    one = records if isinstance(records, Trajectory) else records[0]
+    model = untrained(method, one, SETUP, 2)
+    fit(model, records, Settings(**{**vars(QUICK), "epochs": 3, **changes}), seed=2)
+    return model

@@ -1,0 +1,95 @@
+"""Several records train one model."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from splitband import GRU, Progress, Trajectory
+from splitband.evaluation.comparison import check
+from splitband.forecasters.backtest import Origin
+from splitband.models import Recurrent
+from splitband.training import fit
+from splitband.training.checkpoints import Checkpoint
+from tests.records import DT, LENGTH, QUICK, SETUP, TRAIN, holed, record, with_gaps
+from tests.support import asked, compare, forecasters, run, untrained
+from tests.training.support import GAPS, fitted, parameters
+
+
+@pytest.mark.parametrize("method", ["gru", "split-gru-conditioned", "residual-gru-conditioned"])
+def test_a_record_by_itself_is_a_list_of_one(method: str) -> None:
+    r = record()[:TRAIN]
+    assert torch.equal(parameters(fitted(r, method)), parameters(fitted([r], method)))
+
+
+def test_the_units_are_those_of_all_records() -> None:
+    a, b = (holed(record(2, 1, seed).y, *GAPS, channel=seed) for seed in (0, 1))
+    b = 3 * b + 5
+    u = [np.arange(LENGTH) / 10, -np.ones(LENGTH)]
+    model = Recurrent(GRU(3, 2, 1))
+    model.adapt_to([with_gaps(a, u=u[0]), with_gaps(b[:100], u=u[1][:100])])
+    for channel in range(2):
+        seen = [v for y in (a, b[:100]) for v in y[:, channel] if np.isfinite(v)]
+        # A gap has an input all the same.
+        mean = sum(seen) / len(seen)
+        deviation = np.sqrt(sum((v - mean) ** 2 for v in seen) / len(seen))
+        assert float(model.y_mean[channel]) == pytest.approx(mean, rel=1e-12)
+        assert float(model.y_std[channel]) == pytest.approx(deviation, rel=1e-12)
+    both = [*u[0], *u[1][:100]]
+    assert float(model.u_mean) == pytest.approx(np.mean(both), rel=1e-12)
+    assert float(model.u_std) == pytest.approx(np.std(both), rel=1e-12)
+
+
+def test_several_records_train_another_model_than_each_alone() -> None:
+    a, b = record(seed=0)[:TRAIN], record(seed=1)[:TRAIN]
+    both, alone = fitted([a, b]), fitted(a)
+    assert not torch.equal(parameters(both), parameters(alone))
+    found = asked("gru", record(), SETUP, others=[b]).predictions[Origin(TRAIN, TRAIN)].y
+    np.testing.assert_array_equal(
+        found, compare(record(), ["gru"], SETUP, others=[b])["gru"][0].forecast.y
+    )
+    assert not np.array_equal(found, run("gru", record(), SETUP).forecast.y)
+
+
+def test_a_record_shorter_than_a_window_is_refused_with_its_length() -> None:
+    with pytest.raises(ValueError, match="training record of 39 samples, got 40"):
+        fitted([record()[:TRAIN], record()[:39]])
+    fitted([record()[:TRAIN], record()[:40]])
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        (record(2), r"record's 1 channel\(s\) and 0 input\(s\), got 2 and 0"),
+        (record(1, 1), r"record's 1 channel\(s\) and 0 input\(s\), got 1 and 1"),
+        (replace(record(), sampling_time=2 * DT), "every 0.1 s, got every 0.2 s"),
+        (record()[:30], "of 30 samples, got 40"),
+    ],
+)
+def test_other_records_must_be_of_the_same_kind(other: Trajectory, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        check(record(), forecasters(["gru"], SETUP), SETUP, [other])
+    with pytest.raises(ValueError, match="are for networks, got mean"):
+        check(record(), forecasters(["mean"], SETUP), SETUP, [record()])
+
+
+def test_a_network_without_a_simulator_trains_on_records_with_and_without_one() -> None:
+    a = record()[:TRAIN]
+    assert torch.equal(
+        parameters(fitted([a, replace(a, y_sim=None, beyond=None)])), parameters(fitted([a, a]))
+    )
+
+
+def test_a_checkpoint_knows_all_records_and_their_gaps(tmp_path: Path) -> None:
+    a, b, c = (record(seed=seed)[:TRAIN] for seed in range(3))
+    measured = np.ones((TRAIN, 1), dtype=np.bool_)
+    measured[-1] = False  # which no warm-up sees
+    masked = replace(a, measured=measured)
+    plain = replace(QUICK, normalize=False)
+    checkpoint = Checkpoint(tmp_path / "training.safetensors")
+    for records, epochs in (([a], 1), ([a], 0), ([masked], 1), ([a, b], 1), ([a, c], 1)):
+        seen: list[Progress] = []
+        fit(untrained("gru", a, SETUP, 0), records, plain, 0, seen.append, checkpoint)
+        assert len(seen) == epochs
