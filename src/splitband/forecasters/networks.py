@@ -363,8 +363,8 @@ class _Hybrid(_Banded):
 
     def check(self, *records: Trajectory) -> None:
         """See `Forecaster`."""
-        self.base.check(*records)
         super().check(*records)
+        self.base.check(*records)
 
     def prepare(self, record: Trajectory, horizon: int) -> None:
         """See `Forecaster`."""
