@@ -55,6 +55,8 @@ _FORECASTERS = (
     closed_form.Harmonic, closed_form.Linear, closed_form.Mean, closed_form.Periodic,
     closed_form.Persistence, closed_form.SeasonalNaive,
 )  # fmt: skip
+# By themselves: a baseline and the forecaster made of it may have one name.
+_BY_FIELDS: dict[str, Callable[..., Any]] = {each.__name__: each for each in _PLAIN}
 _KNOWN = {each.__name__: each for each in (*_PLAIN, *_FORECASTERS, GRU, EulerMLP, Fmu)}
 
 
@@ -226,9 +228,9 @@ def _decode(  # noqa: PLR0911, PLR0912  a line for each kind
     if name == "Fmu":
         return _reopened(value) if simulator is None else simulator
     if "fields" in value:
-        if known[name] not in _PLAIN:
+        if name not in _BY_FIELDS:
             raise ValueError(f"{name} is not built from its fields")
-        return known[name](**{k: again(v) for k, v in value["fields"].items()})
+        return _BY_FIELDS[name](**{k: again(v) for k, v in value["fields"].items()})
     make = known[name]
     if not _is_forecaster(make):
         raise ValueError(f"{name} is no forecaster")
