@@ -176,7 +176,9 @@ def _encode(value: Any) -> Any:  # noqa: PLR0911  a line for each kind
     if isinstance(value, Mapping):
         return {"mapping": {str(k): _encode(v) for k, v in value.items()}}
     if isinstance(value, Forecaster):
-        left = {"model", "members", "fitted"}
+        left = {"fitted"}
+        left |= {"model"} if isinstance(value, Network) else set()
+        left |= {"members"} if isinstance(value, Ensemble) else set()
         state = {k: _encode(v) for k, v in vars(value).items() if k not in left}
         fitted = None if value.fitted is None else _encode(_end(value))
         return {"class": type(value).__name__, "state": state | {"fitted": fitted}}
