@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 import torch
-from splitband.forecasters.methods import Setup, build
 
 from splitband import GRU, EulerMLP, Settings, Trajectory
+from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
 from splitband.models import Signals, Task
 from splitband.networks import Backend, rollout
 from splitband.training import fit
 from splitband.training.windows import targets
+from tests.support import untrained
 
 SETTINGS = Settings(30, 10, 2, 16)
 SETUP = Setup(80, SETTINGS, bands=Bands(0.6, 1, 2), sizes=Sizes(hidden_high=4, hidden_low=3))
@@ -54,7 +55,7 @@ def test_a_model_on_a_gpu_is_trained_and_takes_and_gives_arrays(method: str, gap
     found = []
     for device in ("cpu", "cuda"):
         r = record(gaps)
-        model = build(method, r, SETUP, seed=0).to(device)
+        model = untrained(method, r, SETUP, seed=0).to(device)
         fit(model, r[:80], SETTINGS)
         y_sim = r.y_sim[70:] if "filtered" in method and r.y_sim is not None else None
         found.append(model.simulate(r.y[70:80], 40, y_sim=y_sim))

@@ -10,17 +10,16 @@ import scipy
 
 from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.modes import Modes, _Refinement
-from splitband.baselines.naive import LONGEST, Naive
+from splitband.baselines.naive import LONGEST, ByTime
 from splitband.baselines.periodic import PeriodicRegression
 from splitband.baselines.seasonal import SeasonalNaive
 from splitband.baselines.trend import Shape, find
 
 Array = npt.NDArray[Any]
-NOTHING = np.full(1, np.nan)
 """A last measured sample that none of these may look at."""
 TRAINING, SAMPLES = 400, 1000
 N = np.arange(SAMPLES)
-FITS: list[Callable[[Array], Naive]] = [
+FITS: list[Callable[[Array], ByTime]] = [
     SeasonalNaive.fit,
     PeriodicRegression.fit,
     HarmonicRegression.fit,
@@ -41,15 +40,15 @@ def season(index: Array, period: float = 50.0) -> Array:
     return np.asarray(np.sin(angle) + 0.4 * np.cos(2 * angle))
 
 
-def error(fit: Callable[[Array], Naive], y: Array, training: int = TRAINING) -> float:
-    ahead = fit(y[:training, None]).predict(training, len(y) - training, NOTHING)
+def error(fit: Callable[[Array], ByTime], y: Array, training: int = TRAINING) -> float:
+    ahead = fit(y[:training, None]).predict(training, len(y) - training)
     return float(np.sqrt(np.mean((ahead[:, 0] - y[training:]) ** 2)))
 
 
 @pytest.mark.parametrize("fit", FITS)
 @pytest.mark.parametrize("level", [0.02, 0.2, 0.5])
 def test_a_cooling_curve_is_forecast_to_its_noise(
-    fit: Callable[[Array], Naive], level: float
+    fit: Callable[[Array], ByTime], level: float
 ) -> None:
     y = cooling(N, 20, 60, 1 / 300) + level * noise()
     assert error(fit, y) < 1.6 * level
@@ -58,13 +57,13 @@ def test_a_cooling_curve_is_forecast_to_its_noise(
 @pytest.mark.parametrize("fit", FITS)
 @pytest.mark.parametrize("level", [0.02, 0.1, 0.3])
 def test_a_season_on_a_line_is_forecast_to_its_noise(
-    fit: Callable[[Array], Naive], level: float
+    fit: Callable[[Array], ByTime], level: float
 ) -> None:
     assert error(fit, N / 250 + season(N) + level * noise()) < 1.7 * level
 
 
 @pytest.mark.parametrize("fit", FITS[1:])
-def test_a_season_on_an_exponential_goes_on_exactly(fit: Callable[[Array], Naive]) -> None:
+def test_a_season_on_an_exponential_goes_on_exactly(fit: Callable[[Array], ByTime]) -> None:
     assert error(fit, cooling(N, -3, 5, 1 / 150) + season(N)) < 1e-4
 
 
@@ -76,13 +75,13 @@ def test_an_exponential_is_the_least_squares_fit(seed: int) -> None:
     shape = found.channels[0].shape
     assert shape is not None
     assert shape.rate == pytest.approx(wanted[2], rel=1e-4)
-    ahead = found.predict(TRAINING, 600, NOTHING)[:, 0]
+    ahead = found.predict(TRAINING, 600)[:, 0]
     np.testing.assert_allclose(ahead, cooling(N[TRAINING:], *wanted), atol=1e-4)
 
 
 def test_a_line_is_the_least_squares_fit() -> None:
     y = 3 - 0.01 * N[:TRAINING] + 0.3 * noise(TRAINING)
-    ahead = HarmonicRegression.fit(y[:, None], sinusoids=0).predict(TRAINING, 600, NOTHING)[:, 0]
+    ahead = HarmonicRegression.fit(y[:, None], sinusoids=0).predict(TRAINING, 600)[:, 0]
     wanted = np.polynomial.Polynomial.fit(N[:TRAINING], y, 1)
     np.testing.assert_allclose(ahead, wanted(N[TRAINING:]), atol=1e-9)
 
@@ -111,7 +110,7 @@ def test_a_line_in_a_random_walk_is_the_exception() -> None:
 def test_a_short_record_is_fitted_without_a_trend_or_with_one(training: int) -> None:
     for fit in FITS:
         ahead = fit(N[:training, None] + 0.1 * noise(training)[:, None])
-        assert np.isfinite(ahead.predict(training, 20, NOTHING)).all()
+        assert np.isfinite(ahead.predict(training, 20)).all()
 
 
 def test_each_channel_has_its_own_trend_around_gaps() -> None:
@@ -121,7 +120,7 @@ def test_each_channel_has_its_own_trend_around_gaps() -> None:
     seen[50:120, 0] = seen[200:260, 1] = seen[::3, 2] = np.nan
     for fit in FITS:
         found = fit(seen)
-        left = found.predict(TRAINING, 600, np.full(3, np.nan)) - y[TRAINING:]
+        left = found.predict(TRAINING, 600) - y[TRAINING:]
         assert (np.sqrt(np.mean(left**2, axis=0)) < 0.2).all()
         assert "a straight line and an exponential with a time constant of" in str(found)
 
@@ -160,7 +159,7 @@ def test_a_part_of_a_cycle_is_no_oscillation(level: float) -> None:
     y = np.sin(2 * np.pi * N / 900) + level * noise()
     persistence = float(np.sqrt(np.mean((y[500:] - y[499]) ** 2)))
     found = HarmonicRegression.fit(y[:500, None])
-    ahead = found.predict(500, 500, NOTHING)
+    ahead = found.predict(500, 500)
     assert np.ptp(ahead) == 0
     assert error(HarmonicRegression.fit, y, 500) < 1.1 * persistence
 
@@ -170,7 +169,7 @@ def test_a_part_of_a_cycle_does_not_hide_a_fast_sinusoid() -> None:
     found = HarmonicRegression.fit(y[:500, None])
     fast = found.channels[0].frequencies[found.channels[0].frequencies * 500 >= 1]
     np.testing.assert_allclose(np.sort(fast), [1 / 31, 2 / 31], rtol=1e-3)
-    assert np.ptp(found.predict(500, 500, NOTHING)) == pytest.approx(np.ptp(season(N, 31)), rel=0.1)
+    assert np.ptp(found.predict(500, 500)) == pytest.approx(np.ptp(season(N, 31)), rel=0.1)
 
 
 def test_slopes_are_those_of_the_sum_of_squares() -> None:

@@ -5,15 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy
-from splitband.evaluation.defaults import default_methods, default_setup, usual_methods
-from splitband.forecasters.methods import CALIBRATED, HYBRIDS, Setup
 
 from splitband import Settings, Trajectory
-from splitband.evaluation.comparison import Run, by_channel, compare, ensemble
-from splitband.evaluation.selection import Trial, hold_out, try_out
+from splitband.evaluation.api import Comparison
+from splitband.evaluation.comparison import Run, by_channel, mean_run
+from splitband.evaluation.selection import Trial
+from splitband.evaluation.setup import Setup, default_names, default_setup, usual_names
+from splitband.forecasters.backtest import HELD_OUT, Origin, backtest, held_out_origins
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.names import Sizes
+from splitband.forecasters.base import FitReport
+from splitband.forecasters.names import CALIBRATED, HYBRIDS, Sizes
+from splitband.forecasters.networks import Network
+from splitband.forecasters.prediction import Prediction
 from splitband.report.pictures import rollouts
+from tests.support import compare, forecasters, settled, try_out
 
 DT, TRAIN, LENGTH, WARMUP = 0.1, 120, 200, 10
 SETUP = Setup(
@@ -34,17 +39,30 @@ def record(seed: int = 0, noise: float = 0.05) -> Trajectory:
 
 
 def test_the_held_out_part_is_the_end_of_the_training_part() -> None:
-    part, shorter = hold_out(record(), SETUP)
-    np.testing.assert_array_equal(part.y, record().y[:TRAIN])
-    assert part.y_true is None  # nobody has it
-    assert (shorter.train, shorter.settings.window) == (90, 30)
-    assert replace(shorter, train=TRAIN, settings=SETUP.settings) == SETUP
+    network, quick = forecasters(["gru", "mean"], SETUP)
+    part = record()[:TRAIN]
+    assert held_out_origins(network, part) == [Origin(90, at) for at in (90, 100, 110)]
+    assert held_out_origins(quick, part) == [Origin(n, n) for n in (60, 75, 90, 96, 102, 108)]
+    shorter = network.for_fewer_samples(HELD_OUT)
+    assert isinstance(network, Network)
+    assert isinstance(shorter, Network)
+    assert network.settings == SETUP.settings
+    assert shorter.settings == replace(SETUP.settings, window=30)
+
+
+def test_the_trial_scores_by_what_was_measured() -> None:
+    """Nobody has the noise-free samples."""
+    known, unknown = (
+        try_out(r, ["mean"], SETUP) for r in (record(), replace(record(), y_true=None))
+    )
+    assert known.errors == unknown.errors
 
 
 def test_a_window_never_shrinks_below_its_warmup() -> None:
     tight = replace(SETUP, settings=Settings(11, 10, 1), overrides={"rnn": Settings(24, 10, 1)})
-    shorter = hold_out(record(), tight)[1]
-    assert (shorter.settings.window, shorter.overrides["rnn"].window) == (11, 18)
+    shorter = [f.for_fewer_samples(HELD_OUT) for f in forecasters(["gru", "rnn"], tight)]
+    windows = [f.settings.window for f in shorter if isinstance(f, Network) and f.settings]
+    assert windows == [11, 18]
 
 
 def test_the_trial_looks_at_nothing_after_the_training_part() -> None:
@@ -70,22 +88,22 @@ def test_a_simulator_that_does_not_help_leaves_the_learned_models() -> None:
     useless = np.random.default_rng(1).standard_normal((LENGTH, 1))
     r = replace(record(), y_sim=useless)
     setup = default_setup(r, TRAIN)
-    assert setup.choice is not None
-    assert setup.choice.simulator_helps is False
-    assert setup.cutoff == default_setup(replace(r, y_sim=None), TRAIN).cutoff
-    methods = usual_methods(r, setup)
+    assert setup.bands.choice is not None
+    assert setup.bands.choice.simulator_helps is False
+    assert setup.bands.cutoff == default_setup(replace(r, y_sim=None), TRAIN).bands.cutoff
+    methods = usual_names(r, setup)
     assert "split-gru-conditioned" in methods
     assert "simulator" in methods
     assert not set(methods) & set(HYBRIDS)
     good = default_setup(record(), TRAIN)
-    assert usual_methods(record(), good) == default_methods(with_simulator=True)
+    assert usual_names(record(), good) == default_names(with_simulator=True)
 
 
 def test_a_record_with_inputs_is_compared_with_a_linear_model_too() -> None:
     u = np.random.default_rng(2).standard_normal((LENGTH, 1))
     r = replace(record(), u=u)
-    methods = usual_methods(r, default_setup(r, TRAIN))
-    assert methods == [*default_methods(with_simulator=True), "linear"]
+    methods = usual_names(r, default_setup(r, TRAIN))
+    assert methods == [*default_names(with_simulator=True), "linear"]
     driven = replace(r, y=np.cumsum(0.3 * u - 0.1, axis=0), y_true=None)
     (found,) = compare(driven, ["linear"], SETUP)["linear"]
     assert "1 input(s)" in found.description
@@ -93,8 +111,8 @@ def test_a_record_with_inputs_is_compared_with_a_linear_model_too() -> None:
 
 def test_methods_without_a_simulator_get_the_pair_they_would_get_without_one() -> None:
     alone = default_setup(replace(record(), y_sim=None), TRAIN)
-    assert default_setup(record(), TRAIN, methods=["split-gru", "mean"]) == alone
-    assert default_setup(record(), TRAIN, methods=["filtered-gru"]) != alone
+    assert default_setup(record(), TRAIN, names=["split-gru", "mean"]) == alone
+    assert default_setup(record(), TRAIN, names=["filtered-gru"]) != alone
 
 
 def test_what_forecasts_the_held_out_part_best_is_recommended() -> None:
@@ -110,7 +128,7 @@ def test_a_network_has_to_be_a_tenth_better_than_what_needs_no_training(
     network: float, chosen: str
 ) -> None:
     scores = {"gru": network, "harmonic": 1.0, "mean": 1.2}
-    trial = Trial(scores, scores, {}, {}, np.ones(1))
+    trial = Trial(scores, scores, {}, {}, np.ones(1), frozenset({"gru"}))
     assert trial.recommended == chosen
     assert trial.best_network == "gru"
 
@@ -118,7 +136,7 @@ def test_a_network_has_to_be_a_tenth_better_than_what_needs_no_training(
 def test_a_forecast_that_changes_by_more_than_its_error_is_not_recommended() -> None:
     scores = {"harmonic": 0.1, "mean": 1.0}
     early = {name: np.zeros((5, 1)) for name in scores}
-    trial = Trial(scores, scores, {}, early, np.full(1, 2.0))
+    trial = Trial(scores, scores, {}, early, np.full(1, 2.0), frozenset())
     final = {"harmonic": np.full((5, 1), 4.0), "mean": np.full((5, 1), 0.1)}
     changed = replace(trial, final=final)
     assert (trial.recommended, changed.recommended) == ("harmonic", "mean")
@@ -131,7 +149,7 @@ def test_learning_from_the_held_out_part_is_no_fault() -> None:
     """A forecast that was wrong by its held-out error, and no longer is, changes by that much."""
     scores = {"gru": 0.157, "linear": 0.184}
     early = {name: np.zeros((5, 1)) for name in scores}
-    trial = Trial(scores, scores, {}, early, np.ones(1))
+    trial = Trial(scores, scores, {}, early, np.ones(1), frozenset({"gru"}))
     for change, chosen in ((0.158, "gru"), (0.4, "linear")):
         final = {"gru": np.full((5, 1), change), "linear": np.full((5, 1), 0.005)}
         assert replace(trial, final=final).recommended == chosen
@@ -140,7 +158,7 @@ def test_learning_from_the_held_out_part_is_no_fault() -> None:
 def test_the_change_is_that_of_the_forecast_beyond_the_training_part() -> None:
     r = record()
     methods = ["persistence", "mean"]
-    trial = try_out(r, methods, SETUP).settled(compare(r, methods, SETUP))
+    trial = settled(try_out(r, methods, SETUP), compare(r, methods, SETUP))
     assert trial.change("persistence") == pytest.approx(abs(r.y[TRAIN - 1, 0] - r.y[89, 0]))
     assert trial.change("mean") == pytest.approx(abs(r.y[:TRAIN].mean() - r.y[:90].mean()))
 
@@ -154,10 +172,10 @@ def test_what_draws_nothing_runs_once() -> None:
 def test_several_seeds_are_tried_out_by_their_mean() -> None:
     r = record()
     trial = try_out(r, ["gru"], SETUP, seeds=(0, 1))
-    part, shorter = hold_out(r, SETUP)
-    found = compare(part, ["gru"], shorter, (0, 1), later=(100, 110))["gru"]
-    means = {90: np.mean([run.forecast for run in found], axis=0)}
-    means |= {start: np.mean([run.later[start] for run in found], axis=0) for start in (100, 110)}
+    part, shorter = r[:TRAIN], SETUP.forecaster("gru").for_fewer_samples(HELD_OUT)
+    origins = [Origin(90, at) for at in (90, 100, 110)]
+    found = [backtest(shorter, part, origins, TRAIN, seed=seed).predictions for seed in (0, 1)]
+    means = {o.at: np.mean([each[o].y for each in found], axis=0) for o in origins}
     left = np.concatenate([part.y[start:] - mean for start, mean in means.items()])
     assert trial.errors["gru"] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-5)
 
@@ -187,8 +205,8 @@ def test_intervals_of_many_records_hold_nine_tenths_on_average() -> None:
     for seed in range(8):
         r = record(seed, noise=0.2)
         runs = compare(r, ["harmonic"], SETUP)
-        interval = try_out(r, ["harmonic"], SETUP).settled(runs).intervals["harmonic"]
-        left = r.y[TRAIN:] - runs["harmonic"][0].forecast
+        interval = settled(try_out(r, ["harmonic"], SETUP), runs).intervals["harmonic"]
+        left = r.y[TRAIN:] - runs["harmonic"][0].forecast.y
         covered.append(interval.coverage(left))
         width.append(interval.half_widths(len(left)).mean())
     assert 0.85 <= np.mean(covered) <= 0.95
@@ -211,15 +229,22 @@ def test_errors_of_several_seeds_cancel_in_their_mean() -> None:
     start, ahead = r.y_true[WARMUP:], r.y_true[TRAIN:]
     off = [(0.3, 0.1), (-0.1, 0.1), (-0.2, 0.1)]
     runs = [
-        Run("gru", seed, abs(a), abs(b), 2.0, start + a, ahead + b)
+        Run(
+            "gru",
+            abs(a),
+            abs(b),
+            Prediction(start + a, r[:WARMUP].grid.after(len(start)), r.columns),
+            Prediction(ahead + b, r[:TRAIN].grid.after(len(ahead)), r.columns),
+            fit=FitReport(seed, 2.0),
+        )
         for seed, (a, b) in enumerate(off)
     ]
-    mean = ensemble(runs, r, SETUP)
-    np.testing.assert_allclose(mean.from_start, start, atol=1e-12)
-    np.testing.assert_allclose(mean.forecast, ahead + 0.1, atol=1e-12)
+    mean = mean_run(runs, r, TRAIN)
+    np.testing.assert_allclose(mean.from_start.y, start, atol=1e-12)
+    np.testing.assert_allclose(mean.forecast.y, ahead + 0.1, atol=1e-12)
     assert mean.total_rmse == pytest.approx(0, abs=1e-12)
     assert mean.forecast_rmse == pytest.approx(0.1)
-    assert mean.seconds == 6.0
+    assert mean.fit.seconds == 6.0
 
 
 def test_channels_of_different_units_have_errors_and_scales_of_their_own() -> None:
@@ -228,11 +253,11 @@ def test_channels_of_different_units_have_errors_and_scales_of_their_own() -> No
     both = Trajectory(np.hstack([r.y, r.y[::-1]]) * units + [0, 1e5], DT, columns=("V", "Pa"))
     runs = compare(both, ["mean", "harmonic"], SETUP)
     for (found,) in runs.values():
-        of_channels = by_channel(both, found.from_start)
+        of_channels = by_channel(both, found.from_start.y)
         assert np.linalg.norm(of_channels) == pytest.approx(found.total_rmse)
-        left = both.y[-len(found.from_start) :] - found.from_start
+        left = both.y[-len(found.from_start) :] - found.from_start.y
         np.testing.assert_allclose(of_channels, np.sqrt(np.mean(left**2, axis=0)))
-    picture = rollouts(both, SETUP, runs)
+    picture = rollouts(Comparison(both, SETUP, runs))
     for i, ax in enumerate(picture.axes):
         low, high = ax.get_ylim()
         seen = both.y[:, i // 2 % 2]

@@ -10,18 +10,20 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from splitband.forecasters.methods import FIXED, Setup
 
-import splitband.evaluation.comparison
+import splitband.forecasters.networks
 from splitband import GRU, Settings, Trajectory
 from splitband.cli import main
-from splitband.evaluation.comparison import compare
-from splitband.evaluation.selection import try_out
+from splitband.evaluation.api import Comparison
+from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
+from splitband.forecasters.closed_form import Mean
 from splitband.forecasters.names import Sizes
+from splitband.forecasters.simulation import Simulation
 from splitband.models import Residual
 from splitband.report.results import results
 from splitband.training import fit
+from tests.support import compare, settled, try_out
 
 DT, TRAIN, LENGTH = 0.1, 120, 200
 TIME = DT * np.arange(LENGTH)[:, None]
@@ -33,13 +35,13 @@ DIVERGING = replace(SETUP, overrides={"gru": replace(QUICK, learning_rate=1e30)}
 CALIBRATED = "simulator-calibrated"
 
 
-def _raising(*_: Any) -> Any:
+def _raising(*_: Any, **__: Any) -> Any:
     raise np.linalg.LinAlgError("SVD did not\nconverge")
 
 
 @pytest.fixture
 def broken_mean(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(FIXED, "mean", _raising)
+    monkeypatch.setattr(Mean, "learn", _raising)
 
 
 def test_a_residual_much_smaller_than_an_untrained_networks_output_is_trained() -> None:
@@ -76,11 +78,11 @@ def test_a_baseline_that_raises_is_neither_tried_nor_recommended() -> None:
     methods = ["mean", "persistence", CALIBRATED]
     trial = try_out(RECORD, methods, SETUP)
     runs = compare(RECORD, methods, SETUP)
-    settled = trial.settled(runs)
-    assert trial.failed == settled.failed == {"mean": "SVD did not converge"}
-    assert {*settled.errors} == {*settled.final} == {"persistence", CALIBRATED}
-    assert settled.recommended == CALIBRATED
-    found = results(RECORD, SETUP, runs, settled)
+    final = settled(trial, runs)
+    assert trial.failed == final.failed == {"mean": "SVD did not converge"}
+    assert {*final.errors} == {*final.final} == {"persistence", CALIBRATED}
+    assert final.recommended == CALIBRATED
+    found = results(Comparison(RECORD, SETUP, runs, final))
     assert found["methods"]["mean"] == {"failed": "SVD did not converge"}
 
 
@@ -90,9 +92,9 @@ def test_what_fails_on_the_whole_training_part_alone_is_not_recommended(
     methods = ["persistence", CALIBRATED]
     trial = try_out(RECORD, methods, SETUP)
     assert trial.recommended == CALIBRATED
-    monkeypatch.setitem(FIXED, CALIBRATED, _raising)
-    settled = trial.settled(compare(RECORD, methods, SETUP))
-    assert (settled.recommended, [*settled.failed]) == ("persistence", [CALIBRATED])
+    monkeypatch.setattr(Simulation, "learn", _raising)
+    final = settled(trial, compare(RECORD, methods, SETUP))
+    assert (final.recommended, [*final.failed]) == ("persistence", [CALIBRATED])
 
 
 def test_of_several_seeds_those_that_could_be_fitted_count(
@@ -103,7 +105,7 @@ def test_of_several_seeds_those_that_could_be_fitted_count(
             raise FloatingPointError("diverged")
         return fit(*arguments)
 
-    monkeypatch.setattr(splitband.evaluation.comparison, "fit", diverging)
+    monkeypatch.setattr(splitband.forecasters.networks, "fit", diverging)
     runs = compare(RECORD, ["gru"], SETUP, seeds=(0, 1, 2))
     assert [run.seed for run in runs["gru"]] == [0, 2]
     assert runs["gru"][0].description == "seed 1 failed: diverged"
@@ -111,17 +113,17 @@ def test_of_several_seeds_those_that_could_be_fitted_count(
 
 
 def test_where_every_method_fails_each_reason_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(FIXED, "mean", _raising)
+    monkeypatch.setattr(Mean, "learn", _raising)
     expected = "no method could be fitted; gru: training of the network diverged.*; mean: SVD did"
     with pytest.raises(ValueError, match=expected):
         compare(RECORD, ["gru", "mean"], DIVERGING)
 
 
 def test_a_full_disk_is_no_failure_of_a_method(monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: Any) -> Any:
+    def full(*_: Any, **__: Any) -> Any:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setitem(FIXED, "mean", full)
+    monkeypatch.setattr(Mean, "learn", full)
     with pytest.raises(OSError, match="No space left"):
         compare(RECORD, ["mean", "persistence"], SETUP)
 
@@ -169,7 +171,7 @@ def test_forecast_takes_another_method_than_one_that_failed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(
-        "splitband.cli.forecast.usual_methods", lambda *_: ["mean", "persistence", CALIBRATED]
+        "splitband.cli.forecast.usual_names", lambda *_: ["mean", "persistence", CALIBRATED]
     )
     assert main(files("forecast begun.csv --steps 50")) == 0
     assert "mean could not be fitted: SVD did not converge" in capsys.readouterr().out

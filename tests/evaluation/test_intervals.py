@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 import scipy
 
-from splitband.evaluation.intervals import FARTHEST, Interval
+from splitband.forecasters.intervals import FARTHEST, Interval
 
 Array = npt.NDArray[np.float64]
 RECORD = np.random.default_rng(0).standard_normal((2000, 1)) * 50

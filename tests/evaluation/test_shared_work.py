@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import splitband.forecasters.methods
 import threadpoolctl
 import torch
 
+import splitband.forecasters.simulation
 from splitband import Settings, Trajectory
-from splitband.evaluation.comparison import compare
-from splitband.evaluation.selection import try_out
+from splitband.evaluation.api import Comparison
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
@@ -20,6 +19,7 @@ from splitband.forecasters.remembering import Remembered
 from splitband.report.pictures import components, rollouts
 from splitband.runtime.processes import over
 from splitband.simulators.calibration import Calibration
+from tests.support import compare, settled, try_out
 
 DT, TRAIN, LENGTH = 0.1, 120, 200
 TIME = DT * np.arange(LENGTH)[:, None]
@@ -44,10 +44,9 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         found.append(len(y))
         return Calibration(gain=(2.0,), offset=(1.0,))  # the right one
 
-    monkeypatch.setattr(splitband.forecasters.methods, "CALIBRATIONS", Remembered(counted))
-    monkeypatch.setattr(
-        "splitband.evaluation.comparison.CALIBRATIONS", splitband.forecasters.methods.CALIBRATIONS
-    )
+    remembered = Remembered(counted)
+    monkeypatch.setattr("splitband.forecasters.simulation.CALIBRATIONS", remembered)
+    monkeypatch.setattr("splitband.evaluation.runs.CALIBRATIONS", remembered)
     return found
 
 
@@ -66,12 +65,12 @@ def test_other_processes_are_sent_what_is_fitted(
     """They would say so: it is not the counted function that they would call."""
 
     def sent(work: Callable[..., object], jobs: object, *_: object) -> list[object]:
-        learned = splitband.forecasters.methods.CALIBRATIONS.results
-        splitband.forecasters.methods.CALIBRATIONS.results = {}  # as in a new process
+        learned = splitband.forecasters.simulation.CALIBRATIONS.results
+        splitband.forecasters.simulation.CALIBRATIONS.results = {}  # as in a new process
         assert len(learned) == 1
         return [work(job, lambda _: None) for job in jobs]  # type: ignore[attr-defined]
 
-    monkeypatch.setattr("splitband.evaluation.comparison.over", sent)
+    monkeypatch.setattr("splitband.evaluation.runs.over", sent)
     compare(RECORD, CALIBRATED, SETUP)
     assert fitted == [TRAIN]
 
@@ -149,8 +148,8 @@ def test_a_method_with_settings_of_its_own_warms_up_as_they_say(tmp_path: Path) 
         assert len(runs[name][0].forecast) == LENGTH - TRAIN
         if begin == 14:
             np.testing.assert_allclose(
-                runs[name][0].forecast, alone[name][0].forecast, rtol=1e-5, atol=1e-6
+                runs[name][0].forecast.y, alone[name][0].forecast.y, rtol=1e-5, atol=1e-6
             )
-    for picture in (rollouts(RECORD, setup, runs, trial.settled(runs)),
-                    components(RECORD, setup, runs)):  # fmt: skip
+    comparison = Comparison(RECORD, setup, runs, settled(trial, runs))
+    for picture in (rollouts(comparison), components(comparison)):
         picture.canvas.draw()

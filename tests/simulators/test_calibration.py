@@ -10,7 +10,9 @@ import pytest
 
 from splitband import Trajectory
 from splitband.data import drill_string
-from splitband.forecasters.methods import prepared
+from splitband.forecasters.names import named
+from splitband.forecasters.networks import Filtered, Residual
+from splitband.forecasters.simulation import Simulation
 from splitband.metrics import rmse
 from splitband.paper.systems import van_der_pol, van_der_pol_simulator
 from splitband.simulators import run
@@ -163,15 +165,20 @@ def test_the_simulator_of_the_drill_string_keeps_its_time() -> None:
 # ---------------------------------------------------------------- what may be known
 
 
+def seen_by(simulation: Simulation, r: Trajectory) -> tuple[Trajectory, Calibration]:
+    """The record with the simulator fitted to its training part, and the calibration."""
+    simulation.fit(r[:TRAIN], horizon=len(r) - TRAIN)
+    return simulation.on(r), simulation.calibration
+
+
 def test_samples_after_the_training_part_do_not_change_a_calibration() -> None:
     y = measured(1, GAIN[:1], OFFSET[:1], -0.6, 0.97)
     altered = y.copy()
     altered[TRAIN:] = 25.0
     (expected_record, expected), (found_record, found) = (
-        prepared("filtered-gru-calibrated", record(values, simulation()), TRAIN)
+        seen_by(Simulation(calibrated=True), record(values, simulation()))
         for values in (y, altered)
     )
-    assert expected is not None
     assert expected == found
     assert expected_record.y_sim is not None
     np.testing.assert_array_equal(found_record.y_sim, expected_record.y_sim)
@@ -183,10 +190,19 @@ def test_samples_after_the_training_part_do_not_change_a_calibration() -> None:
 
 def test_only_calibrated_methods_see_another_simulator() -> None:
     r = record(measured(1, GAIN[:1]), simulation())
-    assert prepared("filtered-gru-conditioned", r, TRAIN) == (r, None)
-    for method in ("residual-gru-calibrated", "filtered-rnn-calibrated-conditioned"):
-        changed, found = prepared(method, r, TRAIN)
-        assert found is not None
+    for method in (
+        "filtered-gru-conditioned",
+        "residual-gru-calibrated",
+        "filtered-rnn-calibrated-conditioned",
+    ):
+        network = named(method)
+        assert isinstance(network, Filtered | Residual)
+        assert isinstance(network.base, Simulation)
+        changed, found = seen_by(network.base, r)
+        if "calibrated" not in method:
+            assert found == Calibration()
+            np.testing.assert_array_equal(changed.y_sim, r.y_sim)
+            continue
         assert changed.y_sim is not None
         assert found.gain == pytest.approx(GAIN[:1], abs=WITHIN["gain"])
         np.testing.assert_allclose(changed.y_sim, signal(r.time) * found.gain + (found.offset or 0))

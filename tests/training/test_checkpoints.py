@@ -2,20 +2,26 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from splitband.forecasters.methods import Setup, build
 
 from splitband import Settings, Trajectory
+from splitband.evaluation.setup import Setup
 from splitband.models import Model
 from splitband.training import History, Progress, fit
 from splitband.training.checkpoints import Checkpoint, key_of
 from splitband.training.fit import MOST_RESTARTS, _Training
 from tests.models.test_models import QUICK, SETUP, TRAIN, record
+from tests.support import untrained
 
 RECIPE = Settings(40, QUICK.warmup, 4, 16, learning_rate=0.01, one_cycle=True, clip=0.5, growth=0.6)
+
+
+def with_bands(**changes: Any) -> Setup:
+    return replace(SETUP, bands=replace(SETUP.bands, **changes))
 
 
 class Killed(BaseException):
@@ -31,7 +37,7 @@ def trained(
     setup: Setup = SETUP,
 ) -> tuple[Model, History, list[Progress]]:
     training = record()[:TRAIN] if training is None else training
-    model = build("split-gru-conditioned", training, setup, seed)
+    model = untrained("split-gru-conditioned", training, setup, seed)
     seen: list[Progress] = []
 
     def watch(at: Progress) -> None:
@@ -80,8 +86,8 @@ def test_the_checkpoint_of_another_training_is_none(tmp_path: Path) -> None:
         trained(Checkpoint(file), seed=4),
         trained(Checkpoint(file), training=other),
         trained(Checkpoint(file), settings=changed),
-        trained(Checkpoint(file), setup=replace(SETUP, downsampling=3)),
-        trained(Checkpoint(file), setup=replace(SETUP, cutoff=0.5)),
+        trained(Checkpoint(file), setup=with_bands(downsampling=3)),
+        trained(Checkpoint(file), setup=with_bands(cutoff=0.5)),
     ):
         assert len(seen) == 8
 
@@ -90,7 +96,7 @@ def test_a_checkpoint_knows_the_filter_of_a_hybrid_model(tmp_path: Path) -> None
     """It is in no weight."""
     checkpoint = Checkpoint(tmp_path / "training.safetensors")
     for cutoff, epochs in ((0.6, 4), (0.6, 0), (0.5, 4)):
-        model = build("filtered-gru", record(), replace(SETUP, cutoff=cutoff), 0)
+        model = untrained("filtered-gru", record(), with_bands(cutoff=cutoff), 0)
         seen: list[Progress] = []
         fit(model, record()[:TRAIN], RECIPE, 0, seen.append, checkpoint)
         assert len(seen) == epochs

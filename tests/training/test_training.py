@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from splitband.forecasters.methods import build
 from torch import Tensor
 
 from splitband import GRU, Progress, Settings, Trajectory
-from splitband.evaluation.comparison import compare
 from splitband.models import Model, Recurrent, Signals, Task
 from splitband.training import History, fit
 from splitband.training.windows import windows
 from tests.models.test_models import LENGTH, QUICK, SETUP, TRAIN, _Scripted, record
+from tests.support import compare, untrained
 
 
 def parameters(model: Model) -> torch.Tensor:
@@ -24,7 +23,7 @@ def parameters(model: Model) -> torch.Tensor:
 
 
 def fitted(seed: int, method: str = "split-gru", **changes: Any) -> tuple[Model, History]:
-    model = build(method, record(), SETUP, seed)
+    model = untrained(method, record(), SETUP, seed)
     settings = Settings(**{**vars(QUICK), "epochs": 3, **changes})
     history = fit(model, record()[:TRAIN], settings, seed)
     return model, history
@@ -51,7 +50,7 @@ def test_training_reduces_the_loss(method: Any) -> None:
 
 
 def test_windows_start_at_every_sample_and_are_views() -> None:
-    model = build("split-gru", record(), SETUP, seed=0)
+    model = untrained("split-gru", record(), SETUP, seed=0)
     low, high = model.tasks(model.normalised(record()[:TRAIN]))
     known, target = windows(high, QUICK.window, QUICK.warmup)
     assert len(target) == TRAIN - QUICK.window + 1
@@ -180,7 +179,7 @@ def test_a_short_free_run_is_compared_with_the_beginning_of_the_window(error: fl
 
 def test_progress_reports_every_epoch_of_every_network() -> None:
     seen: list[Progress] = []
-    model = build("split-gru", record(), SETUP, seed=0)
+    model = untrained("split-gru", record(), SETUP, seed=0)
     fit(model, record()[:TRAIN], Settings(**{**vars(QUICK), "epochs": 2}), progress=seen.append)
     assert [(p.task, p.epoch, p.epochs) for p in seen] == [
         (task, epoch, 2) for task in ("low band", "high band") for epoch in (1, 2)
@@ -247,4 +246,4 @@ def test_comparing_in_processes_gives_the_numbers_of_comparing_in_one() -> None:
             assert a.seed == b.seed
             # Not to the bit: torch rounds some sums by where in memory their terms lie.
             assert a.total_rmse == pytest.approx(b.total_rmse, rel=1e-6)
-            np.testing.assert_allclose(a.forecast, b.forecast, rtol=1e-5, atol=1e-6)
+            np.testing.assert_allclose(a.forecast.y, b.forecast.y, rtol=1e-5, atol=1e-6)

@@ -268,7 +268,8 @@ class Forecaster(ABC):
             taken to begin with it.
         u : Known inputs of the samples to come, `(steps, nu)`; by default what the history says of
             them (`u_beyond`), as a slice of a longer record does.
-        y_sim : A simulator's output of the samples to come, `(steps, ny)`, likewise (`beyond`).
+        y_sim : A simulator's output of the samples to come, `(steps or more, ny)`, likewise
+            (`beyond`); a calibrated delay or clock may need it beyond the last of them.
         level : Of the interval, 0 to 1: the share of samples that should lie in it. The first time
             it is asked for, the forecaster is fitted again to three quarters of its training
             record, to see how well it forecasts the rest.
@@ -379,7 +380,7 @@ class Forecaster(ABC):
             if past.y_sim is None:
                 raise ValueError(f"history must bring a simulator's output (y_sim) for {self.name}")
             simulated = np.concatenate(
-                [past.y_sim, _enough("y_sim", ahead, steps, past.ny, more=y_sim is None)]
+                [past.y_sim, _enough("y_sim", ahead, steps, past.ny, more=True)]
             )
         return Known(past.seen, steps, begin, inputs, simulated), past
 

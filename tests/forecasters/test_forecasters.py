@@ -1,0 +1,304 @@
+"""What every forecaster promises, whatever it is made of."""
+
+import copy
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+import torch
+
+import splitband as sb
+from splitband import GRU, Bands, Forecaster, Known, Recorded, Settings, Trajectory
+from splitband.evaluation.setup import Setup
+from splitband.forecasters.names import NAMES, TRAINED, Sizes
+from tests.support import with_other_samples
+
+Array = npt.NDArray[np.float64]
+DT, TRAIN, LENGTH, WARMUP, STEPS = 0.1, 60, 100, 8, 20
+START = pd.Timestamp("2024-05-01 12:00")
+SETTINGS = Settings(window=20, warmup=WARMUP, epochs=1, batch_size=32)
+BANDS = Bands(0.6, 1, 2)
+SETUP = Setup(
+    TRAIN, SETTINGS, BANDS, Sizes(hidden_high=3, hidden_low=2, state_size=2, step_size=0.2)
+)
+
+
+def record() -> Trajectory:
+    """Time stamps, an input that has an effect, and a simulator that is late and too small."""
+    rng = np.random.default_rng(4)
+    t = DT * np.arange(LENGTH)[:, None]
+    u = rng.standard_normal((LENGTH, 1))
+    slow = np.sin(2 * np.pi * 0.25 * t)
+    y = 1.0 + 2.0 * slow + 0.3 * np.cumsum(u, axis=0) / np.sqrt(1 + t)
+    y_sim = np.sin(2 * np.pi * 0.25 * (t - 0.3))
+    return Trajectory(y + 0.02 * rng.standard_normal(y.shape), DT, u, y_sim=y_sim, start=START)
+
+
+def recorded() -> Recorded:
+    """An export that begins before the record does and goes on after it."""
+    t = DT * np.arange(-20, LENGTH + 40)[:, None]
+    start = START + pd.Timedelta(seconds=-20 * DT)
+    return Recorded(np.sin(2 * np.pi * 0.25 * (t - 0.3)), DT, start)
+
+
+MADE: dict[str, Callable[[], Forecaster]] = {
+    **{name: lambda name=name: SETUP.forecaster(name) for name in NAMES},  # type: ignore[misc]
+    "filtered, simulator of its own": lambda: sb.Filtered(
+        recorded(), GRU(3), BANDS, calibrated=True, conditioned=True, settings=SETTINGS
+    ),
+    "residual, simulator of its own": lambda: sb.Residual(recorded(), GRU(3), settings=SETTINGS),
+    "simulator of its own": lambda: sb.Simulation(recorded(), calibrated=True),
+    "filtered linear": lambda: sb.Filtered(sb.Linear(), GRU(3), BANDS, settings=SETTINGS),
+    "ensemble": lambda: sb.Ensemble(sb.Single(GRU(3), SETTINGS), 2),
+    "ensemble of hybrids": lambda: sb.Ensemble(
+        sb.Filtered(recorded(), GRU(3), BANDS, calibrated=True, settings=SETTINGS), 2
+    ),
+}
+
+
+@cache
+def fitted(name: str) -> Forecaster:
+    """Once in a process; its interval too, which takes more fits."""
+    return MADE[name]().fit(record()[:TRAIN], seed=1, horizon=LENGTH - TRAIN)
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_it_goes_on_from_the_end_of_the_training_record(name: str) -> None:
+    found = fitted(name).predict(STEPS)
+    assert found.y.shape == (STEPS, 1)
+    assert np.isfinite(found.y).all()
+    assert (found.time == record().stamps[TRAIN : TRAIN + STEPS]).all()
+    if found.components:
+        np.testing.assert_allclose(sum(found.components.values()), found.y, atol=1e-12)
+    again = fitted(name).predict(STEPS, record()[:TRAIN])
+    np.testing.assert_array_equal(again.y, found.y)
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_it_goes_on_from_another_origin(name: str) -> None:
+    at = TRAIN + 7
+    found = fitted(name).predict(STEPS, record()[:at])
+    assert (found.time == record().stamps[at : at + STEPS]).all()
+    given = record()[:at]
+    assert given.u_beyond is not None
+    assert given.beyond is not None
+    bare = replace(given, u_beyond=None, beyond=None)
+    y_sim = given.beyond if "simulator" in fitted(name).needs else None
+    said = fitted(name).predict(STEPS, bare, u=given.u_beyond[:STEPS, 0], y_sim=y_sim)
+    np.testing.assert_array_equal(said.y, found.y)
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_by_its_time_stamps_it_is_known_where_a_history_lies(name: str) -> None:
+    """The end of a history says what all of it does, for what needs no more than the end."""
+    at, begin = TRAIN + 7, 30
+    whole = fitted(name).predict(STEPS, record()[:at])
+    part = fitted(name).predict(STEPS, record()[begin:at])
+    assert (part.time == whole.time).all()
+    # The spline through a calibrated simulator's output bends a little where it begins.
+    np.testing.assert_allclose(part.y, whole.y, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_saved_and_loaded_it_says_the_same(name: str, tmp_path: Path) -> None:
+    """From its own end and from another history, with its interval."""
+    saved = copy.copy(fitted(name))
+    given = record()[:TRAIN]
+    assert given.u_beyond is not None
+    assert given.beyond is not None
+    y_sim = given.beyond if "simulator" in saved.needs else None
+    later = record()[20 : TRAIN + 7]
+
+    def asked(forecaster: Forecaster) -> list[Any]:
+        return [
+            forecaster.predict(STEPS, u=given.u_beyond, y_sim=y_sim, level=0.9),
+            forecaster.predict(STEPS, later, level=0.9),
+        ]
+
+    expected = asked(saved)
+    saved.save(tmp_path / "model")
+    loaded = sb.load(tmp_path / "model")
+    assert (loaded.name, loaded.needs, loaded.random) == (saved.name, saved.needs, saved.random)
+    assert loaded.describe() == saved.describe()
+    for one, other in zip(asked(loaded), expected, strict=True):
+        for what in ("y", "lower", "upper"):
+            np.testing.assert_array_equal(getattr(one, what), getattr(other, what))
+        assert (one.time == other.time).all()
+        assert (one.lower < one.y).all()
+        assert (one.y < one.upper).all()
+        assert one.level == 0.9
+
+
+def test_a_simulation_that_is_late_is_loaded_with_what_it_needs_of_the_past(tmp_path: Path) -> None:
+    """A forecast begins with what the simulator said before the end of the training record."""
+    simulation = sb.Simulation(calibrated=("delay",)).fit(record()[:TRAIN], horizon=STEPS)
+    assert simulation.calibration.delay is not None
+    r = record()[:TRAIN]
+    assert r.u_beyond is not None
+    simulation.save(tmp_path / "model")
+    found = sb.load(tmp_path / "model").predict(STEPS, u=r.u_beyond, y_sim=r.beyond)
+    np.testing.assert_array_equal(found.y, simulation.predict(STEPS).y)
+
+
+@pytest.mark.parametrize("name", ["ensemble", "filtered linear", "filtered, simulator of its own"])
+def test_no_forecast_depends_on_a_measured_sample_after_its_origin(name: str) -> None:
+    """The names are asked the same in tests/models."""
+    other = with_other_samples(record(), TRAIN)
+    found = MADE[name]().fit(other[:TRAIN], seed=1, horizon=LENGTH - TRAIN)
+    np.testing.assert_array_equal(found.predict(STEPS).y, fitted(name).predict(STEPS).y)
+    at = TRAIN + 5
+    expected = fitted(name).predict(STEPS, record()[:at]).y
+    later = with_other_samples(record(), at)
+    np.testing.assert_array_equal(found.predict(STEPS, later[:at]).y, expected)
+
+
+@pytest.mark.parametrize("name", ["gru", "split-gru", "filtered-rnn-conditioned", "ensemble"])
+def test_a_seed_says_what_the_first_weights_are(name: str) -> None:
+    """Whatever torch's own generator is at, and without moving it."""
+    torch.manual_seed(123)
+    before = torch.get_rng_state()
+    again = MADE[name]().fit(record()[:TRAIN], seed=1, horizon=LENGTH - TRAIN)
+    assert torch.equal(torch.get_rng_state(), before)
+    other = MADE[name]().fit(record()[:TRAIN], seed=5, horizon=LENGTH - TRAIN)
+    expected = fitted(name).predict(STEPS).y
+    np.testing.assert_array_equal(again.predict(STEPS).y, expected)
+    assert not np.array_equal(other.predict(STEPS).y, expected)
+
+
+def test_an_ensemble_says_the_mean_of_its_members() -> None:
+    ensemble = fitted("ensemble")
+    members = [sb.Single(GRU(3), SETTINGS).fit(record()[:TRAIN], seed=s) for s in (1, 2)]
+    expected = np.mean([member.predict(STEPS).y for member in members], axis=0)
+    np.testing.assert_allclose(ensemble.predict(STEPS).y, expected, rtol=0, atol=1e-12)
+
+
+def test_fitting_again_forgets_what_came_before() -> None:
+    forecaster = sb.Mean().fit(record()[:TRAIN])
+    wide = forecaster.predict(STEPS, level=0.9)
+    again = forecaster.fit(record()[:30]).predict(STEPS, level=0.9)
+    assert not np.array_equal(again.y, wide.y)
+    expected = sb.Mean().fit(record()[:30]).predict(STEPS, level=0.9)
+    np.testing.assert_array_equal(again.lower, expected.lower)
+
+
+@pytest.mark.parametrize("name", TRAINED)
+def test_a_copy_is_not_fitted_and_leaves_the_original_as_it_is(name: str) -> None:
+    expected = fitted(name).predict(STEPS).y
+    other = fitted(name).copy()
+    assert other.fitted is None
+    other.fit(record()[:40], seed=3, horizon=STEPS)
+    np.testing.assert_array_equal(fitted(name).predict(STEPS).y, expected)
+
+
+class Drift(Forecaster):
+    """The straight line through the first and the last measured sample goes on."""
+
+    name = "drift"
+
+    def extrapolate(self, known: Known) -> Array:
+        slope = (known.y[-1] - known.y[0]) / (len(known.y) - 1)
+        return known.y[-1] + slope * np.arange(1, known.steps + 1)[:, None]
+
+
+def test_a_forecaster_of_ones_own_needs_a_name_and_what_comes_next(tmp_path: Path) -> None:
+    line = Trajectory(np.arange(40.0), DT, start=2.0)
+    forecaster = Drift().fit(line[:30])
+    found = forecaster.predict(10, level=0.9)
+    np.testing.assert_allclose(found.y, line.y[30:])
+    np.testing.assert_allclose(found.time, line.stamps[30:])
+    forecaster.save(tmp_path / "drift")
+    loaded = sb.load(tmp_path / "drift", classes={"Drift": Drift})
+    np.testing.assert_array_equal(loaded.predict(10, line[:35]).y[:5], line.y[35:])
+    with pytest.raises(ValueError, match="class Drift is not known; give it to load"):
+        sb.load(tmp_path / "drift")
+
+
+def test_slices_know_what_is_known_after_them() -> None:
+    r = record()
+    part = r[10:TRAIN]
+    assert r.u is not None
+    assert r.y_sim is not None
+    np.testing.assert_array_equal(part.u_beyond, r.u[TRAIN:])
+    np.testing.assert_array_equal(part.beyond, r.y_sim[TRAIN:])
+    np.testing.assert_array_equal(part[:20].u_beyond, r.u[30:])
+
+
+def plain() -> Trajectory:
+    return replace(record(), u=None, y_sim=None, inputs=())
+
+
+def two_channels() -> Trajectory:
+    r = plain()
+    return replace(r, y=np.hstack([r.y, r.y]), columns=())
+
+
+def mean() -> Forecaster:
+    return sb.Mean().fit(plain()[:TRAIN])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: sb.Mean().predict(3), "mean must be fitted before it is asked"),
+        (lambda: sb.Single(GRU(3)).save("nowhere"), "gru must be fitted before it is asked"),
+        (lambda: sb.Mean().fit(), "records must be one or several, got none"),
+        (lambda: mean().predict(0), "steps must be at least 1, got 0"),
+        (lambda: mean().predict(3, u=np.ones(3)), "u must be given exactly for a record with in"),
+        (
+            lambda: mean().predict(3, two_channels()),
+            r"training record's 1 channel\(s\) and 0 input\(s\), got 2 and 0",
+        ),
+        (
+            lambda: mean().predict(3, replace(plain(), sampling_time=0.2)),
+            "sampled like the training record, every 0.1 s, got every 0.2 s",
+        ),
+        (lambda: fitted("linear").predict(LENGTH), r"u must hold the 100 samples to come in 1 ch"),
+        (
+            lambda: fitted("linear").predict(9, u=np.ones((8, 1))),
+            r"u must hold the 9 samples to come in 1 channel\(s\), got \(8, 1\)",
+        ),
+        (
+            lambda: fitted("simulator").predict(9, y_sim=np.ones(8)),
+            r"y_sim must hold the 9 samples to come in 1 channel\(s\), got \(8, 1\)",
+        ),
+        (
+            lambda: fitted("simulator").predict(
+                9, replace(record()[:TRAIN], y_sim=None, beyond=None)
+            ),
+            "history must bring a simulator's output",
+        ),
+        (lambda: sb.Linear().fit(plain()), "linear needs known inputs, the record has none"),
+        (
+            lambda: SETUP.forecaster("filtered-gru").fit(plain()),
+            "filtered-gru needs a simulator, the record has none",
+        ),
+        (
+            lambda: fitted("gru").predict(5, record()[: WARMUP - 1]),
+            "history must have 8 measured samples in a row to warm up on, got 7",
+        ),
+        (
+            lambda: fitted("linear").predict(
+                5, replace(record()[:20], start=START + pd.Timedelta(seconds=100.0))
+            ),
+            "history must begin with a sample of the training record.*got 1000 samples after",
+        ),
+        (lambda: sb.Filtered(sb.Mean(), GRU(3)), "base must say something about the whole record"),
+        (lambda: sb.Ensemble(sb.Mean(), 0), "count must be at least 1, got 0"),
+        (lambda: sb.named("mena"), "methods must be out of .*, got mena"),
+    ],
+)
+def test_errors_say_what_is_wrong(call: Callable[[], Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0, -0.5, 2.0])
+def test_a_level_is_a_share(level: float) -> None:
+    with pytest.raises(ValueError, match="level must be"):
+        mean().predict(5, level=level)
