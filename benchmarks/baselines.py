@@ -26,7 +26,7 @@ import numpy.typing as npt
 import scipy
 
 from splitband.data import Trajectory
-from splitband.forecasters.backtest import Origin, backtest
+from splitband.forecasters.backtest import Origin, Question, backtest
 from splitband.forecasters.names import QUICK, named
 from splitband.metrics import rmse
 from splitband.runtime.files import write_json
@@ -187,7 +187,7 @@ def _measured(job: tuple[str, int], report: object) -> dict[str, Any]:
     future, found, origin = record.y[train:], {}, Origin(train, train)
     began = time.process_time()
     for name in BASELINES:
-        done = backtest(named(name), record, [origin], len(record))
+        done = backtest(named(name), Question(record, [origin], len(record)))
         found[name] = rmse(future, done.predictions[origin].y)
     seconds = time.process_time() - began
     oracle = rmse(future[:, 0], made.oracle)

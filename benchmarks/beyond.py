@@ -94,7 +94,7 @@ def measured(name: str, seeds: int, jobs: int) -> Facts:
     facts["same samples"] = {
         method: {
             "from_start": statistics.mean(_after(record, setup, r.from_start.y) for r in of_method),
-            "forecast": statistics.mean(_after(record, setup, r.forecast.y) for r in of_method),
+            "forecast": statistics.mean(_after(record, setup, r.ahead) for r in of_method),
         }
         for method, of_method in comparison.runs.items()
         if of_method[0].fit.losses

@@ -28,7 +28,7 @@ def compared(
     methods, work = forecasters(names, setup), Work(jobs)
     trial = try_out(record[: setup.train], methods, len(record) - setup.train, seeds, work)
     runs = compare_methods(record, methods, setup, seeds, work)
-    final = {name: np.mean([run.forecast.y for run in of], axis=0) for name, of in runs.items()}
+    final = {name: np.mean([run.ahead for run in of], axis=0) for name, of in runs.items()}
     return Comparison(record, setup, runs, trial.settled(final, runs.failed))
 
 

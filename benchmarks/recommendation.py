@@ -104,7 +104,7 @@ def _measured(job: Job, report: object) -> Facts:
     comparison = compared(record, methods, setup, seeds=[0], jobs=1)
     settled = comparison.require_trial()
     tried = replace(settled, final={})
-    left = {m: record.y[job.train :] - r[0].forecast.y for m, r in comparison.runs.items()}
+    left = {m: record.y[job.train :] - r[0].ahead for m, r in comparison.runs.items()}
     errors = {m: rmse(e, np.zeros_like(e)) for m, e in left.items()}
     facts = {
         "kind": job.kind,

@@ -16,7 +16,7 @@ from splitband.evaluation.runs import RunProgress, Work
 from splitband.evaluation.selection import Trial
 from splitband.evaluation.selection import try_out as try_forecasters_out
 from splitband.evaluation.setup import Setup
-from splitband.forecasters.backtest import Backtest, Origin, backtest, first_origin
+from splitband.forecasters.backtest import Backtest, Origin, Question, backtest, first_origin
 from splitband.forecasters.networks import Network
 from splitband.models import Model
 from splitband.training import Checkpoint, Progress
@@ -50,20 +50,31 @@ def asked(
     """Both protocols, and forecasts from `later` samples by the same fit."""
     forecaster = setup.forecaster(name)
     forecaster.check(record[: setup.train], *others)
+    question = question_of(name, record, setup, later, others)
+    kept = None if checkpoint is None else Checkpoint(checkpoint)
+    return backtest(forecaster, question, seed, progress, kept)
+
+
+def question_of(
+    name: str,
+    record: Trajectory,
+    setup: Setup,
+    later: Sequence[int] = (),
+    others: Sequence[Trajectory] = (),
+) -> Question:
+    """Both protocols, and forecasts from `later` samples by the same fit."""
     origins = {
         first_origin(record, setup.train, setup.settings_of(name).warmup),
         Origin(setup.train, setup.train),
         *(Origin(setup.train, at) for at in later),
     }
-    kept = None if checkpoint is None else Checkpoint(checkpoint)
-    return backtest(forecaster, record, origins, len(record), others, seed, progress, kept)
+    return Question(record, sorted(origins), len(record), others)
 
 
 def run(name: str, record: Trajectory, setup: Setup, seed: int = 0) -> Run:
     """One method with one seed under both protocols."""
-    first = first_origin(record, setup.train, setup.settings_of(name).warmup)
     done = asked(name, record, setup, seed)
-    return run_of(name, record, setup.train, first, Origin(setup.train, setup.train), done)
+    return run_of(name, question_of(name, record, setup), setup.train, done)
 
 
 def compare(
@@ -99,7 +110,7 @@ def try_out(
 
 def settled(trial: Trial, runs: Runs) -> Trial:
     """The trial with what the methods forecast after all, the mean of their seeds."""
-    final = {name: np.mean([r.forecast.y for r in of], axis=0) for name, of in runs.items()}
+    final = {name: np.mean([r.ahead for r in of], axis=0) for name, of in runs.items()}
     return trial.settled(final, runs.failed)
 
 

@@ -375,7 +375,7 @@ def test_further_records_are_resampled_and_have_simulators_of_their_own_time(
     write(Path("more.csv"), other, y=signal(other))
     write(Path("sim.csv"), times(48, samples=400), y=signal(times(48, samples=400)))
     further, reading = FurtherRecords(["more.csv"], ["sim.csv"]), RecordOptions()
-    records = load_further(further, record, reading)
+    records = load_further(further.more, "--more", record, reading)
     (found,) = each_with_simulator(records, ["residual-gru"], further, SimulatorOptions(), reading)
     assert (
         "more.csv: sampled every 0.1009 s, interpolated to every 0.1 s" in capsys.readouterr().out

@@ -8,10 +8,10 @@ import scipy
 
 from splitband import Settings, Trajectory
 from splitband.evaluation.api import Comparison
-from splitband.evaluation.comparison import Run, by_channel, mean_run
+from splitband.evaluation.comparison import Errors, Run, by_channel, mean_run
 from splitband.evaluation.selection import Trial
 from splitband.evaluation.setup import Setup, default_names, default_setup, usual_names
-from splitband.forecasters.backtest import HELD_OUT, Origin, backtest, held_out_origins
+from splitband.forecasters.backtest import HELD_OUT, Origin, Question, backtest, held_out_origins
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import FitReport
 from splitband.forecasters.names import CALIBRATED, HYBRIDS, Sizes
@@ -174,7 +174,8 @@ def test_several_seeds_are_tried_out_by_their_mean() -> None:
     trial = try_out(r, ["gru"], SETUP, seeds=(0, 1))
     part, shorter = r[:TRAIN], SETUP.forecaster("gru").for_fewer_samples(HELD_OUT)
     origins = [Origin(90, at) for at in (90, 100, 110)]
-    found = [backtest(shorter, part, origins, TRAIN, seed=seed).predictions for seed in (0, 1)]
+    question = Question(part, origins, TRAIN)
+    found = [backtest(shorter, question, seed).predictions for seed in (0, 1)]
     means = {o.at: np.mean([each[o].y for each in found], axis=0) for o in origins}
     left = np.concatenate([part.y[start:] - mean for start, mean in means.items()])
     assert trial.errors["gru"] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-5)
@@ -206,7 +207,7 @@ def test_intervals_of_many_records_hold_nine_tenths_on_average() -> None:
         r = record(seed, noise=0.2)
         runs = compare(r, ["harmonic"], SETUP)
         interval = settled(try_out(r, ["harmonic"], SETUP), runs).intervals["harmonic"]
-        left = r.y[TRAIN:] - runs["harmonic"][0].forecast.y
+        left = r.y[TRAIN:] - runs["harmonic"][0].ahead
         covered.append(interval.coverage(left))
         width.append(interval.half_widths(len(left)).mean())
     assert 0.85 <= np.mean(covered) <= 0.95
@@ -231,8 +232,7 @@ def test_errors_of_several_seeds_cancel_in_their_mean() -> None:
     runs = [
         Run(
             "gru",
-            abs(a),
-            abs(b),
+            Errors(abs(a), abs(b)),
             Prediction(start + a, r[:WARMUP].grid.after(len(start)), r.columns),
             Prediction(ahead + b, r[:TRAIN].grid.after(len(ahead)), r.columns),
             fit=FitReport(seed, 2.0),
@@ -241,7 +241,7 @@ def test_errors_of_several_seeds_cancel_in_their_mean() -> None:
     ]
     mean = mean_run(runs, r, TRAIN)
     np.testing.assert_allclose(mean.from_start.y, start, atol=1e-12)
-    np.testing.assert_allclose(mean.forecast.y, ahead + 0.1, atol=1e-12)
+    np.testing.assert_allclose(mean.ahead, ahead + 0.1, atol=1e-12)
     assert mean.total_rmse == pytest.approx(0, abs=1e-12)
     assert mean.forecast_rmse == pytest.approx(0.1)
     assert mean.fit.seconds == 6.0

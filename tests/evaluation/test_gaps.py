@@ -38,15 +38,15 @@ def test_errors_and_coverage_do_not_depend_on_what_stands_in_for_later_gaps() ->
     trials = [settled(try_out(each, methods, SETUP), first) for each in records]
     for method in methods:
         a, b = first[method][0], other[method][0]
-        np.testing.assert_array_equal(a.forecast.y, b.forecast.y)
+        np.testing.assert_array_equal(a.ahead, b.ahead)
         assert (a.total_rmse, a.forecast_rmse) == (b.total_rmse, b.forecast_rmse)
         assert a.total_rmse == pytest.approx(error_of(y[-len(a.from_start) :], a.from_start.y))
-        assert a.forecast_rmse == pytest.approx(error_of(y[TRAIN:], a.forecast.y))
-        left = y[TRAIN:] - a.forecast.y
+        assert a.forecast_rmse == pytest.approx(error_of(y[TRAIN:], a.ahead))
+        left = y[TRAIN:] - a.ahead
         half = trials[0].intervals[method].half_widths(len(left))
         inside = [abs(e) <= h for e, h in zip(left.flat, half.flat, strict=True) if not np.isnan(e)]
         for each, trial in zip(records, trials, strict=True):
-            covered = trial.intervals[method].coverage(each.seen[TRAIN:] - a.forecast.y)
+            covered = trial.intervals[method].coverage(each.seen[TRAIN:] - a.ahead)
             assert covered == pytest.approx(np.mean(inside))
     assert trials[0].errors == trials[1].errors
     assert trials[0].intervals == trials[1].intervals

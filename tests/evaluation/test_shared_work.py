@@ -145,10 +145,10 @@ def test_a_method_with_settings_of_its_own_warms_up_as_they_say(tmp_path: Path) 
     alone = compare(RECORD, methods, replace(SETUP, settings=other))
     for name, begin in (("rnn", 14), ("filtered-rnn", 14), ("gru", 10)):
         assert len(runs[name][0].from_start) == LENGTH - begin
-        assert len(runs[name][0].forecast) == LENGTH - TRAIN
+        assert len(runs[name][0].ahead) == LENGTH - TRAIN
         if begin == 14:
             np.testing.assert_allclose(
-                runs[name][0].forecast.y, alone[name][0].forecast.y, rtol=1e-5, atol=1e-6
+                runs[name][0].ahead, alone[name][0].ahead, rtol=1e-5, atol=1e-6
             )
     comparison = Comparison(RECORD, setup, runs, settled(trial, runs))
     for picture in (rollouts(comparison), components(comparison)):

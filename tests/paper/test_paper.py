@@ -63,7 +63,7 @@ def test_a_file_holds_what_was_predicted(folder: Path) -> None:
     truth = record.y_true
     assert truth is not None
     assert rmse(truth[30:], found.from_start.y) == pytest.approx(found.total_rmse, abs=1e-3)
-    assert rmse(truth[250:], found.forecast.y) == pytest.approx(found.forecast_rmse, abs=1e-3)
+    assert rmse(truth[250:], found.ahead) == pytest.approx(found.forecast_rmse, abs=1e-3)
     first = as_run(load(replace(job, seed=0), folder / "runs"), record).from_start
     np.testing.assert_allclose(sum(first.components.values()), first.y, atol=2e-3)
 

@@ -48,9 +48,9 @@ def test_several_records_train_another_model_than_each_alone() -> None:
     assert not torch.equal(parameters(both), parameters(alone))
     found = asked("gru", record(), SETUP, others=[b]).predictions[Origin(TRAIN, TRAIN)].y
     np.testing.assert_array_equal(
-        found, compare(record(), ["gru"], SETUP, others=[b])["gru"][0].forecast.y
+        found, compare(record(), ["gru"], SETUP, others=[b])["gru"][0].ahead
     )
-    assert not np.array_equal(found, run("gru", record(), SETUP).forecast.y)
+    assert not np.array_equal(found, run("gru", record(), SETUP).ahead)
 
 
 def test_a_record_shorter_than_a_window_is_refused_with_its_length() -> None:

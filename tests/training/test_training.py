@@ -246,4 +246,4 @@ def test_comparing_in_processes_gives_the_numbers_of_comparing_in_one() -> None:
             assert a.seed == b.seed
             # Not to the bit: torch rounds some sums by where in memory their terms lie.
             assert a.total_rmse == pytest.approx(b.total_rmse, rel=1e-6)
-            np.testing.assert_allclose(a.forecast.y, b.forecast.y, rtol=1e-5, atol=1e-6)
+            np.testing.assert_allclose(a.ahead, b.ahead, rtol=1e-5, atol=1e-6)

@@ -210,6 +210,9 @@ def _say(found: Comparison, names: list[str], out: Path) -> None:
     if unhelpful and not set(names) & set(HYBRIDS):
         showing.console.print("hybrid models are left out; --methods brings them back")
     showing.warn_of_inputs(found.inputs_beyond_training, record.inputs)
+    for test, prediction in zip(found.tests, found.means[best].tests, strict=False):
+        for message in prediction.warnings:
+            showing.console.print(f"warning: {test.name}: {message}", style="yellow")
     showing.console.print(f"results and pictures: {out}/")
 
 

@@ -1,0 +1,131 @@
+"""Test records: nothing is fitted to them but the state that their first samples tell."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.signal
+
+import splitband as sb
+from splitband import Bands, Settings, Setup, Trajectory
+from splitband.metrics import rmse
+
+DT, TRAIN, WARMUP = 0.1, 160, 12
+QUICK = Settings(40, WARMUP, 1, 16)
+SETUP = Setup(TRAIN, QUICK, Bands(0.6, 1, 2))
+
+
+def driven(samples: int, seed: int, begin: float = 0.0) -> Trajectory:
+    """A second-order system under a random input, from a state of its own."""
+    rng = np.random.default_rng(seed)
+    u = rng.uniform(-1, 1, (samples + 50, 1))
+    y = scipy.signal.lfilter([0.0, 0.3, 0.1], [1.0, -1.5, 0.7], u[:, 0]) + 2.0
+    return Trajectory(
+        y[50:, None], DT, u=u[50:], inputs=("force",), start=begin, name=f"rig {seed}"
+    )
+
+
+TESTS = (driven(90, 1), driven(70, 2, begin=100.0))
+
+
+def compared(*methods: sb.Forecaster, seeds: int = 1) -> sb.Comparison:
+    return sb.compare(driven(TRAIN, 0), methods=methods, tests=TESTS, seeds=seeds, setup=SETUP)
+
+
+@pytest.fixture(scope="module")
+def usual() -> sb.Comparison:
+    methods = [sb.Single(sb.GRU(4)), sb.Linear(), sb.Persistence(), sb.Mean(), sb.Harmonic()]
+    return compared(*methods, seeds=2)
+
+
+def test_a_linear_system_is_known_from_another_record_and_its_first_samples() -> None:
+    """Its order and state are, as there is no noise."""
+    (errors,) = [run.errors.tests for run in compared(sb.Linear()).runs["linear"]]
+    assert max(errors) < 1e-3 * float(np.std(TESTS[0].y))
+
+
+def test_what_a_network_says_is_its_free_run_from_the_first_samples(usual: sb.Comparison) -> None:
+    model = sb.Single(sb.GRU(4), settings=QUICK).fit(driven(TRAIN, 0), seed=1)
+    for test, said in zip(TESTS, usual.runs["gru"][1].tests, strict=True):
+        expected = model.predict(len(test) - WARMUP, test[:WARMUP], other_record=True)
+        np.testing.assert_array_equal(said.y, expected.y)
+        np.testing.assert_allclose(said.time, test.time[WARMUP:], atol=1e-9)
+
+
+def test_the_last_sample_of_the_warm_up_is_held_and_the_training_mean_kept(
+    usual: sb.Comparison,
+) -> None:
+    held, mean = usual.runs["persistence"][0], usual.runs["mean"][0]
+    for i, test in enumerate(TESTS):
+        truth = test.y[WARMUP:]
+        last = np.full_like(truth, test.y[WARMUP - 1, 0])
+        assert held.errors.tests[i] == pytest.approx(rmse(truth, last))
+        level = np.full_like(truth, driven(TRAIN, 0).y.mean())
+        assert mean.errors.tests[i] == pytest.approx(rmse(truth, level))
+
+
+def test_what_goes_on_in_the_time_of_the_training_record_is_left_out_by_name(
+    usual: sb.Comparison,
+) -> None:
+    assert usual.left_out == ["harmonic"]
+    assert usual.runs["harmonic"][0].tests == ()
+
+
+def test_a_hybrid_model_needs_the_simulator_of_the_test_record() -> None:
+    def simulated(record: Trajectory) -> Trajectory:
+        return replace(record, y_sim=0.9 * record.y)
+
+    tests = [simulated(test) for test in TESTS]
+    methods = [sb.Residual(None, sb.GRU(4)), sb.Simulation(calibrated=True)]
+    record = simulated(driven(TRAIN, 0))
+    found = sb.compare(record, methods=methods, tests=tests, seeds=1, setup=SETUP)
+    assert found.left_out == []
+    assert max(found.means["simulator-calibrated"].errors.tests) < 1e-6
+    found = sb.compare(record, methods=methods, tests=TESTS, seeds=1, setup=SETUP)
+    assert found.left_out == ["residual-gru", "simulator-calibrated"]
+
+
+def test_all_of_the_record_is_trained_on_and_nothing_is_learned_from_tests() -> None:
+    def forecast(tests: tuple[Trajectory, ...]) -> np.ndarray:
+        methods = [sb.Single(sb.GRU(4), settings=QUICK)]
+        found = sb.compare(driven(TRAIN, 0), methods=methods, tests=tests, seeds=1)
+        assert found.setup.train == TRAIN
+        assert found.means["gru"].forecast is None
+        return found.means["gru"].tests[0].y
+
+    changed = TESTS[0].y.copy()
+    changed[WARMUP:] += 5.0
+    later = replace(TESTS[0], y=changed)
+    np.testing.assert_array_equal(forecast((TESTS[0],)), forecast((later,)))
+
+
+def test_the_files_hold_an_entry_for_each_seed_and_test(
+    usual: sb.Comparison, tmp_path: Path
+) -> None:
+    usual.save(tmp_path)
+    facts = json.loads((tmp_path / "results.json").read_text())
+    gru = facts["methods"]["gru"]
+    assert [len(of_seed) for of_seed in gru["test_rmse"]] == [2, 2]
+    mean = np.mean([run.tests[0].y for run in usual.runs["gru"]], axis=0)
+    expected = rmse(TESTS[0].y[WARMUP:], mean)
+    assert gru["mean_of_seeds"]["test_rmse"][0] == pytest.approx(expected)
+    assert (
+        facts["methods"]["linear"]["mean_of_seeds"]["test_rmse"]
+        == (facts["methods"]["linear"]["test_rmse"][0])
+    )
+    assert "test_rmse" not in facts["methods"]["harmonic"]
+    assert "forecast_rmse" not in gru
+    assert [test["name"] for test in facts["tests"]] == ["rig 1", "rig 2"]
+    assert {path.name for path in tmp_path.iterdir()} >= {"rollouts.png", "error.png"}
+
+
+def test_errors_name_the_test_record() -> None:
+    methods = [sb.Persistence()]
+    short = TESTS[0][:WARMUP]
+    with pytest.raises(ValueError, match="warmup must fit into the test record rig 1 of 12"):
+        sb.compare(driven(TRAIN, 0), methods=methods, tests=[short], setup=SETUP)
+    other = replace(TESTS[0], u=None, inputs=())
+    with pytest.raises(ValueError, match="rig 1 must have the record's 1 channel"):
+        sb.compare(driven(TRAIN, 0), methods=methods, tests=[other], setup=SETUP)
