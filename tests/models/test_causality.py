@@ -56,7 +56,19 @@ CONDITIONED: dict[str, Callable[[int], Model]] = {
     "filtered, conditioned": lambda nu: Filtered(gru(nu, 4), ONE_WAY, conditioned=True),
     "residual, conditioned": lambda nu: Residual(gru(nu, 4), conditioned=True),
 }
-ALL = LEARNED | FILTERED_AFTERWARDS | HYBRID | CONDITIONED
+AT_ONCE: dict[str, Callable[[int], Model]] = {
+    "gru, feedthrough": lambda nu: Recurrent(gru(2 * nu), nu > 0),
+    "rnn, feedthrough": lambda nu: Recurrent(EulerMLP(NY, 40, 3, 6, 4, 0.3, 2 * nu), nu > 0),
+    "split, k = 3, feedthrough": lambda nu: Split(
+        [gru(nu), gru(2 * nu, 4)], PAIRS[0], 3, conditioned=True, feedthrough=nu > 0
+    ),
+    "split, k = 1, feedthrough": lambda nu: Split(
+        [gru(2 * nu), gru(2 * nu)], PAIRS[0], 1, feedthrough=nu > 0
+    ),
+    "residual, feedthrough": lambda nu: Residual(gru(2 * nu), False, nu > 0),
+    "filtered, feedthrough": lambda nu: Filtered(gru(2 * nu), ONE_WAY, False, nu > 0),
+}
+ALL = LEARNED | FILTERED_AFTERWARDS | HYBRID | CONDITIONED | AT_ONCE
 
 
 def built(name: str, nu: int) -> Model:
@@ -91,6 +103,27 @@ def test_an_input_acts_on_nothing_before_it(name: str) -> None:
         late = U.copy()
         late[warmup + 2] += 1
         assert (simulated(model, warmup, late)[-1] != before[-1]).any()
+
+
+@pytest.mark.parametrize("name", AT_ONCE)
+def test_with_feedthrough_an_input_acts_on_its_own_sample(name: str) -> None:
+    """The first prediction too; without, it acts on the next one at the earliest."""
+    model, plain = built(name, NU), built("gru", NU)
+    for warmup in WARMUPS:
+        for n in (warmup, warmup + 1, warmup + 9):
+            changed = U.copy()
+            changed[n] += 1
+            at = n - warmup
+            moved = simulated(model, warmup, changed) != simulated(model, warmup, U)
+            assert moved[at].any()
+            assert not moved[:at].any()
+            moved = simulated(plain, warmup, changed) != simulated(plain, warmup, U)
+            assert not moved[: at + 1].any()
+
+
+def test_a_network_with_feedthrough_has_each_input_twice() -> None:
+    with pytest.raises(ValueError, match="each input twice, of a sample and of the next, got nu"):
+        Recurrent(gru(3), feedthrough=True)
 
 
 @pytest.mark.parametrize("name", HYBRID)

@@ -23,7 +23,7 @@ class Tied(GRU):
     """A cell with two names for one matrix, as an embedding and its decoder often have."""
 
     def __init__(self, ny: int, hidden_size: int) -> None:
-        super().__init__(ny, hidden_size)
+        super().__init__(hidden_size, ny)
         self.arguments = {"ny": ny, "hidden_size": hidden_size}
         self.encoder = nn.Linear(ny, hidden_size, bias=False)
         self.decoder = nn.Linear(ny, hidden_size, bias=False)

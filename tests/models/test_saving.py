@@ -54,6 +54,7 @@ MODELS: dict[str, Callable[[], Model]] = {
         conditioned=True,
     ),
     "residual-rnn": lambda: Residual(rnn()),
+    "gru-feedthrough": lambda: Recurrent(gru(told=NU), feedthrough=True),
 }
 
 
@@ -136,7 +137,7 @@ class Scaled(GRU):
     """A cell of the user's own."""
 
     def __init__(self, ny: int, hidden_size: int, nu: int, scales: Any = 1.0) -> None:
-        super().__init__(ny, hidden_size, nu)
+        super().__init__(hidden_size, ny, nu)
         self.arguments = {"ny": ny, "hidden_size": hidden_size, "nu": nu, "scales": scales}
         self.scales = scales
 
@@ -174,7 +175,7 @@ def test_a_cell_that_does_not_say_how_to_build_it_is_refused(tmp_path: Path) -> 
         pass
 
     with pytest.raises(ValueError, match="Plain cannot be saved: give it `arguments`"):
-        save(Recurrent(Plain(NY, 4, NU)), tmp_path)
+        save(Recurrent(Plain(4, NY, NU)), tmp_path)
     with pytest.raises(FileNotFoundError, match="no model in"):
         load(tmp_path)
 
@@ -377,3 +378,14 @@ def test_saved_files_have_the_usual_mode(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "plain").write_text("")
     usual = (tmp_path / "plain").stat().st_mode
     assert {path.stat().st_mode for path in folder.iterdir()} == {usual}
+
+
+@pytest.mark.parametrize("name", ["gru", "split-gru", "filtered-gru", "residual-gru-conditioned"])
+def test_a_model_that_010_saved_is_read_as_it_was(name: str, tmp_path: Path) -> None:
+    """Its file does not know of feedthrough."""
+    model = trained(name)
+    save(model, tmp_path)
+    edit(tmp_path, lambda description: description["model"].pop("feedthrough"))
+    loaded = load(tmp_path)[0]
+    assert not loaded.feedthrough
+    np.testing.assert_array_equal(simulate(loaded), simulate(model))

@@ -308,7 +308,7 @@ def altered(how: str) -> GRU:
     elif how == "hook":
         cell.transition.register_forward_hook(lambda _, __, h: 0.5 * h)
     else:
-        cell = {"own step": Damped, "own observe": Squashed}[how](NY, HIDDEN)
+        cell = {"own step": Damped, "own observe": Squashed}[how](HIDDEN, NY)
     return cell.double()
 
 

@@ -222,7 +222,8 @@ class Single(Network):
 
     def build(self, record: Trajectory, settings: Settings) -> Model:
         """See `Network`."""
-        return models.Recurrent(self.cell.sized(record.ny, record.nu, settings.warmup))
+        cell = self.cell.sized(record.ny, 2 * record.nu, settings.warmup)
+        return models.Recurrent(cell, record.nu > 0)
 
     def _derived_name(self) -> str:
         return label_of(self.cell)
@@ -257,8 +258,11 @@ class _Banded(Network):
         return self.bands.chosen(record.y, record.sampling_rate, settings.warmup, y_sim)
 
     def _told(self, record: Trajectory) -> int:
-        """Inputs of the network: the record's, and value and slope of what is slower."""
-        return record.nu + (2 * record.ny if self.conditioned else 0)
+        """Inputs of the network that sees every sample.
+
+        The record's, of this sample and of the next one, and value and slope of what is slower.
+        """
+        return 2 * record.nu + (2 * record.ny if self.conditioned else 0)
 
 
 @final
@@ -299,12 +303,15 @@ class Split(_Banded):
         assert bands.downsampling is not None
         low = self.low.sized(record.ny, record.nu, settings.warmup)
         high = self.high.sized(record.ny, self._told(record), settings.warmup)
+        if bands.downsampling == 1:  # the slow network sees every sample as well
+            low = self.low.sized(record.ny, 2 * record.nu, settings.warmup)
         return models.Split(
             [low, high],
             bands.pair(record.sampling_rate),
             bands.downsampling,
             self.filter_output,
             self.conditioned,
+            record.nu > 0,
         )
 
     def _derived_name(self) -> str:
@@ -447,7 +454,7 @@ class Filtered(_Hybrid):
         bands = self._bands_for(record, settings)
         cell = self.cell.sized(record.ny, self._told(record), settings.warmup)
         pair = bands.one_way_pair(record.sampling_rate)
-        return models.Filtered(cell, pair, self.conditioned)
+        return models.Filtered(cell, pair, self.conditioned, record.nu > 0)
 
     def _derived_name(self) -> str:
         return self._parts_of_name("filtered")
@@ -478,7 +485,7 @@ class Residual(_Hybrid):
     def build(self, record: Trajectory, settings: Settings) -> Model:
         """See `Network`."""
         cell = self.cell.sized(record.ny, self._told(record), settings.warmup)
-        return models.Residual(cell, self.conditioned)
+        return models.Residual(cell, self.conditioned, record.nu > 0)
 
     def _derived_name(self) -> str:
         return self._parts_of_name("residual")

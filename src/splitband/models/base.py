@@ -272,6 +272,16 @@ def conditioning(
     return torch.cat([values, values[..., -1:, :]], dim=-2)
 
 
+def paired(u: Tensor) -> Tensor:
+    """Each row of the inputs with the next one behind it, `(..., time, 2 nu)`.
+
+    The step from n to n + 1 then knows the inputs of both samples, as it must where an input acts
+    on the output at once (direct feedthrough). The last row acts on no step.
+    """
+    following = torch.cat([u[..., 1:, :], u[..., -1:, :]], dim=-2)
+    return torch.cat([u, following], dim=-1)
+
+
 def beside(u: Tensor | None, given: Tensor) -> Tensor:
     """The known inputs, if any, and `given` behind them, as far as both go: `(..., time, n)`."""
     if u is None:
@@ -297,6 +307,25 @@ def _slope(x: Tensor, backward: bool) -> Tensor:
         steps = x.diff(dim=-2)
         return torch.cat([steps[..., :1, :], steps], dim=-2)
     return torch.gradient(x, dim=-2)[0]
+
+
+def inputs_of(cell: Cell, told: int, feedthrough: bool) -> int:
+    """The inputs of a model by those of its network, of which `told` come from the model itself.
+
+    Raises ValueError where the network has too few, or with feedthrough an odd number.
+    """
+    nu = cell.nu - told
+    if nu < 0:
+        raise ValueError(
+            f"a conditioned network must have at least 2 ny = {told} inputs, for the "
+            f"simulator's value and slope, got nu = {cell.nu}"
+        )
+    if feedthrough and nu % 2:
+        raise ValueError(
+            f"with feedthrough a network must have each input twice, of a sample and of the next, "
+            f"got nu = {nu}"
+        )
+    return nu // 2 if feedthrough else nu
 
 
 def as_module(cell: Cell) -> nn.Module:

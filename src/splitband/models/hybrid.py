@@ -17,6 +17,8 @@ from splitband.models.base import (
     as_module,
     beside,
     conditioning,
+    inputs_of,
+    paired,
     slope_scale,
 )
 from splitband.networks import Cell, rollout
@@ -31,19 +33,14 @@ class Hybrid(Model):
     conditioned : The network receives the simulator's output, value and slope of each channel, as
         known inputs behind its own: it has 2 ny more of them. Not in the paper, which names it as
         future work.
+    feedthrough : As for `Recurrent`.
     """
 
     slope_scale: Tensor
 
-    def __init__(self, cell: Cell, conditioned: bool = False) -> None:
-        nu = cell.nu - 2 * cell.ny if conditioned else cell.nu
-        if nu < 0:
-            raise ValueError(
-                f"a conditioned network must have at least 2 ny = {2 * cell.ny} inputs, for the "
-                f"simulator's value and slope, got nu = {cell.nu}"
-            )
-        super().__init__(cell.ny, nu)
-        self.cell, self.conditioned = cell, conditioned
+    def __init__(self, cell: Cell, conditioned: bool = False, feedthrough: bool = False) -> None:
+        super().__init__(cell.ny, inputs_of(cell, 2 * cell.ny * conditioned, feedthrough))
+        self.cell, self.conditioned, self.feedthrough = cell, conditioned, feedthrough
         self.register_buffer("slope_scale", torch.ones(cell.ny, dtype=torch.float64))
 
     def adapt_to(self, records: Sequence[Trajectory], normalize: bool = True) -> None:
@@ -53,7 +50,9 @@ class Hybrid(Model):
         self.slope_scale.copy_(slope_scale(simulated, driven=self.nu > 0))
 
     def _conditioned(self, known: Signals) -> Signals:
-        """The simulator's output among the known inputs, where the network wants it."""
+        """The inputs as the network wants them, with the simulator's output among them."""
+        if self.feedthrough and known.u is not None:
+            known = replace(known, u=paired(known.u))
         if not self.conditioned:
             return known
         # A simulator of a record with inputs may know them, as an FMU does.
@@ -74,10 +73,17 @@ class Filtered(Hybrid):
     pair : One-way filters, of which L + H = 1.
     conditioned : See `Hybrid`. What the high-pass filter takes from the network's output, it takes
         here too: its low band cannot move the prediction.
+    feedthrough : See `Hybrid`.
     """
 
-    def __init__(self, cell: Cell, pair: ComplementaryPair, conditioned: bool = False) -> None:
-        super().__init__(cell, conditioned)
+    def __init__(
+        self,
+        cell: Cell,
+        pair: ComplementaryPair,
+        conditioned: bool = False,
+        feedthrough: bool = False,
+    ) -> None:
+        super().__init__(cell, conditioned, feedthrough)
         if pair.zero_phase:
             raise ValueError("the hybrid model's pair must filter one way (zero_phase=False)")
         self.pair = pair

@@ -19,17 +19,26 @@ from splitband.models.base import (
     as_module,
     beside,
     conditioning,
+    inputs_of,
+    paired,
     slope_scale,
 )
 from splitband.networks import Cell, rollout
 
 
 class Recurrent(Model):
-    """One network on the whole band: the baseline (paper, Sec. 4.1)."""
+    """One network on the whole band: the baseline (paper, Sec. 4.1).
 
-    def __init__(self, cell: Cell) -> None:
-        super().__init__(cell.ny, cell.nu)
-        self.cell = cell
+    Parameters
+    ----------
+    cell : The network.
+    feedthrough : The step to a sample knows the inputs of that sample, too: the cell has twice the
+        model's inputs, see `base.paired`. The paper has no inputs.
+    """
+
+    def __init__(self, cell: Cell, feedthrough: bool = False) -> None:
+        super().__init__(cell.ny, inputs_of(cell, 0, feedthrough))
+        self.cell, self.feedthrough = cell, feedthrough
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """The network's free run."""
@@ -40,7 +49,8 @@ class Recurrent(Model):
         return [Task("network", as_module(self.cell), record, record.y, self._simulate)]
 
     def _simulate(self, known: Signals, steps: int) -> Tensor:
-        return rollout(self.cell, known.y, steps, known.u)
+        u = paired(known.u) if self.feedthrough and known.u is not None else known.u
+        return rollout(self.cell, known.y, steps, u)
 
 
 class Split(Model):
@@ -66,6 +76,7 @@ class Split(Model):
         one way only.
     conditioned : Each network but the slowest receives what the slower bands predict, value and
         slope of each channel, as known inputs behind its own; it has 2 ny more of them.
+    feedthrough : As for `Recurrent`, of the networks that see every sample.
 
     Raises
     ------
@@ -83,20 +94,23 @@ class Split(Model):
         downsampling: int | Sequence[int] = 2,
         filter_output: bool = False,
         conditioned: bool = False,
+        feedthrough: bool = False,
     ) -> None:
         slower = len(networks) - 1
         if slower < 1:
             raise ValueError(f"networks must be two at least, got {len(networks)}")
-        super().__init__(networks[0].ny, networks[0].nu)
-        self.networks = nn.ModuleList(as_module(network) for network in networks)
-        self.pairs = [pairs] if isinstance(pairs, ComplementaryPair) else [*pairs]
         factors = (
             [downsampling] * slower
             if isinstance(downsampling, int)
             else [int(k) for k in downsampling]
         )
+        at_once = feedthrough and factors[:1] == [1]  # the slowest network sees every sample, too
+        super().__init__(networks[0].ny, inputs_of(networks[0], 0, at_once))
+        self.networks = nn.ModuleList(as_module(network) for network in networks)
+        self.pairs = [pairs] if isinstance(pairs, ComplementaryPair) else [*pairs]
         self.downsampling = factors
         self.filter_output, self.conditioned = filter_output, conditioned
+        self.feedthrough = feedthrough
         self.register_buffer("slope_scale", torch.ones(slower, self.ny, dtype=torch.float64))
         if not len(self.pairs) == len(factors) == slower:
             raise ValueError(
@@ -179,7 +193,10 @@ class Split(Model):
         k, warmup = self._factor(band), known.y.shape[1]
         offset = warmup % k
         history = self._band_of(band, known.y)
-        u = None if known.u is None else _mean_before(known.u, k, offset)
+        u = known.u
+        if u is not None:
+            at_once = self.feedthrough and k == 1
+            u = paired(u) if at_once else _mean_before(u, k, offset)
         if self.conditioned and slower is not None:
             whole = torch.cat([self.pairs[band - 1].lowpass(known.y), slower], dim=1)
             scale = self.slope_scale[band - 1]
@@ -210,7 +227,14 @@ class Split(Model):
 
     def _check_channels(self, networks: Sequence[Cell]) -> None:
         more = 2 * self.ny if self.conditioned else 0
-        wanted = [(self.ny, self.nu + (more if band else 0)) for band in range(len(networks))]
+        wanted = [
+            (
+                self.ny,
+                self.nu * (2 if self.feedthrough and self._factor(band) == 1 else 1)
+                + (more if band else 0),
+            )
+            for band in range(len(networks))
+        ]
         found = [(network.ny, network.nu) for network in networks]
         if found != wanted:
             raise ValueError(

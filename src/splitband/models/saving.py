@@ -84,14 +84,16 @@ _SCHEMA: dict[type, dict[str, Kind]] = {
         "b_low": _NUMBERS, "b_high": _NUMBERS, "a": _NUMBERS, "sampling_rate": _NUMBER,
         "cutoff": _NUMBER_OR_NONE, "zero_phase": _FLAG, "start": _WORD,
     },
-    Recurrent: {"cell": _PART},
+    Recurrent: {"cell": _PART, "feedthrough": _FLAG},
     Split: {
         "networks": _PARTS, "pairs": _PARTS, "downsampling": _FACTORS, "filter_output": _FLAG,
-        "conditioned": _FLAG,
+        "conditioned": _FLAG, "feedthrough": _FLAG,
     },
-    Filtered: {"cell": _PART, "pair": _PART, "conditioned": _FLAG},
-    Residual: {"cell": _PART, "conditioned": _FLAG},
+    Filtered: {"cell": _PART, "pair": _PART, "conditioned": _FLAG, "feedthrough": _FLAG},
+    Residual: {"cell": _PART, "conditioned": _FLAG, "feedthrough": _FLAG},
 }  # fmt: skip
+_ADDED_LATER = {"feedthrough": False}
+"""Arguments that models saved by 0.1.0 do not have, and what they were."""
 
 
 def save(model: Model, folder: str | Path, facts: Mapping[str, Any] | None = None) -> None:
@@ -287,6 +289,8 @@ def _build(value: Any, known: Mapping[str, Callable[..., Any]]) -> Any:
     if make is None:
         raise ValueError(f"unknown type {value['type']!r}; pass its constructor in `cells`")
     if isinstance(make, type) and make in _SCHEMA:
+        later = {k: v for k, v in _ADDED_LATER.items() if k in _SCHEMA[make]}
+        arguments = later | arguments
         _check(make.__name__, arguments, _SCHEMA[make])
     return make(**{k: _build(v, known) for k, v in arguments.items()})
 
