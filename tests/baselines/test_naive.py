@@ -128,6 +128,20 @@ def test_the_period_of_several_channels_is_common_to_all() -> None:
     assert model.period.shape == (15, 2)
 
 
+@pytest.mark.parametrize("units", [(1.0, 1.0), (1.0, 1000.0), (0.001, 1.0), (1000.0, 1.0)])
+def test_the_period_does_not_depend_on_the_unit_of_a_channel(units: tuple[float, float]) -> None:
+    """One channel repeats itself every 12 samples, and the other one is noise."""
+    season = repeated(one_period("random", 12), 0, 300) + 0.1 * noise(300, 1, seed=1)
+    y = np.hstack([season / season.std(), noise(300, 1, seed=2)])
+    assert SeasonalNaive.fit(y * units).lag % 12 == 0
+
+
+def test_a_channel_measured_once_does_not_choose_the_period() -> None:
+    season = repeated(one_period("random", 12), 0, 300) + 0.1 * noise(300, 1, seed=1)
+    once = np.where(np.arange(300)[:, None] == 299, 1.0, np.nan)
+    assert SeasonalNaive.fit(np.hstack([season, once])).lag % 12 == 0
+
+
 @pytest.mark.parametrize("level", [0.0, 0.01])
 def test_a_smooth_oversampled_signal_does_not_get_a_tiny_lag(level: float) -> None:
     period = 500

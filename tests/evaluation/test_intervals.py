@@ -10,7 +10,10 @@ import numpy.typing as npt
 import pytest
 import scipy
 
+from splitband.data import Trajectory
+from splitband.evaluation.setup import default_setup
 from splitband.forecasters.intervals import FARTHEST, Interval
+from tests.support import compare, settled, try_out
 
 Array = npt.NDArray[np.float64]
 RECORD = np.random.default_rng(0).standard_normal((2000, 1)) * 50
@@ -180,12 +183,29 @@ def test_no_errors_are_named(none: list[Array]) -> None:
         Interval.fit(none, RECORD)
 
 
-def test_a_forecast_that_changed_has_a_wider_interval() -> None:
-    interval = Interval((0, 100), ((1.0, 2.0), (3.0, 2.0)), (None, None))
-    change = np.concatenate([np.full((10, 2), [0.0, 3.0]), np.full((30, 2), [0.0, 4.0])])
+def test_a_forecast_that_changed_by_more_than_its_errors_has_a_wider_interval() -> None:
+    interval = Interval((0, 100), ((1.0, 2.0), (30.0, 2.0)), (None, None))
+    change = np.concatenate([np.full((10, 2), [1.0, 3.0]), np.full((30, 2), [1.0, 4.0])])
     wider = interval.widened(change)
     # By the root of the mean squared change so far; after the last one known, of all.
     of_all = np.sqrt((10 * 9 + 30 * 16) / 40)
-    expected = [[1.0, np.hypot(2, NORMAL * 3)], [3.0, np.hypot(2, NORMAL * of_all)]]
+    expected = [[NORMAL, NORMAL * 3], [30.0, NORMAL * of_all]]
     np.testing.assert_allclose(wider.half_width, expected)
     assert interval.widened(np.zeros((0, 2))) == interval
+
+
+def test_noise_that_a_forecast_repeats_is_counted_once() -> None:
+    """Seasonal-naive's error holds the noise twice, and so does its change with the last period."""
+    inside, widths = [], []
+    for seed in range(4):
+        y = SEASON + 0.2 * np.random.default_rng(seed).standard_normal(1000)
+        record = Trajectory(y[:, None], 0.1)
+        setup = default_setup(record, 400)
+        runs = compare(record, ["seasonal-naive"], setup)
+        found = settled(try_out(record, ["seasonal-naive"], setup), runs)
+        interval = found.intervals["seasonal-naive"]
+        left = record.y[400:] - runs["seasonal-naive"][0].ahead
+        inside.append(interval.coverage(left))
+        widths.append(interval.half_widths(600).mean() / np.quantile(abs(left), 0.9))
+    assert 0.85 <= np.mean(inside) <= 0.95
+    assert np.mean(widths) <= 1.3

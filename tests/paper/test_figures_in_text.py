@@ -94,7 +94,7 @@ def _compared() -> Iterator[Quote]:
         elif facts["change"] == 0:
             cells = "| {} | {:.3f} | {:.0f} | {:.3f} | {:.3f} | {:.0f} % |"
         figures = (facts["held_out_rmse"], facts["change"], facts["total_rmse_mean"],
-                   facts["forecast_rmse_mean"], 100 * facts["band"]["covers"])  # fmt: skip
+                   facts["forecast_rmse_mean"], 100 * facts["interval"]["covers"])  # fmt: skip
         yield Quote(README, cells, (name, *figures))
     best = of["filtered-gru-calibrated-conditioned"]
     yield Quote(README, "simulator below {:.2f} Hz, network above",

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import scipy
 
 from splitband.baselines.trend import Trend, described, find, trending
+from splitband.metrics import spread
 
 Array = npt.NDArray[np.float64]
 
@@ -64,20 +65,22 @@ def last_period(y: Array) -> Array:
     """The last period of `y` `(time, ny)`, `(lag, ny)`, of the lag that fits best, see `fit`."""
     found = {lag: _last_period(y, lag) for lag in sorted(self_similar_lags(y))}
     # A period and its multiples tie up to rounding: the shortest one is meant.
-    least = min(error for _, error in found.values())
-    good_enough = least * (1 + 1e-9) + 1e-24 * float(np.nanmean(y**2))
-    return next(period for period, error in found.values() if error <= good_enough)
+    negligible = np.maximum(1e-24 * np.nanmean(y**2, axis=0), np.finfo(np.float64).tiny)
+    errors = {lag: np.log(error + negligible).sum() for lag, (_, error) in found.items()}
+    good_enough = min(errors.values()) + 1e-9 * y.shape[1]
+    return next(period for lag, (period, _) in found.items() if errors[lag] <= good_enough)
 
 
 def self_similar_lags(y: Array, most: int = 200) -> list[int]:
     """Lags at which the mean of (y_n - y_{n+lag})^2 has a local minimum, the least one first.
 
-    They are half of `y` at most. The mean is over pairs of measured samples; channels are added.
+    They are half of `y` at most. The mean is over pairs of measured samples; channels are added,
+    each in units of its variance.
     """
     n = len(y)
     lags = np.arange(1, n // 2 + 1)
     difference, doubtful = np.zeros(len(lags)), np.zeros(len(lags), dtype=np.bool_)
-    for channel in y.T:
+    for channel in (y / spread(y)).T:
         measured = (~np.isnan(channel)).astype(np.float64)
         centred = np.nan_to_num(channel - np.nanmean(channel))
         # (a - b)^2 = a^2 - 2 a b + b^2, each term a correlation.
@@ -117,13 +120,18 @@ def all_around(period: Array) -> Array:
     return found
 
 
-def _last_period(y: Array, lag: int) -> tuple[Array, float]:
-    """The last measured sample at each phase, and its mean squared error for all earlier ones."""
+def _last_period(y: Array, lag: int) -> tuple[Array, Array]:
+    """The last measured sample at each phase, `(lag, ny)`, and their mean squared errors, `(ny,)`.
+
+    The errors are those for all earlier samples; a channel without any has its variance.
+    """
     by_season = seasons(y, lag)
     count = len(by_season)
     last = count - 1 - (~np.isnan(by_season))[::-1].argmax(axis=0)
     period = np.take_along_axis(by_season, last[None], axis=0)[0]
     errors = by_season - period
     errors[np.arange(count)[:, None, None] >= last] = np.nan
-    compared = len(errors.ravel()) - np.count_nonzero(np.isnan(errors))
-    return all_around(period), float(np.nansum(errors**2) / compared) if compared else np.inf
+    compared = (~np.isnan(errors)).sum(axis=(0, 1))
+    error = np.nanvar(y, axis=0)
+    np.divide(np.nansum(errors**2, axis=(0, 1)), compared, out=error, where=compared > 0)
+    return all_around(period), error

@@ -73,11 +73,14 @@ class Trial:
         """With what the methods forecast after all, out of which one is recommended.
 
         The held-out part is short: a method may do well there and not know what comes much later.
-        Then its forecast changes once it has seen all of the training part, and its interval is
-        wider.
+        Then its forecast changes once it has seen all of the training part, by more than its errors
+        explain, and its interval becomes wider. A smaller change holds the same errors once more,
+        the noise that both forecasts repeat for instance, and widens nothing.
         """
         final = {name: y for name, y in final.items() if name in self.early}
-        intervals = {m: self.intervals[m].widened(final[m] - self.early[m]) for m in final}
+        part = float(np.sqrt(CHANGE_COUNTS))
+        changes = {name: part * (final[name] - self.early[name]) for name in final}
+        intervals = {name: self.intervals[name].widened(by) for name, by in changes.items()}
         return replace(self, final=final, intervals=intervals, failed={**self.failed, **failed})
 
     def change(self, method: str) -> float:

@@ -84,15 +84,15 @@ class Interval:
         return cls(tuple(map(int, horizon)), half_width, most, share)
 
     def widened(self, change: Array) -> Interval:
-        """For a method whose forecast changed by `change` `(time, ny)` when it had seen more.
+        """At least as wide as errors of the size of `change` `(time, ny)`, by horizon, call for.
 
-        The root of the mean squared change up to a horizon counts as a deviation of its own.
+        Their deviation at a horizon is the root of their mean square up to it.
         """
         if not len(change):
             return self
         deviation = np.sqrt(np.cumsum(change**2, axis=0) / np.arange(1, len(change) + 1)[:, None])
-        more = _quantile(self.share) * deviation[np.minimum(self.horizon, len(change) - 1)]
-        widths = np.hypot(self.half_width, more)
+        least = _quantile(self.share) * deviation[np.minimum(self.horizon, len(change) - 1)]
+        widths = np.maximum(self.half_width, least)
         return replace(self, half_width=tuple(tuple(map(float, row)) for row in widths))
 
     def half_widths(self, steps: int) -> Array:
