@@ -28,7 +28,7 @@ README, DEVIATIONS = "README.md", "docs/deviations.md"
 
 NO_RESULT = (
     "Python 3.11 or newer",
-    "cutoff=0.5",
+    "level=0.9",
 )
 """What looks like a figure in README.md and is none."""
 
