@@ -55,6 +55,9 @@ MADE: dict[str, Callable[[], Forecaster]] = {
     "residual, simulator of its own": lambda: sb.Residual(recorded(), GRU(3), settings=SETTINGS),
     "simulator of its own": lambda: sb.Simulation(recorded(), calibrated=True),
     "filtered linear": lambda: sb.Filtered(sb.Linear(), GRU(3), BANDS, settings=SETTINGS),
+    "residual of a residual": lambda: sb.Residual(
+        sb.Residual(None, GRU(3), settings=SETTINGS), GRU(3), settings=SETTINGS
+    ),
     "ensemble": lambda: sb.Ensemble(sb.Single(GRU(3), SETTINGS), 2),
     "ensemble of hybrids": lambda: sb.Ensemble(
         sb.Filtered(recorded(), GRU(3), BANDS, calibrated=True, settings=SETTINGS), 2

@@ -19,7 +19,7 @@ from splitband import models
 from splitband.data import Trajectory
 from splitband.data.gaps import first_after, last_before
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.base import FitReport, Forecaster, Known
+from splitband.forecasters.base import FitReport, Forecaster, Known, total
 from splitband.forecasters.simulation import Simulation
 from splitband.models import Model
 from splitband.networks import Cell
@@ -136,7 +136,7 @@ class Network(Forecaster):
     ) -> None:
         """See `Forecaster`."""
         settings = self.settings = self._settings_for(records[0])
-        seen = self._seen(records, horizon)
+        seen = self._seen(records, seed, horizon)
         self._decide(seen[0], settings)
         self.model = self._built(seen[0], settings, seed).to(self.device)
         history = fit(self.model, seen, settings, seed, progress, checkpoint)
@@ -160,7 +160,23 @@ class Network(Forecaster):
         """See `Forecaster`."""
         return "; ".join(self.require_fitted().report.notes)
 
-    def _seen(self, records: Sequence[Trajectory], horizon: int) -> list[Trajectory]:
+    def trajectory(self, known: Known) -> Array:
+        """Over the history, too, `(time + steps, ny)`: a free run from its first warm-up on.
+
+        With it a network can hold the slow part of another one. Before the run begins it is what
+        was measured.
+        """
+        complete = np.asarray(~np.isnan(known.y).any(axis=1))
+        start = first_after(complete, self.warmup)
+        if start is None or not complete[:start].all():
+            raise ValueError(
+                f"history must begin with {self.warmup} measured samples for {self.name}"
+            )
+        steps = len(known.y) + known.steps - start
+        begun = Known(known.y[:start], steps, known.begin, known.u, known.y_sim)
+        return np.concatenate([known.y[:start], total([*self.extrapolate(begun).values()])])
+
+    def _seen(self, records: Sequence[Trajectory], seed: int, horizon: int) -> list[Trajectory]:
         """The records as the model learns from them."""
         return [*records]
 
@@ -391,16 +407,28 @@ class _Hybrid(_Banded):
             said = f"simulator: {self.base.calibration}" if self.base.calibrated else ""
         return "; ".join(filter(None, [said, super().describe()]))
 
-    def _seen(self, records: Sequence[Trajectory], horizon: int) -> list[Trajectory]:
+    def with_defaults(self, settings: Settings, bands: Bands) -> Self:
+        """See `Forecaster`."""
+        new = super().with_defaults(settings, bands).copy()
+        new.base = self.base.with_defaults(settings, bands)
+        return new
+
+    def for_fewer_samples(self, share: float) -> Self:
+        """See `Forecaster`."""
+        new = super().for_fewer_samples(share).copy()
+        new.base = self.base.for_fewer_samples(share)
+        return new
+
+    def _seen(self, records: Sequence[Trajectory], seed: int, horizon: int) -> list[Trajectory]:
         """The records with the slow part as their simulator's output."""
-        self.base.fit(*records, horizon=horizon)
+        self.base.fit(*records, seed=seed, horizon=horizon)
         if isinstance(self.base, Simulation):
             seen = [self.base.on(record) for record in records]
         elif len(records) > 1:
             raise ValueError(f"several records need a simulator, the base is {self.base.name}")
         else:
             record = records[0]
-            known = Known(record.seen, 0, 0.0, record.u)
+            known = Known(record.seen, 0, 0.0, record.u, record.y_sim)
             seen = [replace(record, y_sim=self._slow(known), beyond=None)]
         return seen
 

@@ -44,6 +44,8 @@ from splitband.training import Settings
 
 FORMAT = 1
 FILE = "forecaster.json"
+BASE = "base"
+"""Folder of a network that holds the slow part of another one."""
 SHORT = 20_000
 """Samples of a training record with a simulator that is saved as a whole."""
 _PLAIN = (
@@ -83,6 +85,8 @@ def save(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     description = {"format": FORMAT, "forecaster": _encode(forecaster)}
+    if (base := _network_below(forecaster)) is not None:
+        save(base, folder / BASE)
     if isinstance(forecaster, Network):
         assert forecaster.model is not None
         models.save(forecaster.model, folder, {**(facts or {}), **description})
@@ -135,6 +139,8 @@ def load(
         raise ValueError(f"{folder} holds no forecaster, but {type(found).__name__}")
     if isinstance(found, Network):
         found.model = model
+    if isinstance(found, Filtered | Residual) and not hasattr(found, "base"):
+        found.base = load(folder / BASE, simulator, classes)
     if isinstance(found, Ensemble):
         found.members = [
             load(folder / f"member-{i}", simulator, classes) for i in range(found.count)
@@ -165,11 +171,19 @@ def _end(forecaster: Forecaster) -> Fitted:
     return replace(fitted, record=end, begin=fitted.begin + first, others=(), report=report)
 
 
+def _network_below(forecaster: Forecaster) -> Forecaster | None:
+    """What holds the slow part of a network, where it has weights of its own."""
+    base = getattr(forecaster, "base", None)
+    return base if isinstance(base, Network | Ensemble) else None
+
+
 def _apart(forecaster: Forecaster) -> set[str]:
     """Attributes that are not saved with the others."""
     left = {"fitted"}
     if isinstance(forecaster, Network):
         left.add("model")
+    if _network_below(forecaster) is not None:
+        left.add("base")
     return left | {"members"} if isinstance(forecaster, Ensemble) else left
 
 
