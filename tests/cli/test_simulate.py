@@ -103,5 +103,4 @@ def test_future_inputs_drive_a_model_that_has_inputs(driven_model: Path, tmp_pat
     plain, strong = (written(tmp_path / f"to-{name}.csv") for name in ("future", "strong"))
     expected = load(driven_model)[0].simulate(A[40:50, None], 20, FORCE[40:70, None])
     np.testing.assert_allclose(plain[["a"]], expected, atol=1e-6)
-    assert plain["a"][0] == strong["a"][0]  # an input acts from one sample to the next
-    assert np.abs(plain["a"] - strong["a"])[1:].max() > 1e-3
+    assert np.abs(plain["a"] - strong["a"])[0] > 1e-3  # an input acts on its own sample already

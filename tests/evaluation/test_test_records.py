@@ -36,7 +36,7 @@ def compared(*methods: sb.Forecaster, seeds: int = 1) -> sb.Comparison:
 
 @pytest.fixture(scope="module")
 def usual() -> sb.Comparison:
-    methods = [sb.Single(sb.GRU(4)), sb.Linear(), sb.Persistence(), sb.Mean(), sb.Harmonic()]
+    methods = [sb.Single(sb.GRU(4)), sb.Linear(), sb.Persistence(), sb.Mean(), sb.SeasonalNaive()]
     return compared(*methods, seeds=2)
 
 
@@ -69,8 +69,8 @@ def test_the_last_sample_of_the_warm_up_is_held_and_the_training_mean_kept(
 def test_what_goes_on_in_the_time_of_the_training_record_is_left_out_by_name(
     usual: sb.Comparison,
 ) -> None:
-    assert usual.left_out == ["harmonic"]
-    assert usual.runs["harmonic"][0].tests == ()
+    assert usual.left_out == ["seasonal-naive"]
+    assert usual.runs["seasonal-naive"][0].tests == ()
 
 
 def test_a_hybrid_model_needs_the_simulator_of_the_test_record() -> None:
@@ -115,7 +115,7 @@ def test_the_files_hold_an_entry_for_each_seed_and_test(
         facts["methods"]["linear"]["mean_of_seeds"]["test_rmse"]
         == (facts["methods"]["linear"]["test_rmse"][0])
     )
-    assert "test_rmse" not in facts["methods"]["harmonic"]
+    assert "test_rmse" not in facts["methods"]["seasonal-naive"]
     assert "forecast_rmse" not in gru
     assert [test["name"] for test in facts["tests"]] == ["rig 1", "rig 2"]
     assert {path.name for path in tmp_path.iterdir()} >= {"rollouts.png", "error.png"}

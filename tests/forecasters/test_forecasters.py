@@ -164,9 +164,10 @@ def test_no_forecast_depends_on_a_measured_sample_after_its_origin(name: str) ->
 @pytest.mark.parametrize("name", ["gru", "split-gru", "filtered-rnn-conditioned", "ensemble"])
 def test_a_seed_says_what_the_first_weights_are(name: str) -> None:
     """Whatever torch's own generator is at, and without moving it."""
+    untrained = MADE[name]()
     torch.manual_seed(123)
     before = torch.get_rng_state()
-    again = MADE[name]().fit(record()[:TRAIN], seed=1, horizon=LENGTH - TRAIN)
+    again = untrained.fit(record()[:TRAIN], seed=1, horizon=LENGTH - TRAIN)
     assert torch.equal(torch.get_rng_state(), before)
     other = MADE[name]().fit(record()[:TRAIN], seed=5, horizon=LENGTH - TRAIN)
     expected = fitted(name).predict(STEPS).y

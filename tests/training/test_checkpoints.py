@@ -13,7 +13,7 @@ from splitband.evaluation.setup import Setup
 from splitband.models import Model
 from splitband.training import History, Progress, fit
 from splitband.training.checkpoints import Checkpoint, key_of
-from splitband.training.fit import MOST_RESTARTS, _Training
+from splitband.training.loop import MOST_RESTARTS, _Training
 from tests.models.test_models import QUICK, SETUP, TRAIN, record
 from tests.support import untrained
 
@@ -200,7 +200,7 @@ def test_a_training_that_always_diverges_is_given_up(monkeypatch: pytest.MonkeyP
         passes.append(1)
         return 1e9
 
-    monkeypatch.setattr("splitband.training.fit._Training._pass", exploding)
+    monkeypatch.setattr("splitband.training.loop._Training._pass", exploding)
     with pytest.raises(FloatingPointError, match=r"diverged in epoch 1: the loss is 1e\+09"):
         trained()
     assert len(passes) == MOST_RESTARTS + 1

@@ -292,6 +292,8 @@ class Forecaster(ABC):
         fitted = self.require_fitted()
         if steps < 1:
             raise ValueError(f"steps must be at least 1, got {steps}")
+        if level is not None and not 0 < level < 1:
+            raise ValueError(f"level must be between 0 and 1, got {level}")
         known, past = self._known(steps, history, u, y_sim)
         if other_record:
             if self.anchored:

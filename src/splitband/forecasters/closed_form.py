@@ -78,7 +78,7 @@ class _ByTime(Forecaster):
 
     def extrapolate(self, known: Known) -> Array:
         """See `Forecaster`."""
-        return self.trajectory(known)[len(known.y) :]
+        return self.baseline.predict(_whole(known.begin) + len(known.y), known.steps)
 
     def trajectory(self, known: Known) -> Array:
         """Over the history, too, `(time + steps, ny)`."""
@@ -98,10 +98,6 @@ class SeasonalNaive(_ByTime):
     def fit_to(self, y: Array) -> ByTime:
         """See `baselines.seasonal`."""
         return LastPeriod.fit(y)
-
-    def extrapolate(self, known: Known) -> Array:
-        """See `Forecaster`."""
-        return self.baseline.predict(_whole(known.begin) + len(known.y), known.steps)
 
 
 @final

@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+import torch
+
 from splitband.forecasters.bands import LARGEST_SIZE
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.closed_form import (
@@ -116,7 +118,9 @@ def named(name: str, sizes: Sizes | None = None) -> Forecaster:
     """The forecaster of a name; raises ValueError for an unknown one."""
     if name not in NAMES:
         raise ValueError(f"methods must be out of {', '.join(NAMES)}, got {name}")
-    return NAMES[name](sizes or Sizes())
+    # A template has weights that nobody uses; drawing them must not move the user's generator.
+    with torch.random.fork_rng(devices=[]):
+        return NAMES[name](sizes or Sizes())
 
 
 def base(name: str) -> str:

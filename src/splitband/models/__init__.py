@@ -1,6 +1,6 @@
 """Models of a record: what is trained, and how it simulates from a warm-up.
 
-A model says which networks it has and what each must reproduce (`tasks`); `training.fit` knows
+A model says which networks it has and what each must reproduce (`tasks`); `training.loop` knows
 nothing more. Training and simulation go through the same methods, so a network meets in training
 just what it will meet in use.
 """
