@@ -77,6 +77,16 @@ def seeded() -> None:
     torch.manual_seed(0)
 
 
+@pytest.fixture(autouse=True)
+def few_sinusoids(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands and comparisons fit baselines again and again: here with fewer sinusoids.
+
+    What harmonic regression does with all of them is tested in `tests/baselines`.
+    """
+    if request.path.parent.name in ("cli", "data", "evaluation"):
+        monkeypatch.setattr("splitband.baselines.harmonic.MOST_SINUSOIDS", 2)
+
+
 @pytest.fixture(scope="session")
 def public_data() -> Path:
     """The folder of the public records, where there is one."""

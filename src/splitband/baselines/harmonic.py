@@ -17,6 +17,8 @@ from splitband.baselines.trend import Shape, described, find
 
 Array = npt.NDArray[np.float64]
 
+MOST_SINUSOIDS = 10
+"""Of a channel, where nobody says how many."""
 STRONG_EVIDENCE = 6.0
 """By how much the information criterion must prefer decays to sinusoids that go on for ever. Where
 two of these beat more slowly than the record is long, decays may be worse by as much: such a pair
@@ -42,9 +44,9 @@ class HarmonicRegression:
 
         A trend is kept where it pays on held-out samples (`trend.find`). Sinusoids are added one by
         one at the peak of the residual's spectrum and then moved together to the least squares. By
-        default as many as the Bayesian information criterion is willing to pay for, at most 10.
-        With `damped` each may decay where that pays too, as the free vibrations of a driven system
-        do. Of a long record the last `naive.LONGEST` samples are fitted.
+        default as many as the Bayesian information criterion is willing to pay for, at most
+        `MOST_SINUSOIDS`. With `damped` each may decay where that pays too, as the free vibrations
+        of a driven system do. Of a long record the last `naive.LONGEST` samples are fitted.
         """
         begin, y = recent(y)
         return cls(tuple(_fit_channel(channel, sinusoids, damped) for channel in y.T), begin)
@@ -80,7 +82,9 @@ def _fit_channel(y: Array, sinusoids: int | None, damped: bool) -> Modes:
 def _greedy(y: Array, sinusoids: int | None, damping: float, shape: Shape | None) -> Modes:
     """Add sinusoids one by one; each begins with `damping`, which stays if it is zero."""
     n = len(known(y))
-    most = min(10 if sinusoids is None else sinusoids, max((n - 2) // (4 if damping else 3), 0))
+    most = min(
+        MOST_SINUSOIDS if sinusoids is None else sinusoids, max((n - 2) // (4 if damping else 3), 0)
+    )
     modes = best = Modes.none(y, shape).refined(y)
     for _ in range(most):
         modes = modes.with_another(y, damping)
