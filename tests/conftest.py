@@ -83,7 +83,7 @@ def few_sinusoids(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatc
 
     What harmonic regression does with all of them is tested in `tests/baselines`.
     """
-    if request.path.parent.name in ("cli", "data", "evaluation"):
+    if request.path.parent.name in ("cli", "data", "evaluation", "forecasters"):
         monkeypatch.setattr("splitband.baselines.harmonic.MOST_SINUSOIDS", 2)
 
 

@@ -1,6 +1,7 @@
 """Imports point downwards only, as the layout says."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import splitband
@@ -43,6 +44,7 @@ def module_of(path: Path) -> str:
     return path.relative_to(SOURCE).parts[0].removesuffix(".py")
 
 
+@cache
 def imports(path: Path) -> set[str]:
     """What a file imports when it runs, which what is for type checkers alone does not."""
     found: set[str] = set()

@@ -238,7 +238,7 @@ def test_clean_sinusoids_are_counted() -> None:
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3])
 def test_sinusoids_in_noise_are_counted(count: int) -> None:
-    draws = 10
+    draws = 5
     found = []
     for seed in range(draws):
         y = Tones(count, 250, seed)(0, 250) + 0.2 * noise(250, 1, seed=seed + 1000)

@@ -13,6 +13,7 @@ from splitband import Bands, Settings, Setup, Trajectory
 from splitband.metrics import rmse
 
 DT, TRAIN, WARMUP = 0.1, 160, 12
+pytestmark = pytest.mark.xdist_group("test records")  # they share a comparison
 QUICK = Settings(40, WARMUP, 1, 16)
 SETUP = Setup(TRAIN, QUICK, Bands(0.6, 1, 2))
 
