@@ -247,3 +247,12 @@ def test_comparing_in_processes_gives_the_numbers_of_comparing_in_one() -> None:
             # Not to the bit: torch rounds some sums by where in memory their terms lie.
             assert a.total_rmse == pytest.approx(b.total_rmse, rel=1e-6)
             np.testing.assert_allclose(a.ahead, b.ahead, rtol=1e-5, atol=1e-6)
+
+
+def test_a_network_that_has_learned_nothing_is_said_to_be_so() -> None:
+    """At a learning rate that moves no weight; at a usual one it learns."""
+    changes = {"epochs": 40, "window": 40}
+    stuck = fitted(0, "gru", learning_rate=1e-9, **changes)[1]
+    assert len(stuck.notes) == 1
+    assert "network: nothing was learned: " in stuck.notes[0]
+    assert fitted(0, "gru", learning_rate=1e-2, **changes)[1].notes == []

@@ -24,6 +24,11 @@ DIVERGED = 100.0
 that is treated as divergence."""
 
 
+UNLEARNED = 0.9
+"""Loss, in multiples of the target's RMS, from which on a network has learned nothing: as much is
+left when it predicts the mean."""
+ENOUGH_STEPS = 100
+"""Gradient steps before which nobody expects it to have learned anything."""
 MOST_RESTARTS = 3
 """Times that an epoch which diverged is repeated, each time with half the learning rate, before
 the training is given up."""
@@ -163,10 +168,22 @@ class _Training:
     @property
     def notes(self) -> list[str]:
         """What a user should know."""
-        return [
+        said = [
             f"the loss diverged in epoch {epoch}, repeated with half the learning rate"
             for epoch in self.restarts
         ]
+        share = self.losses[-1] / self.target_rms
+        if share > UNLEARNED and self.steps() >= ENOUGH_STEPS:
+            said.append(f"nothing was learned: {share:.0%} of the signal is left in training")
+        return said
+
+    def steps(self) -> int:
+        """Gradient steps so far."""
+        windows, settings = len(self.starts), self.settings
+        batches = -(-windows // settings.batch_size)
+        if settings.most_batches is not None:
+            batches = min(batches, settings.most_batches)
+        return batches * len(self.losses)
 
     def state(self) -> State:
         """All that the next epoch depends on, and the losses so far."""
