@@ -72,7 +72,11 @@ def rollouts(comparison: Comparison) -> Figure:
     end, times = comparison.setup.train, _times(record)
     for axes, (name, channel) in zip(grid, rows, strict=True):
         warmup = comparison.setup.settings_of(name).warmup
-        for ax, side in zip(axes, _sides(comparison, name, ahead), strict=False):
+        sides = _sides(comparison, name, ahead)
+        for ax in axes[len(sides) :]:  # it has nothing to say about test records
+            ax.set_axis_off()
+            ax.text(0.01, 0.5, f"{name}: not tested", transform=ax.transAxes, fontsize=9)
+        for ax, side in zip(axes, sides, strict=False):
             _draw_side(ax, side, channel, warmup, _color(runs, name))
             chosen = trial is not None and name == trial.recommended
             error = by_channel(side.record, side.y)[channel]
