@@ -11,30 +11,15 @@ import scipy.signal
 import torch
 from torch import Tensor, nn
 
-from splitband import GRU, ComplementaryPair, EulerMLP, Settings, Trajectory
-from splitband.evaluation.setup import Setup
+from splitband import GRU, ComplementaryPair, EulerMLP, Trajectory
 from splitband.filters import butterworth
 from splitband.forecasters.backtest import Origin, first_origin
-from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import NAMES as METHODS
-from splitband.forecasters.names import TRAINED, Sizes
+from splitband.forecasters.names import TRAINED
 from splitband.models import Filtered, Model, Recurrent, Residual, Signals, Split
 from splitband.training import fit
+from tests.records import DT, LENGTH, SETUP, TRAIN, WARMUP, record
 from tests.support import asked, untrained, with_other_samples
-
-DT, WARMUP, TRAIN, LENGTH = 0.1, 12, 90, 140
-QUICK = Settings(window=40, warmup=WARMUP, epochs=1, batch_size=16)
-SETUP = Setup(TRAIN, QUICK, bands=Bands(0.6, 2, 2), sizes=Sizes(hidden_high=5, hidden_low=3))
-
-
-def record(ny: int = 1, nu: int = 0, seed: int = 0) -> Trajectory:
-    rng = np.random.default_rng(seed)
-    t = DT * np.arange(LENGTH)[:, None]
-    phase = rng.uniform(0, 6, (2, ny))
-    y = np.sin(2 * np.pi * 0.2 * t + phase[0]) + 0.4 * np.sin(2 * np.pi * 1.1 * t + phase[1])
-    y_sim = 0.8 * np.sin(2 * np.pi * 0.2 * t + phase[0]) + 0.3
-    u = rng.standard_normal((LENGTH, nu)) if nu else None
-    return Trajectory(y + 0.05 * rng.standard_normal(y.shape), DT, u=u, y_sim=y_sim)
 
 
 def y_sim_of(trajectory: Trajectory) -> npt.NDArray[np.float64]:

@@ -14,7 +14,7 @@ from splitband.models import Model
 from splitband.training import History, Progress, fit
 from splitband.training.checkpoints import Checkpoint, key_of
 from splitband.training.loop import MOST_RESTARTS, _Training
-from tests.models.test_models import QUICK, SETUP, TRAIN, record
+from tests.records import QUICK, SETUP, TRAIN, record
 from tests.support import untrained
 
 RECIPE = Settings(40, QUICK.warmup, 4, 16, learning_rate=0.01, one_cycle=True, clip=0.5, growth=0.6)

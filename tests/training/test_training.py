@@ -14,12 +14,10 @@ from splitband import GRU, Progress, Settings, Trajectory
 from splitband.models import Model, Recurrent, Signals, Task
 from splitband.training import History, fit
 from splitband.training.windows import windows
-from tests.models.test_models import LENGTH, QUICK, SETUP, TRAIN, _Scripted, record
+from tests.models.test_models import _Scripted
+from tests.records import LENGTH, QUICK, SETUP, TRAIN, record
 from tests.support import compare, untrained
-
-
-def parameters(model: Model) -> torch.Tensor:
-    return torch.cat([p.detach().flatten() for p in model.parameters()])
+from tests.training.support import parameters, seen_by_adam
 
 
 def fitted(seed: int, method: str = "split-gru", **changes: Any) -> tuple[Model, History]:
@@ -82,21 +80,6 @@ def test_the_one_cycle_rate_rises_in_a_straight_line_and_falls_as_torchs_cosine_
         assert schedule.rate(0, share) == pytest.approx(torchs.get_last_lr()[0])
         optimizer.step()
         torchs.step()
-
-
-def seen_by_adam(
-    monkeypatch: pytest.MonkeyPatch, look: Callable[[dict[str, Any]], Any]
-) -> list[Any]:
-    """What `look` finds in the optimizer's parameter group before each step."""
-    seen: list[Any] = []
-    step = torch.optim.Adam.step
-
-    def watched(self: torch.optim.Adam, *arguments: Any, **options: Any) -> Any:
-        seen.append(look(self.param_groups[0]))
-        return step(self, *arguments, **options)
-
-    monkeypatch.setattr(torch.optim.Adam, "step", watched)
-    return seen
 
 
 def test_the_optimizer_goes_through_the_one_cycle_once(monkeypatch: pytest.MonkeyPatch) -> None:
