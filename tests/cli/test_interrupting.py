@@ -39,7 +39,7 @@ if "spawn_main" in " ".join(sys.orig_argv):
 @pytest.mark.parametrize(
     ("jobs", "files"),
     [
-        pytest.param(1, "out/*/*/*.safetensors", id="while it trains"),
+        pytest.param(1, "out/*/*/*.safetensors", id="while it trains", marks=pytest.mark.soak),
         pytest.param(2, "*.loading", id="while its processes are loading"),
         pytest.param(2, "out/*/*/*.safetensors", id="while its processes train"),
     ],
