@@ -20,7 +20,7 @@ from splitband.evaluation.selection import TRIED, WORTH_TRAINING, check_trial
 from splitband.evaluation.setup import Setup, default_names, usual_names
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT
-from splitband.forecasters.names import CALIBRATED, HYBRIDS, NAMES
+from splitband.forecasters.names import CALIBRATED, HYBRIDS, NAMES, with_variants
 from splitband.paper.settings import RECORD_SETTINGS, SAMPLE_FREQUENCY
 from splitband.report import results
 from splitband.runtime.files import CHECKPOINTS, output_folder
@@ -87,13 +87,13 @@ def compare(
     hybrid = simulator.simulator is not None or trajectory.y_sim is not None
     by_default = default_names(hybrid, trajectory.nu > 0)
     asked = by_default if methods is None else given.method_names(methods)
-    chosen = given.with_variants(asked, calibrate, conditioned)
+    chosen = with_variants(asked, calibrate, conditioned)
     beyond = any(CALIBRATED in method for method in chosen)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=beyond)
     tested = bool(testing.test)
     setup = given.setup(record, trajectory, train, model, chosen, 1 - tested, tested)
     if methods is None:
-        chosen = given.with_variants(usual_names(trajectory, setup), calibrate, conditioned)
+        chosen = with_variants(usual_names(trajectory, setup), calibrate, conditioned)
     if horizon is not None:
         if setup.train + horizon > len(trajectory):
             raise ValueError(

@@ -16,7 +16,7 @@ from splitband.evaluation.runs import RunProgress
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.names import CALIBRATED, TRAINED
+from splitband.forecasters.names import CALIBRATED, TRAINED, with_variants
 from splitband.forecasters.networks import Network
 from splitband.metrics import rmse
 from splitband.report import results
@@ -52,7 +52,7 @@ def fit(
     MODEL_DIR gets the weights (safetensors), everything else (JSON) and results.json.
     """
     if calibrate or conditioned:
-        method = given.with_variants([method], calibrate, conditioned)[-1]
+        method = with_variants([method], calibrate, conditioned)[-1]
     if method not in TRAINED:
         raise ValueError(f"--method must be one of {', '.join(TRAINED)}, got {method}")
     trajectory = given.load_record(record, reading)

@@ -21,7 +21,6 @@ from splitband.evaluation.setup import Setup, default_setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES, Sizes
-from splitband.forecasters.names import with_variants as variants
 from splitband.forecasters.networks import Network
 from splitband.forecasters.simulation import Simulation
 from splitband.models import Model
@@ -46,14 +45,6 @@ def method_names(text: str) -> list[str]:
     if unknown or not found:
         raise ValueError(f"methods must be out of {', '.join(NAMES)}, got {', '.join(unknown)}")
     return found
-
-
-def with_variants(methods: Sequence[str], calibrate: bool, conditioned: bool) -> list[str]:
-    """See `names.with_variants`; an error names the option."""
-    try:
-        return variants(methods, calibrate, conditioned)
-    except ValueError as error:  # it begins with the argument
-        raise ValueError(f"--{error}") from None
 
 
 def check_needs(methods: Sequence[Forecaster], record: Trajectory) -> None:

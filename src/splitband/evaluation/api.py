@@ -274,7 +274,7 @@ def forecast(
         As `compare`, and where inputs or simulator do not reach so far.
     """
     _check_ahead(record, steps)
-    setup = setup or default_setup(record, len(record))
+    setup = setup or default_setup(record, len(record), ahead=steps)
     if methods is None:
         methods = [setup.forecaster(name) for name in usual_names(record, setup)]
     chosen = [method.with_defaults(setup.settings, setup.bands) for method in methods]

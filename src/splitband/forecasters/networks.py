@@ -317,10 +317,10 @@ class Split(_Banded):
         """See `Network`."""
         bands = self._bands_for(record, settings)
         assert bands.downsampling is not None
-        low = self.low.sized(record.ny, record.nu, settings.warmup)
+        # With k = 1 the slow network sees every sample as well, and each input twice.
+        nu = record.nu * (2 if bands.downsampling == 1 else 1)
+        low = self.low.sized(record.ny, nu, settings.warmup)
         high = self.high.sized(record.ny, self._told(record), settings.warmup)
-        if bands.downsampling == 1:  # the slow network sees every sample as well
-            low = self.low.sized(record.ny, 2 * record.nu, settings.warmup)
         return models.Split(
             [low, high],
             bands.pair(record.sampling_rate),
@@ -336,13 +336,6 @@ class Split(_Banded):
             f"split-{'-'.join(cells)}{'-hp' if self.filter_output else ''}"
             f"{'-conditioned' if self.conditioned else ''}"
         )
-
-
-class SlowPart(Protocol):
-    """What can hold the low band: a forecaster that says something about the whole record."""
-
-    def trajectory(self, known: Known) -> Array:
-        """Over history and steps, `(time + steps, ny)`."""
 
 
 class _Hybrid(_Banded):
@@ -433,7 +426,7 @@ class _Hybrid(_Banded):
         return seen
 
     def _slow(self, known: Known) -> Array:
-        base: Any = self.base  # a `SlowPart`, which a Protocol cannot say of a Forecaster
+        base: Any = self.base  # it has a `trajectory`: the constructor has seen to that
         return base.trajectory(known)
 
     def _parts_of_name(self, kind: str) -> str:
