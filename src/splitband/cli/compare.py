@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +16,7 @@ from splitband.evaluation.api import Comparison
 from splitband.evaluation.api import compare as compare_forecasters
 from splitband.evaluation.comparison import check
 from splitband.evaluation.runs import Work
-from splitband.evaluation.selection import TRIED, WORTH_TRAINING, check_trial
+from splitband.evaluation.selection import WORTH_TRAINING, check_trial
 from splitband.evaluation.setup import Setup, default_names, usual_names
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT
@@ -53,12 +53,7 @@ def compare(
             f"{','.join(default_names(True))}; with --inputs linear, too",
         ),
     ] = None,
-    seeds: Annotated[
-        int,
-        typer.Option(
-            min=1, help="Trainings of each network; the mean of their predictions is handed out."
-        ),
-    ] = 3,
+    seeds: options.Seeds = None,
     jobs: options.Jobs = None,
     out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = Path("out"),
     calibrate: options.Calibrate = False,
@@ -91,7 +86,9 @@ def compare(
     beyond = any(CALIBRATED in method for method in chosen)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=beyond)
     tested = bool(testing.test)
-    setup = given.setup(record, trajectory, train, model, chosen, 1 - tested, tested)
+    setup = given.setup(
+        record, trajectory, train, model, chosen, 1 - tested, tested, jobs or available_cores()
+    )
     if methods is None:
         chosen = with_variants(usual_names(trajectory, setup), calibrate, conditioned)
     if horizon is not None:
@@ -124,7 +121,7 @@ def demo(
     name = "double-mass-spring"
     record = given.load_record(name)
     methods = ["gru", "split-gru", "persistence", "seasonal-naive", "harmonic"]
-    setup = given.setup(name, record, None, options.ModelOptions(), methods)
+    setup = replace(given.setup(name, record, None, options.ModelOptions(), methods), search=None)
     _compare(context, Task(record, methods, setup, [], [], "cpu"), 1, jobs, out)
 
 
@@ -149,18 +146,17 @@ class Task:
     device: str
 
 
-def _compare(context: typer.Context, task: Task, seeds: int, jobs: int | None, out: Path) -> None:
+def _compare(
+    context: typer.Context, task: Task, seeds: int | None, jobs: int | None, out: Path
+) -> None:
     record, setup, others, tests = task.record, task.setup, task.others, task.tests
     methods = [given.on_device(setup.forecaster(name), task.device) for name in task.names]
     given.check_needs(methods, record)
     check(record, methods, setup, others, tests)
     check_trial(record, methods, setup, others)
     output_folder(out)
-    networks = sum(method.random for method in methods)
-    jobs = min(jobs or available_cores(), max(seeds * networks, 1))
-    total = (min(seeds, TRIED) + seeds) * networks
-    with showing.progress(total) as progress:
-        work = Work(jobs, progress, out / CHECKPOINTS)
+    with showing.progress() as progress:
+        work = Work(jobs or available_cores(), progress, out / CHECKPOINTS)
         found = compare_forecasters(
             record,
             methods=methods,

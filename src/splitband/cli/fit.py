@@ -66,7 +66,7 @@ def fit(
     given.check_needs([forecaster], training)
     forecaster.check(training, *others)
     output_folder(out)
-    with showing.progress(1, f"training {method}") as bar:
+    with showing.progress(f"training {method}") as bar:
 
         def update(at: Progress) -> None:
             bar(RunProgress(f"{method}, {at.task}", seed, at.share, at.loss))

@@ -15,9 +15,9 @@ from splitband.evaluation.api import Forecast
 from splitband.evaluation.api import forecast as forecast_record
 from splitband.evaluation.comparison import check
 from splitband.evaluation.runs import Work
-from splitband.evaluation.selection import TRIED, check_trial
+from splitband.evaluation.selection import check_trial
 from splitband.evaluation.setup import default_names, usual_names
-from splitband.forecasters.names import CALIBRATED, NAMES, TRAINED
+from splitband.forecasters.names import CALIBRATED, NAMES
 from splitband.report import pictures, results
 from splitband.runtime.files import CHECKPOINTS, output_folder, replacing, write_json
 from splitband.runtime.threads import available_cores
@@ -37,13 +37,12 @@ def forecast(
             show_default="the one that forecasts the record's own last quarter best",
         ),
     ] = None,
-    seeds: Annotated[
-        int, typer.Option(min=1, help="Trainings of a network; their mean is the forecast.")
-    ] = 3,
+    seeds: options.Seeds = None,
     jobs: options.Jobs = None,
     out: Annotated[Path, typer.Option(help="Folder for the forecast.")] = Path("forecast"),
     future_inputs: options.FutureInputs = None,
     epochs: options.Epochs = None,
+    budget: options.Budget = None,
     device: options.Device = "cpu",
 ) -> None:
     """Forecast a record beyond its end, with the interval that should hold nine tenths of it.
@@ -62,7 +61,8 @@ def forecast(
     known = with_simulator(known, simulator, reading, steps if hybrid else 0, beyond)
     u = given.inputs_ahead(future_inputs, known, steps, reading)
     known = replace(known, u_beyond=u)
-    setup = given.setup_ahead(known, steps, names, epochs)
+    model, jobs = options.ModelOptions(epochs=epochs, budget=budget), jobs or available_cores()
+    setup = given.setup_ahead(known, steps, names, model, jobs)
     names = usual_names(known, setup) if method is None else names
     others = given.load_further(further.more, "--more", known, reading)
     others = each_with_simulator(others, names, further, simulator, reading)
@@ -71,9 +71,8 @@ def forecast(
     check(known, methods, setup, others, beyond=True)
     check_trial(known, methods, setup, others)
     output_folder(out)
-    tried = len(set(names) & set(TRAINED))
-    with showing.progress(min(seeds, TRIED) * tried + seeds * bool(tried)) as progress:
-        work = Work(jobs or available_cores(), progress, out / CHECKPOINTS)
+    with showing.progress() as progress:
+        work = Work(jobs, progress, out / CHECKPOINTS)
         found = forecast_record(
             known, steps, methods, others=others, seeds=seeds, setup=setup, work=work
         )

@@ -17,6 +17,7 @@ from splitband.data.gaps import places
 from splitband.data.reading import ColumnError
 from splitband.data.timing import same_sampling
 from splitband.evaluation.comparison import check_train
+from splitband.evaluation.search import Search, reference_seconds
 from splitband.evaluation.setup import Setup, default_setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
@@ -232,12 +233,14 @@ def setup(
     methods: Sequence[str] | None = None,
     ahead: int = 1,
     tested: bool = False,
+    cores: int = 1,
 ) -> Setup:
     """What the options say (`None`: nothing), the rest by the recipe.
 
     The paper's recipe for its own records is the settings of its tables. `record` is the argument
     that `trajectory` comes from, `methods` what the setup is for; `ahead` samples at least must be
     left to predict. What is `tested` on other records is trained on all of this one by default.
+    `cores` are what a budget is spent on.
     """
     column = RECORD_SETTINGS.get(record)
     if train is None:
@@ -250,7 +253,8 @@ def setup(
     if column is None or options.recipe != "paper":
         settings = _trained(recipe_settings(options.recipe, trajectory[:train]), options)
         found = default_setup(trajectory, train, options.recipe, settings, bands, methods)
-        return replace(found, sizes=_with_hidden(found.sizes, options))
+        sizes = _with_hidden(found.sizes, options)
+        return replace(found, sizes=sizes, search=_search(options, cores))
     papers = column.setup(trajectory.sampling_rate)
     settings = _trained(papers.settings, options)
     if options.cutoff == AUTO:
@@ -267,11 +271,48 @@ def setup(
     )
 
 
-def setup_ahead(known: Trajectory, steps: int, methods: Sequence[str], epochs: int | None) -> Setup:
+def setup_ahead(
+    known: Trajectory, steps: int, methods: Sequence[str], options: ModelOptions, cores: int
+) -> Setup:
     """For a forecast of `steps` samples beyond the end of a record."""
-    settings = recipe_settings("default", known)
-    settings = settings if epochs is None else replace(settings, epochs=epochs)
-    return default_setup(known, len(known), "default", settings, None, methods, steps)
+    settings = _trained(recipe_settings("default", known), options)
+    found = default_setup(known, len(known), "default", settings, None, methods, steps)
+    return replace(found, search=_search(options, cores))
+
+
+def _search(options: ModelOptions, cores: int) -> Search | None:
+    """How much goes into finding out how to train; None where the options say how."""
+    said = {
+        "--window": options.window,
+        "--epochs": options.epochs,
+        "--learning-rate": options.learning_rate,
+        "--lr-milestones": options.lr_milestones,
+        "--recipe": None if options.recipe == "default" else options.recipe,
+    }
+    decided = [option for option, value in said.items() if value is not None]
+    if decided:
+        if options.budget is not None:
+            raise ValueError(
+                f"--budget is for finding out how to train, which {decided[0]} decides, got "
+                f"{options.budget}"
+            )
+        return None
+    search = Search(sizes=options.hidden is None)
+    if options.budget is None:
+        return search
+    return replace(search, core_seconds=reference_seconds(seconds(options.budget), cores))
+
+
+def seconds(duration: str) -> float:
+    """Of a duration such as 90s, 10m or 1h; raises ValueError for another text."""
+    number, unit = duration.strip()[:-1], duration.strip()[-1:].lower()
+    try:
+        found = float(number) * {"s": 1, "m": 60, "h": 3600}[unit]
+    except (KeyError, ValueError):
+        found = 0.0
+    if not 0 < found < float("inf"):
+        raise ValueError(f"--budget must be a time such as 90s, 10m or 1h, got {duration}")
+    return found
 
 
 def _trained(settings: Settings, options: ModelOptions) -> Settings:

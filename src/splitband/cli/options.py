@@ -258,6 +258,28 @@ Epochs = Annotated[
         show_default="what makes about 1,000 steps",
     ),
 ]
+Seeds = Annotated[
+    int | None,
+    typer.Option(
+        "--seeds",
+        min=1,
+        help="Trainings of each network; the mean of their predictions is handed out.",
+        rich_help_panel=_TRAINING,
+        show_default="1 to 8, as the budget allows and the method deserves; without a search 3",
+    ),
+]
+Budget = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TIME",
+        help="What the whole command may take on the cores it has, such as 90s, 10m or 1h: more of "
+        "it means longer trials, larger ones and more seeds. Windows, sizes and steps of networks "
+        "are found on held-out training samples, unless --window, --epochs, --learning-rate, "
+        "--lr-milestones or --recipe paper decides how to train.",
+        rich_help_panel=_TRAINING,
+        show_default="about two minutes of two cores",
+    ),
+]
 RecipeOption = Annotated[
     Recipe,
     typer.Option(
@@ -364,6 +386,7 @@ class ModelOptions:
     learning_rate: LearningRate = None
     lr_milestones: Milestones = None
     hidden: Hidden = None
+    budget: Budget = None
     device: Device = "cpu"
 
 

@@ -157,7 +157,7 @@ def _run_missing(of: Iterable[Line], out: Path, processes: int | None, run: bool
         return
     todo = missing((job for line in of for job in line.jobs), out / "runs")
     trainings = sum(job.method in TRAINED for job in todo)
-    with showing.progress(trainings, f"{trainings} trainings") as report:
+    with showing.progress(f"{trainings} trainings", trainings) as report:
         complete(todo, out / "runs", processes or available_cores(), report)
 
 

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from rich.table import Table
 from rich.text import Text
 
-from splitband.evaluation.api import TRIAL, Comparison
+from splitband.evaluation.api import Comparison
 from splitband.evaluation.comparison import Run, by_channel
 from splitband.evaluation.runs import RunProgress
 from splitband.metrics import FARTHEST, Extrapolation, ExtrapolationWarning, spread
@@ -113,8 +113,13 @@ def channels(found: Comparison, name: str) -> str:
 
 
 @contextmanager
-def progress(total: int, label: str = "training") -> Iterator[Callable[[RunProgress], None]]:
-    """A bar over all trainings, and one for each that runs; silent where nobody watches."""
+def progress(
+    label: str = "training", total: int | None = None
+) -> Iterator[Callable[[RunProgress], None]]:
+    """A bar over all trainings, and one for each that runs; silent where nobody watches.
+
+    Where it depends on results how many there will be, the first bar counts those that are done.
+    """
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -126,20 +131,22 @@ def progress(total: int, label: str = "training") -> Iterator[Callable[[RunProgr
         disable=not sys.stderr.isatty(),
     )
     with bar:
-        overall = bar.add_task(label, total=max(total, 1), loss="")
+        overall = bar.add_task(label, total=total, loss="")
         rows: dict[tuple[str, str, int], TaskID] = {}
         shares: dict[tuple[str, str, int], float] = {}
 
         def update(at: RunProgress) -> None:
             key = at.stage, at.method, at.seed
             if key not in rows:
-                part = f" on {at.stage}" if at.stage == TRIAL else ""
-                text = f"  {at.method}, seed {at.seed}{part}"
-                rows[key] = bar.add_task(text, total=1.0, loss="")
+                rows[key] = bar.add_task(f"  {at.method}, seed {at.seed}", total=1.0, loss="")
             shares[key] = at.share
             bar.update(rows[key], completed=at.share, loss=f"loss {at.loss:.4g}")
             bar.update(rows[key], visible=at.share < 1)
-            bar.update(overall, completed=sum(shares.values()))
+            if total is None:
+                done = sum(share >= 1 for share in shares.values())
+                bar.update(overall, description=f"{label}: {at.stage}, {done} done")
+            else:
+                bar.update(overall, completed=sum(shares.values()))
 
         yield update
 

@@ -23,6 +23,7 @@ from splitband.evaluation.comparison import (
     mean_run,
 )
 from splitband.evaluation.runs import Work, run_all
+from splitband.evaluation.search import Attempt, Found, search
 from splitband.evaluation.selection import LEVEL, TRIED, Trial, check_trial, try_out
 from splitband.evaluation.setup import Setup, default_setup, usual_names
 from splitband.forecasters.backtest import Backtest, Origin, Question
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
 TRIAL, FINAL = "three quarters", "whole"
 """The stages of a comparison: on how much of the training part the methods are fitted."""
+SEEDS = 3
+"""Trainings of each network, where nothing else decides how many."""
 TRAINING_SHARE = 0.75
 """Of a record, where nobody says how much of it is for training."""
 
@@ -51,6 +54,7 @@ class Comparison:
     trial : What they did on held-out training samples; None where none has been made.
     others : Further records that networks were trained on.
     tests : Records that nothing was fitted to, simulated from their first samples.
+    attempts : What has been tried to find out how networks are trained.
     """
 
     record: Trajectory
@@ -59,6 +63,7 @@ class Comparison:
     trial: Trial | None = None
     others: tuple[Trajectory, ...] = ()
     tests: tuple[Trajectory, ...] = ()
+    attempts: tuple[Attempt, ...] = ()
 
     @property
     def recommended(self) -> str:
@@ -167,7 +172,7 @@ def compare(
     *,
     others: Sequence[Trajectory] = (),
     tests: Sequence[Trajectory] = (),
-    seeds: int = 3,
+    seeds: int | None = None,
     setup: Setup | None = None,
     work: Work | None = None,
 ) -> Comparison:
@@ -185,8 +190,10 @@ def compare(
     others : Further records of the same system, to train networks on.
     tests : Records of the same system that nothing is fitted to: each is simulated to its end by
         what warms up on its first samples.
-    seeds : Trainings of each network.
-    setup : Settings, bands and sizes; by default chosen by the training samples.
+    seeds : Trainings of each network; by default as many as the budget of `setup.search` pays for,
+        and `SEEDS` of what is not searched.
+    setup : Settings, bands and sizes; by default chosen by the training samples, and how networks
+        are trained by trials on the last quarter of them (`Setup.search`).
     work : Processes, progress and checkpoints.
 
     Raises
@@ -206,21 +213,42 @@ def compare(
     chosen = [method.with_defaults(setup.settings, setup.bands) for method in methods]
     check(record, chosen, setup, others, tests)
     check_trial(record, chosen, setup, others)
-    work, all_seeds = work or Work(), range(seeds)
-    trial = try_out(
-        record[: setup.train],
-        chosen,
-        len(record) - setup.train,
-        all_seeds[:TRIED],
-        work.for_stage(TRIAL),
-        others,
+    work, ahead = work or Work(), len(record) - setup.train
+    trial, found = _tried(record[: setup.train], chosen, ahead, setup, seeds, work, others)
+    fitted = [method for method in found.forecasters if method.name in trial.errors]
+    runs = compare_methods(
+        record, fitted, setup, _seeds(found, trial, seeds), work.for_stage(FINAL), others, tests
     )
-    fitted = [method for method in chosen if method.name in trial.errors]
-    final_work = work.for_stage(FINAL)
-    runs = compare_methods(record, fitted, setup, all_seeds, final_work, others, tests)
-    comparison = Comparison(record, setup, runs, None, tuple(others), tuple(tests))
+    comparison = Comparison(record, setup, runs, None, tuple(others), tuple(tests), found.attempts)
     final = {name: mean.ahead for name, mean in comparison.means.items()}
     return replace(comparison, trial=trial.settled(final, runs.failed))
+
+
+def _tried(
+    record: Trajectory,
+    forecasters: Sequence[Forecaster],
+    ahead: int,
+    setup: Setup,
+    seeds: int | None,
+    work: Work,
+    others: Sequence[Trajectory],
+) -> tuple[Trial, Found]:
+    """How networks are to be trained, and what all methods do on held-out samples."""
+    found = Found([*forecasters])
+    if setup.search is not None:
+        found = search(record, forecasters, ahead, setup.search, work, others)
+    tried = range(SEEDS if seeds is None else seeds)[:TRIED]
+    trial = try_out(
+        record, found.forecasters, ahead, tried, work.for_stage(TRIAL), others, found.done
+    )
+    return trial, found
+
+
+def _seeds(found: Found, trial: Trial, seeds: int | None) -> dict[str, range]:
+    """Of each method, for the training on all of the training part."""
+    usual = range(SEEDS if seeds is None else seeds)
+    counts = dict.fromkeys(trial.errors, usual)
+    return counts | (found.seeds(trial.scores) if seeds is None else {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +283,7 @@ def forecast(
     methods: Sequence[Forecaster] | None = None,
     *,
     others: Sequence[Trajectory] = (),
-    seeds: int = 3,
+    seeds: int | None = None,
     setup: Setup | None = None,
     work: Work | None = None,
 ) -> Forecast:
@@ -280,14 +308,15 @@ def forecast(
     chosen = [method.with_defaults(setup.settings, setup.bands) for method in methods]
     check(record, chosen, setup, others, beyond=True)
     check_trial(record, chosen, setup, others)
-    work, all_seeds = work or Work(), range(seeds)
-    trial = try_out(record, chosen, steps, all_seeds[:TRIED], work.for_stage(TRIAL), others)
+    work = work or Work()
+    trial, searched = _tried(record, chosen, steps, setup, seeds, work, others)
     # Of the networks just the best one is worth its training on all of the record.
-    fitted = [m for m in chosen if m.name in trial.errors]
+    fitted = [m for m in searched.forecasters if m.name in trial.errors]
     fitted = [m for m in fitted if not m.random or m.name == trial.best_network]
     origin = Origin(len(record), len(record))
     question = Question(record, [origin], len(record) + steps, others)
     questions = {method.name: question for method in fitted}
+    all_seeds = _seeds(searched, trial, seeds)
     found, failures = run_all(fitted, questions, all_seeds, work.for_stage(FINAL))
     means = {name: _mean(of_method, origin) for name, of_method in found.items() if of_method}
     failed = {f.method: f.reason for f in failures[::-1] if f.method not in means}

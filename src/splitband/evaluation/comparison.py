@@ -120,7 +120,7 @@ def compare_methods(
     record: Trajectory,
     forecasters: Sequence[Forecaster],
     setup: Setup,
-    seeds: Sequence[int] = (0,),
+    seeds: Sequence[int] | Mapping[str, Sequence[int]] = (0,),
     work: Work | None = None,
     others: Sequence[Trajectory] = (),
     tests: Sequence[Trajectory] = (),
@@ -135,7 +135,7 @@ def compare_methods(
     record : Training part and the rest; both protocols end where it ends.
     forecasters : With settings and bands, see `Setup.forecaster`; their names must differ.
     setup : How many samples are trained on, and the warm-up of what has none of its own.
-    seeds : Each gives one run of each forecaster that draws something.
+    seeds : Each gives one run of each forecaster that draws something; by name where these differ.
     work : How it is computed.
     others : Further records of the same system that networks train on too.
     tests : Records that nothing is fitted to, to be simulated from their first samples.

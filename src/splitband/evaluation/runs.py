@@ -67,17 +67,21 @@ class Failure:
 def run_all(
     forecasters: Sequence[Forecaster],
     questions: Mapping[str, Question],
-    seeds: Sequence[int],
+    seeds: Sequence[int] | Mapping[str, Sequence[int]],
     work: Work,
+    need_one: bool = True,
 ) -> tuple[dict[str, dict[int, Backtest]], list[Failure]]:
     """What each forecaster says with each seed, by name; and what could not be fitted.
 
-    `questions` are by name, too. What draws nothing is fitted once, and to the first record alone.
+    `questions` are by name, too, and so are `seeds` where methods differ in them. What draws
+    nothing is fitted once, and to the first record alone. Where `need_one`, ValueError is raised
+    when nothing could be fitted at all.
     """
     if work.checkpoints is not None:
         work.checkpoints.mkdir(parents=True, exist_ok=True)
     ready = {f.name: _prepared(f, questions[f.name]) for f in forecasters}
-    todo = [(f.name, s) for f in forecasters for s in (seeds if f.random else seeds[:1])]
+    seeds_of = {f.name: _seeds_of(f, seeds) for f in forecasters}
+    todo = [(f.name, seed) for f in forecasters for seed in seeds_of[f.name]]
     # The longest first, so that no process is left with one of them at the end.
     todo.sort(key=lambda job: not ready[job[0]].random)
     stage = None if work.progress is None else work.stage
@@ -86,16 +90,25 @@ def run_all(
     results: dict[str, dict[int, Backtest]] = {f.name: {} for f in forecasters}
     failures = []
     for f in forecasters:
-        for seed in seeds if f.random else seeds[:1]:
+        for seed in seeds_of[f.name]:
             found = done[f.name, seed]
             if isinstance(found, Failure):
                 failures.append(found)
             else:
                 results[f.name][seed] = found
-    if not any(results.values()):
+    if need_one and not any(results.values()):
         reasons = dict.fromkeys(f"{f.method}: {f.reason}" for f in failures)
         raise ValueError(f"no method could be fitted; {'; '.join(reasons)}")
     return results, failures
+
+
+def _seeds_of(
+    forecaster: Forecaster, seeds: Sequence[int] | Mapping[str, Sequence[int]]
+) -> Sequence[int]:
+    """Of one forecaster; one will do where nothing is drawn."""
+    if isinstance(seeds, Mapping):
+        seeds = seeds.get(forecaster.name, (0,))
+    return seeds if forecaster.random else seeds[:1]
 
 
 def _prepared(forecaster: Forecaster, asked: Question) -> Forecaster:

@@ -17,11 +17,13 @@ from splitband.evaluation.runs import Work, run_all
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import (
     HELD_OUT,
+    Backtest,
     Question,
     held_out_errors,
     held_out_from,
     held_out_origins,
     interval_from,
+    mean_forecasts,
     root_mean_square,
 )
 from splitband.forecasters.base import Forecaster
@@ -122,6 +124,7 @@ def try_out(
     seeds: Sequence[int] = (0,),
     work: Work | None = None,
     others: Sequence[Trajectory] = (),
+    done: Mapping[str, Mapping[int, Backtest]] | None = None,
 ) -> Trial:
     """Fit each forecaster to the first part of a training record, to forecast the rest of it.
 
@@ -132,21 +135,16 @@ def try_out(
     forecasters : With settings and bands. Training windows shrink with the record.
     steps : How far beyond the record is to be forecast after all.
     seeds, work, others : See `compare_methods`; errors likewise.
+    done : Forecasts that have been made already, by name and seed.
     """
-    record = replace(record, y_true=None)
+    record, done = replace(record, y_true=None), done or {}
     shorter = [f.for_fewer_samples(HELD_OUT) for f in forecasters]
-    origins = {f.name: held_out_origins(f, record) for f in shorter}
+    todo = [f for f in shorter if not done.get(f.name)]
     end = len(record) + steps
-    questions = {name: Question(record, at, end, others) for name, at in origins.items()}
-    found, failures = run_all(shorter, questions, seeds, work or Work())
-    forecasts = {
-        name: {
-            at: np.mean([done.predictions[at].y for done in of_method.values()], axis=0)
-            for at in origins[name]
-        }
-        for name, of_method in found.items()
-        if of_method
-    }
+    questions = {f.name: Question(record, held_out_origins(f, record), end, others) for f in todo}
+    fitted, failures = run_all(todo, questions, seeds, work or Work(), need_one=not any(done))
+    made = {**done, **fitted}
+    forecasts = {f.name: mean_forecasts([*made[f.name].values()]) for f in shorter if made[f.name]}
     scale = spread(record.seen)
     scored = {name: held_out_errors(record, y) for name, y in forecasts.items()}
     first = held_out_from(len(record))

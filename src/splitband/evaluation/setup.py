@@ -7,9 +7,11 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from splitband.data import Trajectory
+from splitband.evaluation.search import Search
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import HYBRIDS, Sizes, base, named
+from splitband.forecasters.networks import Network
 from splitband.forecasters.simulation import Simulation
 from splitband.training import Settings
 from splitband.training.recipes import Recipe, recipe_settings
@@ -26,6 +28,8 @@ class Setup:
     bands : Which band is whose.
     sizes : Of the networks that go by a name.
     overrides : Other settings for some of these, by name.
+    search : How much may go into finding better settings where a forecaster has none of its own;
+        None: the settings are what they are.
     """
 
     train: int
@@ -33,6 +37,7 @@ class Setup:
     bands: Bands = field(default_factory=Bands)
     sizes: Sizes = field(default_factory=Sizes)
     overrides: Mapping[str, Settings] = field(default_factory=dict)
+    search: Search | None = None
 
     def settings_of(self, name: str) -> Settings:
         """How the network of a name is trained."""
@@ -44,7 +49,10 @@ class Setup:
 
     def forecaster(self, name: str) -> Forecaster:
         """The forecaster of a name, with nothing left open but what the bands do."""
-        return named(name, self.sizes).with_defaults(self.settings_of(name), self.bands)
+        forecaster = named(name, self.sizes).with_defaults(self.settings_of(name), self.bands)
+        if isinstance(forecaster, Network):
+            forecaster.resizable = self.search is not None and self.search.sizes
+        return forecaster
 
     def as_json(self) -> dict[str, Any]:
         """For a result file: flat, and with the settings that each of them is made of."""
@@ -55,6 +63,7 @@ class Setup:
             | {name: bands[name] for name in ("cutoff", "order", "downsampling")}
             | sizes
             | {"overrides": overrides, "choice": bands["choice"]}
+            | ({} if self.search is None else {"search": asdict(self.search)})
         )
 
 
@@ -101,8 +110,10 @@ def default_setup(
     names : What the setup is for; by default `default_names`.
     ahead : Samples after the training part that are going to be asked for; by default the rest.
     """
+    search = None
     if settings is None:
         settings = recipe_settings(recipe, record[:train])
+        search = Search() if recipe == "default" else None
     if names is None:
         names = default_names(record.y_sim is not None)
     y_sim = None
@@ -115,4 +126,4 @@ def default_setup(
         record[:train].y, record.sampling_rate, settings.warmup, y_sim
     )
     sizes = Sizes() if recipe == "paper" else Sizes(hidden_high=32, hidden_low=16)
-    return Setup(train, settings, found, sizes)
+    return Setup(train, settings, found, sizes, search=search)

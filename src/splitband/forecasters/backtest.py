@@ -222,6 +222,14 @@ def interval_of(forecaster: Forecaster, level: float) -> Interval:
     return interval_from(record, {at: p.y for at, p in done.predictions.items()}, level)
 
 
+def mean_forecasts(done: Sequence[Backtest]) -> dict[Origin, Array]:
+    """By origin, the mean over the seeds of what was forecast."""
+    return {
+        origin: np.mean([backtest.predictions[origin].y for backtest in done], axis=0)
+        for origin in done[0].predictions
+    }
+
+
 def root_mean_square(errors: Sequence[Array]) -> float:
     """Of errors `(time, ny)` of several forecasts, together; NaN does not count."""
     every = np.concatenate(errors)

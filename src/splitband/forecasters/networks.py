@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Protocol, Self, final, runtime_checkable
+from typing import Any, ClassVar, Protocol, Self, final, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -52,8 +52,15 @@ class Network(Forecaster):
     name : By default what it is made of.
     """
 
+    cells: ClassVar[tuple[str, ...]] = ("cell",)
+    """Attributes that hold the templates of its cells."""
+
     def __init__(self, settings: Settings | None = None, name: str | None = None) -> None:
         self.settings = settings
+        self.free = False
+        """Whether its settings are but defaults, so that a comparison may find better ones."""
+        self.resizable = False
+        """Whether the sizes of its cells are, too."""
         self.device = torch.device("cpu")
         self.model: Model | None = None
         self._name = name
@@ -93,8 +100,37 @@ class Network(Forecaster):
         if self.settings is not None:
             return self
         new = self.copy()
-        new.settings = settings
+        new.settings, new.free = settings, True
         return new
+
+    def trained_as(self, settings: Settings, size: float = 1.0) -> Self:
+        """With other settings, and cells `size` times as large."""
+        new = self.copy()
+        new.settings = settings
+        for attribute in self.cells:
+            cell = getattr(self, attribute)
+            if size != 1 and hasattr(cell, "scaled"):
+                setattr(new, attribute, cell.scaled(size))
+        return new
+
+    def called(self, name: str) -> Self:
+        """Under another name."""
+        new = self.copy()
+        new._name = name
+        return new
+
+    def training_in_words(self) -> str:
+        """Sizes, window and steps, for tables."""
+        sizes = [getattr(getattr(self, cell), "hidden_size", None) for cell in self.cells]
+        said = [f"{' and '.join(map(str, sizes))} hidden units"] if None not in sizes else []
+        if self.settings is not None:
+            said += [f"windows of {self.settings.window}", self.settings.steps_in_words()]
+        return ", ".join(said)
+
+    def weights(self, record: Trajectory) -> int:
+        """How many weights are trained, for such a record."""
+        model = self._built(record, self._settings_for(record), seed=0)
+        return sum(weight.numel() for weight in model.parameters())
 
     def for_fewer_samples(self, share: float) -> Self:
         """See `Forecaster`: windows shrink with the record, but for the warm-up."""
@@ -158,7 +194,8 @@ class Network(Forecaster):
 
     def describe(self) -> str:
         """See `Forecaster`."""
-        return "; ".join(self.require_fitted().report.notes)
+        training = [self.training_in_words()] if self.free else []
+        return "; ".join([*training, *self.require_fitted().report.notes])
 
     def trajectory(self, known: Known) -> Array:
         """Over the history, too, `(time + steps, ny)`: a free run from its first warm-up on.
@@ -293,6 +330,8 @@ class Split(_Banded):
     conditioned : Tell the fast network what the slow one predicts. Not in the paper.
     settings, name : See `Network`.
     """
+
+    cells = ("low", "high")
 
     def __init__(
         self,

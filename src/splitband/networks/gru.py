@@ -33,6 +33,10 @@ class GRU(nn.Module):
         """A new one of the same hidden size; it warms up on any number of samples."""
         return GRU(self.hidden_size, ny, nu)
 
+    def scaled(self, share: float) -> GRU:
+        """A template with fewer hidden units, or more."""
+        return GRU(max(1, round(share * self.hidden_size)), self.ny, self.nu)
+
     def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
         """Run over the measured samples from h = 0 (paper: the warm-up phase)."""
         h = y_warmup.new_zeros(y_warmup.shape[0], self.hidden_size)

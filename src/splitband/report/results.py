@@ -61,6 +61,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
         **({"tests": [_test_facts(test) for test in comparison.tests]} if comparison.tests else {}),
         "settings": comparison.setup.as_json(),
         "recommended": trial.recommended,
+        "search": [asdict(attempt) for attempt in comparison.attempts],
         "methods": {
             name: _method(of_method)
             | {

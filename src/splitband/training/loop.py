@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from splitband.data import Trajectory
 from splitband.models import Model, Task
 from splitband.runtime.threads import one_torch_thread
+from splitband.training import quasi_newton
 from splitband.training.checkpoints import Checkpoint, State, key_of
 from splitband.training.settings import Settings
 from splitband.training.windows import WindowSet, joined, select, targets, windows, windows_in
@@ -51,6 +52,7 @@ class History:
     """What a training run did: the mean loss of each epoch by task, and its run time."""
 
     losses: dict[str, list[float]] = field(default_factory=dict)
+    """Behind those of the epochs those of the rounds of L-BFGS, of the same unit."""
     seconds: float = 0.0
     notes: list[str] = field(default_factory=list)
     """What went wrong and was mended."""
@@ -116,13 +118,14 @@ def fit(
             training.restore({k.removeprefix(prefix): v for k, v in saved.items()
                               if k.startswith(prefix)})  # fmt: skip
         losses = history.losses[task.name] = training.losses
-        while len(losses) < settings.epochs:
-            training.epoch()
+        epochs = settings.epochs + settings.rounds
+        while not training.done:
+            training.advance()
             if progress is not None:
-                share = (done + len(losses) / settings.epochs) / len(tasks)
-                progress(Progress(task.name, len(losses), settings.epochs, losses[-1], share))
+                share = (done + (1 if training.done else len(losses) / epochs)) / len(tasks)
+                progress(Progress(task.name, len(losses), epochs, losses[-1], share))
             if checkpoint is not None:
-                last = done + 1 == len(tasks) and len(losses) == settings.epochs
+                last = done + 1 == len(tasks) and training.done
                 now = partial(_prefixed, states, prefix, training)
                 checkpoint.offer(key, now, last)
         states = _prefixed(states, prefix, training)
@@ -153,7 +156,7 @@ class _Training:
         self.measured: Tensor | None = None
         if places.measured is not None:
             self.measured = targets(places.measured, task, settings.window, settings.warmup)
-        parameters = task.network.parameters()
+        parameters = [*task.network.parameters()]
         self.optimizer = torch.optim.Adam(parameters, lr=settings.learning_rate)
         self.generator = torch.Generator().manual_seed(seed)
         size = float(torch.linalg.vector_norm(task.target)) / task.target.numel() ** 0.5
@@ -164,6 +167,12 @@ class _Training:
         self.losses: list[float] = []
         self.restarts: list[int] = []
         """Epochs that diverged and were repeated with half the learning rate."""
+        chosen = quasi_newton.end_to_end(places.starts, settings.window, settings.warmup)
+        self.finish = (
+            quasi_newton.QuasiNewton(parameters, partial(self._mean_square, chosen))
+            if settings.quasi_newton
+            else None
+        )
 
     @property
     def notes(self) -> list[str]:
@@ -177,13 +186,27 @@ class _Training:
             said.append(f"nothing was learned: {share:.0%} of the signal is left in training")
         return said
 
+    @property
+    def done(self) -> bool:
+        """Whether all epochs and rounds are over."""
+        settled = self.finish is not None and self.finish.settled
+        return settled or len(self.losses) >= self.settings.epochs + self.settings.rounds
+
+    def advance(self) -> None:
+        """Train an epoch or, after the last of them, a round of L-BFGS."""
+        if self.finish is None or len(self.losses) < self.settings.epochs:
+            self.epoch()
+            return
+        self.losses.append(self.finish.round())
+
     def steps(self) -> int:
-        """Gradient steps so far."""
+        """Gradient steps so far, an iteration of L-BFGS counted as one."""
         windows, settings = len(self.starts), self.settings
         batches = -(-windows // settings.batch_size)
         if settings.most_batches is not None:
             batches = min(batches, settings.most_batches)
-        return batches * len(self.losses)
+        rounds = max(0, len(self.losses) - settings.epochs)
+        return batches * (len(self.losses) - rounds) + quasi_newton.ROUND * rounds
 
     def state(self) -> State:
         """All that the next epoch depends on, and the losses so far."""
@@ -195,6 +218,7 @@ class _Training:
             "losses": torch.tensor(self.losses, dtype=torch.float64),
             "restarts": torch.tensor(self.restarts, dtype=torch.int64),
             "first_loss": torch.tensor(self.first_loss, dtype=torch.float64),
+            **{f"finish.{k}": v for k, v in (self.finish.state() if self.finish else {}).items()},
         }
 
     def restore(self, state: State) -> None:
@@ -212,6 +236,10 @@ class _Training:
         self.losses[:] = state["losses"].tolist()
         self.restarts[:] = state["restarts"].tolist()
         self.first_loss = float(state["first_loss"])
+        if self.finish is not None:
+            self.finish.restore(
+                {k.removeprefix("finish."): v for k, v in state.items() if k[:7] == "finish."}
+            )
 
     def epoch(self) -> None:
         """Train an epoch; repeat it with a smaller learning rate where it diverges."""
@@ -260,6 +288,13 @@ class _Training:
                 self.first_loss = loss.item()
             total += loss.item() * len(batch)
         return total / len(order)
+
+    def _mean_square(self, starts: Tensor) -> Tensor:
+        """Of the errors in the windows that begin there, as a function of the weights."""
+        wanted = self.target[starts]
+        prediction = self.task.simulate(select(self.known, starts), wanted.shape[1])
+        counted = None if self.measured is None else self.measured[starts]
+        return _rmse(prediction, wanted, counted) ** 2
 
 
 def _rmse(prediction: Tensor, target: Tensor, counted: Tensor | None = None) -> Tensor:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from splitband.training.quasi_newton import ROUND
+
 STEPS = 1000
 """Gradient steps of the default recipe, for each network."""
 
@@ -31,6 +33,8 @@ class Settings:
     growth : Share of the training over which the free run grows from a tenth of its length to all.
     normalize : Scale each channel by mean and standard deviation of the training record.
     most_batches : Steps of an epoch: of a long record it takes some windows, drawn anew each time.
+    quasi_newton : Iterations of L-BFGS that follow the epochs; fewer where nothing is gained any
+        more. See `training.quasi_newton`.
     """
 
     window: int = 150
@@ -44,6 +48,7 @@ class Settings:
     growth: float = 0.0
     normalize: bool = True
     most_batches: int | None = None
+    quasi_newton: int | None = None
 
     def __post_init__(self) -> None:
         """Check ranges."""
@@ -65,6 +70,8 @@ class Settings:
             raise ValueError(f"milestones need one_cycle=False, got {self.milestones}")
         if self.most_batches is not None and self.most_batches < 1:
             raise ValueError(f"most_batches must be at least 1, got {self.most_batches}")
+        if self.quasi_newton is not None and self.quasi_newton < 1:
+            raise ValueError(f"quasi_newton must be at least 1, got {self.quasi_newton}")
         if self.clip is not None and not self.clip > 0:
             raise ValueError(f"clip must be positive, got {self.clip}")
         if not 0 <= self.growth <= 1:
@@ -94,6 +101,16 @@ class Settings:
             growth=0.6,
             most_batches=batches,
         )
+
+    @property
+    def rounds(self) -> int:
+        """Rounds of `quasi_newton.ROUND` iterations after the epochs."""
+        return -(-(self.quasi_newton or 0) // ROUND)
+
+    def steps_in_words(self) -> str:
+        """How long is trained, for tables."""
+        epochs = f"{self.epochs} epochs"
+        return f"{epochs}, L-BFGS {self.quasi_newton}" if self.quasi_newton else epochs
 
     def rate(self, epoch: int, share: float) -> float:
         """The learning rate in an epoch, when `share` (0 to 1) of all steps are done."""

@@ -1,0 +1,381 @@
+"""Finding out how to train networks: window, size and steps, by forecasts of held-out samples.
+
+Not in the paper. One network is trained in several ways for a short time, the others in those that
+suit it best. The better half of each method's candidates goes on for four times as long, and so on
+(successive halving: Jamieson and Talwalkar, 2016), as long as it pays and the budget lasts. What is
+found depends on the record and the budget, not on the machine: costs are counted in seconds of a
+reference core.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import torch
+
+from splitband.data import Trajectory
+from splitband.evaluation.runs import Work, run_all
+from splitband.forecasters.backtest import (
+    HELD_OUT,
+    Backtest,
+    Question,
+    held_out_errors,
+    held_out_origins,
+    mean_forecasts,
+    root_mean_square,
+)
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.networks import Network
+from splitband.metrics import spread
+from splitband.networks import GRU, rollout
+from splitband.runtime.threads import one_thread
+from splitband.training import Settings
+from splitband.training.quasi_newton import samples_in_a_step
+
+SEARCHING = "search"
+"""The stage of the work; a number follows."""
+CORE_SECONDS = 240.0
+"""Of the default budget: two minutes of two cores."""
+FOR_TRAINING = 0.8
+"""Share of a budget of wall time that goes into networks; the rest is for all other work."""
+REFERENCE_SIZE, REFERENCE_BATCH, REFERENCE_STEPS = 32, 25, 400
+"""Of the gradient by which a machine is compared with the reference."""
+SEARCHED, TRAINED = 0.5, 0.3
+"""Shares of the budget: for what is tried out here, and for one seed of each method after it."""
+SAMPLE, WEIGHT = 0.09e-6, 0.25e-9
+"""Seconds of a reference core for a sample, forwards and backwards, and as much more per weight."""
+GRADIENT = 4e-3
+"""Of each gradient, however few its samples and weights are."""
+EVALUATIONS = 1.2
+"""Gradients to an iteration of L-BFGS."""
+FREE_RUNS = 50, 100
+"""Samples of the shortest windows that are predicted; the longest window is the recipe's."""
+SIZES = 1 / 3, 2 / 3
+"""Of the networks' usual sizes, those that L-BFGS is tried with."""
+FIRST_STEPS = 300
+"""Steps of Adam before L-BFGS takes over."""
+TRIED = 0, 1
+"""Seeds of each candidate, whose mean is scored; the first one alone where that is too much."""
+RUNG = 0.6
+"""Share of what is left for the search that several seeds of each candidate may take."""
+TRANSFERRED = 2
+"""Of the first network's candidates, those that other networks are trained like."""
+LADDER = 100, 400, 1600, 6400
+"""Iterations of L-BFGS that are tried, one after the other."""
+WORSE = 1.1
+"""Times its error that a candidate may have after more iterations, to be trained even longer."""
+HOPELESS = 2.0
+"""Times the lowest error of any method from which on a method is not trained longer."""
+GOOD = 1.5
+"""Times the lowest error up to which a method gets more than one seed, if the budget allows it."""
+USUAL_SEEDS, MOST_SEEDS = 3, 8
+"""Seeds of a good method, and of the best one."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """How much may go into finding out how to train, and into training.
+
+    Attributes
+    ----------
+    core_seconds : Of a reference core, for a whole comparison.
+    sizes : Whether networks that go by a name may be smaller than usual.
+    """
+
+    core_seconds: float = CORE_SECONDS
+    sizes: bool = True
+
+    def __post_init__(self) -> None:
+        """Check ranges."""
+        if not 0 < self.core_seconds < float("inf"):
+            raise ValueError(f"core_seconds must be positive, got {self.core_seconds}")
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One way to train one method.
+
+    Attributes
+    ----------
+    method : Its name.
+    network : The forecaster, with its settings.
+    size : Of its cells, relative to the usual one.
+    cost : Seconds of a reference core for a training on the whole training part.
+    """
+
+    method: str
+    network: Network
+    size: float
+    cost: float
+
+    @property
+    def label(self) -> str:
+        """What progress bars and checkpoints call it."""
+        return f"{self.method}, {self.network.training_in_words()}"
+
+    @property
+    def settings(self) -> Settings:
+        """How the network is trained."""
+        assert self.network.settings is not None
+        return self.network.settings
+
+
+def reference_seconds(wall: float, cores: int) -> float:
+    """What a wall time on so many cores of this machine is in seconds of a reference core.
+
+    A small network's gradient is timed for it. The factor is rounded to half a power of two, so
+    that the same machine mostly gives the same answer.
+    """
+    network = GRU(REFERENCE_SIZE)
+    y = torch.zeros(REFERENCE_BATCH, REFERENCE_STEPS, 1)
+    took = []
+    with one_thread():
+        for _ in range(4):  # the first call may compile
+            began = time.perf_counter()
+            rollout(network, y[:, :1], REFERENCE_STEPS - 1).sum().backward()
+            took.append(time.perf_counter() - began)
+    weights = sum(weight.numel() for weight in network.parameters())
+    usual = GRADIENT + (SAMPLE + WEIGHT * weights) * REFERENCE_BATCH * REFERENCE_STEPS
+    speed = 2 ** (round(2 * math.log2(usual / min(took))) / 2)
+    return FOR_TRAINING * wall * cores * speed
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What became of a candidate on the held-out samples.
+
+    Attributes
+    ----------
+    method, training : Which it is.
+    seeds : How many could be trained.
+    score : RMSE, of channels scaled to a deviation of 1; None where it could not be trained.
+    """
+
+    method: str
+    training: str
+    seeds: int
+    score: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search has found.
+
+    Attributes
+    ----------
+    forecasters : Those that were given, each network as it is to be trained.
+    attempts : All that has been tried, in that order.
+    done : Of the chosen networks, the forecasts of held-out samples, by name and seed.
+    costs : Of the chosen networks, seconds of a reference core for one more training.
+    left : Of the budget.
+    """
+
+    forecasters: list[Forecaster]
+    attempts: tuple[Attempt, ...] = ()
+    done: Mapping[str, Mapping[int, Backtest]] = field(default_factory=dict)
+    costs: Mapping[str, float] = field(default_factory=dict)
+    left: float = 0.0
+
+    def seeds(self, scores: Mapping[str, float]) -> dict[str, range]:
+        """How many seeds of each method are worth their training, by held-out `scores`.
+
+        One of each; of the good ones more, as the mean of several is better than one, as long as
+        the budget lasts.
+        """
+        ranked = sorted(self.costs.keys() & scores.keys(), key=lambda name: scores[name])
+        counts = dict.fromkeys(ranked, 1)
+        left = self.left - sum(self.costs[name] for name in ranked)
+        good = [name for name in ranked if scores[name] <= GOOD * scores[ranked[0]]]
+        for names, most in ((good, USUAL_SEEDS), (ranked[:1], MOST_SEEDS)):
+            for name in names:
+                more = min(most - counts[name], int(max(left, 0) / self.costs[name]))
+                counts[name] += max(more, 0)
+                left -= max(more, 0) * self.costs[name]
+        return {name: range(count) for name, count in counts.items()}
+
+
+def search(
+    record: Trajectory,
+    forecasters: Sequence[Forecaster],
+    steps: int,
+    budget: Search,
+    work: Work,
+    others: Sequence[Trajectory] = (),
+) -> Found:
+    """Choose how the networks among some forecasters are trained, where that has been left open.
+
+    Parameters
+    ----------
+    record : The training part, and nothing else. What is tried is fitted to its first three
+        quarters, as in `selection.try_out`.
+    forecasters : With the default settings and bands.
+    steps : How far beyond the record is to be forecast after all.
+    budget : How much may be spent.
+    work, others : See `comparison.compare_methods`.
+    """
+    free = [f for f in forecasters if isinstance(f, Network) and f.free]
+    if not free:
+        return Found([*forecasters], left=budget.core_seconds)
+    makes = {f.name: partial(_candidate, f, record, others) for f in free}
+    trials = _Trials(record, steps, work, others)
+    for_search, for_one = (share * budget.core_seconds for share in (SEARCHED, TRAINED))
+
+    def run(candidates: Sequence[Candidate]) -> list[Candidate]:
+        left = for_search - trials.spent
+        both = _within(candidates, len(TRIED), RUNG * left, for_one)
+        seeds = TRIED if len(both) == len(candidates) else TRIED[:1]
+        within = both if len(seeds) > 1 else _within(candidates, 1, left, for_one)
+        if within:
+            trials.run(within, seeds)
+        return within
+
+    first, *others_of_them = free
+    todo = run([makes[first.name](*way) for way in _ways(first)])
+    best = _ranked(todo, trials.scores)[:TRANSFERRED]
+    todo += run([makes[f.name](c.settings, c.size) for c in best for f in others_of_them])
+    tried = [*todo]
+    for iterations in LADDER[1:]:
+        todo = run(
+            [
+                makes[c.method](replace(c.settings, quasi_newton=iterations), c.size)
+                for c in _promoted(todo, tried, trials.scores)
+            ]
+        )
+        tried += todo
+    ranked = _ranked(tried, trials.scores)
+    chosen = {c.method: c for c in reversed(ranked)}
+    return Found(
+        [chosen[f.name].network if f.name in chosen else f for f in forecasters],
+        tuple(trials.attempts),
+        {name: trials.done[candidate.label] for name, candidate in chosen.items()},
+        {name: candidate.cost for name, candidate in chosen.items()},
+        budget.core_seconds - trials.spent,
+    )
+
+
+class _Trials:
+    """Candidates on the held-out end of a training record."""
+
+    def __init__(
+        self, record: Trajectory, steps: int, work: Work, others: Sequence[Trajectory]
+    ) -> None:
+        self._record, self._end = replace(record, y_true=None), len(record) + steps
+        self._work, self._others = work, others
+        self.attempts: list[Attempt] = []
+        self.done: dict[str, dict[int, Backtest]] = {}
+        """Forecasts by label and seed."""
+        self.scores: dict[str, float] = {}
+        """By label: of the mean of the seeds; none of what could not be trained."""
+        self.spent = 0.0
+        self._rounds = 0
+
+    def run(self, candidates: Sequence[Candidate], seeds: Sequence[int]) -> None:
+        """Train each with all seeds, and score the mean of their forecasts."""
+        networks = {
+            c.label: c.network.for_fewer_samples(HELD_OUT).called(c.label) for c in candidates
+        }
+        questions = {
+            label: Question(
+                self._record, held_out_origins(network, self._record), self._end, self._others
+            )
+            for label, network in networks.items()
+        }
+        self._rounds += 1
+        work = self._work.for_stage(f"{SEARCHING} {self._rounds}")
+        found, _ = run_all([*networks.values()], questions, seeds, work, need_one=False)
+        for c in candidates:
+            self.spent += len(seeds) * (1 - HELD_OUT) * c.cost
+            self.done[c.label] = found[c.label]
+            if found[c.label]:
+                self.scores[c.label] = held_out_score(self._record, [*found[c.label].values()])
+            score = self.scores.get(c.label)
+            training = c.network.training_in_words()
+            self.attempts.append(Attempt(c.method, training, len(found[c.label]), score))
+
+
+def _ways(forecaster: Network) -> list[tuple[Settings, float]]:
+    """The usual training, and shorter ones with L-BFGS, of windows and sizes that differ."""
+    usual = forecaster.settings
+    assert usual is not None
+    epochs = max(1, round(FIRST_STEPS / (usual.most_batches or 1)))
+    short = [min(usual.warmup + free, usual.window) for free in FREE_RUNS]
+    sizes = SIZES if forecaster.resizable else (1.0,)
+    return [(usual, 1.0)] + [
+        (replace(usual, window=window, epochs=epochs, quasi_newton=LADDER[0]), size)
+        for window in sorted({*short, usual.window})
+        for size in sizes
+    ]
+
+
+def _candidate(
+    forecaster: Network,
+    record: Trajectory,
+    others: Sequence[Trajectory],
+    settings: Settings,
+    size: float,
+) -> Candidate:
+    network = forecaster.trained_as(settings, size)
+    return Candidate(forecaster.name, network, size, _cost(network, record, others))
+
+
+def _cost(network: Network, record: Trajectory, others: Sequence[Trajectory]) -> float:
+    """Seconds of a reference core that a training takes, roughly."""
+    settings = network.settings
+    assert settings is not None
+    samples = len(record) + sum(map(len, others))
+    places = max(samples - settings.window + 1, 1)
+    batches = min(-(-places // settings.batch_size), settings.most_batches or places)
+    adam = settings.epochs * batches * settings.batch_size * settings.window
+    gradients = EVALUATIONS * (settings.quasi_newton or 0)
+    in_all = gradients * samples_in_a_step(samples, settings.window, settings.warmup)
+    of_samples = (SAMPLE + WEIGHT * network.weights(record)) * (adam + in_all)
+    return of_samples + GRADIENT * (settings.epochs * batches + gradients) * len(network.cells)
+
+
+def _within(
+    candidates: Sequence[Candidate], seeds: int, left: float, for_one: float
+) -> list[Candidate]:
+    """Those, from the first on, for which what is left of the budget will do."""
+    kept = []
+    for candidate in candidates:
+        cost = seeds * (1 - HELD_OUT) * candidate.cost
+        if cost <= left and candidate.cost <= for_one:
+            kept.append(candidate)
+            left -= cost
+    return kept
+
+
+def _ranked(candidates: Sequence[Candidate], scores: Mapping[str, float]) -> list[Candidate]:
+    """Those that could be trained, the best one first."""
+    scored = [candidate for candidate in candidates if candidate.label in scores]
+    return sorted(scored, key=lambda candidate: scores[candidate.label])
+
+
+def _promoted(
+    last: Sequence[Candidate], tried: Sequence[Candidate], scores: Mapping[str, float]
+) -> list[Candidate]:
+    """The better half of each method's last candidates, to be trained longer; the best one first.
+
+    Not those that more iterations have made worse, nor methods that are far from the best one.
+    """
+    lowest = scores[_ranked(tried, scores)[0].label] if scores else 0.0
+    kept = []
+    for method in dict.fromkeys(candidate.method for candidate in last):
+        ranked = _ranked([c for c in tried if c.method == method], scores)
+        best = scores[ranked[0].label] if ranked else 0.0
+        if best > HOPELESS * lowest:
+            continue
+        better = [c for c in ranked if c in last and c.settings.quasi_newton]
+        kept += [c for c in better[: -(-len(better) // 2)] if scores[c.label] <= WORSE * best]
+    return _ranked(kept, scores)
+
+
+def held_out_score(record: Trajectory, done: Sequence[Backtest]) -> float:
+    """RMSE of the seeds' mean forecasts of a training record's last quarter, channels scaled."""
+    mean = mean_forecasts(done)
+    scale = spread(record.seen)
+    return root_mean_square([error / scale for error in held_out_errors(record, mean)])

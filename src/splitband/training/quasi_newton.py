@@ -1,0 +1,142 @@
+"""The end of a training: L-BFGS on windows that lie end to end, all of them in every step.
+
+Not in the paper. Adam on a few windows at a time finds its way from random weights; near a minimum
+its steps are noise, and of networks of this size the whole record's gradient costs no more than a
+few dozen of its steps. From there on quasi-Newton iterations (Nocedal and Wright, Numerical
+Optimization, 2006, Sec. 7.2) get further in a fraction of the time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor, nn
+
+from splitband.training.checkpoints import State
+
+ROUND = 20
+"""Iterations of a round, after which a training can be cut off and go on to the bit."""
+MEMORY = 30
+"""Steps from which the curvature is estimated."""
+SETTLED = 1e-5
+"""Share of the loss by which a round has to lower it, or there is nothing more to gain."""
+HALVED = 20_000
+"""Windows up to which every sample is predicted in two of those that are chosen."""
+MOST_SAMPLES = 100_000
+"""Of the windows, warm-ups included; of a longer record some are left out, evenly."""
+
+_LISTS = ("old_dirs", "old_stps", "ro")
+_TENSORS = ("d", "prev_flat_grad", *_LISTS)
+_NUMBERS = ("n_iter", "t", "H_diag", "prev_loss")
+
+
+def end_to_end(starts: Tensor, window: int, warmup: int) -> Tensor:
+    """Of the first samples of windows, as few as predict every sample once.
+
+    The warm-up of a window lies in what the one before it predicts. In short records there is one
+    more between two of them, as the end of a free run has other errors than its beginning.
+    """
+    hop = _hop(len(starts), window, warmup)
+    chosen = [int(starts[0])]
+    for start in starts.tolist():
+        if start >= chosen[-1] + hop:
+            chosen.append(start)
+    if int(starts[-1]) != chosen[-1]:
+        chosen.append(int(starts[-1]))
+    most = max(1, MOST_SAMPLES // window)
+    kept = torch.linspace(0, len(chosen) - 1, min(most, len(chosen))).round().long()
+    return torch.tensor(chosen)[kept]
+
+
+def samples_in_a_step(samples: int, window: int, warmup: int) -> int:
+    """Of all windows that `end_to_end` chooses from a record of so many samples."""
+    places = max(samples - window + 1, 1)
+    return min(-(-places // _hop(places, window, warmup)) * window, MOST_SAMPLES)
+
+
+def _hop(places: int, window: int, warmup: int) -> int:
+    """From the beginning of one window to that of the next."""
+    return max(1, (window - warmup) // (2 if places <= HALVED else 1))
+
+
+class QuasiNewton:
+    """L-BFGS with a line search for the strong Wolfe conditions, round by round.
+
+    Parameters
+    ----------
+    parameters : What is changed.
+    mean_square : The mean squared error of all windows, as a function of them.
+    """
+
+    def __init__(
+        self, parameters: Sequence[nn.Parameter], mean_square: Callable[[], Tensor]
+    ) -> None:
+        self.parameters, self._mean_square = [*parameters], mean_square
+        self.scale = 0.0
+        """Mean square at the beginning: torch's tolerances are those of a loss of about 1."""
+        self.settled = False
+        self._optimizer = torch.optim.LBFGS(
+            self.parameters,
+            max_iter=ROUND,
+            max_eval=2 * ROUND,
+            history_size=MEMORY,
+            tolerance_grad=0.0,
+            tolerance_change=0.0,
+            line_search_fn="strong_wolfe",
+        )
+
+    def round(self) -> float:
+        """Go on by some iterations; the RMS error after them.
+
+        Where the loss is not finite, or no longer falls, the weights stay as they are and this is
+        the last round.
+        """
+        before = [p.detach().clone() for p in self.parameters]
+        self.scale = self.scale or self._error() or 1.0
+        began = self.scale * self._optimizer.step(self._closure)
+        reached = self._error()
+        if not reached <= began:
+            with torch.no_grad():
+                for p, value in zip(self.parameters, before, strict=True):
+                    p.copy_(value)
+            reached = began
+        self.settled = not reached < (1 - SETTLED) * began
+        return float(reached**0.5)
+
+    def _error(self) -> float:
+        with torch.no_grad():
+            return float(self._mean_square())
+
+    def _closure(self) -> float:
+        self._optimizer.zero_grad(set_to_none=True)
+        loss = self._mean_square() / self.scale
+        loss.backward()
+        return loss.item()
+
+    def state(self) -> State:
+        """All that the next round depends on but the weights."""
+        of_torch = self._optimizer.state[self.parameters[0]]
+        found = {"scale": self.scale, "settled": float(self.settled)}
+        found |= {name: float(of_torch[name]) for name in _NUMBERS if name in of_torch}
+        tensors = {k: torch.tensor(v, dtype=torch.float64) for k, v in found.items()}
+        for name in _TENSORS:
+            value = of_torch.get(name)
+            if isinstance(value, list):
+                value = torch.stack(value) if value else None
+            if value is not None:
+                tensors[name] = value.clone()
+        return tensors
+
+    def restore(self, state: State) -> None:
+        """Go on where `state` was taken."""
+        self.scale, self.settled = float(state["scale"]), bool(state["settled"])
+        if "n_iter" not in state:
+            return
+        device = self.parameters[0].device
+        of_torch = self._optimizer.state[self.parameters[0]]
+        of_torch |= {"func_evals": 0, "n_iter": int(state["n_iter"])}
+        of_torch |= {name: float(state[name]) for name in _NUMBERS[1:]}
+        for name in _TENSORS:
+            saved = state[name].clone().to(device) if name in state else None
+            of_torch[name] = [*([] if saved is None else saved)] if name in _LISTS else saved

@@ -1,0 +1,123 @@
+"""The end of a training by L-BFGS."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy
+import torch
+from torch import Tensor, nn
+
+from splitband import Settings
+from splitband.training import fit, quasi_newton
+from splitband.training.checkpoints import Checkpoint
+from splitband.training.quasi_newton import QuasiNewton, end_to_end, samples_in_a_step
+from tests.records import SETUP, TRAIN, holed, record, standing_in
+from tests.support import untrained
+from tests.training.test_checkpoints import RECIPE, Killed, assert_same, trained
+
+FINISHED = replace(RECIPE, epochs=1, quasi_newton=50)
+
+
+def rosenbrock(at: nn.Parameter) -> Tensor:
+    return (100 * (at[1:] - at[:-1] ** 2) ** 2 + (1 - at[:-1]) ** 2).sum()
+
+
+def run(finish: QuasiNewton, rounds: int = 30) -> list[float]:
+    found: list[float] = []
+    while not finish.settled and len(found) < rounds:
+        found.append(finish.round())
+    return found
+
+
+def test_it_finds_the_minimum_that_scipy_finds() -> None:
+    begin = np.array([-1.2, 1.0, 0.5, 2.0])
+    at = nn.Parameter(torch.tensor(begin))
+    run(QuasiNewton([at], lambda: rosenbrock(at)))
+    expected = scipy.optimize.minimize(scipy.optimize.rosen, begin, method="BFGS", tol=1e-10).x
+    np.testing.assert_allclose(at.detach().numpy(), expected, atol=1e-5)
+
+
+def test_a_round_never_raises_the_error() -> None:
+    at = nn.Parameter(torch.tensor([-1.2, 1.0, 0.5, 2.0], dtype=torch.float64))
+    losses = run(QuasiNewton([at], lambda: rosenbrock(at)))
+    assert losses == sorted(losses, reverse=True)
+    assert losses[-1] == pytest.approx(float(rosenbrock(at).detach()) ** 0.5, abs=1e-12)
+
+
+def test_where_the_error_is_not_finite_the_weights_stay() -> None:
+    at = nn.Parameter(torch.tensor([3.0], dtype=torch.float64))
+
+    def fails_below_two() -> Tensor:
+        return torch.where(at > 2, at**2, torch.nan * at).sum()
+
+    finish = QuasiNewton([at], fails_below_two)
+    run(finish)
+    assert finish.settled
+    assert at.item() > 2
+
+
+@pytest.mark.parametrize(("window", "warmup"), [(10, 3), (11, 3), (7, 6), (40, 39)])
+@pytest.mark.parametrize("samples", [40, 57, 100])
+def test_every_sample_after_the_first_warmup_is_in_a_window(
+    samples: int, window: int, warmup: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for halved in (0, 10_000):
+        monkeypatch.setattr(quasi_newton, "HALVED", halved)
+        chosen = end_to_end(torch.arange(samples - window + 1), window, warmup)
+        predicted = {n for start in chosen.tolist() for n in range(start + warmup, start + window)}
+        assert predicted == set(range(warmup, samples))
+        reckoned = samples_in_a_step(samples, window, warmup)
+        assert abs(reckoned - len(chosen) * window) <= window
+
+
+def test_of_a_long_record_some_windows_are_left_out_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(quasi_newton, "MOST_SAMPLES", 100)
+    chosen = end_to_end(torch.arange(991), 10, 0)
+    assert len(chosen) == 10
+    assert chosen[0] == 0
+    assert chosen[-1] == 990
+    assert np.ptp(np.diff(chosen.numpy())) <= 10
+    assert samples_in_a_step(1000, 10, 0) == 100
+
+
+def test_it_gets_further_than_as_many_epochs() -> None:
+    """By the mean square of the whole, not of some windows; at the end, not on average."""
+    _, by_adam, _ = trained(settings=replace(RECIPE, epochs=4))
+    _, finished, _ = trained(settings=replace(FINISHED, epochs=1, quasi_newton=60))
+    for name, losses in finished.losses.items():
+        assert len(losses) <= 4
+        assert losses[-1] < 0.9 * by_adam.losses[name][-1]
+
+
+@pytest.mark.parametrize("die_after", range(1, 8))
+def test_a_training_that_was_cut_off_ends_with_the_same_bits(
+    die_after: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("splitband.training.checkpoints.MOST_OVERHEAD", 1e9)
+    whole, history, seen = trained(settings=FINISHED)
+    assert len(seen) == 8  # of each network an epoch and three rounds
+    file = tmp_path / "training.safetensors"
+    with pytest.raises(Killed):
+        trained(Checkpoint(file), die_after, settings=FINISHED)
+    model, resumed, again = trained(Checkpoint(file), settings=FINISHED)
+    assert_same(model, whole)
+    assert resumed.losses == history.losses
+    assert len(again) == 8 - (die_after - 1)
+
+
+def test_what_was_not_measured_counts_for_nothing() -> None:
+    y = holed(record()[:TRAIN].y, slice(40, 44), 61)
+    models = []
+    for value in (-50.0, 50.0):
+        training = standing_in(y, value)
+        model = untrained("gru", training, SETUP, 3)
+        fit(model, training, FINISHED)
+        models.append(model)
+    assert_same(*models)
+
+
+def test_its_iterations_are_checked() -> None:
+    with pytest.raises(ValueError, match="quasi_newton must be at least 1, got 0"):
+        Settings(quasi_newton=0)
