@@ -72,6 +72,15 @@ class VanDerPol(Fmi2Slave):
 
 
 @pytest.fixture(autouse=True)
+def nothing_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The default budget pays for no search: networks are trained as the default recipe says.
+
+    The tests of the search have a budget of their own.
+    """
+    monkeypatch.setattr("splitband.evaluation.search.CORE_SECONDS", 1e-6)
+
+
+@pytest.fixture(autouse=True)
 def seeded() -> None:
     """Networks begin with the same weights whatever ran before in the same process."""
     torch.manual_seed(0)

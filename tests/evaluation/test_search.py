@@ -27,7 +27,8 @@ from splitband.forecasters.networks import Network
 from tests.records import SETUP, TRAIN, record
 
 QUICK = Settings(40, 12, 1, 16, most_batches=2)
-SEARCHED = replace(SETUP, settings=QUICK, search=Search())
+BUDGET = Search(240.0)
+SEARCHED = replace(SETUP, settings=QUICK, search=BUDGET)
 STEPS = 20
 
 
@@ -49,7 +50,7 @@ def found_by(
     work: Work | None = None,
 ) -> Found:
     chosen = methods(SEARCHED, *names)
-    return search(training, chosen, STEPS, budget or Search(), work or Work())
+    return search(training, chosen, STEPS, budget or BUDGET, work or Work())
 
 
 def settings_of(forecaster: Forecaster) -> Settings:
@@ -111,7 +112,7 @@ def test_it_depends_neither_on_processes_nor_on_what_is_resumed(tmp_path: Path) 
 def test_a_small_budget_tries_less_and_a_tiny_one_nothing() -> None:
     training = record()[:TRAIN]
     whole = found_by(training, ["gru"])
-    spent = Search().core_seconds - whole.left
+    spent = BUDGET.core_seconds - whole.left
     less = found_by(training, ["gru"], Search(0.8 * spent))
     assert 0 < len(less.attempts) < len(whole.attempts)
     assert Search(0.8 * spent).core_seconds - less.left <= searching.SEARCHED * 0.8 * spent
@@ -123,14 +124,14 @@ def test_a_small_budget_tries_less_and_a_tiny_one_nothing() -> None:
 def test_settings_of_ones_own_are_not_searched() -> None:
     own = sb.Single(sb.GRU(4), settings=QUICK)
     chosen = [own.with_defaults(SETUP.settings, SETUP.bands)]
-    found = search(record()[:TRAIN], chosen, STEPS, Search(), Work())
+    found = search(record()[:TRAIN], chosen, STEPS, BUDGET, Work())
     assert found.attempts == ()
     assert found.forecasters == chosen
 
 
 def test_cells_of_ones_own_keep_their_size() -> None:
     chosen = [sb.Single(sb.GRU(4)).with_defaults(QUICK, SETUP.bands)]
-    found = search(record()[:TRAIN], chosen, STEPS, Search(), Work())
+    found = search(record()[:TRAIN], chosen, STEPS, BUDGET, Work())
     assert {a.training.split(",")[0] for a in found.attempts} == {"4 hidden units"}
 
 
@@ -162,7 +163,9 @@ def test_good_methods_get_more_seeds_as_long_as_the_budget_lasts() -> None:
 def test_compare_searches_by_default_and_says_what_it_has_tried(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    setup = replace(default_setup(record(), TRAIN), settings=QUICK, bands=SETUP.bands)
+    setup = replace(
+        default_setup(record(), TRAIN), settings=QUICK, bands=SETUP.bands, search=BUDGET
+    )
     monkeypatch.setattr("splitband.evaluation.api.default_setup", lambda *_, **__: setup)
     comparison = sb.compare(record(), TRAIN, [sb.Single(sb.GRU(4)), sb.Mean()])
     assert {attempt.method for attempt in comparison.attempts} == {"gru"}

@@ -20,7 +20,7 @@ from splitband.evaluation.selection import WORTH_TRAINING, check_trial
 from splitband.evaluation.setup import Setup, default_names, usual_names
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT
-from splitband.forecasters.names import CALIBRATED, HYBRIDS, NAMES, with_variants
+from splitband.forecasters.names import BASES, CALIBRATED, HYBRIDS, NAMES, with_base, with_variants
 from splitband.paper.settings import RECORD_SETTINGS, SAMPLE_FREQUENCY
 from splitband.report import results
 from splitband.runtime.files import CHECKPOINTS, output_folder
@@ -83,13 +83,16 @@ def compare(
     by_default = default_names(hybrid, trajectory.nu > 0)
     asked = by_default if methods is None else given.method_names(methods)
     chosen = with_variants(asked, calibrate, conditioned)
+    based = simulator.simulator in BASES
+    if simulator.simulator in BASES:
+        chosen = with_base(chosen, simulator.simulator)
     beyond = any(CALIBRATED in method for method in chosen)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=beyond)
     tested = bool(testing.test)
     setup = given.setup(
         record, trajectory, train, model, chosen, 1 - tested, tested, jobs or available_cores()
     )
-    if methods is None:
+    if methods is None and not based:
         chosen = with_variants(usual_names(trajectory, setup), calibrate, conditioned)
     if horizon is not None:
         if setup.train + horizon > len(trajectory):

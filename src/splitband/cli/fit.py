@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -12,16 +13,21 @@ import typer
 from splitband.cli import given, options, showing
 from splitband.cli.simulators import each_with_simulator, with_simulator
 from splitband.data.timing import as_json
-from splitband.evaluation.runs import RunProgress
+from splitband.evaluation.runs import RunProgress, Work
+from splitband.evaluation.search import search
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.names import CALIBRATED, TRAINED, with_variants
+from splitband.forecasters.names import BASED, CALIBRATED, TRAINED, with_variants
 from splitband.forecasters.networks import Network
 from splitband.metrics import rmse
 from splitband.report import results
 from splitband.runtime.files import CHECKPOINTS, output_folder, write_json
+from splitband.runtime.threads import available_cores
 from splitband.training import Checkpoint, Progress
+
+FITTED = tuple(name for name in TRAINED if name not in BASED)
+"""Methods whose saved models `simulate` reads."""
 
 
 @options.with_groups
@@ -34,9 +40,7 @@ def fit(
     out: Annotated[
         Path, typer.Option(metavar="MODEL_DIR", help="Folder for the model.", show_default=False)
     ],
-    method: Annotated[
-        str, typer.Option(help=f"What to train: {', '.join(TRAINED)}.")
-    ] = "split-gru",
+    method: Annotated[str, typer.Option(help=f"What to train: {', '.join(FITTED)}.")] = "split-gru",
     train: Annotated[
         int | None,
         typer.Option(help="Samples at the beginning to train on.", show_default="all"),
@@ -46,22 +50,26 @@ def fit(
     ] = 0,
     calibrate: options.Calibrate = False,
     conditioned: options.Conditioned = False,
+    jobs: options.Jobs = None,
 ) -> None:
     """Train one model on a record and save it.
+
+    How it is trained is found on the last quarter of the samples first, as by `compare`.
 
     MODEL_DIR gets the weights (safetensors), everything else (JSON) and results.json.
     """
     if calibrate or conditioned:
         method = with_variants([method], calibrate, conditioned)[-1]
-    if method not in TRAINED:
-        raise ValueError(f"--method must be one of {', '.join(TRAINED)}, got {method}")
+    if method not in FITTED:
+        raise ValueError(f"--method must be one of {', '.join(FITTED)}, got {method}")
     trajectory = given.load_record(record, reading)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=CALIBRATED in method)
     samples = len(trajectory) if train is None else train
-    setup = given.setup(record, trajectory, samples, model, [method], ahead=0)
+    cores = jobs or available_cores()
+    setup = given.setup(record, trajectory, samples, model, [method], ahead=0, cores=cores)
     others = given.load_further(further.more, "--more", trajectory, reading)
     others = each_with_simulator(others, [method], further, simulator, reading)
-    forecaster = given.on_device(setup.forecaster(method), model.device)
+    forecaster: Forecaster = given.on_device(setup.forecaster(method), model.device)
     training = trajectory[: setup.train]
     given.check_needs([forecaster], training)
     forecaster.check(training, *others)
@@ -71,11 +79,17 @@ def fit(
         def update(at: Progress) -> None:
             bar(RunProgress(f"{method}, {at.task}", seed, at.share, at.loss))
 
+        if setup.search is not None:
+            work = Work(cores, bar, out / CHECKPOINTS)
+            found = search(training, [forecaster], 0, setup.search, work, others)
+            forecaster = found.forecasters[0]
         (out / CHECKPOINTS).mkdir(exist_ok=True)
         checkpoint = Checkpoint(out / CHECKPOINTS / f"{method}-{seed}.safetensors")
         forecaster.fit(training, *others, seed=seed, progress=update, checkpoint=checkpoint)
     fitted = forecaster.require_fitted()
     assert isinstance(forecaster, Network)
+    assert forecaster.settings is not None
+    setup = replace(setup.only_for(method), settings=forecaster.settings)
     facts = {
         "method": method,
         "seed": seed,
@@ -86,7 +100,8 @@ def fit(
         "start": as_json(training.start),
         "columns": list(training.columns),
         "inputs": given.names(reading.inputs or ""),
-        "setup": setup.only_for(method).as_json(),
+        "setup": setup.as_json(),
+        "training": forecaster.training_in_words(),
         "calibration": given.calibration_facts(forecaster),
     }
     saving.save(forecaster, out, facts)
@@ -103,7 +118,8 @@ def fit(
         showing.console.print(note)
     calibration = given.calibration_of(forecaster)
     showing.console.print(
-        f"{method} trained on {len(training)} samples in {fitted.report.seconds:.1f} s; free run "
+        f"{method} ({forecaster.training_in_words()}) trained on {len(training)} samples in "
+        f"{fitted.report.seconds:.1f} s; free run "
         f"over them from the first {forecaster.warmup}: RMSE {within:.4g}\n"
         + ("" if calibration is None else f"simulator calibrated: {calibration}\n")
         + f"model: {out}/",

@@ -17,7 +17,7 @@ from splitband.evaluation.comparison import check
 from splitband.evaluation.runs import Work
 from splitband.evaluation.selection import check_trial
 from splitband.evaluation.setup import default_names, usual_names
-from splitband.forecasters.names import CALIBRATED, NAMES
+from splitband.forecasters.names import BASES, CALIBRATED, NAMES, with_base
 from splitband.report import pictures, results
 from splitband.runtime.files import CHECKPOINTS, output_folder, replacing, write_json
 from splitband.runtime.threads import available_cores
@@ -57,13 +57,16 @@ def forecast(
     names = default_names(hybrid, known.nu > 0) if method is None else [method]
     if names[0] not in NAMES:
         raise ValueError(f"--method must be one of {', '.join(NAMES)}, got {method}")
+    based = simulator.simulator in BASES
+    if simulator.simulator in BASES:
+        names, hybrid = with_base(names, simulator.simulator), False
     beyond = any(CALIBRATED in name for name in names)
     known = with_simulator(known, simulator, reading, steps if hybrid else 0, beyond)
     u = given.inputs_ahead(future_inputs, known, steps, reading)
     known = replace(known, u_beyond=u)
     model, jobs = options.ModelOptions(epochs=epochs, budget=budget), jobs or available_cores()
     setup = given.setup_ahead(known, steps, names, model, jobs)
-    names = usual_names(known, setup) if method is None else names
+    names = usual_names(known, setup) if method is None and not based else names
     others = given.load_further(further.more, "--more", known, reading)
     others = each_with_simulator(others, names, further, simulator, reading)
     methods = [given.on_device(setup.forecaster(name), device) for name in names]

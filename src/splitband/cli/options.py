@@ -139,7 +139,8 @@ SimulatorOption = Annotated[
         help="A simulator of the record: an exported trajectory (any file a record can be), an "
         ".fmu, FILE.py:FUNCTION (called with the record's time stamps in s; with seconds from 0 "
         "where these are dates, or missing), or one of "
-        f"{', '.join(SIMULATORS)}.",
+        f"{', '.join(SIMULATORS)}. For compare and forecast also linear (of the known inputs), "
+        "periodic or harmonic: what is fitted to the training samples takes its place.",
         rich_help_panel=_SIMULATOR,
         show_default="a named record's own",
     ),

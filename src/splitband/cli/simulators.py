@@ -18,7 +18,7 @@ from splitband.cli.options import FurtherRecords, RecordOptions, SimulatorOption
 from splitband.data import Grid, Trajectory
 from splitband.data.alignment import NEAR
 from splitband.data.timing import Stamp, in_words, seconds_between, stamp_after
-from splitband.forecasters.names import CALIBRATED, HYBRIDS
+from splitband.forecasters.names import BASES, CALIBRATED, HYBRIDS
 from splitband.paper.systems import SIMULATORS
 from splitband.simulators import Recorded, Simulator, SimulatorTimeoutError, run
 from splitband.simulators.calibration import Calibration, samples_needed
@@ -60,7 +60,7 @@ def with_simulator(
         raise ValueError(f"--simulator-timeout must be a number of seconds, got {timeout:g}")
     if simulator is None and (beyond or ahead) and record.y_sim is not None:
         simulator = record.name  # a named record's own, for longer
-    if simulator is None:
+    if simulator is None or simulator in BASES:
         return record
     opened = opened_simulator(replace(options, simulator=simulator), record, reading.time_column)
     least = len(record) + ahead

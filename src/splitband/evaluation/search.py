@@ -86,7 +86,7 @@ class Search:
     sizes : Whether networks that go by a name may be smaller than usual.
     """
 
-    core_seconds: float = CORE_SECONDS
+    core_seconds: float = field(default_factory=lambda: CORE_SECONDS)
     sizes: bool = True
 
     def __post_init__(self) -> None:

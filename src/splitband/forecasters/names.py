@@ -81,6 +81,20 @@ _HYBRIDS: dict[str, tuple[Callable[..., Forecaster], Callable[[Sizes], Template]
     "residual-gru": (Residual, _gru),
     "residual-rnn": (Residual, _rnn),
 }
+BASES: dict[str, Callable[[], Forecaster]] = {
+    "linear": Linear,
+    "periodic": Periodic,
+    "harmonic": Harmonic,
+}
+"""What may hold the slow part in a simulator's place: it is fitted to the training samples."""
+
+
+def _based(
+    kind: Callable[..., Forecaster], base: Callable[[], Forecaster], sizes: Sizes, conditioned: bool
+) -> Forecaster:
+    return kind(base(), _gru(sizes), conditioned=conditioned)
+
+
 # A line for each name: to add a cell, a baseline or a kind of model is to add its class and a line.
 NAMES: dict[str, Callable[[Sizes], Forecaster]] = {
     "gru": lambda sizes: Single(_gru(sizes)),
@@ -98,6 +112,14 @@ NAMES: dict[str, Callable[[Sizes], Forecaster]] = {
         for told in (False, True)
         for calibrated in (False, True)
     },
+    **{
+        f"{kind}-{base}-gru" + CONDITIONED * told: partial(
+            _based, _HYBRIDS[f"{kind}-gru"][0], make, conditioned=told
+        )
+        for kind in ("filtered", "residual")
+        for base, make in BASES.items()
+        for told in (False, True)
+    },
     "simulator": lambda _: Simulation(),
     "simulator-affine": lambda _: Simulation(calibrated=AFFINE),
     "simulator" + CALIBRATED: lambda _: Simulation(calibrated=True),
@@ -109,7 +131,15 @@ NAMES: dict[str, Callable[[Sizes], Forecaster]] = {
     "linear": lambda _: Linear(),
 }
 HYBRIDS = tuple(name for name in NAMES if name.startswith((*_HYBRIDS,)))
-TRAINED = ("gru", "rnn", *(name for name in NAMES if name.startswith((*_SPLITS,))), *HYBRIDS)
+BASED = tuple(name for name in NAMES if any(f"-{base}-" in name for base in BASES))
+"""Hybrid models whose slow part is fitted to the record: they need no simulator."""
+TRAINED = (
+    "gru",
+    "rnn",
+    *(name for name in NAMES if name.startswith((*_SPLITS,))),
+    *HYBRIDS,
+    *BASED,
+)
 QUICK = tuple(name for name in NAMES if name not in TRAINED)
 """What is fitted in closed form, and needs no seed."""
 
@@ -121,6 +151,23 @@ def named(name: str, sizes: Sizes | None = None) -> Forecaster:
     # A template has weights that nobody uses; drawing them must not move the user's generator.
     with torch.random.fork_rng(devices=[]):
         return NAMES[name](sizes or Sizes())
+
+
+def with_base(names: Sequence[str], base: str) -> list[str]:
+    """The names with one of `BASES` in the place of a simulator; it stands for itself, too."""
+    return [*dict.fromkeys(_on_base(name, base) for name in names)]
+
+
+def _on_base(name: str, base: str) -> str:
+    if name.startswith("simulator"):
+        return base
+    if name not in HYBRIDS:
+        return name
+    kind, _, rest = name.replace(CALIBRATED, "").partition("-")
+    found = f"{kind}-{base}-{rest}"
+    if found not in NAMES:
+        raise ValueError(f"methods on {base} must be out of {', '.join(BASED)}, got {found}")
+    return found
 
 
 def base(name: str) -> str:

@@ -441,7 +441,9 @@ class _Hybrid(_Banded):
 
     def with_defaults(self, settings: Settings, bands: Bands) -> Self:
         """See `Forecaster`."""
-        new = super().with_defaults(settings, bands).copy()
+        # Where a fitted base knows the record shows once it is fitted: its bands are chosen then.
+        usual = bands if isinstance(self.base, Simulation) else Bands()
+        new = super().with_defaults(settings, usual).copy()
         new.base = self.base.with_defaults(settings, bands)
         return new
 

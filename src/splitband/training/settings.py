@@ -109,7 +109,7 @@ class Settings:
 
     def steps_in_words(self) -> str:
         """How long is trained, for tables."""
-        epochs = f"{self.epochs} epochs"
+        epochs = f"{self.epochs} epoch{'s' if self.epochs > 1 else ''}"
         return f"{epochs}, L-BFGS {self.quasi_newton}" if self.quasi_newton else epochs
 
     def rate(self, epoch: int, share: float) -> float:

@@ -1,0 +1,72 @@
+"""`--budget`, and what is put in a simulator's place."""
+
+from pathlib import Path
+
+import pytest
+
+from splitband.cli.given import seconds
+from splitband.forecasters.names import BASED, NAMES, named, with_base
+from tests.cli.support import QUICK, assert_fails, call, results
+
+pytestmark = pytest.mark.usefixtures("inside", "undrawn")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"), [("90s", 90), ("10m", 600), ("1.5h", 5400), (" 2M ", 120)]
+)
+def test_a_duration_has_a_unit(text: str, expected: float) -> None:
+    assert seconds(text) == expected
+
+
+@pytest.mark.parametrize("text", ["", "10", "m", "-1m", "0s", "infh", "nanm", "2 weeks"])
+def test_what_is_no_duration_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="--budget must be a time such as 90s, 10m or 1h"):
+        seconds(text)
+
+
+@pytest.mark.parametrize("option", ["--epochs 2", "--window 40", "--recipe paper"])
+def test_a_budget_and_a_training_of_ones_own_exclude_each_other(
+    option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    says = ("--budget is for finding out how to train", option.split(maxsplit=1)[0], "1m")
+    assert_fails(f"compare record.csv --columns a --budget 1m {option}", says, capsys)
+
+
+def test_the_budget_decides_what_is_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("splitband.evaluation.search.LADDER", (3, 6))
+    monkeypatch.setattr("splitband.evaluation.search.FIRST_STEPS", 4)
+    monkeypatch.setattr("splitband.training.settings.STEPS", 20)
+    monkeypatch.setattr("splitband.cli.given.reference_seconds", lambda wall, cores: wall * cores)
+    line = "compare record.csv --columns a --methods gru,mean --jobs 1 --budget"
+    tried = []
+    for budget in ("0.3s", "1m"):
+        call(f"{line} {budget}", tmp_path / budget)
+        found = results(tmp_path / budget)
+        tried.append(len(found["search"]))
+        assert found["settings"]["search"]["core_seconds"] in (0.3, 60)
+        assert "hidden units" in found["methods"]["gru"]["description"]
+    assert tried[0] < tried[1]
+
+
+def test_what_is_fitted_to_the_record_takes_a_simulators_place(tmp_path: Path) -> None:
+    out = tmp_path / "based"
+    line = "compare record.csv --columns a --simulator harmonic --seeds 1 --jobs 1"
+    call(f"{line} --methods simulator,residual-gru-calibrated,filtered-gru,mean {QUICK}", out)
+    assert [*results(out)["methods"]] == [
+        "harmonic", "residual-harmonic-gru", "filtered-harmonic-gru", "mean"
+    ]  # fmt: skip
+
+
+def test_what_has_no_name_on_such_a_base_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    line = f"compare record.csv --columns a --simulator linear --methods residual-rnn {QUICK}"
+    assert_fails(line, ("residual-linear-rnn", "residual-linear-gru"), capsys)
+
+
+def test_names_on_a_base_are_those_of_what_they_name() -> None:
+    for name in BASED:
+        assert named(name).name == name
+        assert "simulator" not in named(name).needs
+    names = ["gru", "filtered-gru-calibrated-conditioned", "simulator-calibrated", "mean"]
+    found = with_base(names, "linear")
+    assert found == ["gru", "filtered-linear-gru-conditioned", "linear", "mean"]
+    assert set(found) <= set(NAMES)
