@@ -115,14 +115,14 @@ class Channel(NamedTuple):
 
 
 def _fit_channel(y: Array, u: Array) -> Channel:
-    """The model of one channel; found with the channel scaled to its range."""
+    """The model of one channel, fitted with the channel scaled to its range."""
     offset, scale = units(y)
     y = (y - offset) / scale
     begin, end = recent(y[:, None])
     a = _denominator(end[:, 0], u[begin:])
-    found = _solved(a, y, u, begin)[0]
-    b, c = found[: -len(a)].reshape(u.shape[1], -1), found[-len(a) : -1]
-    return Channel(a, scale * b, scale * c, offset + scale * float(found[-1]))
+    coefficients = _solved(a, y, u, begin)[0]
+    b, c = coefficients[: -len(a)].reshape(u.shape[1], -1), coefficients[-len(a) : -1]
+    return Channel(a, scale * b, scale * c, offset + scale * float(coefficients[-1]))
 
 
 def _denominator(y: Array, u: Array) -> Array:
@@ -178,8 +178,8 @@ def _refined(a: Array, y: Array, u: Array) -> Array:
         simulated = _solved(_stable(np.append(1.0, moved)), y, u)[1]
         return np.nan_to_num(y - simulated)
 
-    found = scipy.optimize.least_squares(left, a[1:], x_scale="jac", max_nfev=20)
-    return _stable(np.append(1.0, found.x))
+    minimum = scipy.optimize.least_squares(left, a[1:], x_scale="jac", max_nfev=20)
+    return _stable(np.append(1.0, minimum.x))
 
 
 def _solved(a: Array, y: Array, u: Array, begin: int = 0) -> tuple[Array, Array]:
@@ -192,8 +192,8 @@ def _solved(a: Array, y: Array, u: Array, begin: int = 0) -> tuple[Array, Array]
     of_c = slice(-len(a), -1)
     gone = abs(fitted[:, of_c]).max(axis=0) < _GONE * abs(basis[:, of_c]).max(axis=0)
     fitted[:, of_c] = np.where(gone, 0.0, fitted[:, of_c])
-    found = np.linalg.lstsq(fitted, y[rows], rcond=_RANK)[0]
-    return found.astype(np.float64), np.asarray(basis @ found)
+    coefficients = np.linalg.lstsq(fitted, y[rows], rcond=_RANK)[0]
+    return coefficients.astype(np.float64), np.asarray(basis @ coefficients)
 
 
 def _driven(a: Array, u: Array) -> Array:

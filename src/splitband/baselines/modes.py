@@ -67,8 +67,8 @@ class Modes(NamedTuple):
 
     def _solve(self, y: Array) -> Modes:
         rows = known(y)
-        found = np.linalg.lstsq(self.basis(rows), y[rows], rcond=RESOLUTION)[0]
-        return self._replace(coefficients=found.astype(np.float64))
+        coefficients = np.linalg.lstsq(self.basis(rows), y[rows], rcond=RESOLUTION)[0]
+        return self._replace(coefficients=coefficients.astype(np.float64))
 
     def refined(self, y: Array) -> Modes:
         """With the frequencies, dampings and rate of the trend nearby that fit `y` best."""
@@ -81,8 +81,8 @@ class Modes(NamedTuple):
         """
         left = np.nan_to_num(self.residual(y)) * np.exp(-weight * np.arange(len(y)) / len(y))
         frequencies, power = scipy.signal.periodogram(left, nfft=8 * len(y), detrend=False)
-        found = frequencies[_highest(power, whole=not np.isnan(y).any())]
-        more = np.append(self.frequencies, found), np.append(self.dampings, damping)
+        frequency = frequencies[_highest(power, whole=not np.isnan(y).any())]
+        more = np.append(self.frequencies, frequency), np.append(self.dampings, damping)
         return self._replace(frequencies=more[0], dampings=more[1]).refined(y)
 
     def basis(self, index: npt.NDArray[np.number]) -> Array:
@@ -161,7 +161,7 @@ class _Refinement:
         begin, low, high, scale = (np.concatenate(values) for values in self._limits())
         if not len(begin):
             return self.modes._solve(self.y)
-        found = scipy.optimize.least_squares(
+        minimum = scipy.optimize.least_squares(
             self.left,
             np.clip(begin, low, high),
             jac=self.slopes,
@@ -171,7 +171,7 @@ class _Refinement:
             xtol=1e-12,
             max_nfev=50,
         )
-        return self.at(np.asarray(found.x))
+        return self.at(np.asarray(minimum.x))
 
     def _limits(self) -> tuple[list[Array], list[Array], list[Array], list[Array]]:
         """Where each value begins, its least and its largest, and the scale of its steps."""

@@ -83,7 +83,7 @@ class PeriodicRegression:
 
 
 def _fit_channel(y: Array) -> Modes:
-    """The fit of one channel; found with the channel scaled to its range."""
+    """The fit of one channel, made with the channel scaled to its range."""
     offset, scale = units(y)
     scaled = (y - offset) / scale
     trend = find(scaled)
@@ -129,8 +129,8 @@ def _best_series(y: Array, shape: Shape | None, lags: int = 4) -> Modes:
     channel = level.residual(y)[:, None]
     # Of multiples of a period that tie, seasonal-naive takes the shortest.
     periods = {len(last_period(channel)), *self_similar_lags(channel, lags)}
-    found = [_series(y, lag, shape) for lag in sorted(periods)]
-    return min(found, key=lambda modes: modes.information(y))
+    candidates = [_series(y, lag, shape) for lag in sorted(periods)]
+    return min(candidates, key=lambda modes: modes.information(y))
 
 
 def _series(y: Array, lag: int, shape: Shape | None) -> Modes:

@@ -239,10 +239,10 @@ def _best(shapes: list[Shape], at: Array, y: Array, sinusoids: Array) -> Shape |
 
     best = int(np.argmax([explained(shape) for shape in shapes]))
     around = [np.log(shape.rate) for shape in shapes[max(best - 1, 0) : best + 2]]
-    found = scipy.optimize.minimize_scalar(
+    minimum = scipy.optimize.minimize_scalar(
         lambda rate: -explained(shapes[0]._replace(rate=float(np.exp(rate)))),
         bounds=(around[0], around[-1]),
         method="bounded",
         options={"xatol": 1e-3},
     )
-    return shapes[0]._replace(rate=float(np.exp(found.x)))
+    return shapes[0]._replace(rate=float(np.exp(minimum.x)))

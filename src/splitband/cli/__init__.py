@@ -42,11 +42,11 @@ class Commands(TyperGroup):
         module, line = COMMANDS[cmd_name]
         if self.listing:
             return typer.core.TyperCommand(cmd_name, help=line)
-        found = getattr(import_module(f"splitband.cli.{module}"), cmd_name)
-        if isinstance(found, typer.Typer):
-            return typer.main.get_group(found)
+        command = getattr(import_module(f"splitband.cli.{module}"), cmd_name)
+        if isinstance(command, typer.Typer):
+            return typer.main.get_group(command)
         alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
-        alone.command(cmd_name)(found)
+        alone.command(cmd_name)(command)
         return typer.main.get_command(alone)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:

@@ -267,14 +267,14 @@ def require_finite(what: str, values: FloatArray, columns: Sequence[str] = ()) -
     largest = np.maximum(-low, high)
     with np.errstate(over="ignore"):
         span = np.ptp(values, axis=0) if len(values) else largest
-    for found, rule, off in (
+    for extent, rule, off in (
         (largest, f"of {LARGEST:g} at most", largest > LARGEST),
         (span, f"constant, or of a range of {SMALLEST:g} at least", (span > 0) & (span < SMALLEST)),
     ):
         if off.any():
             column = f" in column {columns[int(off.argmax())]!r}" if columns else ""
             raise ValueError(
-                f"{what} must be {rule}, in another unit if need be: got {found[off][0]:g}{column}"
+                f"{what} must be {rule}, in another unit if need be: got {extent[off][0]:g}{column}"
             )
 
 

@@ -167,16 +167,16 @@ def buffers(like: Tensor, split: list[slice], *shapes: tuple[int, ...]) -> list[
     """
     sizes = [math.prod(shape) for shape in shapes]
     whole = like.new_empty(split[-1].stop * sum(sizes) + PAD * len(split) * len(sizes))
-    found: list[list[Tensor]] = []
+    by_job: list[list[Tensor]] = []
     at = 0
     for rows in split:
-        found.append([])
+        by_job.append([])
         for shape, size in zip(shapes, sizes, strict=True):
             n = rows.stop - rows.start
             values = whole[at : at + n * size]
-            found[-1].append(values.view(*shape[:-1], n, shape[-1]))
+            by_job[-1].append(values.view(*shape[:-1], n, shape[-1]))
             at = padded(at + n * size)
-    return found
+    return by_job
 
 
 def run_rows(kernel: Callable[..., None], jobs: Sequence[Sequence[Any]]) -> None:

@@ -131,13 +131,13 @@ class Model(nn.Module, ABC):
         values = u.detach().cpu().numpy() if isinstance(u, Tensor) else np.asarray(u)
         values = values.reshape(-1, values.shape[-2] if values.ndim > 1 else len(values), self.nu)
         low, high = (x.cpu().numpy() for x in (self.u_low, self.u_high))
-        found = [beyond for of_one in values for beyond in extrapolations(low, high, of_one)]
+        every = [beyond for of_one in values for beyond in extrapolations(low, high, of_one)]
         return [
             max(
-                (beyond for beyond in found if beyond.channel == channel),
+                (beyond for beyond in every if beyond.channel == channel),
                 key=lambda beyond: max(beyond.low - beyond.farthest, beyond.farthest - beyond.high),
             )
-            for channel in sorted({beyond.channel for beyond in found})
+            for channel in sorted({beyond.channel for beyond in every})
         ]
 
     def simulate_components(

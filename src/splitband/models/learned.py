@@ -164,11 +164,11 @@ class Split(Model):
         lengths = [steps] * count
         for band in range(count - 1, 0, -1):
             lengths[:band] = [max(lengths[band - 1], self._told_for(band, lengths[band]))] * band
-        found: dict[str, Tensor] = {}
+        bands: dict[str, Tensor] = {}
         for band, name in enumerate(self._names()[:count]):
-            slower = _sum({n: part[:, : lengths[band - 1]] for n, part in found.items()})
-            found[name] = self._at_full_rate(band, known, lengths[band], slower)
-        return {name: part[:, :steps] for name, part in found.items()}
+            slower = _sum({n: part[:, : lengths[band - 1]] for n, part in bands.items()})
+            bands[name] = self._at_full_rate(band, known, lengths[band], slower)
+        return {name: part[:, :steps] for name, part in bands.items()}
 
     def _told_for(self, band: int, steps: int) -> int:
         """Samples of the slower bands that `steps` samples of a band depend on."""
@@ -235,12 +235,12 @@ class Split(Model):
             )
             for band in range(len(networks))
         ]
-        found = [(network.ny, network.nu) for network in networks]
-        if found != wanted:
+        given = [(network.ny, network.nu) for network in networks]
+        if given != wanted:
             raise ValueError(
                 f"the networks' (ny, nu) must be {wanted}"
                 f"{', with 2 ny inputs for the slower bands' if self.conditioned else ''}, "
-                f"got {found}"
+                f"got {given}"
             )
 
     def _check_bands(self) -> None:

@@ -220,25 +220,25 @@ def _weights(path: Path, digest: Any, expected: Mapping[str, Tensor]) -> dict[st
     if hashlib.sha256(content).hexdigest() != digest:
         raise ValueError(f"{path} is damaged: its checksum is not that of the model")
     try:
-        found = safetensors.torch.load(content)
+        weights = safetensors.torch.load(content)
     except _UNFIT as error:
         raise ValueError(f"{path} is damaged: {error}") from None
-    if not {"u_low", "u_high"} & found.keys() and {"u_low", "u_high"} <= expected.keys():
+    if not {"u_low", "u_high"} & weights.keys() and {"u_low", "u_high"} <= expected.keys():
         # Models from before it was kept know no range of their inputs: nothing is beyond it.
         unknown = torch.full(tuple(expected["u_low"].shape), torch.inf, dtype=torch.float64)
-        found |= {"u_low": -unknown, "u_high": unknown}
-    shapes, needed = ({k: tuple(t.shape) for k, t in of.items()} for of in (found, expected))
+        weights |= {"u_low": -unknown, "u_high": unknown}
+    shapes, needed = ({k: tuple(t.shape) for k, t in of.items()} for of in (weights, expected))
     if shapes != needed:
         name = min(k for k in shapes | needed if shapes.get(k) != needed.get(k))
         raise ValueError(
             f"{path} is not the model's: {name} must be {needed.get(name)}, got {shapes.get(name)}"
         )
-    for name, tensor in found.items():
+    for name, tensor in weights.items():
         floating = tensor.dtype in (torch.float32, torch.float64)
         wanted = expected[name].dtype
         if not (floating if wanted.is_floating_point else tensor.dtype == wanted):
             raise ValueError(f"{path} must hold float32 or float64: {name} is {tensor.dtype}")
-    return found
+    return weights
 
 
 def describe(module: nn.Module) -> dict[str, Any]:

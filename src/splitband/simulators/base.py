@@ -91,10 +91,10 @@ def run(
         return simulator.simulate(time)
 
     try:
-        found = np.asarray(within(timeout, simulate))
-        if np.iscomplexobj(found):
+        returned = np.asarray(within(timeout, simulate))
+        if np.iscomplexobj(returned):
             raise TypeError("its values must be real")
-        y = np.asarray(found, float)
+        y = np.asarray(returned, float)
     except SimulatorTimeoutError as error:
         waited = getattr(simulator, "timeout", None) if timeout is None else timeout
         within_time = "in time" if waited is None else f"within {waited:g} s"

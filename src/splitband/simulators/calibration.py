@@ -187,9 +187,9 @@ def calibrate(
         moves = set(kept) & set(_STILL)
         if pays and (not moves or (errors[kept] < errors[best]).all()):
             best = kept
-    found = _fit(y_sim, y, sampling_time, best, samples, scale)
+    calibration = _fit(y_sim, y, sampling_time, best, samples, scale)
     means = {_name(kept): float(left.mean()) for kept, left in errors.items()}
-    return replace(found, errors=means, untried=untried)
+    return replace(calibration, errors=means, untried=untried)
 
 
 def affine_fit(y_sim: Array, y: Array) -> tuple[Array, Array]:
@@ -207,8 +207,8 @@ def affine_fit(y_sim: Array, y: Array) -> tuple[Array, Array]:
 def _mean(values: Array, y: Array) -> Array:
     """Of each channel, where y is no NaN; 0 where it is nothing else."""
     measured = ~np.isnan(y)
-    found = np.where(measured, values, 0.0).sum(axis=0) / np.maximum(measured.sum(axis=0), 1)
-    return np.asarray(found, dtype=np.float64)
+    means = np.where(measured, values, 0.0).sum(axis=0) / np.maximum(measured.sum(axis=0), 1)
+    return np.asarray(means, dtype=np.float64)
 
 
 def _gain(x: Array, y: Array) -> Array:
@@ -229,8 +229,8 @@ def _held_out(
     rows = np.flatnonzero(measured.any(axis=1))
     for share in (0.5, 0.6, 0.7, 0.8):
         cut = rows[max(int(share * len(rows)), 1)]
-        found = _fit(y_sim, y[:cut], sampling_time, terms, samples)
-        left = y[cut:] - found.apply(y_sim, len(y), sampling_time)[cut:]
+        calibration = _fit(y_sim, y[:cut], sampling_time, terms, samples)
+        left = y[cut:] - calibration.apply(y_sim, len(y), sampling_time)[cut:]
         # Only what is known of a channel before tells what its terms are worth.
         told = measured[:cut].any(axis=0) & measured[cut:].any(axis=0)
         if told.any():
@@ -258,8 +258,8 @@ def _fit(
     def begun(warp: Array) -> npt.NDArray[np.bool_]:
         """Where the simulator has samples to say something from."""
         delay, clock = _warp(warp, moving)
-        found = clock * index >= delay
-        return found if found.any() else np.ones_like(found)
+        started = clock * index >= delay
+        return started if started.any() else np.ones_like(started)
 
     def residual(warp: Array) -> Array:
         x, seen = moved(warp), begun(warp)
@@ -271,13 +271,13 @@ def _fit(
     if moving:
         low, high = _bounds(len(y_sim), len(y), samples, moving)
         begin = [*_guesses(y, lambda clock: spline(clock * index), moving, low, high)]
-        found = [
+        minima = [
             scipy.optimize.least_squares(
                 residual, np.clip(point, low, high), bounds=(low, high), x_scale=(high - low) / 100
             )
             for point in begin
         ]
-        warp = np.asarray(min(found, key=lambda result: result.cost).x)
+        warp = np.asarray(min(minima, key=lambda result: result.cost).x)
     delay, clock = _warp(warp, moving)
     seen = begun(warp)
     gain, offset = _affine(moved(warp)[seen], y[seen], terms)
@@ -300,8 +300,8 @@ def _affine(x: Array, y: Array, terms: Sequence[Term]) -> tuple[Array, Array]:
 
 def _warp(warp: Array, moving: Sequence[str]) -> tuple[float, float]:
     """Delay in samples, and clock."""
-    found = _STILL | dict(zip(moving, map(float, warp), strict=True))
-    return found["delay"], found["clock"]
+    values = _STILL | dict(zip(moving, map(float, warp), strict=True))
+    return values["delay"], values["clock"]
 
 
 def _bounds(simulated: int, train: int, samples: int, moving: Sequence[str]) -> tuple[Array, Array]:
@@ -339,11 +339,11 @@ def _guesses(
 
 def _correlation(x: Array, y: Array) -> Array:
     """Of y with x shifted by -(n - 1)..n - 1 samples, squared: a gain may have either sign."""
-    found = np.zeros(2 * len(y) - 1)
+    total = np.zeros(2 * len(y) - 1)
     for a, b in zip((x - x.mean(axis=0)).T, np.nan_to_num(y - _mean(y, y)).T, strict=True):
         power = float((a**2).sum()) or 1.0
-        found += scipy.signal.correlate(b, a, mode="full", method="fft") ** 2 / power
-    return found
+        total += scipy.signal.correlate(b, a, mode="full", method="fft") ** 2 / power
+    return total
 
 
 def _spline(y: Array) -> Callable[[Array], Array]:

@@ -82,10 +82,10 @@ class Fmu:
         self._instance = instance
         if result["time"][-1] < time[-1] - step / 2:
             raise ValueError(f"the FMU {self.path} stopped at {result['time'][-1]:g} s")
-        found = np.column_stack([result[name] for name in self.outputs])
+        values = np.column_stack([result[name] for name in self.outputs])
         # FMPy stores an event's sample beside that of the grid.
         at = np.searchsorted(result["time"], time - step / 4)
-        return found[np.minimum(at, len(found) - 1)]
+        return values[np.minimum(at, len(values) - 1)]
 
     def fingerprint(self) -> str:
         """What the trajectory depends on besides the time grid; the key of the cache."""

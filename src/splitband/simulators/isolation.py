@@ -145,10 +145,10 @@ def _main(folder: Path) -> None:
     task = Isolated(**(facts | {"outputs": tuple(facts["outputs"])}))
     time = np.load(folder / _TIME, allow_pickle=False)
     try:
-        found = np.asarray(within(task.timeout, lambda: _simulate(task, time)))
-        if found.dtype == object:
-            found = found.astype(float)
-        np.save(folder / "partial.npy", found, allow_pickle=False)
+        values = np.asarray(within(task.timeout, lambda: _simulate(task, time)))
+        if values.dtype == object:
+            values = values.astype(float)
+        np.save(folder / "partial.npy", values, allow_pickle=False)
         (folder / "partial.npy").rename(folder / _VALUES)
     except BaseException as error:
         kind = type(error).__name__
