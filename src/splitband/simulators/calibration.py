@@ -326,24 +326,35 @@ def _guesses(
     limits = {m: (a, b) for m, a, b in zip(moving, low, high, strict=True)}
     clocks = np.linspace(*limits["clock"], 41) if "clock" in moving else np.ones(1)
     least, most = limits.get("delay", (0.0, 0.0))
+    shifts = np.arange(int(np.ceil(least)), int(most) + 1)  # in samples of the record
+    correlation = _correlation(y)
     ranked = []
     for clock in clocks:
-        correlation = _correlation(at_clock(clock), y)
-        shifts = np.arange(int(np.ceil(least)), int(most) + 1)  # in samples of the record
-        best = shifts[np.argmax(correlation[shifts + len(y) - 1])]
-        ranked.append((correlation[best + len(y) - 1], {"delay": clock * best, "clock": clock}))
+        at_shifts = correlation(at_clock(clock))[shifts]
+        best = int(np.argmax(at_shifts))
+        ranked.append((at_shifts[best], {"delay": clock * shifts[best], "clock": clock}))
     ranked.sort(key=lambda pair: -pair[0])
     for _, point in ranked[:count]:
         yield np.array([point[m] for m in moving])
 
 
-def _correlation(x: Array, y: Array) -> Array:
-    """Of y with x shifted by -(n - 1)..n - 1 samples, squared: a gain may have either sign."""
-    total = np.zeros(2 * len(y) - 1)
-    for a, b in zip((x - x.mean(axis=0)).T, np.nan_to_num(y - _mean(y, y)).T, strict=True):
-        power = float((a**2).sum()) or 1.0
-        total += scipy.signal.correlate(b, a, mode="full", method="fft") ** 2 / power
-    return total
+def _correlation(y: Array) -> Callable[[Array], Array]:
+    """A function of x: the correlation of y with x, squared, as a gain may have either sign.
+
+    Its value at k is that of x shifted by k samples, -(n - 1)..n - 1. The transform of y, which all
+    x have in common, is made once.
+    """
+    length = scipy.fft.next_fast_len(2 * len(y) - 1, real=True)
+    spectrum = scipy.fft.rfft(np.nan_to_num(y - _mean(y, y)), length, axis=0)
+
+    def of(x: Array) -> Array:
+        centred = x - x.mean(axis=0)
+        power = (centred**2).sum(axis=0)
+        product = spectrum * np.conj(scipy.fft.rfft(centred, length, axis=0))
+        squared = scipy.fft.irfft(product, length, axis=0) ** 2
+        return np.asarray((squared / np.where(power > 0, power, 1.0)).sum(axis=1))
+
+    return of
 
 
 def _spline(y: Array) -> Callable[[Array], Array]:
