@@ -24,7 +24,9 @@ Array = npt.NDArray[np.float64]
 ORDERS = (1, 2, 3, 4, 6, 8)
 """Numbers of poles that are tried."""
 ROUNDS = 20
-"""Iterations that look for a denominator; the search goes on from the best one."""
+"""Iterations that look for a denominator, at most; the search goes on from the best one."""
+CONVERGED = 1e-9
+"""The iteration ends where no coefficient changes by more than this."""
 FARTHEST_POLE = 0.9999
 """Largest absolute value of a pole: a record hardly tells a slower decay from growth."""
 _CUTS = (0.6, 0.7, 0.8, 0.9)
@@ -155,7 +157,7 @@ def _tried(y: Array, u: Array, order: int) -> Iterator[tuple[float, Array]]:
 
     Output, inputs and offset are filtered by 1/A, and the next A is fitted to the filtered signals
     by least squares. Gaps of y are filled by the simulation of the model before, by straight lines
-    at first.
+    at first. It ends early where the denominator does not change any more.
     """
     whole = np.interp(np.arange(len(y)), known(y), y[known(y)])
     a = np.append(1.0, np.zeros(order))
@@ -165,10 +167,12 @@ def _tried(y: Array, u: Array, order: int) -> Iterator[tuple[float, Array]]:
         constant = scipy.signal.lfilter([1.0], a, np.ones(len(y)))
         explained = np.hstack([-past, _driven(a, u), constant[:, None]])
         fitted = np.linalg.lstsq(explained, passed, rcond=_RANK)[0]
-        a = _stable(np.append(1.0, fitted[:order]))
+        before, a = a, _stable(np.append(1.0, fitted[:order]))
         simulated = _solved(a, y, u)[1]
         whole = np.where(np.isnan(y), simulated, y)
         yield float(np.nanmean((y - simulated) ** 2)), a
+        if abs(a - before).max() <= CONVERGED:
+            return
 
 
 def _refined(a: Array, y: Array, u: Array) -> Array:
