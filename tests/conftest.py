@@ -60,7 +60,7 @@ class VanDerPol(Fmi2Slave):
             raise RuntimeError("no convergence")
         if t > self.stop_at:
             return False
-        n = max(1, round(dt / 1e-3))
+        n = max(1, round(dt / 4e-3))
         h = dt / n
         for _ in range(n):
             a = self.rate(self.x, self.v)
