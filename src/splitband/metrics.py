@@ -44,7 +44,7 @@ def fit_percent(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
 def spread(y: npt.ArrayLike) -> Array:
     """The standard deviation of each channel of `y` `(time, ny)`; 1 for a constant one, `(ny,)`."""
     y = np.asarray(y, float)
-    # Rounding gives a constant a tiny deviation, so that its range decides.
+    # By its range, as rounding gives even a constant a deviation slightly above 0.
     return np.asarray(np.where(_range(y) > 0, np.nanstd(y, axis=0), 1.0))
 
 

@@ -192,7 +192,8 @@ def _solved(a: Array, y: Array, u: Array, begin: int = 0) -> tuple[Array, Array]
     rows = rows[rows >= begin]
     basis = np.hstack([_driven(a, u), np.ones((len(u), 1))])
     fitted = basis[rows]
-    # Where the response to the initial state has died out before `begin`, C could be anything.
+    # Where the response to the initial state has died out before `begin`, the samples do not
+    # determine C, which is set to 0.
     of_c = slice(-len(a), -1)
     gone = abs(fitted[:, of_c]).max(axis=0) < _GONE * abs(basis[:, of_c]).max(axis=0)
     fitted[:, of_c] = np.where(gone, 0.0, fitted[:, of_c])
@@ -227,7 +228,7 @@ def _stable(a: Array) -> Array:
         return a
     inside = np.minimum(np.where(size > 1, 1 / np.maximum(size, 1), size), FARTHEST_POLE)
     a = np.real(np.poly(np.where(size > 0, poles * inside / np.maximum(size, 1e-300), 0)))
-    # Poles close to each other are known to fewer digits, and may lie outside after all.
+    # Of nearly equal poles rounding leaves few digits, and may put them outside again.
     while (largest := abs(np.roots(a)).max(initial=0.0)) > 1:
         a = a * (0.999 / largest) ** np.arange(len(a))
     return a

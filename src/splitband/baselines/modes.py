@@ -97,7 +97,8 @@ class Modes(NamedTuple):
         phase = 2 * np.pi * at * self.frequencies
         cosine, sine = np.cos(phase), np.sin(phase)
         if self.dampings.any():
-            size = np.exp(-np.maximum(at, 0) * self.dampings)  # no growth backwards
+            # Before the record the size is held, where it would grow.
+            size = np.exp(-np.maximum(at, 0) * self.dampings)
             cosine, sine = size * cosine, size * sine
         columns = [np.ones((len(index), 1)), cosine, sine]
         return np.hstack(columns if self.shape is None else [*columns, self.shape(index)[:, None]])
@@ -185,7 +186,7 @@ class _Refinement:
     def _limits(self) -> tuple[list[Array], list[Array], list[Array], list[Array]]:
         """Where each value begins, its least and its largest, and the scale of its steps."""
         reach = 1 / len(self.y)
-        # What moves the fundamental moves its highest harmonic by a multiple of that.
+        # The highest harmonic moves by a multiple of what the fundamental moves by.
         around = reach / self.multiples.max(axis=0, initial=1)
         slowest = FEWEST_CYCLES * reach
         low = np.clip(self.free - around, slowest, 0.5)

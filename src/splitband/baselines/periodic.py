@@ -114,7 +114,7 @@ def _candidates(y: Array, shape: Shape | None) -> tuple[Modes, Modes, Modes]:
         return series, series, series
     refined = dying = modes = series.refined(y)
     for _ in range(VIBRATIONS):
-        # Early samples count more: there the vibrations are largest.
+        # Early samples are weighted more, as vibrations are largest there.
         modes = modes.with_another(y, damping=3 / len(y), weight=3)
         if modes.information(y) < dying.information(y):
             dying = modes
@@ -142,7 +142,7 @@ def _series(y: Array, lag: int, shape: Shape | None) -> Modes:
     if most < 1 or not len(known(complete)):
         return none
     by_season = seasons(complete[:, None], lag)
-    with np.errstate(invalid="ignore"):  # a phase that was never measured
+    with np.errstate(invalid="ignore"):  # 0 / 0 at a phase that was never measured
         mean_period = np.nansum(by_season, axis=0) / (~np.isnan(by_season)).sum(axis=0)
     mean_period = all_around(mean_period)[:, 0]
     strength = abs(np.fft.rfft(mean_period)[1 : (lag - 1) // 2 + 1])

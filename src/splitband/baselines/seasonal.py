@@ -64,7 +64,7 @@ class SeasonalNaive:
 def last_period(y: Array) -> Array:
     """The last period of `y` `(time, ny)`, `(lag, ny)`, of the lag that fits best, see `fit`."""
     by_lag = {lag: _last_period(y, lag) for lag in sorted(self_similar_lags(y))}
-    # A period and its multiples tie up to rounding: the shortest one is meant.
+    # A period and its multiples fit equally well up to rounding. The shortest one is taken.
     negligible = np.maximum(1e-24 * np.nanmean(y**2, axis=0), np.finfo(np.float64).tiny)
     errors = {lag: np.log(error + negligible).sum() for lag, (_, error) in by_lag.items()}
     good_enough = min(errors.values()) + 1e-9 * y.shape[1]

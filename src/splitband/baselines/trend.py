@@ -197,7 +197,7 @@ class _Sketch(NamedTuple):
             power = abs(np.fft.rfft(left, 8 * count)[: 4 * count]) ** 2
             peak = 8 + int(np.argmax(power[8:]))
             gained = 2 * float(power[peak]) / len(rows)
-            # Without noise what is left is rounding error, whatever its spectrum.
+            # Without noise only rounding error is left, which must not count as sinusoids.
             remaining = max(float(np.mean(left[rows] ** 2)), NEGLIGIBLE)
             too_weak = gained <= EVIDENCE * np.log(len(rows)) * remaining
             if too_weak or len(frequencies) == min(SINUSOIDS, (len(rows) - 4) // 3):

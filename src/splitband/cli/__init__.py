@@ -88,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             given, prog_name="splitband", standalone_mode=False
         )
     except TyperException as error:
-        # Called without a command it has printed the help, and has nothing else to say.
+        # Without a command typer has printed the help, and its message is empty.
         nothing = f"a command must be given: {' '.join(['splitband', *given])} COMMAND"
         return _complain((error.format_message().strip() or nothing) + _value(error, given))
     except (ValueError, OSError, FloatingPointError) as error:

@@ -21,7 +21,7 @@ from splitband.metrics import FARTHEST, Extrapolation, ExtrapolationWarning, spr
 console = Console(
     soft_wrap=not sys.stdout.isatty(),
     width=None if sys.stdout.isatty() else 120,
-    markup=False,  # names of files and columns are no markup
+    markup=False,  # brackets in names of files and columns are text
     emoji=False,
     highlight=False,
 )
@@ -60,7 +60,7 @@ def comparison(title: str, result: Comparison) -> Table:
         if ahead:
             covers = f"{result.covers(name):.0%}"
             cells = [_spread([trial.change(name)], steadiest), total, forecast_error, covers]
-        # What is handed out is the mean of the seeds, and so is what is tested.
+        # Tests are of the mean over seeds, as that is the prediction that users get.
         cells += [
             _spread([error], lowest)
             for error, lowest in zip(result.means[name].errors.tests, best_tests, strict=False)

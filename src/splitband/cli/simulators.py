@@ -59,7 +59,7 @@ def with_simulator(
     if not math.isfinite(timeout):
         raise ValueError(f"--simulator-timeout must be a number of seconds, got {timeout:g}")
     if simulator is None and (beyond or ahead) and record.y_sim is not None:
-        simulator = record.name  # a named record's own, for longer
+        simulator = record.name  # run a named record's own simulator for longer
     if simulator is None:
         return record
     opened = opened_simulator(replace(options, simulator=simulator), record, reading.time_column)
@@ -137,7 +137,7 @@ def simulated_again(
     elif opened.start is None or start is None:
         first = begin  # it is taken to begin with the history
     else:
-        # Whole steps from the history's own samples, so that it is interpolated just once.
+        # Begin a whole number of steps from the history's samples, to interpolate just once.
         first = begin + math.floor(places[0] - begin + 1e-6)
     samples = math.ceil(places[-1] - first - 1e-6) + 1
     if start is not None:

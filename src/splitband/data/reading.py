@@ -115,7 +115,7 @@ def _load(path: Path) -> _Table:
 def _read_text(path: Path) -> _Table:
     """Read separated numbers, with or without a header."""
     suffix = path.suffix.lower()
-    _check_size(4 * path.stat().st_size)  # as text, as lines and as numbers
+    _check_size(4 * path.stat().st_size)  # it is held as bytes, as lines and as numbers
     raw = path.read_bytes()
     _check_size(100 * raw.count(b"\n"))
     lines = _lines(raw, mark_inside=suffix not in (".csv", ".tsv"))
@@ -129,7 +129,7 @@ def _read_text(path: Path) -> _Table:
     fields = csv.reader(body[:1], delimiter=sep, skipinitialspace=True)
     cells = body[0].split() if sep == " " else next(fields)
     header = _is_header([cell.strip().replace(decimal, ".") for cell in cells])
-    if len(body) == 1 and not header:  # one row of numbers is a signal over time
+    if len(body) == 1 and not header:  # a single row of numbers is read as a column
         lines = [cell.strip() or "nan" for cell in cells[: None if cells[-1].strip() else -1]]
     warnings.simplefilter("error", pd.errors.ParserWarning)  # rows longer than the header
     frame = pd.read_csv(
@@ -206,7 +206,7 @@ def _read_numpy(path: Path) -> _Table:
             file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
                 return _variables(dict(archive))
-    array = np.lib.format.open_memmap(path, mode="r")  # is as long as it says
+    array = np.lib.format.open_memmap(path, mode="r")  # raises for a file that is cut short
     _check_size(8 * array.size)
     return _columns(pd.DataFrame(_native(array)))
 
@@ -284,7 +284,7 @@ def _assemble(
     timed = [c for c in rest if time_name(c)[0] in TIME_NAMES]
     if time_column is None:
         stamps = sorted(timed, key=lambda c: TIME_NAMES.index(time_name(c)[0]))[:1]
-    if columns is None:  # without the unnamed: a pandas index, or what a trailing comma leaves
+    if columns is None:  # "Unnamed" is an index or a trailing comma
         named = [c for c in rest if c not in timed and not c.startswith("Unnamed: ")]
         measured = [c for c in named if has_number(table[c])]
     else:

@@ -120,7 +120,7 @@ class Trajectory:
         y, measured = filled("y", _signal("y", y))
         if u is not None:
             u, known = filled("u", _signal("u", u))
-            if len(u) == len(y):  # otherwise the constructor says so
+            if len(u) == len(y):  # the constructor refuses any other length
                 driven = np.asarray(known.all(axis=1, keepdims=True))
                 measured = np.asarray(measured & driven & np.concatenate([driven[:1], driven[:-1]]))
         return cls(y, sampling_time, u=u, measured=measured, **others)
@@ -145,7 +145,7 @@ class Trajectory:
         beyond, u_beyond = _after(self.y_sim, self.beyond, end), _after(self.u, self.u_beyond, end)
         y, measured = self.y[key], None if self.measured is None else self.measured[key]
         if measured is not None:
-            # What stands in for a gap must not know what comes after the slice.
+            # Gaps are filled again, without the samples after the slice.
             known = measured.any(axis=0)
             y = y.copy()
             y[:, known] = filled("y", self.seen[key][:, known])[0]

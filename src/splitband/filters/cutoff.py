@@ -116,7 +116,8 @@ def choose(
     power = spectrum.shares()
     candidates = []
     for candidate in _grid(y, sampling_rate, warmup, cutoff, order, downsampling):
-        gain = _gain(spectrum.frequencies, sampling_rate, *candidate) ** 2  # forward and backward
+        # Squared, as the filter runs forward and backward.
+        gain = _gain(spectrum.frequencies, sampling_rate, *candidate) ** 2
         k = downsampling or _downsampling(
             power * gain**2, spectrum.frequencies, candidate[0], warmup
         )
@@ -249,7 +250,7 @@ def _grid(
     highest = _NYQUIST_MARGIN * sampling_rate / 2 / (downsampling or 2)
     lowest = min(3 * sampling_rate / len(y), highest / 2)
     cutoffs = [float(f"{value:.3g}") for value in np.geomspace(lowest, highest, _CUTOFFS)]
-    # A high order is not stable in floating point at a low cut-off.
+    # At a low cut-off rounding makes a filter of high order unstable: it is left out.
     pairs = [(c, n) for c in cutoffs for n in orders if _exists(c, sampling_rate, n)]
     if not pairs:
         butterworth(cutoffs[-1], sampling_rate, orders[0])

@@ -89,7 +89,7 @@ def coherence(y: Array, y_sim: Array, sampling_rate: float) -> tuple[Array, Arra
         frequencies, agreement = scipy.signal.coherence(
             y, y_sim, sampling_rate, nperseg=segment, axis=0
         )
-    return frequencies, np.nan_to_num(agreement)  # a band without power agrees with nothing
+    return frequencies, np.nan_to_num(agreement)  # 0 where there is no power, not NaN
 
 
 @dataclass(frozen=True)

@@ -237,7 +237,7 @@ class Model(nn.Module, ABC):
         return self._to_network(x, "u" if name == "u" else "y")
 
     def _to_network(self, x: npt.NDArray[Any] | Tensor, kind: str) -> Tensor:
-        # In float64 first: a large offset would use up the digits of a float32.
+        # Subtract in float64: beside a large offset float32 has too few digits for the signal.
         mean, std = getattr(self, f"{kind}_mean"), getattr(self, f"{kind}_std")
         x = x if isinstance(x, Tensor) else torch.from_numpy(np.array(x, dtype=np.float64))
         values = x.to(mean)

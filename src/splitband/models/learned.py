@@ -104,7 +104,7 @@ class Split(Model):
             if isinstance(downsampling, int)
             else [int(k) for k in downsampling]
         )
-        at_once = feedthrough and factors[:1] == [1]  # the slowest network sees every sample, too
+        at_once = feedthrough and factors[:1] == [1]  # for a band at the full rate
         super().__init__(networks[0].ny, inputs_of(networks[0], 0, at_once))
         self.networks = nn.ModuleList(as_module(network) for network in networks)
         self.pairs = [pairs] if isinstance(pairs, ComplementaryPair) else [*pairs]
@@ -205,9 +205,9 @@ class Split(Model):
         y = rollout(self._network(band), downsample(history, k, offset), steps, u)
         if not self.filter_output or band < len(self.pairs):
             return y
-        # Forwards and backwards, the filter would let inputs act on what was before them.
+        # Run forward and backward, the filter would let an input act on earlier samples.
         pair = self.pairs[-1].one_way() if self.nu else self.pairs[-1]
-        # With its own history in front the filter has settled before the first prediction.
+        # The filter begins in the history, so that it has settled at the first prediction.
         return pair.highpass(torch.cat([history, y], dim=1))[:, warmup:]
 
     def _band_of(self, band: int, y: Tensor) -> Tensor:

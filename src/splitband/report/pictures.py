@@ -73,7 +73,7 @@ def rollouts(comparison: Comparison) -> Figure:
     for axes, (name, channel) in zip(grid, rows, strict=True):
         warmup = comparison.setup.settings_of(name).warmup
         sides = _sides(comparison, name, ahead)
-        for ax in axes[len(sides) :]:  # it has nothing to say about test records
+        for ax in axes[len(sides) :]:  # a method that was not tested has no curve here
             ax.set_axis_off()
             ax.text(0.01, 0.5, f"{name}: not tested", transform=ax.transAxes, fontsize=9)
         for ax, side in zip(axes, sides, strict=False):
@@ -229,7 +229,7 @@ def errors(comparison: Comparison) -> Figure:
         if end < len(record):
             ax.axvline(times[end], color="0.4", ls=":", lw=1)
         ax.set_yscale("log")
-        # The first samples after a warm-up say little, and would set the scale.
+        # The first errors after a warm-up vary too much to set the scale by them.
         settled = [line.get_ydata()[10:] for line in ax.lines if len(line.get_ydata()) > 20]
         lowest = [float(y[y > 0].min()) for y in map(np.asarray, settled) if (y > 0).any()]
         ax.set_ylim(bottom=0.7 * min(lowest, default=1e-3))

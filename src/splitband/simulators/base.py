@@ -86,7 +86,7 @@ def run(
     time: Array = begin + np.arange(max(samples, 2), dtype=np.float64) * sampling_time
 
     def simulate() -> npt.ArrayLike:
-        if isinstance(simulator, Recorded):  # `time` does not say what is a date
+        if isinstance(simulator, Recorded):  # `time` holds seconds, and its stamps may be dates
             return simulator.on(Grid(start, sampling_time, len(time))).values
         return simulator.simulate(time)
 
@@ -130,7 +130,7 @@ def within(timeout: float | None, call: Callable[[], Any]) -> Any:
     def work() -> None:
         try:
             outcome.extend((True, call()))
-        except BaseException as error:  # Ctrl-C too is for the caller
+        except BaseException as error:  # the caller gets all of them, Ctrl-C included
             outcome.extend((False, error))
 
     thread = threading.Thread(target=work, daemon=True)

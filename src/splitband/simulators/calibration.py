@@ -167,7 +167,7 @@ def calibrate(
             f"samples at least, got {y_sim.shape} and {y.shape}, of which {measured} were measured"
         )
     spare = len(y_sim) - samples
-    # Each channel counts the same, whatever its unit.
+    # Channels are scaled to deviation 1, so that each counts the same whatever its unit.
     scale = spread(y)
     y, y_sim = y / scale, y_sim / scale
     if terms is not None:
@@ -183,7 +183,7 @@ def calibrate(
     best = _SETS[0]
     for kept in _SETS[1:]:
         pays = errors[kept].mean() < _WORTH * errors[best].mean()
-        # Noise now and then looks better a little later or slower, but not from every beginning.
+        # By chance noise may fit better at some delay or clock after one cut, but not after all.
         moves = set(kept) & set(_STILL)
         if pays and (not moves or (errors[kept] < errors[best]).all()):
             best = kept
@@ -231,7 +231,7 @@ def _held_out(
         cut = rows[max(int(share * len(rows)), 1)]
         calibration = _fit(y_sim, y[:cut], sampling_time, terms, samples)
         left = y[cut:] - calibration.apply(y_sim, len(y), sampling_time)[cut:]
-        # Only what is known of a channel before tells what its terms are worth.
+        # A channel counts if it was measured both before the cut, to fit it, and after, to compare.
         told = measured[:cut].any(axis=0) & measured[cut:].any(axis=0)
         if told.any():
             errors.append(rmse(left[:, told], np.zeros_like(left[:, told])))
@@ -309,7 +309,7 @@ def _bounds(simulated: int, train: int, samples: int, moving: Sequence[str]) -> 
     spare = (simulated - samples) / len(moving)
     low = {"delay": -min(MOST_DELAY * train, spare), "clock": 1 - MOST_CLOCK}
     high = {"delay": MOST_DELAY * train, "clock": 1 + min(MOST_CLOCK, spare / samples)}
-    room = 1e-9  # the solver wants some between them
+    room = 1e-9  # the solver refuses equal bounds
     return np.array([low[m] - room for m in moving]), np.array([high[m] + room for m in moving])
 
 

@@ -96,7 +96,7 @@ def _run_in(folder: Path, patience: float | None) -> int:
     known = os.environ.get("PYTHONPATH")
     search = os.pathsep.join([package, known] if known else [package])
     process = subprocess.Popen(
-        # -P: nothing in the working directory is taken for a module.
+        # -P keeps Python from importing modules out of the working directory.
         [sys.executable, "-P", "-m", "splitband.simulators.isolation", str(folder)],
         env=os.environ | {"PYTHONPATH": search, "TMPDIR": str(folder)},
         start_new_session=True,
@@ -106,7 +106,7 @@ def _run_in(folder: Path, patience: float | None) -> int:
     except subprocess.TimeoutExpired:
         raise SimulatorTimeoutError from None
     finally:
-        if hasattr(os, "killpg"):  # what it has started, too
+        if hasattr(os, "killpg"):  # end its own child processes as well
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(process.pid, signal.SIGKILL)
         process.kill()
@@ -155,7 +155,7 @@ def _main(folder: Path) -> None:
         said = one_line(error) if isinstance(error, ValueError) else f"{kind}: {one_line(error)}"
         (folder / _FAILURE).write_text(json.dumps([kind, said]), encoding="utf-8")
     sys.stdout.flush()
-    os._exit(0)  # whatever it left running
+    os._exit(0)  # ends at once, even if the simulator left threads running
 
 
 if __name__ == "__main__":
