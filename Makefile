@@ -7,13 +7,17 @@ ifneq ($(wildcard ../shared/data),)
 export SPLITBAND_DATA_DIR ?= $(abspath ../shared/data)
 endif
 
-.PHONY: demo test check format bench fuzz soak memory clean
+.PHONY: demo test check kernels format bench fuzz soak memory clean
 
 demo: .venv/.ready
 	$(BIN)/splitband demo --out demo
 
-test: check
+test:
+	$(MAKE) --jobs=2 check kernels
 	$(BIN)/pytest -n auto
+
+kernels: .venv/.ready
+	$(BIN)/python -m tests.kernels.compiling
 
 check: .venv/.ready
 	$(BIN)/ruff check .

@@ -71,9 +71,10 @@ def test_what_users_add_is_compared_like_any_other(
 def test_the_python_of_the_readme_runs_as_it_stands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, van_der_pol_fmu: Path
 ) -> None:
-    """On a driven oscillator; fewer methods are compared here, and fewer steps trained."""
+    """On a driven oscillator; fewer methods, steps of training and calibrations are tried here."""
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     monkeypatch.setattr("splitband.training.settings.STEPS", 10)
+    monkeypatch.setattr("splitband.simulators.calibration._SETS", ((), ("gain", "offset")))
     monkeypatch.setattr(
         "splitband.evaluation.api.usual_names", lambda *_: ["gru", "mean", "persistence"]
     )

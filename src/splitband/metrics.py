@@ -44,7 +44,7 @@ def fit_percent(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
 def spread(y: npt.ArrayLike) -> Array:
     """The standard deviation of each channel of `y` `(time, ny)`; 1 for a constant one, `(ny,)`."""
     y = np.asarray(y, float)
-    # Rounding gives a constant a tiny deviation, so that its range decides.
+    # By its range, as rounding gives even a constant a deviation slightly above 0.
     return np.asarray(np.where(_range(y) > 0, np.nanstd(y, axis=0), 1.0))
 
 
@@ -62,8 +62,8 @@ def leaves_range(training: Array, prediction: Array) -> int | None:
     low, high = np.nanmin(training, axis=0), np.nanmax(training, axis=0)
     reach = np.where(high > low, (high - low) / 2, np.inf)
     outside = ~(abs(prediction - (low + high) / 2) <= FARTHEST * reach) | ~np.isfinite(prediction)
-    found = np.flatnonzero(outside.any(axis=1))
-    return int(found[0]) if len(found) else None
+    rows_outside = np.flatnonzero(outside.any(axis=1))
+    return int(rows_outside[0]) if len(rows_outside) else None
 
 
 BEYOND = 0.1
@@ -111,13 +111,14 @@ def extrapolations(low: Array, high: Array, u: Array) -> list[Extrapolation]:
     with np.errstate(invalid="ignore"):  # inf - inf, where no range is known
         margin = np.nan_to_num(np.maximum(BEYOND * (high - low), rounding), nan=0.0)
     beyond = np.maximum(low - margin - u, u - high - margin)
-    found = []
+    extrapolated = []
     for i, of_input in enumerate(beyond.T):
         outside = np.flatnonzero(of_input > 0)
         if len(outside):
             farthest = float(u[outside[of_input[outside].argmax()], i])
-            found.append(Extrapolation(i, float(low[i]), float(high[i]), farthest, int(outside[0])))
-    return found
+            seen = float(low[i]), float(high[i])
+            extrapolated.append(Extrapolation(i, *seen, farthest, int(outside[0])))
+    return extrapolated
 
 
 def input_range(inputs: Sequence[Array]) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ from splitband.baselines.naive import LONGEST, ByTime
 from splitband.baselines.periodic import PeriodicRegression
 from splitband.baselines.seasonal import SeasonalNaive
 from splitband.baselines.trend import Shape, find
+from tests.baselines.test_naive import one_period, repeated
 
 Array = npt.NDArray[Any]
 """A last measured sample that none of these may look at."""
@@ -99,6 +100,16 @@ def test_a_line_is_the_least_squares_fit() -> None:
 )
 def test_what_has_no_trend_gets_none(signal: Callable[[int], Array]) -> None:
     assert [find(signal(seed)) for seed in range(8)] == [None] * 8
+
+
+@pytest.mark.parametrize(
+    ("shape", "period", "samples"),
+    [("random", 3, 31), ("overtones", 4, 20), ("sawtooth", 5, 21), ("square", 15, 52)],
+)
+def test_what_sinusoids_leave_of_a_clean_period_is_no_trend(
+    shape: str, period: int, samples: int
+) -> None:
+    assert find(repeated(one_period(shape, period), 0, samples)[:, 0]) is None
 
 
 def test_a_line_in_a_random_walk_is_the_exception() -> None:

@@ -50,8 +50,8 @@ def test_ctrl_c_stops_at_once_and_leaves_nothing_half_written(
     (tmp_path / "sitecustomize.py").write_text(ANNOUNCE)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
     line = (
-        f"compare {workspace}/record.csv --columns a --methods gru,split-gru --epochs 100000 "
-        f"--seeds 2 --jobs {jobs} --out {tmp_path / 'out'}"
+        f"compare {workspace}/record.csv --columns a --methods gru --epochs 100000 "
+        f"--cutoff 1 --hidden 4,3 --window 30 --seeds 2 --jobs {jobs} --out {tmp_path / 'out'}"
     )
     running = command_line(line)
     eventually(lambda: len([*tmp_path.glob(files)]) >= jobs)

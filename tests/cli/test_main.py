@@ -42,9 +42,9 @@ def test_the_entry_point_writes_results_and_no_warning(tmp_path: Path) -> None:
 
 
 def test_as_a_module_it_fails_with_one_line_too() -> None:
-    found = process(sys.executable, "-m", "splitband", "spectrum", "nothing.csv")
+    found = process(sys.executable, "-m", "splitband", "spectre")
     assert (found.returncode, found.stdout) == (2, "")
-    assert found.stderr.startswith("error: RECORD must be a file")
+    assert found.stderr.startswith("error: No such command 'spectre'")
     assert found.stderr.count("\n") == 1
 
 

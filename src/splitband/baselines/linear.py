@@ -24,7 +24,9 @@ Array = npt.NDArray[np.float64]
 ORDERS = (1, 2, 3, 4, 6, 8)
 """Numbers of poles that are tried."""
 ROUNDS = 20
-"""Iterations that look for a denominator; the search goes on from the best one."""
+"""Iterations that look for a denominator, at most; the search goes on from the best one."""
+CONVERGED = 1e-9
+"""The iteration ends where no coefficient changes by more than this."""
 FARTHEST_POLE = 0.9999
 """Largest absolute value of a pole: a record hardly tells a slower decay from growth."""
 _CUTS = (0.6, 0.7, 0.8, 0.9)
@@ -115,14 +117,14 @@ class Channel(NamedTuple):
 
 
 def _fit_channel(y: Array, u: Array) -> Channel:
-    """The model of one channel; found with the channel scaled to its range."""
+    """The model of one channel, fitted with the channel scaled to its range."""
     offset, scale = units(y)
     y = (y - offset) / scale
     begin, end = recent(y[:, None])
     a = _denominator(end[:, 0], u[begin:])
-    found = _solved(a, y, u, begin)[0]
-    b, c = found[: -len(a)].reshape(u.shape[1], -1), found[-len(a) : -1]
-    return Channel(a, scale * b, scale * c, offset + scale * float(found[-1]))
+    coefficients = _solved(a, y, u, begin)[0]
+    b, c = coefficients[: -len(a)].reshape(u.shape[1], -1), coefficients[-len(a) : -1]
+    return Channel(a, scale * b, scale * c, offset + scale * float(coefficients[-1]))
 
 
 def _denominator(y: Array, u: Array) -> Array:
@@ -155,7 +157,7 @@ def _tried(y: Array, u: Array, order: int) -> Iterator[tuple[float, Array]]:
 
     Output, inputs and offset are filtered by 1/A, and the next A is fitted to the filtered signals
     by least squares. Gaps of y are filled by the simulation of the model before, by straight lines
-    at first.
+    at first. It ends early where the denominator does not change any more.
     """
     whole = np.interp(np.arange(len(y)), known(y), y[known(y)])
     a = np.append(1.0, np.zeros(order))
@@ -165,10 +167,12 @@ def _tried(y: Array, u: Array, order: int) -> Iterator[tuple[float, Array]]:
         constant = scipy.signal.lfilter([1.0], a, np.ones(len(y)))
         explained = np.hstack([-past, _driven(a, u), constant[:, None]])
         fitted = np.linalg.lstsq(explained, passed, rcond=_RANK)[0]
-        a = _stable(np.append(1.0, fitted[:order]))
+        before, a = a, _stable(np.append(1.0, fitted[:order]))
         simulated = _solved(a, y, u)[1]
         whole = np.where(np.isnan(y), simulated, y)
         yield float(np.nanmean((y - simulated) ** 2)), a
+        if abs(a - before).max() <= CONVERGED:
+            return
 
 
 def _refined(a: Array, y: Array, u: Array) -> Array:
@@ -178,8 +182,8 @@ def _refined(a: Array, y: Array, u: Array) -> Array:
         simulated = _solved(_stable(np.append(1.0, moved)), y, u)[1]
         return np.nan_to_num(y - simulated)
 
-    found = scipy.optimize.least_squares(left, a[1:], x_scale="jac", max_nfev=20)
-    return _stable(np.append(1.0, found.x))
+    minimum = scipy.optimize.least_squares(left, a[1:], x_scale="jac", max_nfev=20)
+    return _stable(np.append(1.0, minimum.x))
 
 
 def _solved(a: Array, y: Array, u: Array, begin: int = 0) -> tuple[Array, Array]:
@@ -188,12 +192,13 @@ def _solved(a: Array, y: Array, u: Array, begin: int = 0) -> tuple[Array, Array]
     rows = rows[rows >= begin]
     basis = np.hstack([_driven(a, u), np.ones((len(u), 1))])
     fitted = basis[rows]
-    # Where the response to the initial state has died out before `begin`, C could be anything.
+    # Where the response to the initial state has died out before `begin`, the samples do not
+    # determine C, which is set to 0.
     of_c = slice(-len(a), -1)
     gone = abs(fitted[:, of_c]).max(axis=0) < _GONE * abs(basis[:, of_c]).max(axis=0)
     fitted[:, of_c] = np.where(gone, 0.0, fitted[:, of_c])
-    found = np.linalg.lstsq(fitted, y[rows], rcond=_RANK)[0]
-    return found.astype(np.float64), np.asarray(basis @ found)
+    coefficients = np.linalg.lstsq(fitted, y[rows], rcond=_RANK)[0]
+    return coefficients.astype(np.float64), np.asarray(basis @ coefficients)
 
 
 def _driven(a: Array, u: Array) -> Array:
@@ -223,7 +228,7 @@ def _stable(a: Array) -> Array:
         return a
     inside = np.minimum(np.where(size > 1, 1 / np.maximum(size, 1), size), FARTHEST_POLE)
     a = np.real(np.poly(np.where(size > 0, poles * inside / np.maximum(size, 1e-300), 0)))
-    # Poles close to each other are known to fewer digits, and may lie outside after all.
+    # Of nearly equal poles rounding leaves few digits, and may put them outside again.
     while (largest := abs(np.roots(a)).max(initial=0.0)) > 1:
         a = a * (0.999 / largest) ** np.arange(len(a))
     return a

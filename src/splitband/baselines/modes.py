@@ -67,8 +67,12 @@ class Modes(NamedTuple):
 
     def _solve(self, y: Array) -> Modes:
         rows = known(y)
-        found = np.linalg.lstsq(self.basis(rows), y[rows], rcond=RESOLUTION)[0]
-        return self._replace(coefficients=found.astype(np.float64))
+        return self._solve_on(self.basis(rows), y[rows])
+
+    def _solve_on(self, basis: Array, values: Array) -> Modes:
+        """With the coefficients that fit `values` best, given the basis at their indices."""
+        coefficients = np.linalg.lstsq(basis, values, rcond=RESOLUTION)[0]
+        return self._replace(coefficients=coefficients.astype(np.float64))
 
     def refined(self, y: Array) -> Modes:
         """With the frequencies, dampings and rate of the trend nearby that fit `y` best."""
@@ -81,8 +85,8 @@ class Modes(NamedTuple):
         """
         left = np.nan_to_num(self.residual(y)) * np.exp(-weight * np.arange(len(y)) / len(y))
         frequencies, power = scipy.signal.periodogram(left, nfft=8 * len(y), detrend=False)
-        found = frequencies[_highest(power, whole=not np.isnan(y).any())]
-        more = np.append(self.frequencies, found), np.append(self.dampings, damping)
+        frequency = frequencies[_highest(power, whole=not np.isnan(y).any())]
+        more = np.append(self.frequencies, frequency), np.append(self.dampings, damping)
         return self._replace(frequencies=more[0], dampings=more[1]).refined(y)
 
     def basis(self, index: npt.NDArray[np.number]) -> Array:
@@ -91,8 +95,12 @@ class Modes(NamedTuple):
         within = np.clip(index, 0, self.samples - 1)
         at = np.where(slow, within[:, None], index[:, None])
         phase = 2 * np.pi * at * self.frequencies
-        size = np.exp(-np.maximum(at, 0) * self.dampings)  # no growth backwards
-        columns = [np.ones((len(index), 1)), size * np.cos(phase), size * np.sin(phase)]
+        cosine, sine = np.cos(phase), np.sin(phase)
+        if self.dampings.any():
+            # Before the record the size is held, where it would grow.
+            size = np.exp(-np.maximum(at, 0) * self.dampings)
+            cosine, sine = size * cosine, size * sine
+        columns = [np.ones((len(index), 1)), cosine, sine]
         return np.hstack(columns if self.shape is None else [*columns, self.shape(index)[:, None]])
 
     def predict(self, index: npt.NDArray[np.number]) -> Array:
@@ -145,7 +153,8 @@ class _Refinement:
     """
 
     def __init__(self, modes: Modes, y: Array) -> None:
-        self.modes, self.y, self.rows = modes, y, known(y)
+        self.modes, self.rows = modes, known(y)
+        self.y, self.values = y, y[self.rows]
         self.decaying = modes.dampings > 0
         self.bent = modes.shape is not None and modes.shape.rate > 0
         count = len(modes.frequencies)
@@ -155,13 +164,14 @@ class _Refinement:
         if tied > 1:
             ratios = (modes.frequencies[:tied] / modes.frequencies[0])[:, None]
             self.multiples = scipy.linalg.block_diag(ratios, np.eye(count - tied))
+        self._last: tuple[Array, Modes, Array] | None = None
 
     def result(self) -> Modes:
         """The modes at the minimum nearby."""
         begin, low, high, scale = (np.concatenate(values) for values in self._limits())
         if not len(begin):
             return self.modes._solve(self.y)
-        found = scipy.optimize.least_squares(
+        minimum = scipy.optimize.least_squares(
             self.left,
             np.clip(begin, low, high),
             jac=self.slopes,
@@ -171,12 +181,12 @@ class _Refinement:
             xtol=1e-12,
             max_nfev=50,
         )
-        return self.at(np.asarray(found.x))
+        return self.at(np.asarray(minimum.x))[0]
 
     def _limits(self) -> tuple[list[Array], list[Array], list[Array], list[Array]]:
         """Where each value begins, its least and its largest, and the scale of its steps."""
         reach = 1 / len(self.y)
-        # What moves the fundamental moves its highest harmonic by a multiple of that.
+        # The highest harmonic moves by a multiple of what the fundamental moves by.
         around = reach / self.multiples.max(axis=0, initial=1)
         slowest = FEWEST_CYCLES * reach
         low = np.clip(self.free - around, slowest, 0.5)
@@ -191,8 +201,22 @@ class _Refinement:
             [around, each, np.full(len(rate), reach)],
         )
 
-    def at(self, moved: Array) -> Modes:
-        """The modes with these values, and the coefficients that belong to them."""
+    def at(self, moved: Array) -> tuple[Modes, Array]:
+        """The modes with these values and their coefficients, and the basis at measured samples.
+
+        The solver asks for the residual and then for the slopes at the same values, so that the
+        last answer is kept.
+        """
+        if self._last is not None and np.array_equal(self._last[0], moved):
+            return self._last[1:]
+        modes = self._with(moved)
+        basis = modes.basis(self.rows)
+        modes = modes._solve_on(basis, self.values)
+        self._last = moved.copy(), modes, basis
+        return modes, basis
+
+    def _with(self, moved: Array) -> Modes:
+        """The modes with these values, before their coefficients are solved for."""
         modes, free = self.modes, len(self.free)
         rates = np.zeros(len(modes.frequencies))
         rates[self.decaying] = moved[free : free + self.decaying.sum()]
@@ -200,12 +224,12 @@ class _Refinement:
         if shape is not None and self.bent:
             shape = shape._replace(rate=float(moved[-1]))
         frequencies = np.asarray(self.multiples @ moved[:free])
-        return modes._replace(frequencies=frequencies, dampings=rates, shape=shape)._solve(self.y)
+        return modes._replace(frequencies=frequencies, dampings=rates, shape=shape)
 
     def left(self, moved: Array) -> Array:
         """The residual of the measured samples."""
-        modes = self.at(moved)
-        return np.asarray(self.y[self.rows] - modes.predict(self.rows))
+        modes, basis = self.at(moved)
+        return np.asarray(self.values - basis @ modes.coefficients)
 
     def slopes(self, moved: Array) -> Array:
         """What the residual does when each of the values moves.
@@ -213,8 +237,7 @@ class _Refinement:
         The derivative of the basis, as far as the basis itself cannot make up for it (Kaufman's
         approximation of variable projection).
         """
-        modes, index = self.at(moved), self.rows
-        basis = modes.basis(index)
+        (modes, basis), index = self.at(moved), self.rows
         left, sizes, _ = np.linalg.svd(basis, full_matrices=False)
         left = left[:, sizes > RESOLUTION * sizes[0]]
         count = len(modes.frequencies)

@@ -83,7 +83,7 @@ class PeriodicRegression:
 
 
 def _fit_channel(y: Array) -> Modes:
-    """The fit of one channel; found with the channel scaled to its range."""
+    """The fit of one channel, made with the channel scaled to its range."""
     offset, scale = units(y)
     scaled = (y - offset) / scale
     trend = find(scaled)
@@ -114,7 +114,7 @@ def _candidates(y: Array, shape: Shape | None) -> tuple[Modes, Modes, Modes]:
         return series, series, series
     refined = dying = modes = series.refined(y)
     for _ in range(VIBRATIONS):
-        # Early samples count more: there the vibrations are largest.
+        # Early samples are weighted more, as vibrations are largest there.
         modes = modes.with_another(y, damping=3 / len(y), weight=3)
         if modes.information(y) < dying.information(y):
             dying = modes
@@ -129,8 +129,8 @@ def _best_series(y: Array, shape: Shape | None, lags: int = 4) -> Modes:
     channel = level.residual(y)[:, None]
     # Of multiples of a period that tie, seasonal-naive takes the shortest.
     periods = {len(last_period(channel)), *self_similar_lags(channel, lags)}
-    found = [_series(y, lag, shape) for lag in sorted(periods)]
-    return min(found, key=lambda modes: modes.information(y))
+    candidates = [_series(y, lag, shape) for lag in sorted(periods)]
+    return min(candidates, key=lambda modes: modes.information(y))
 
 
 def _series(y: Array, lag: int, shape: Shape | None) -> Modes:
@@ -142,7 +142,7 @@ def _series(y: Array, lag: int, shape: Shape | None) -> Modes:
     if most < 1 or not len(known(complete)):
         return none
     by_season = seasons(complete[:, None], lag)
-    with np.errstate(invalid="ignore"):  # a phase that was never measured
+    with np.errstate(invalid="ignore"):  # 0 / 0 at a phase that was never measured
         mean_period = np.nansum(by_season, axis=0) / (~np.isnan(by_season)).sum(axis=0)
     mean_period = all_around(mean_period)[:, 0]
     strength = abs(np.fft.rfft(mean_period)[1 : (lag - 1) // 2 + 1])

@@ -63,12 +63,12 @@ class SeasonalNaive:
 
 def last_period(y: Array) -> Array:
     """The last period of `y` `(time, ny)`, `(lag, ny)`, of the lag that fits best, see `fit`."""
-    found = {lag: _last_period(y, lag) for lag in sorted(self_similar_lags(y))}
-    # A period and its multiples tie up to rounding: the shortest one is meant.
+    by_lag = {lag: _last_period(y, lag) for lag in sorted(self_similar_lags(y))}
+    # A period and its multiples fit equally well up to rounding. The shortest one is taken.
     negligible = np.maximum(1e-24 * np.nanmean(y**2, axis=0), np.finfo(np.float64).tiny)
-    errors = {lag: np.log(error + negligible).sum() for lag, (_, error) in found.items()}
+    errors = {lag: np.log(error + negligible).sum() for lag, (_, error) in by_lag.items()}
     good_enough = min(errors.values()) + 1e-9 * y.shape[1]
-    return next(period for lag, (period, _) in found.items() if errors[lag] <= good_enough)
+    return next(period for lag, (period, _) in by_lag.items() if errors[lag] <= good_enough)
 
 
 def self_similar_lags(y: Array, most: int = 200) -> list[int]:
@@ -106,18 +106,18 @@ def self_similar_lags(y: Array, most: int = 200) -> list[int]:
 def seasons(y: Array, lag: int) -> Array:
     """`y` `(time, ny)` as `(season, lag, ny)`, the last season ending with it; NaN in the first."""
     count = -(-len(y) // lag)
-    found = np.full((count * lag, y.shape[1]), np.nan)
-    found[-len(y) :] = y
-    return found.reshape(count, lag, -1)
+    padded = np.full((count * lag, y.shape[1]), np.nan)
+    padded[-len(y) :] = y
+    return padded.reshape(count, lag, -1)
 
 
 def all_around(period: Array) -> Array:
     """A period `(lag, ny)` with NaN filled by straight lines, from its end on to its beginning."""
-    found, phase = period.copy(), np.arange(len(period))
-    for channel in found.T:
+    filled, phase = period.copy(), np.arange(len(period))
+    for channel in filled.T:
         seen = ~np.isnan(channel)
         channel[~seen] = np.interp(phase[~seen], phase[seen], channel[seen], period=len(period))
-    return found
+    return filled
 
 
 def _last_period(y: Array, lag: int) -> tuple[Array, Array]:

@@ -36,7 +36,9 @@ FEWEST = 15
 SINUSOIDS = 6
 """That are fitted along with a trend, at most."""
 EVIDENCE = 3.0
-"""Of a sinusoid, per logarithm of the number of blocks: noise alone has peaks, too."""
+"""Of a sinusoid or of the trend itself, per logarithm of the number of blocks: its power, against
+that of what is left. Noise alone has peaks, too, and what sinusoids leave of a period that they do
+not fit to the end has a slope."""
 NEGLIGIBLE = 1e-16
 """Mean square, in units of the record's range."""
 _RANK = 0.03
@@ -103,7 +105,8 @@ def find(y: Array) -> Trend | None:
     The record is cut at several places, and what follows each cut is forecast from what comes
     before it: by the last value; by a constant, by a line and by an exponential, to each of which
     the strongest sinusoids are added. A trend is kept if it is clearly better than both the last
-    value and the constant over all cuts, and better than the constant at every one.
+    value and the constant over all cuts, and better than the constant at every one; and if in the
+    fit to all of the record it stands out of what that leaves.
     """
     begin, end = recent(y[:, None])
     offset, scale = units(end[:, 0])
@@ -126,7 +129,7 @@ def find(y: Array) -> Trend | None:
     if best is None:
         return None
     fitted = _Sketch.fit(at, blocks, best)
-    return fitted.trend(offset, scale)
+    return fitted.trend(offset, scale) if fitted.stands_out(at, blocks) else None
 
 
 def trending(trends: Sequence[Trend | None], index: npt.NDArray[np.number]) -> Array:
@@ -194,7 +197,7 @@ class _Sketch(NamedTuple):
             power = abs(np.fft.rfft(left, 8 * count)[: 4 * count]) ** 2
             peak = 8 + int(np.argmax(power[8:]))
             gained = 2 * float(power[peak]) / len(rows)
-            # Without noise what is left is rounding error, whatever its spectrum.
+            # Without noise only rounding error is left, which must not count as sinusoids.
             remaining = max(float(np.mean(left[rows] ** 2)), NEGLIGIBLE)
             too_weak = gained <= EVIDENCE * np.log(len(rows)) * remaining
             if too_weak or len(frequencies) == min(SINUSOIDS, (len(rows) - 4) // 3):
@@ -206,6 +209,15 @@ class _Sketch(NamedTuple):
         return np.asarray(
             _with(self.shape, at, _sinusoids(at, self.frequencies)) @ self.coefficients
         )
+
+    def stands_out(self, at: Array, y: Array) -> bool:
+        """Whether the trend, of deviation 1 times its size, has more power than chance gives it."""
+        rows = known(y)
+        left = y[rows] - self.predict(at[rows])
+        free = max(len(rows) - len(self.coefficients), 1)
+        remaining = max(float(left @ left) / free, NEGLIGIBLE)
+        gained = len(rows) * float(self.coefficients[-1]) ** 2
+        return gained > EVIDENCE * np.log(len(rows)) * remaining
 
     def trend(self, offset: float, scale: float) -> Trend:
         """The trend of `offset + scale * y`."""
@@ -239,10 +251,10 @@ def _best(shapes: list[Shape], at: Array, y: Array, sinusoids: Array) -> Shape |
 
     best = int(np.argmax([explained(shape) for shape in shapes]))
     around = [np.log(shape.rate) for shape in shapes[max(best - 1, 0) : best + 2]]
-    found = scipy.optimize.minimize_scalar(
+    minimum = scipy.optimize.minimize_scalar(
         lambda rate: -explained(shapes[0]._replace(rate=float(np.exp(rate)))),
         bounds=(around[0], around[-1]),
         method="bounded",
         options={"xatol": 1e-3},
     )
-    return shapes[0]._replace(rate=float(np.exp(found.x)))
+    return shapes[0]._replace(rate=float(np.exp(minimum.x)))

@@ -42,11 +42,11 @@ class Commands(TyperGroup):
         module, line = COMMANDS[cmd_name]
         if self.listing:
             return typer.core.TyperCommand(cmd_name, help=line)
-        found = getattr(import_module(f"splitband.cli.{module}"), cmd_name)
-        if isinstance(found, typer.Typer):
-            return typer.main.get_group(found)
+        command = getattr(import_module(f"splitband.cli.{module}"), cmd_name)
+        if isinstance(command, typer.Typer):
+            return typer.main.get_group(command)
         alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
-        alone.command(cmd_name)(found)
+        alone.command(cmd_name)(command)
         return typer.main.get_command(alone)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -88,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             given, prog_name="splitband", standalone_mode=False
         )
     except TyperException as error:
-        # Called without a command it has printed the help, and has nothing else to say.
+        # Without a command typer has printed the help, and its message is empty.
         nothing = f"a command must be given: {' '.join(['splitband', *given])} COMMAND"
         return _complain((error.format_message().strip() or nothing) + _value(error, given))
     except (ValueError, OSError, FloatingPointError) as error:

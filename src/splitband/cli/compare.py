@@ -160,7 +160,7 @@ def _compare(
     output_folder(out)
     with showing.progress() as progress:
         work = Work(jobs or available_cores(), progress, out / CHECKPOINTS)
-        found = compare_forecasters(
+        result = compare_forecasters(
             record,
             methods=methods,
             others=others,
@@ -171,14 +171,15 @@ def _compare(
         )
     arguments = {k: str(v) if isinstance(v, Path) else v for k, v in context.params.items()}
     facts: dict[str, Any] = {"command": context.info_name, "arguments": arguments}
-    results.save(found, out, facts)
+    results.save(result, out, facts)
     shutil.rmtree(out / CHECKPOINTS)
-    _say(found, task.names, out)
+    _say(result, task.names, out)
 
 
-def _say(found: Comparison, names: list[str], out: Path) -> None:
-    record, setup, trial, best = found.record, found.setup, found.require_trial(), found.recommended
-    showing.console.print(showing.comparison(_title(record, setup), found))
+def _say(result: Comparison, names: list[str], out: Path) -> None:
+    record, setup, trial = result.record, result.setup, result.require_trial()
+    best = result.recommended
+    showing.console.print(showing.comparison(_title(record, setup), result))
     changed = (
         f" and for how little its forecast of what follows changed once these were known "
         f"({trial.change(best):.3g})"
@@ -190,13 +191,13 @@ def _say(found: Comparison, names: list[str], out: Path) -> None:
         f"(held out: RMSE {trial.errors[best]:.3g}){changed}; a network has to be "
         f"{WORTH_TRAINING:.0%} better than what needs no training"
     )
-    if found.left_out:
+    if result.left_out:
         showing.console.print(
-            f"not tested: {', '.join(found.left_out)}; they go on from the training record, or need"
-            " a simulator of the test record (--test-simulator)"
+            f"not tested: {', '.join(result.left_out)}; they go on from the training record, or "
+            "need a simulator of the test record (--test-simulator)"
         )
     if record.ny > 1:
-        showing.console.print(f"{best}: {showing.channels(found, best)}")
+        showing.console.print(f"{best}: {showing.channels(result, best)}")
     bands = setup.bands
     if bands.cutoff is not None and bands.downsampling is not None:
         below = periodogram(record[: setup.train].y, record.sampling_rate).share_below(bands.cutoff)
@@ -208,8 +209,8 @@ def _say(found: Comparison, names: list[str], out: Path) -> None:
     unhelpful = bands.choice is not None and bands.choice.simulator_helps is False
     if unhelpful and not set(names) & set(HYBRIDS):
         showing.console.print("hybrid models are left out; --methods brings them back")
-    showing.warn_of_inputs(found.inputs_beyond_training, record.inputs)
-    for test, prediction in zip(found.tests, found.means[best].tests, strict=False):
+    showing.warn_of_inputs(result.inputs_beyond_training, record.inputs)
+    for test, prediction in zip(result.tests, result.means[best].tests, strict=False):
         for message in prediction.warnings:
             showing.console.print(f"warning: {test.name}: {message}", style="yellow")
     showing.console.print(f"results and pictures: {out}/")

@@ -76,28 +76,28 @@ def forecast(
     output_folder(out)
     with showing.progress() as progress:
         work = Work(jobs, progress, out / CHECKPOINTS)
-        found = forecast_record(
+        result = forecast_record(
             known, steps, methods, others=others, seeds=seeds, setup=setup, work=work
         )
     with replacing(out / "forecast.csv") as temporary:
-        found.prediction.to_frame().to_csv(temporary, index=False)
+        result.prediction.to_frame().to_csv(temporary, index=False)
     write_json(
-        out / "results.json", results.forecast_facts(found, [other.name for other in others])
+        out / "results.json", results.forecast_facts(result, [other.name for other in others])
     )
-    pictures.save(pictures.forecast(found), out / "forecast.png")
+    pictures.save(pictures.forecast(result), out / "forecast.png")
     shutil.rmtree(out / CHECKPOINTS)
-    _say(found, steps, out)
+    _say(result, steps, out)
 
 
-def _say(found: Forecast, steps: int, out: Path) -> None:
-    tried = sorted(found.trial.errors.items(), key=lambda pair: pair[1])
+def _say(result: Forecast, steps: int, out: Path) -> None:
+    tried = sorted(result.trial.errors.items(), key=lambda pair: pair[1])
     listed = ", ".join(f"{name} {error:.3g}" for name, error in tried)
     showing.console.print(f"RMSE on the record's last quarter, from the rest of it: {listed}")
-    for name, reason in found.trial.failed.items():
+    for name, reason in result.trial.failed.items():
         showing.console.print(f"{name} could not be fitted: {reason}")
     showing.console.print(
-        f"{steps} samples ahead by {found.method}: {out}/forecast.csv, forecast.png"
+        f"{steps} samples ahead by {result.method}: {out}/forecast.csv, forecast.png"
     )
-    if found.leaves is not None:
-        showing.console.print(showing.leaving(found.leaves))
-    showing.warn_of_inputs(found.inputs_beyond_training, found.record.inputs)
+    if result.leaves is not None:
+        showing.console.print(showing.leaving(result.leaves))
+    showing.warn_of_inputs(result.inputs_beyond_training, result.record.inputs)

@@ -41,11 +41,11 @@ def names(text: str) -> list[str]:
 
 def method_names(text: str) -> list[str]:
     """The names of an option that lists methods; raises ValueError for unknown ones."""
-    found = names(text)
-    unknown = [name for name in found if name not in NAMES]
-    if unknown or not found:
+    asked = names(text)
+    unknown = [name for name in asked if name not in NAMES]
+    if unknown or not asked:
         raise ValueError(f"methods must be out of {', '.join(NAMES)}, got {', '.join(unknown)}")
-    return found
+    return asked
 
 
 def check_needs(methods: Sequence[Forecaster], record: Trajectory) -> None:
@@ -121,7 +121,7 @@ def load_record(record: str, reading: RecordOptions | None = None) -> Trajectory
             raise FileNotFoundError(
                 f"RECORD must be a file or one of {', '.join(RECORDS)}, got {record}"
             )
-        found = read(
+        trajectory = read(
             record,
             columns=names(reading.columns) if reading.columns else None,
             inputs=names(reading.inputs or ""),
@@ -129,13 +129,13 @@ def load_record(record: str, reading: RecordOptions | None = None) -> Trajectory
             sampling_time=reading.sampling_time,
             gaps=reading.gaps,
         )
-        if found.measured is not None:
-            missing = ~found.complete
+        if trajectory.measured is not None:
+            missing = ~trajectory.complete
             showing.console.print(
-                f"{record}: {missing.sum()} of {len(found)} samples were not measured in whole, "
+                f"{record}: {missing.sum()} of {len(missing)} samples were not measured in whole, "
                 f"and are masked: {places(missing)}"
             )
-        return found
+        return trajectory
     for option, value in (
         ("--columns", reading.columns),
         ("--inputs", reading.inputs),
@@ -186,7 +186,7 @@ def load_further(
     files: Sequence[str] | None, option: str, record: Trajectory, reading: RecordOptions
 ) -> list[Trajectory]:
     """The records of --more or --test, with the columns of `record`."""
-    found = []
+    records = []
     for file in files or []:
         if not Path(file).exists():
             raise FileNotFoundError(f"{option} must be a file, got {file}")
@@ -200,8 +200,8 @@ def load_further(
         )
         if not differs(more.sampling_time, record.sampling_time):  # otherwise refused by `check`
             more = like(more, record.sampling_time, file)
-        found.append(replace(more, name=file if option == "--more" else Path(file).stem))
-    return found
+        records.append(replace(more, name=file if option == "--more" else Path(file).stem))
+    return records
 
 
 def inputs_ahead(
@@ -217,9 +217,9 @@ def inputs_ahead(
     if file is None:
         return None
     ahead = known.grid.after(steps)
-    found = read_beside(file, ahead.step, reading.time_column, columns=inputs)
+    coming = read_beside(file, ahead.step, reading.time_column, columns=inputs)
     # Straight lines, as inputs may jump.
-    u = aligned(f"--future-inputs {file}", found.y, found.grid, ahead, smooth=False)
+    u = aligned(f"--future-inputs {file}", coming.y, coming.grid, ahead, smooth=False)
     if u.note:
         showing.console.print(f"{file}: {u.note}")
     return u.values
@@ -252,9 +252,9 @@ def setup(
     )
     if column is None or options.recipe != "paper":
         settings = _trained(recipe_settings(options.recipe, trajectory[:train]), options)
-        found = default_setup(trajectory, train, options.recipe, settings, bands, methods)
-        sizes = _with_hidden(found.sizes, options)
-        return replace(found, sizes=sizes, search=_search(options, cores))
+        by_recipe = default_setup(trajectory, train, options.recipe, settings, bands, methods)
+        sizes = _with_hidden(by_recipe.sizes, options)
+        return replace(by_recipe, sizes=sizes, search=_search(options, cores))
     papers = column.setup(trajectory.sampling_rate)
     settings = _trained(papers.settings, options)
     if options.cutoff == AUTO:

@@ -62,9 +62,9 @@ def list_names(seeds: Seeds = 5, out: Out = Path("paper")) -> None:
     A run counts with all of the paper's epochs. What is missing is estimated from the finished runs
     of the same method on the same system, or by the run times that the paper reports.
     """
-    found = RichTable(box=None)
+    listed = RichTable(box=None)
     for heading in ("", "name", "runs", "missing", ""):
-        found.add_column(heading, no_wrap=heading != "")
+        listed.add_column(heading, no_wrap=heading != "")
     guessed = False
     for name, spec in SPECS.items():
         jobs = [job for line in lines(name, seeds=seeds) for job in line.jobs]
@@ -72,12 +72,12 @@ def list_names(seeds: Seeds = 5, out: Out = Path("paper")) -> None:
         guessed = guessed or not state.measured
         mark = "" if state.measured else " *"
         takes = "" if state.there == state.needed else _duration(state.seconds) + mark
-        found.add_row("table", name, f"{state.there} of {state.needed}", takes, spec.title)
+        listed.add_row("table", name, f"{state.there} of {state.needed}", takes, spec.title)
     for name in FIGURES:
-        found.add_row("figure", name)
+        listed.add_row("figure", name)
     for name, system in SYSTEMS.items():
-        found.add_row("system", name, "", "", system.title)
-    showing.console.print(found)
+        listed.add_row("system", name, "", "", system.title)
+    showing.console.print(listed)
     showing.console.print("missing: time of one process, that of tables that share runs in each")
     if guessed:
         showing.console.print("* partly by the run times that the paper reports")
@@ -135,11 +135,11 @@ def make_figure(
     """Draw a figure of the paper for every system; runs are shared with the tables."""
     chosen = _chosen(name, FIGURES, "figure")
     of = {each: needed(each, _split(systems), _split(methods), seeds, epochs) for each in chosen}
-    every = (line for found in of.values() for rows in found.values() for line in rows)
+    every = (line for by_system in of.values() for rows in by_system.values() for line in rows)
     _run_missing(every, out, jobs, run)
     output_folder(out / "figures")
-    for each, found in of.items():
-        for system, rows in found.items():
+    for each, by_system in of.items():
+        for system, rows in by_system.items():
             path = out / "figures" / f"{system}-{each}.png"
             pictures.save(figure(each, system, rows, out / "runs"), path)
             showing.console.print(f"{path}")

@@ -21,22 +21,22 @@ from splitband.metrics import FARTHEST, Extrapolation, ExtrapolationWarning, spr
 console = Console(
     soft_wrap=not sys.stdout.isatty(),
     width=None if sys.stdout.isatty() else 120,
-    markup=False,  # names of files and columns are no markup
+    markup=False,  # brackets in names of files and columns are text
     emoji=False,
     highlight=False,
 )
 
 
-def comparison(title: str, found: Comparison) -> Table:
+def comparison(title: str, result: Comparison) -> Table:
     """Errors by method, mean and standard deviation over seeds; the lowest of each is bold.
 
     What could not be fitted comes last, without numbers.
     """
-    runs, trial = found.runs, found.require_trial()
+    runs, trial = result.runs, result.require_trial()
     table = Table(title=title, title_justify="left", title_style="bold")
     table.add_column("method", min_width=max(map(len, [*runs, *trial.failed])))
     ahead = any(run.forecast is not None for of_method in runs.values() for run in of_method)
-    tests = [_tested(test.name, i) for i, test in enumerate(found.tests)]
+    tests = [_tested(test.name, i) for i, test in enumerate(result.tests)]
     forecast = ["changed", "from the start", "forecast", "in interval"]
     headings = ["held out", *(forecast if ahead else ["from the start"]), *tests, "fit (s)"]
     for heading in headings:
@@ -48,7 +48,7 @@ def comparison(title: str, found: Comparison) -> Table:
         min(statistics.mean(values(r)) for r in runs.values()) for values in (_total, _forecast)
     ]
     best_tests = [
-        min((mean.errors.tests[i] for mean in found.means.values() if mean.tests), default=0.0)
+        min((mean.errors.tests[i] for mean in result.means.values() if mean.tests), default=0.0)
         for i in range(len(tests))
     ]
     for name, of_method in runs.items():
@@ -58,19 +58,19 @@ def comparison(title: str, found: Comparison) -> Table:
         )
         cells: list[str | Text] = [total]
         if ahead:
-            covers = f"{found.covers(name):.0%}"
+            covers = f"{result.covers(name):.0%}"
             cells = [_spread([trial.change(name)], steadiest), total, forecast_error, covers]
-        # What is handed out is the mean of the seeds, and so is what is tested.
+        # Tests are of the mean over seeds, as that is the prediction that users get.
         cells += [
             _spread([error], lowest)
-            for error, lowest in zip(found.means[name].errors.tests, best_tests, strict=False)
+            for error, lowest in zip(result.means[name].errors.tests, best_tests, strict=False)
         ] or ["-"] * len(tests)
         table.add_row(
             name,
             _spread([trial.errors[name]], first),
             *cells,
             f"{statistics.mean(r.fit.seconds for r in of_method):.1f}",
-            _remarks(found, name),
+            _remarks(result, name),
         )
     for name, reason in trial.failed.items():
         table.add_row(name, *["-"] * len(headings), f"could not be fitted: {reason}")
@@ -82,9 +82,9 @@ def _tested(name: str, i: int) -> str:
     return f"test: {name or i + 1}"
 
 
-def _remarks(found: Comparison, name: str) -> str:
+def _remarks(result: Comparison, name: str) -> str:
     """What a row says beside its numbers."""
-    runs, mean = found.runs[name], found.means[name]
+    runs, mean = result.runs[name], result.means[name]
     said = [runs[0].description]
     if len(runs) > 1 and runs[0].fit.losses:
         errors = (
@@ -97,13 +97,13 @@ def _remarks(found: Comparison, name: str) -> str:
     return "; ".join(filter(None, said))
 
 
-def channels(found: Comparison, name: str) -> str:
+def channels(result: Comparison, name: str) -> str:
     """The errors of a method's mean, each channel by itself, as channels may differ in unit."""
-    record, mean = found.record, found.means[name]
+    record, mean = result.record, result.means[name]
     each = [by_channel(record, mean.from_start.y)]
     if mean.forecast is not None:
         each.append(by_channel(record, mean.forecast.y))
-    deviations = spread(record.seen[: found.setup.train])
+    deviations = spread(record.seen[: result.setup.train])
     parts = [
         f"{column} {' and '.join(f'{e:.3g}' for e in errors)} (its deviation is {deviation:.3g})"
         for column, deviation, *errors in zip(record.columns, deviations, *each, strict=True)
@@ -175,9 +175,9 @@ def leaving(samples: int) -> str:
     )
 
 
-def warn_of_inputs(found: Sequence[Extrapolation], names: Sequence[str]) -> None:
+def warn_of_inputs(extrapolations: Sequence[Extrapolation], names: Sequence[str]) -> None:
     """Say which inputs of what is predicted go beyond their range in training."""
-    for beyond in found:
+    for beyond in extrapolations:
         named = names[beyond.channel] if beyond.channel < len(names) else ""
         console.print(f"warning: {beyond.describe(named)}", style="yellow")
 

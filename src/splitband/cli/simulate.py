@@ -85,7 +85,7 @@ def simulate(
     if u is not None and past.u is not None:
         u = np.concatenate([past.u[start - known.warmup :], u])
     since = len(past) - start
-    with showing.without_warnings():  # said below, by the inputs' names
+    with showing.without_warnings():  # warned of below, by the inputs' names
         y = model.simulate(past.y[start - known.warmup : start], since + steps, u, y_sim)[since:]
     prediction = Prediction(y, past.grid.after(steps), tuple(known.columns))
     output_folder(out.parent)
@@ -134,7 +134,7 @@ class _Facts:
             self.inputs = [str(name) for name in facts["inputs"]]
             self.sampling_time = float(facts["sampling_time"])
             self.warmup = int(facts["setup"]["settings"]["warmup"])
-            # Models from before these were kept have no start, and leave no range.
+            # Models saved by older versions have neither, and are simulated without these checks.
             self.start = from_json(facts.get("start"))
             nothing = [[0.0] * model.ny] * 2
             self.range = np.array(facts.get("range", nothing), dtype=np.float64)

@@ -59,7 +59,7 @@ def with_simulator(
     if not math.isfinite(timeout):
         raise ValueError(f"--simulator-timeout must be a number of seconds, got {timeout:g}")
     if simulator is None and (beyond or ahead) and record.y_sim is not None:
-        simulator = record.name  # a named record's own, for longer
+        simulator = record.name  # run a named record's own simulator for longer
     if simulator is None or simulator in BASES:
         return record
     opened = opened_simulator(replace(options, simulator=simulator), record, reading.time_column)
@@ -92,10 +92,10 @@ def simulated(
     )
     if isinstance(opened, Recorded):
         with _named(name):
-            found = opened.on(grid)
-        if found.note:
-            showing.console.print(f"{name}: {found.note}")
-        return found.values
+            on_grid = opened.on(grid)
+        if on_grid.note:
+            showing.console.print(f"{name}: {on_grid.note}")
+        return on_grid.values
     within = None if isinstance(opened, Isolated) else timeout
     return run(opened, grid.samples, grid.step, ny, within, cache, name, grid.start)
 
@@ -137,7 +137,7 @@ def simulated_again(
     elif opened.start is None or start is None:
         first = begin  # it is taken to begin with the history
     else:
-        # Whole steps from the history's own samples, so that it is interpolated just once.
+        # Begin a whole number of steps from the history's samples, to interpolate just once.
         first = begin + math.floor(places[0] - begin + 1e-6)
     samples = math.ceil(places[-1] - first - 1e-6) + 1
     if start is not None:
@@ -261,13 +261,13 @@ def _times(grid: Grid) -> str:
 def _exported(
     path: str, record: Trajectory, columns: list[str], time_column: str | None
 ) -> Simulator:
-    found = read_beside(path, record.sampling_time, time_column, columns=columns or None)
-    if not columns and set(record.columns) <= set(found.columns):
-        chosen = [found.columns.index(name) for name in record.columns]
-        return Recorded(found.y[:, chosen], found.sampling_time, found.start)
-    if found.ny != record.ny:
+    exported = read_beside(path, record.sampling_time, time_column, columns=columns or None)
+    if not columns and set(record.columns) <= set(exported.columns):
+        chosen = [exported.columns.index(name) for name in record.columns]
+        return Recorded(exported.y[:, chosen], exported.sampling_time, exported.start)
+    if exported.ny != record.ny:
         raise ValueError(
             f"--simulator-columns must choose {record.ny} column(s), as many as the record has, "
-            f"out of {', '.join(found.columns)} in {path}"
+            f"out of {', '.join(exported.columns)} in {path}"
         )
-    return Recorded.of(found)
+    return Recorded.of(exported)

@@ -54,7 +54,7 @@ def spectrum(
     setup = given.setup(record, trajectory, train, model, ahead=0)
     trajectory = trajectory[:train]
     rate = trajectory.sampling_rate
-    found = periodogram(trajectory.y, rate)
+    measured_spectrum = periodogram(trajectory.y, rate)
     pair = setup.bands.pair(rate)
     chosen, choice = float(setup.bands.cutoff or 0.0), setup.bands.choice
     low, high = pair.split(trajectory.y)
@@ -65,10 +65,10 @@ def spectrum(
         "cutoff": chosen,
         "order": pair.order,
         "train": setup.train,
-        "share_below": found.share_below(chosen),
+        "share_below": measured_spectrum.share_below(chosen),
         "choice": None if choice is None else asdict(choice),
         "reconstruction_rmse": rmse(trajectory.y, low + high),
-        "peaks": [{"frequency": f, "share": s} for f, s in found.peaks()],
+        "peaks": [{"frequency": f, "share": s} for f, s in measured_spectrum.peaks()],
     }
     _show_peaks(trajectory, facts)
     if trajectory.y_sim is not None:
@@ -79,7 +79,8 @@ def spectrum(
             f"by the first {setup.train} samples, the low band kept at every "
             f"{showing.ordinal(setup.bands.downsampling or 1)} sample: {choice.reason}"
         )
-    pictures.save(pictures.spectrum(trajectory, found, chosen, choice), out / "spectrum.png")
+    drawn = pictures.spectrum(trajectory, measured_spectrum, chosen, choice)
+    pictures.save(drawn, out / "spectrum.png")
     showing.console.print(f"picture: {out / 'spectrum.png'}")
 
 
@@ -116,8 +117,9 @@ def _show_simulator(
         values = (check.perfect_network, check.no_network)
         table.add_row(f"{check.cutoff:g}", *(f"{v:.4f}" for v in values), style=style)
     showing.console.print(table)
-    frequencies, found = coherence(record.y, y_sim, rate)
-    agree = float(found[frequencies <= cutoff].mean()) if (frequencies <= cutoff).any() else 0.0
+    frequencies, coherences = coherence(record.y, y_sim, rate)
+    below = frequencies <= cutoff
+    agree = float(coherences[below].mean()) if below.any() else 0.0
     showing.console.print(
         f"a lower cut-off leaves more to the network; mean coherence of simulator and record up "
         f"to {cutoff:.4g} Hz: {agree:.2f}",

@@ -58,10 +58,10 @@ def aligned(what: str, values: FloatArray, own: Grid, onto: Grid, smooth: bool =
     nearest = np.rint(rows).astype(int)
     off = float(np.abs(rows - nearest).max())
     exact = off <= NEAR
-    found = values[np.clip(nearest, 0, last)] if exact else interpolated(values, rows, smooth)
+    at_times = values[np.clip(nearest, 0, last)] if exact else interpolated(values, rows, smooth)
     as_they_are = exact and bool((np.diff(nearest) == 1).all())
     notes = [_one_sided(own, onto), "" if as_they_are else _resampled(own, onto, off)]
-    return Aligned(found, "; ".join(filter(None, notes)))
+    return Aligned(at_times, "; ".join(filter(None, notes)))
 
 
 def reach(own: Grid, onto: Grid) -> int:

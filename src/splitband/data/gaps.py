@@ -24,12 +24,12 @@ def filled(what: str, values: FloatArray) -> tuple[FloatArray, BoolArray]:
     """
     known = np.isfinite(values)
     index = np.arange(len(values))
-    found = np.array(values)
+    whole = np.array(values)
     for channel, seen in enumerate(known.T):
         if not seen.any():
             raise ValueError(f"{what} must have a finite value in channel {channel}: it has none")
-        found[~seen, channel] = np.interp(index[~seen], index[seen], values[seen, channel])
-    return found, known
+        whole[~seen, channel] = np.interp(index[~seen], index[seen], values[seen, channel])
+    return whole, known
 
 
 def stretches(rows: BoolArray) -> list[tuple[int, int]]:
@@ -40,10 +40,10 @@ def stretches(rows: BoolArray) -> list[tuple[int, int]]:
 
 def places(rows: BoolArray, most: int = 6) -> str:
     """Where the stretches are, for a message: "rows 3, 7 to 9"."""
-    found = stretches(rows)
-    named = ", ".join(str(a) if a == b else f"{a} to {b}" for a, b in found[:most])
-    more = f" and {len(found) - most} more stretches" if len(found) > most else ""
-    return f"row{'s' if len(found) > 1 or found[0][0] != found[0][1] else ''} {named}{more}"
+    gaps = stretches(rows)
+    named = ", ".join(str(a) if a == b else f"{a} to {b}" for a, b in gaps[:most])
+    more = f" and {len(gaps) - most} more stretches" if len(gaps) > most else ""
+    return f"row{'s' if len(gaps) > 1 or gaps[0][0] != gaps[0][1] else ''} {named}{more}"
 
 
 def last_before(complete: BoolArray, length: int, at: int) -> int | None:

@@ -107,10 +107,11 @@ def fetch(name: str, data_dir: str | os.PathLike[str] | None = None) -> Path:
     path = Path(data_dir if data_dir is not None else str(variable)) / record.path
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist: {origin}")
-    found = hashlib.sha256(path.read_bytes()).hexdigest()
-    if found != record.sha256:
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    if digest != record.sha256:
         raise ValueError(
-            f"{path} is not the published {name}: its sha256 must be {record.sha256}, it is {found}"
+            f"{path} is not the published {name}: its sha256 must be {record.sha256}, "
+            f"it is {digest}"
         )
     return path
 

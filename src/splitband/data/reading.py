@@ -115,21 +115,21 @@ def _load(path: Path) -> _Table:
 def _read_text(path: Path) -> _Table:
     """Read separated numbers, with or without a header."""
     suffix = path.suffix.lower()
-    _check_size(4 * path.stat().st_size)  # as text, as lines and as numbers
+    _check_size(4 * path.stat().st_size)  # it is held as bytes, as lines and as numbers
     raw = path.read_bytes()
     _check_size(100 * raw.count(b"\n"))
     lines = _lines(raw, mark_inside=suffix not in (".csv", ".tsv"))
     body = [line for line in lines if line]
     if not body:
         raise ValueError("it holds no data")
-    found = (sep for sep in (";", "\t", ",") if sep in body[min(1, len(body) - 1)])
-    sep = "\t" if suffix == ".tsv" else next(found, "," if suffix == ".csv" else " ")
+    separators = (sep for sep in (";", "\t", ",") if sep in body[min(1, len(body) - 1)])
+    sep = "\t" if suffix == ".tsv" else next(separators, "," if suffix == ".csv" else " ")
     comma = re.compile(rf"(?:^|{sep})\s*[-+]?\d*,\d+(?:e[-+]?\d+)?\s*(?:{sep}|$)", re.IGNORECASE)
     decimal = "," if sep in ";\t" and any(map(comma.search, body)) else "."
     fields = csv.reader(body[:1], delimiter=sep, skipinitialspace=True)
     cells = body[0].split() if sep == " " else next(fields)
     header = _is_header([cell.strip().replace(decimal, ".") for cell in cells])
-    if len(body) == 1 and not header:  # one row of numbers is a signal over time
+    if len(body) == 1 and not header:  # a single row of numbers is read as a column
         lines = [cell.strip() or "nan" for cell in cells[: None if cells[-1].strip() else -1]]
     warnings.simplefilter("error", pd.errors.ParserWarning)  # rows longer than the header
     frame = pd.read_csv(
@@ -184,8 +184,8 @@ def _check_size(size: int) -> None:
 
 
 def _read_parquet(path: Path) -> _Table:
-    found = pyarrow.parquet.read_metadata(path)
-    groups = [found.row_group(i) for i in range(found.num_row_groups)]
+    metadata = pyarrow.parquet.read_metadata(path)
+    groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
     columns = [group.column(i) for group in groups for i in range(group.num_columns)]
     _check_size(8 * sum(column.num_values for column in columns))
     _check_size(sum(column.total_uncompressed_size for column in columns))
@@ -206,7 +206,7 @@ def _read_numpy(path: Path) -> _Table:
             file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
                 return _variables(dict(archive))
-    array = np.lib.format.open_memmap(path, mode="r")  # is as long as it says
+    array = np.lib.format.open_memmap(path, mode="r")  # raises for a file that is cut short
     _check_size(8 * array.size)
     return _columns(pd.DataFrame(_native(array)))
 
@@ -226,9 +226,9 @@ def _bytes_of(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
 
 def _read_mat(path: Path) -> _Table:
     try:
-        found = [v for v in scipy.io.whosmat(path) if v[2] in _MAT_NUMBERS]
-        _check_size(8 * sum(math.prod(shape) for _, shape, _ in found))
-        names = [name for name, _, _ in found]
+        numeric = [v for v in scipy.io.whosmat(path) if v[2] in _MAT_NUMBERS]
+        _check_size(8 * sum(math.prod(shape) for _, shape, _ in numeric))
+        names = [name for name, _, _ in numeric]
         return _variables(scipy.io.loadmat(path, variable_names=names))
     except NotImplementedError:
         raise ValueError("it is a v7.3 (HDF5) file; save it with the option -v7") from None
@@ -284,7 +284,7 @@ def _assemble(
     timed = [c for c in rest if time_name(c)[0] in TIME_NAMES]
     if time_column is None:
         stamps = sorted(timed, key=lambda c: TIME_NAMES.index(time_name(c)[0]))[:1]
-    if columns is None:  # without the unnamed: a pandas index, or what a trailing comma leaves
+    if columns is None:  # "Unnamed" is an index or a trailing comma
         named = [c for c in rest if c not in timed and not c.startswith("Unnamed: ")]
         measured = [c for c in named if has_number(table[c])]
     else:
@@ -305,20 +305,20 @@ def _matrix(
     table: _Table, names: Sequence[str], gaps: Gaps, places: NDArray[np.int_] | None
 ) -> FloatArray:
     """The columns side by side, each row at its place where some are missing."""
-    found = np.column_stack([numbers(f"column {name!r}", table[name]) for name in names])
+    matrix = np.column_stack([numbers(f"column {name!r}", table[name]) for name in names])
     if gaps == "refuse":
         try:
-            for name, values in zip(names, found.T, strict=True):
+            for name, values in zip(names, matrix.T, strict=True):
                 require_finite(f"column {name!r}", values[:, None])
         except ValueError as error:
             hint = "; gaps='mask' (--gaps mask) goes around them"
-            raise ValueError(f"{error}{'' if np.isfinite(found).all() else hint}") from None
+            raise ValueError(f"{error}{'' if np.isfinite(matrix).all() else hint}") from None
     if places is None:
-        return found
+        return matrix
     rows = int(places[-1]) + 1
     _check_size(8 * rows * len(names))
     spread = np.full((rows, len(names)), np.nan)
-    spread[places] = found
+    spread[places] = matrix
     return spread
 
 
@@ -340,7 +340,7 @@ def _common_length(table: _Table, picked: Sequence[str]) -> int:
 
 def _find(table: _Table, wanted: _Names) -> list[str]:
     """Return the keys of the wanted columns, a matrix being all of its columns."""
-    found = []
+    all_keys = []
     for column in [wanted] if isinstance(wanted, str | int) else wanted:
         name = str(column)
         if name == _NAMELESS and list(table) == ["0"]:
@@ -350,8 +350,8 @@ def _find(table: _Table, wanted: _Names) -> list[str]:
             keys.append(key)
         if not keys:
             raise ColumnError(f"column {name!r} is unknown: {_available(table)}")
-        found += keys
-    return found
+        all_keys += keys
+    return all_keys
 
 
 def _available(table: _Table) -> str:
@@ -365,16 +365,16 @@ def _spacing(
     """The grid of the time stamps; without them the step as given, or by a scalar of the file."""
     if stamps:
         what = f"time column {stamps[0]!r}"
-        found = spacing(what, stamps[0], table[stamps[0]], gaps)
+        spaced = spacing(what, stamps[0], table[stamps[0]], gaps)
         if given is None:
-            return found
-        rows = len(table[stamps[0]]) if found.places is None else int(found.places[-1]) + 1
-        if not (given > 0 and same_sampling(given, found.step, rows)):
+            return spaced
+        rows = len(table[stamps[0]]) if spaced.places is None else int(spaced.places[-1]) + 1
+        if not (given > 0 and same_sampling(given, spaced.step, rows)):
             raise ValueError(
-                f"sampling_time (--sampling-time) is {given} s, but {what} steps by {found.step} s;"
-                " time_column='' (--time-column '') ignores the stamps"
+                f"sampling_time (--sampling-time) is {given} s, but {what} steps by "
+                f"{spaced.step} s; time_column='' (--time-column '') ignores the stamps"
             )
-        return replace(found, step=given)
+        return replace(spaced, step=given)
     for name in ("sampling_time", "dt", "Ts"):
         if given is None and len(table.get(name, ())) == 1:
             given = float(numbers(f"variable {name!r}", table[name])[0])

@@ -81,14 +81,14 @@ def _seconds(what: str, name: str, column: Column) -> tuple[FloatArray, float, p
         return values * unit, grain * unit, None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        formats = ("ISO8601", None)  # None: as in the first row
+        formats = ("ISO8601", None)  # None: pandas takes the format of the first row
         tries = [pd.to_datetime(column, format=f, utc=True, errors="coerce") for f in formats]
     dates = min(tries, key=lambda parsed: int(parsed.isna().sum()))
     if (bad := np.flatnonzero(dates.isna())).size:
         cell = str(column.iloc[bad[0]])[:40]
         raise ValueError(f"{what} must hold numbers or dates: row {bad[0]} holds {cell!r}")
     first = dates.iloc[0].as_unit("ns")
-    # pandas takes a time without a date for today's: it is counted from midnight instead.
+    # pandas gives a time without a date today's date. Here it counts from midnight.
     of_day = _TIME_OF_DAY.match(str(column.iloc[0])) is not None
     since = dates - (first.normalize() if of_day else first)
     seconds = np.asarray(since / pd.Timedelta(1, unit="s"), dtype=np.float64)
@@ -118,13 +118,13 @@ def _even_grid(what: str, stamps: FloatArray, unit: float, masked: bool) -> tupl
             f"{what} must increase: row {back[0] + 1} ({after:.10g} s) follows {before:.10g} s"
         )
     median, mean = float(np.median(steps)), float(steps.mean())
-    if unit > 0.99 * median:  # stamps so coarse would hide a missing row
+    if unit > 0.99 * median:  # rounding this coarse could hide a missing row
         unit = 0.0
     line = np.abs(stamps - stamps[0] - mean * np.arange(len(stamps)))[1:]
     rounded = np.maximum(np.abs(steps - mean), line) < 0.999 * unit
     off = np.abs(steps - median)
     if (bad := np.flatnonzero((off > 0.01 * median) & ~rounded)).size:
-        gaps = bad[off[bad] > 1.001 * unit]  # named first: rounded steps only drift with them
+        gaps = bad[off[bad] > 1.001 * unit]  # true gaps are named first, they shift the rest
         row = int((gaps if gaps.size else bad)[0]) + 1
         raise ValueError(
             f"{what} must be even: expected a step of {median:.6g} s at row {row}, found "
@@ -132,10 +132,11 @@ def _even_grid(what: str, stamps: FloatArray, unit: float, masked: bool) -> tupl
             + (", gaps='mask' (--gaps mask) allows for missing rows" if not masked else "")
         )
     centred = np.arange(len(stamps)) - 0.5 * len(steps)
-    slope = centred @ (stamps - stamps[0]) / (centred @ centred)  # averages the rounding out
+    # The slope of a straight line, which averages the rounding of the stamps out.
+    slope = centred @ (stamps - stamps[0]) / (centred @ centred)
     step = float(f"{slope:.12g}")
     beside = stamps - stamps[0] - step * np.arange(len(stamps))
-    first = float(beside.mean())  # of the grid, after the first stamp
+    first = float(beside.mean())  # where the grid begins, after the first stamp
     wander = np.abs(beside - first)
     if wander.max() > 0.5 * (step + unit):
         raise ValueError(
@@ -145,7 +146,7 @@ def _even_grid(what: str, stamps: FloatArray, unit: float, masked: bool) -> tupl
         )
     if abs(first) < 1e-6 * step:
         return step, float(stamps[0])
-    # To a tenth of the last printed place: what is left of the rounding is not worth more digits.
+    # Rounded to a tenth of the last printed place, as the stamps tell no more than that.
     digits = 0.1 * unit or 1e-6 * step
     return step, float(np.rint((stamps[0] + first) / digits) * digits)
 
@@ -163,9 +164,9 @@ def _on_grid(what: str, stamps: FloatArray) -> tuple[NDArray[np.int_], FloatArra
         When nearly all are missing, which is a wrong stamp rather.
     """
     steps = np.diff(stamps)
-    if not len(steps) or steps.min() <= 0:  # refused later, with the row
+    if not len(steps) or steps.min() <= 0:  # `spacing` refuses it and names the row
         return np.arange(len(stamps)), stamps
-    usual = float(np.quantile(steps, 0.1))  # the smallest, but for jitter
+    usual = float(np.quantile(steps, 0.1))  # the least may be jitter
     usual = float(steps[steps < 1.75 * usual].mean())  # stamps may be rounded to few units
     missing = float(np.maximum(np.rint(steps / usual) - 1, 0).sum())
     if missing > MOST_MISSING * (missing + len(stamps)):
@@ -182,7 +183,7 @@ def _on_grid(what: str, stamps: FloatArray) -> tuple[NDArray[np.int_], FloatArra
     stretch = np.concatenate([[0], np.cumsum(gap)])
     closest = np.rint((stamps[begins] - stamps[0]) / usual).astype(int)
     rows = closest[stretch] + index - begins[stretch]
-    rows = np.maximum.accumulate(rows - index) + index  # no row twice
+    rows = np.maximum.accumulate(rows - index) + index  # so that no two samples share a row
     even = np.where(gap, usual * np.diff(rows), steps)
     joined = stamps[0] + np.concatenate([[0.0], np.cumsum(even)])
     return rows, np.asarray(np.interp(np.arange(rows[-1] + 1), rows, joined))

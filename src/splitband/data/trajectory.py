@@ -120,7 +120,7 @@ class Trajectory:
         y, measured = filled("y", _signal("y", y))
         if u is not None:
             u, known = filled("u", _signal("u", u))
-            if len(u) == len(y):  # otherwise the constructor says so
+            if len(u) == len(y):  # the constructor refuses any other length
                 driven = np.asarray(known.all(axis=1, keepdims=True))
                 measured = np.asarray(measured & driven & np.concatenate([driven[:1], driven[:-1]]))
         return cls(y, sampling_time, u=u, measured=measured, **others)
@@ -145,7 +145,7 @@ class Trajectory:
         beyond, u_beyond = _after(self.y_sim, self.beyond, end), _after(self.u, self.u_beyond, end)
         y, measured = self.y[key], None if self.measured is None else self.measured[key]
         if measured is not None:
-            # What stands in for a gap must not know what comes after the slice.
+            # Gaps are filled again, without the samples after the slice.
             known = measured.any(axis=0)
             y = y.copy()
             y[:, known] = filled("y", self.seen[key][:, known])[0]
@@ -267,14 +267,14 @@ def require_finite(what: str, values: FloatArray, columns: Sequence[str] = ()) -
     largest = np.maximum(-low, high)
     with np.errstate(over="ignore"):
         span = np.ptp(values, axis=0) if len(values) else largest
-    for found, rule, off in (
+    for extent, rule, off in (
         (largest, f"of {LARGEST:g} at most", largest > LARGEST),
         (span, f"constant, or of a range of {SMALLEST:g} at least", (span > 0) & (span < SMALLEST)),
     ):
         if off.any():
             column = f" in column {columns[int(off.argmax())]!r}" if columns else ""
             raise ValueError(
-                f"{what} must be {rule}, in another unit if need be: got {found[off][0]:g}{column}"
+                f"{what} must be {rule}, in another unit if need be: got {extent[off][0]:g}{column}"
             )
 
 

@@ -114,23 +114,24 @@ def choose(
     y = y[:, _varying(y)]
     spectrum = periodogram(y, sampling_rate)
     power = spectrum.shares()
-    found = []
+    candidates = []
     for candidate in _grid(y, sampling_rate, warmup, cutoff, order, downsampling):
-        gain = _gain(spectrum.frequencies, sampling_rate, *candidate) ** 2  # forward and backward
+        # Squared, as the filter runs forward and backward.
+        gain = _gain(spectrum.frequencies, sampling_rate, *candidate) ** 2
         k = downsampling or _downsampling(
             power * gain**2, spectrum.frequencies, candidate[0], warmup
         )
         both = float(np.sum(2 * power * gain * (1 - gain)))
         lost = both + _distortion(y, warmup, sampling_rate, *candidate)
-        found.append(Candidate(*candidate, k, float(np.sum(power * gain**2)), lost))
-    able = [c for c in found if c.below >= LEAST_BELOW]
+        candidates.append(Candidate(*candidate, k, float(np.sum(power * gain**2)), lost))
+    able = [c for c in candidates if c.below >= LEAST_BELOW]
     good = [c for c in able if c.loss <= MOST_LOST]
     if good:
         best, rule = min(good, key=lambda c: (c.order, c.cutoff)), "the lowest one that will do"
     elif able:
         best, rule = min(able, key=lambda c: c.loss), "none loses little, this one the least"
     else:
-        best, rule = max(found, key=lambda c: c.below), "no low band holds half of the power"
+        best, rule = max(candidates, key=lambda c: c.below), "no low band holds half of the power"
 
     def why_not(candidate: Candidate) -> str:
         if candidate.below < LEAST_BELOW:
@@ -147,7 +148,7 @@ def choose(
     )
     reason = f"{'as given' if cutoff is not None else rule}: {facts}"
     loss = "share of the power in both bands, or lost at ends"
-    return _chosen(best, found, reason, loss, why_not)
+    return _chosen(best, candidates, reason, loss, why_not)
 
 
 def choose_with_simulator(
@@ -176,7 +177,7 @@ def choose_with_simulator(
     power, error = (s.density.sum(axis=1) / total for s in (spectrum, errors))
     power[0] = error[0] = 0.0
     offset = float(np.mean(wrong.mean(axis=0) ** 2))
-    found, wrongness = [], {}
+    candidates, wrongness = [], {}
     for candidate in _grid(y, sampling_rate, warmup, cutoff, order, downsampling):
         b, a = butterworth(candidate[0], sampling_rate, candidate[1])
         response = scipy.signal.freqz(b, a, spectrum.frequencies, fs=sampling_rate)[1]
@@ -184,11 +185,11 @@ def choose_with_simulator(
         k = downsampling or _downsampling(power * low, spectrum.frequencies, candidate[0], warmup)
         below, wrong_below = float(np.sum(low * power)), float(np.sum(low * error)) + offset
         left = wrong_below + LEFT_BY_NETWORK * float(np.sum(high * power))
-        found.append(Candidate(*candidate, k, below, left))
+        candidates.append(Candidate(*candidate, k, below, left))
         wrongness[candidate] = wrong_below / (below or 1.0)
-    lowest = min(c.order for c in found)
-    best = min((c for c in found if c.order == lowest), key=lambda c: c.loss)
-    other = min(found, key=lambda c: c.loss)
+    lowest = min(c.order for c in candidates)
+    best = min((c for c in candidates if c.order == lowest), key=lambda c: c.loss)
+    other = min(candidates, key=lambda c: c.loss)
     best = other if other.loss < best.loss / 2 else best
     share = wrongness[best.cutoff, best.order]
     helps = share < WORTH_USING
@@ -207,26 +208,26 @@ def choose_with_simulator(
         return f"expected error {candidate.loss:.2g}, against {best.loss:.2g}"
 
     loss = "expected error, as a share of the power"
-    return _chosen(best, found, reason, loss, why_not, helps)
+    return _chosen(best, candidates, reason, loss, why_not, helps)
 
 
 def _chosen(
     best: Candidate,
-    found: Iterable[Candidate],
+    candidates: Iterable[Candidate],
     reason: str,
     loss: str,
     why_not: Callable[[Candidate], str],
     simulator_helps: bool | None = None,
 ) -> Choice:
     """The choice, with the reason why each other candidate is not."""
-    listed = tuple(c if c is best else replace(c, rejected=why_not(c)) for c in found)
+    listed = tuple(c if c is best else replace(c, rejected=why_not(c)) for c in candidates)
     return Choice(best.cutoff, best.order, best.downsampling, reason, loss, listed, simulator_helps)
 
 
 def _varying(y: Array) -> npt.NDArray[np.bool_]:
     """The channels that vary; all of them where none does."""
-    found = np.ptp(y, axis=0) > 0
-    return found if found.any() else ~found
+    varying = np.ptp(y, axis=0) > 0
+    return varying if varying.any() else ~varying
 
 
 def _grid(
@@ -249,11 +250,11 @@ def _grid(
     highest = _NYQUIST_MARGIN * sampling_rate / 2 / (downsampling or 2)
     lowest = min(3 * sampling_rate / len(y), highest / 2)
     cutoffs = [float(f"{value:.3g}") for value in np.geomspace(lowest, highest, _CUTOFFS)]
-    # A high order is not stable in floating point at a low cut-off.
-    found = [(c, n) for c in cutoffs for n in orders if _exists(c, sampling_rate, n)]
-    if not found:
+    # At a low cut-off rounding makes a filter of high order unstable: it is left out.
+    pairs = [(c, n) for c in cutoffs for n in orders if _exists(c, sampling_rate, n)]
+    if not pairs:
         butterworth(cutoffs[-1], sampling_rate, orders[0])
-    return found
+    return pairs
 
 
 def _exists(cutoff: float, sampling_rate: float, order: int) -> bool:

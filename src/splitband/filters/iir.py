@@ -114,7 +114,7 @@ class _Passes:
         self.pad = 3 * len(a) if start == "odd" else 0
         self.directions = (False, True) if both_ways else (False,)
         order = len(a) - 1
-        # The state of a pass is this times its first sample.
+        # A pass begins in this state, multiplied by its first sample.
         self.steady = np.zeros(order) if start == "zeros" else _steady(tuple(b), tuple(a))
 
     def map(self, x: npt.NDArray[Any]) -> Array:
@@ -236,7 +236,7 @@ def _along_time(
     """Call `run` with the time axis last, on tensors, and give back what came in."""
     axis = time_axis(x.ndim, dim)
     signal = _tensor(x)
-    # In float64 whatever comes in: a high order needs the digits.
+    # Computed in float64 for any input, as filters of high order lose many digits.
     known = None if first is None else _tensor(first).to(signal.device, torch.float64)
     if known is not None:
         known = known.movedim(axis, -1)

@@ -46,15 +46,15 @@ class Spectrum:
         power = self._power()
         total, left = power.sum(), power.copy()
         maxima = scipy.signal.find_peaks(np.concatenate([[0.0], power, [0.0]]))[0] - 1
-        found: list[tuple[float, float]] = []
+        strongest: list[tuple[float, float]] = []
         for i in maxima[np.argsort(-power[maxima], kind="stable")]:
-            if len(found) == count:
+            if len(strongest) == count:
                 break
             if left[i] > 0:  # otherwise it is part of a stronger peak
                 lobe = slice(max(i - LOBE, 0), i + LOBE + 1)
-                found.append((float(self.frequencies[i]), float(left[lobe].sum() / total)))
+                strongest.append((float(self.frequencies[i]), float(left[lobe].sum() / total)))
                 left[lobe] = 0.0
-        return [(frequency, share) for frequency, share in found if share >= least]
+        return [(frequency, share) for frequency, share in strongest if share >= least]
 
     def shares(self) -> Array:
         """The share of the power, mean excluded, in each bin, `(bins,)`; zeros for a constant."""
@@ -86,10 +86,10 @@ def coherence(y: Array, y_sim: Array, sampling_rate: float) -> tuple[Array, Arra
     """
     segment = max(8, len(y) // 8)
     with np.errstate(invalid="ignore", divide="ignore"):
-        frequencies, found = scipy.signal.coherence(
+        frequencies, agreement = scipy.signal.coherence(
             y, y_sim, sampling_rate, nperseg=segment, axis=0
         )
-    return frequencies, np.nan_to_num(found)  # a band without power agrees with nothing
+    return frequencies, np.nan_to_num(agreement)  # 0 where there is no power, not NaN
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,14 @@ Array = NDArray[Any]
 _LOG = logging.getLogger("splitband")
 F = TypeVar("F", bound=Callable[..., Any])
 
-PAD = 16  # the last axis of a buffer is padded to a multiple, so that no vector loop has a rest
+PAD = 16  # the last axis of a buffer is padded to a multiple: vector loops need no remainder
 _WORTH_A_THREAD = 1e7  # multiplications that take as long as waking a thread
 
 # Numba's own threads may not be entered from several threads at once on every platform.
 _POOL = ThreadPoolExecutor(os.cpu_count(), "splitband")
 
-# No "nnan" or "ninf", by which a NaN could be taken for a number; division does not raise.
+# Without "nnan" and "ninf", by which LLVM assumes that there is no NaN and no infinity.
+# With the error model of NumPy, division by zero gives infinity and does not raise.
 _OPTIONS: Any = {
     "fastmath": {"contract", "reassoc", "nsz"},
     "error_model": "numpy",
@@ -59,7 +60,7 @@ class _Announcement(event.Listener):
         ours = event.data["dispatcher"].py_func.__module__.startswith("splitband.")
         if ours and not self.said:
             self.said = True
-            # A warning, so that it is seen where nobody has set up logging.
+            # A warning, as Python prints these even where no logging has been set up.
             _LOG.warning("splitband: compiling kernels, once after installation (some seconds)")
 
     def on_end(self, event: Any) -> None:
@@ -85,7 +86,7 @@ def _exact(x: Any) -> Any:
 
 def _quotient(x: Any) -> Any:
     f = np.float32
-    x = max(min(x, f(9)), f(-9))  # in this order a NaN goes through
+    x = max(min(x, f(9)), f(-9))  # in this order NaN stays NaN
     q = x * x
     p = q * f(5.0856173e-08) + f(3.1615688e-05)
     p = p * q + f(0.0040097303)
@@ -167,16 +168,16 @@ def buffers(like: Tensor, split: list[slice], *shapes: tuple[int, ...]) -> list[
     """
     sizes = [math.prod(shape) for shape in shapes]
     whole = like.new_empty(split[-1].stop * sum(sizes) + PAD * len(split) * len(sizes))
-    found: list[list[Tensor]] = []
+    by_job: list[list[Tensor]] = []
     at = 0
     for rows in split:
-        found.append([])
+        by_job.append([])
         for shape, size in zip(shapes, sizes, strict=True):
             n = rows.stop - rows.start
             values = whole[at : at + n * size]
-            found[-1].append(values.view(*shape[:-1], n, shape[-1]))
+            by_job[-1].append(values.view(*shape[:-1], n, shape[-1]))
             at = padded(at + n * size)
-    return found
+    return by_job
 
 
 def run_rows(kernel: Callable[..., None], jobs: Sequence[Sequence[Any]]) -> None:

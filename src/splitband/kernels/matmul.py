@@ -96,7 +96,7 @@ class _Product:
                 x = self.spread(self.load(self.a, r, k.index, self.item))
                 for c in across:
                     self.add(sums[r, c], self.builder.fmul(x, ws[c], flags=("contract",)))
-        # What was there is added last, so that long accumulations are sums of sums.
+        # The old values are added last, which rounds less than adding each product to them.
         with self.builder.if_then(self.accumulate):
             for (r, c), register in sums.items():
                 self.add(register, self.load(self.out, r, c, self.vector))

@@ -131,13 +131,13 @@ class Model(nn.Module, ABC):
         values = u.detach().cpu().numpy() if isinstance(u, Tensor) else np.asarray(u)
         values = values.reshape(-1, values.shape[-2] if values.ndim > 1 else len(values), self.nu)
         low, high = (x.cpu().numpy() for x in (self.u_low, self.u_high))
-        found = [beyond for of_one in values for beyond in extrapolations(low, high, of_one)]
+        every = [beyond for of_one in values for beyond in extrapolations(low, high, of_one)]
         return [
             max(
-                (beyond for beyond in found if beyond.channel == channel),
+                (beyond for beyond in every if beyond.channel == channel),
                 key=lambda beyond: max(beyond.low - beyond.farthest, beyond.farthest - beyond.high),
             )
-            for channel in sorted({beyond.channel for beyond in found})
+            for channel in sorted({beyond.channel for beyond in every})
         ]
 
     def simulate_components(
@@ -237,7 +237,7 @@ class Model(nn.Module, ABC):
         return self._to_network(x, "u" if name == "u" else "y")
 
     def _to_network(self, x: npt.NDArray[Any] | Tensor, kind: str) -> Tensor:
-        # In float64 first: a large offset would use up the digits of a float32.
+        # Subtract in float64: beside a large offset float32 has too few digits for the signal.
         mean, std = getattr(self, f"{kind}_mean"), getattr(self, f"{kind}_std")
         x = x if isinstance(x, Tensor) else torch.from_numpy(np.array(x, dtype=np.float64))
         values = x.to(mean)

@@ -55,7 +55,7 @@ class Hybrid(Model):
             known = replace(known, u=paired(known.u))
         if not self.conditioned:
             return known
-        # A simulator of a record with inputs may know them, as an FMU does.
+        # With inputs the simulator's output may depend on them, as an FMU's does.
         given = conditioning(_required(known), self.slope_scale, driven=self.nu > 0)
         return replace(known, u=beside(known.u, given))
 

@@ -104,7 +104,7 @@ class Split(Model):
             if isinstance(downsampling, int)
             else [int(k) for k in downsampling]
         )
-        at_once = feedthrough and factors[:1] == [1]  # the slowest network sees every sample, too
+        at_once = feedthrough and factors[:1] == [1]  # for a band at the full rate
         super().__init__(networks[0].ny, inputs_of(networks[0], 0, at_once))
         self.networks = nn.ModuleList(as_module(network) for network in networks)
         self.pairs = [pairs] if isinstance(pairs, ComplementaryPair) else [*pairs]
@@ -164,11 +164,11 @@ class Split(Model):
         lengths = [steps] * count
         for band in range(count - 1, 0, -1):
             lengths[:band] = [max(lengths[band - 1], self._told_for(band, lengths[band]))] * band
-        found: dict[str, Tensor] = {}
+        bands: dict[str, Tensor] = {}
         for band, name in enumerate(self._names()[:count]):
-            slower = _sum({n: part[:, : lengths[band - 1]] for n, part in found.items()})
-            found[name] = self._at_full_rate(band, known, lengths[band], slower)
-        return {name: part[:, :steps] for name, part in found.items()}
+            slower = _sum({n: part[:, : lengths[band - 1]] for n, part in bands.items()})
+            bands[name] = self._at_full_rate(band, known, lengths[band], slower)
+        return {name: part[:, :steps] for name, part in bands.items()}
 
     def _told_for(self, band: int, steps: int) -> int:
         """Samples of the slower bands that `steps` samples of a band depend on."""
@@ -205,9 +205,9 @@ class Split(Model):
         y = rollout(self._network(band), downsample(history, k, offset), steps, u)
         if not self.filter_output or band < len(self.pairs):
             return y
-        # Forwards and backwards, the filter would let inputs act on what was before them.
+        # Run forward and backward, the filter would let an input act on earlier samples.
         pair = self.pairs[-1].one_way() if self.nu else self.pairs[-1]
-        # With its own history in front the filter has settled before the first prediction.
+        # The filter begins in the history, so that it has settled at the first prediction.
         return pair.highpass(torch.cat([history, y], dim=1))[:, warmup:]
 
     def _band_of(self, band: int, y: Tensor) -> Tensor:
@@ -235,12 +235,12 @@ class Split(Model):
             )
             for band in range(len(networks))
         ]
-        found = [(network.ny, network.nu) for network in networks]
-        if found != wanted:
+        given = [(network.ny, network.nu) for network in networks]
+        if given != wanted:
             raise ValueError(
                 f"the networks' (ny, nu) must be {wanted}"
                 f"{', with 2 ny inputs for the slower bands' if self.conditioned else ''}, "
-                f"got {found}"
+                f"got {given}"
             )
 
     def _check_bands(self) -> None:

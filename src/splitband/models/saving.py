@@ -110,7 +110,7 @@ def save(model: Model, folder: str | Path, facts: Mapping[str, Any] | None = Non
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    # Clones, as the format does not store tensors that share their memory.
+    # Clone: safetensors refuses tensors that share memory.
     state = {name: value.cpu().contiguous().clone() for name, value in model.state_dict().items()}
     weights = safetensors.torch.save(state)
     description = {
@@ -120,7 +120,7 @@ def save(model: Model, folder: str | Path, facts: Mapping[str, Any] | None = Non
         "facts": dict(facts or {}),
     }
     text = to_json(description)
-    # The weights are replaced first, and then the description, which says whose they are.
+    # Weights are replaced before the description, which holds the checksum that they must have.
     with replacing(folder / _DESCRIPTION) as new, replacing(folder / _WEIGHTS) as new_weights:
         new_weights.write_bytes(weights)
         new.write_text(text, encoding="utf-8")
@@ -134,7 +134,7 @@ def _keep_previous(folder: Path) -> None:
         digest = json.loads((folder / _DESCRIPTION).read_text(encoding="utf-8"))["weights_sha256"]
         content = (folder / _WEIGHTS).read_bytes()
     except (OSError, ValueError, KeyError, TypeError):
-        return  # there is no whole model
+        return  # there is no complete model to keep
     if hashlib.sha256(content).hexdigest() == digest:
         with replacing(folder / _PREVIOUS) as temporary:
             temporary.write_bytes(content)
@@ -173,7 +173,8 @@ def load(
         raise ValueError(f"{folder / _DESCRIPTION} has format {version!r}; this is for {FORMAT}")
     known = {c.__name__: c for c in _SCHEMA} | dict(cells or {})
     try:
-        # Shapes only, however large a file says they are; cells of one's own may need values.
+        # On the meta device only shapes are made, so that no file can fill the memory. Cells of
+        # the user's own may compute with values, and are built on the CPU.
         with contextlib.nullcontext() if cells else torch.device("meta"):
             expected = _model(spec, known).state_dict()
     except _UNFIT as error:
@@ -220,25 +221,25 @@ def _weights(path: Path, digest: Any, expected: Mapping[str, Tensor]) -> dict[st
     if hashlib.sha256(content).hexdigest() != digest:
         raise ValueError(f"{path} is damaged: its checksum is not that of the model")
     try:
-        found = safetensors.torch.load(content)
+        weights = safetensors.torch.load(content)
     except _UNFIT as error:
         raise ValueError(f"{path} is damaged: {error}") from None
-    if not {"u_low", "u_high"} & found.keys() and {"u_low", "u_high"} <= expected.keys():
-        # Models from before it was kept know no range of their inputs: nothing is beyond it.
+    if not {"u_low", "u_high"} & weights.keys() and {"u_low", "u_high"} <= expected.keys():
+        # Models of older versions hold no range of the inputs: it is taken to be unlimited.
         unknown = torch.full(tuple(expected["u_low"].shape), torch.inf, dtype=torch.float64)
-        found |= {"u_low": -unknown, "u_high": unknown}
-    shapes, needed = ({k: tuple(t.shape) for k, t in of.items()} for of in (found, expected))
+        weights |= {"u_low": -unknown, "u_high": unknown}
+    shapes, needed = ({k: tuple(t.shape) for k, t in of.items()} for of in (weights, expected))
     if shapes != needed:
         name = min(k for k in shapes | needed if shapes.get(k) != needed.get(k))
         raise ValueError(
             f"{path} is not the model's: {name} must be {needed.get(name)}, got {shapes.get(name)}"
         )
-    for name, tensor in found.items():
+    for name, tensor in weights.items():
         floating = tensor.dtype in (torch.float32, torch.float64)
         wanted = expected[name].dtype
         if not (floating if wanted.is_floating_point else tensor.dtype == wanted):
             raise ValueError(f"{path} must hold float32 or float64: {name} is {tensor.dtype}")
-    return found
+    return weights
 
 
 def describe(module: nn.Module) -> dict[str, Any]:

@@ -73,7 +73,7 @@ def rollouts(comparison: Comparison) -> Figure:
     for axes, (name, channel) in zip(grid, rows, strict=True):
         warmup = comparison.setup.settings_of(name).warmup
         sides = _sides(comparison, name, ahead)
-        for ax in axes[len(sides) :]:  # it has nothing to say about test records
+        for ax in axes[len(sides) :]:  # a method that was not tested has no curve here
             ax.set_axis_off()
             ax.text(0.01, 0.5, f"{name}: not tested", transform=ax.transAxes, fontsize=9)
         for ax, side in zip(axes, sides, strict=False):
@@ -134,37 +134,38 @@ def _rollouts_title(comparison: Comparison, ahead: bool) -> str:
     )
 
 
-def forecast(found: Forecast) -> Figure:
+def forecast(result: Forecast) -> Figure:
     """The end of a record and what comes after it."""
-    return prediction(found.prediction, found.record, found.method)
+    return prediction(result.prediction, result.record, result.method)
 
 
 def prediction(
-    found: Prediction, record: Trajectory | None = None, method: str = "prediction"
+    predicted: Prediction, record: Trajectory | None = None, method: str = "prediction"
 ) -> Figure:
     """A prediction with its interval, after the end of a record if one is given."""
-    figure = Figure(figsize=(11, 0.8 + 2.2 * len(found.columns)), layout="constrained")
-    grid = figure.subplots(len(found.columns), 1, sharex=True, squeeze=False)[:, 0]
-    ahead = _drawn(pd.Index(found.time))
-    title = f"{len(found)} samples ahead"
+    figure = Figure(figsize=(11, 0.8 + 2.2 * len(predicted.columns)), layout="constrained")
+    grid = figure.subplots(len(predicted.columns), 1, sharex=True, squeeze=False)[:, 0]
+    ahead = _drawn(pd.Index(predicted.time))
+    title = f"{len(predicted)} samples ahead"
     if record is not None:
         time = _times(record)
         ahead = time[-1] + ahead if record.start is None else ahead
-        shown = max(len(record) - 2 * len(found), 0)
+        shown = max(len(record) - 2 * len(predicted), 0)
         title = f"{_literal(record.name)}: {title}"
-    for i, (ax, column) in enumerate(zip(grid, found.columns, strict=True)):
+    for i, (ax, column) in enumerate(zip(grid, predicted.columns, strict=True)):
         if record is not None:
             ax.plot(time[shown:], record.seen[shown:, i], color="0.35", lw=0.9, label="measured")
-        ax.plot(ahead, found.y[:, i], color=_PALETTE[0], lw=1.2, label=_literal(method))
-        if found.lower is not None and found.upper is not None and found.level is not None:
-            label = f"should hold {found.level:.0%}".replace("%", " %")
-            edges = found.lower[:, i], found.upper[:, i]
+        ax.plot(ahead, predicted.y[:, i], color=_PALETTE[0], lw=1.2, label=_literal(method))
+        lower, upper, level = predicted.lower, predicted.upper, predicted.level
+        if lower is not None and upper is not None and level is not None:
+            label = f"should hold {level:.0%}".replace("%", " %")
+            edges = lower[:, i], upper[:, i]
             ax.fill_between(ahead, *edges, color=_PALETTE[0], alpha=0.18, lw=0, label=label)
         ax.set_ylabel(_literal(column))
         ax.margins(x=0.01)
     grid[0].legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     grid[0].set_title(title, fontsize=10, loc="left")
-    dates = isinstance(found.time, pd.DatetimeIndex)
+    dates = isinstance(predicted.time, pd.DatetimeIndex)
     grid[-1].set_xlabel("time" if dates else "time (s)")
     return figure
 
@@ -228,7 +229,7 @@ def errors(comparison: Comparison) -> Figure:
         if end < len(record):
             ax.axvline(times[end], color="0.4", ls=":", lw=1)
         ax.set_yscale("log")
-        # The first samples after a warm-up say little, and would set the scale.
+        # The first errors after a warm-up vary too much to set the scale by them.
         settled = [line.get_ydata()[10:] for line in ax.lines if len(line.get_ydata()) > 20]
         lowest = [float(y[y > 0].min()) for y in map(np.asarray, settled) if (y > 0).any()]
         ax.set_ylim(bottom=0.7 * min(lowest, default=1e-3))
@@ -242,7 +243,10 @@ def errors(comparison: Comparison) -> Figure:
 
 
 def spectrum(
-    record: Trajectory, found: Spectrum, cutoff: float | None, choice: Choice | None = None
+    record: Trajectory,
+    measured_spectrum: Spectrum,
+    cutoff: float | None,
+    choice: Choice | None = None,
 ) -> Figure:
     """The power spectral density of every channel with the cut-off marked.
 
@@ -252,7 +256,7 @@ def spectrum(
     heights = [2.2, *[1] * (record.y_sim is not None), *[1] * (choice is not None)]
     figure = Figure(figsize=(8, 2 + 2 * len(heights)), layout="constrained")
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
-    _draw_spectrum(axes[0], record, found)
+    _draw_spectrum(axes[0], record, measured_spectrum)
     if record.y_sim is not None:
         simulated = periodogram(record.y_sim, record.sampling_rate)
         frequencies, agreement = coherence(record.y, record.y_sim, record.sampling_rate)
@@ -267,7 +271,7 @@ def spectrum(
         axes[1].set_ylabel("coherence")
         axes[1].grid(True, which="both", color="0.93", lw=0.6)
     if cutoff is not None:
-        share = found.share_below(cutoff)
+        share = measured_spectrum.share_below(cutoff)
         said = f"cut-off {cutoff:.4g} Hz: {share:.1%} of the power below"
         for ax in axes:
             first = ax is axes[0]
@@ -302,14 +306,14 @@ def _draw_choice(ax: Axes, choice: Choice) -> None:
     ax.legend(fontsize=8, loc="upper right")
 
 
-def _draw_spectrum(ax: Axes, record: Trajectory, found: Spectrum) -> None:
-    for name, density in zip(record.columns, found.density.T, strict=True):
+def _draw_spectrum(ax: Axes, record: Trajectory, spectrum: Spectrum) -> None:
+    for name, density in zip(record.columns, spectrum.density.T, strict=True):
         ax.loglog(
-            found.frequencies[1:], np.maximum(density[1:], 1e-300), lw=1, label=_literal(name)
+            spectrum.frequencies[1:], np.maximum(density[1:], 1e-300), lw=1, label=_literal(name)
         )
-    top = found.density[1:].max()
+    top = spectrum.density[1:].max()
     if top > 0:
-        ax.set_ylim(max(found.density[1:].min(), top * 1e-9), top * 3)
+        ax.set_ylim(max(spectrum.density[1:].min(), top * 1e-9), top * 3)
     ax.set_ylabel("power spectral density (squared units per Hz)")
     ax.grid(True, which="both", color="0.93", lw=0.6)
 

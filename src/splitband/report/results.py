@@ -36,8 +36,8 @@ def save(comparison: Comparison, folder: Path, facts: dict[str, Any] | None = No
         predictions(comparison).to_csv(temporary, index=False)
     pictures.save(pictures.rollouts(comparison), folder / "rollouts.png")
     pictures.save(pictures.errors(comparison), folder / "error.png")
-    found = periodogram(record[: setup.train].y, record.sampling_rate)
-    spectrum = pictures.spectrum(record, found, setup.bands.cutoff, setup.bands.choice)
+    training_spectrum = periodogram(record[: setup.train].y, record.sampling_rate)
+    spectrum = pictures.spectrum(record, training_spectrum, setup.bands.cutoff, setup.bands.choice)
     pictures.save(spectrum, folder / "spectrum.png")
     if any(runs[0].from_start.components for runs in comparison.runs.values()):
         pictures.save(pictures.components(comparison), folder / "components.png")
@@ -103,24 +103,24 @@ def predictions(comparison: Comparison) -> pd.DataFrame:
     return pd.DataFrame(table)
 
 
-def forecast_facts(found: Forecast, others: Sequence[str]) -> dict[str, Any]:
+def forecast_facts(result: Forecast, others: Sequence[str]) -> dict[str, Any]:
     """What `forecast` writes to results.json; `others` are the further records' names."""
-    record, trial = found.record, found.trial
+    record, trial = result.record, result.trial
     return {
         "record": record.name,
         "samples": len(record),
         "gaps": int((~record.complete).sum()),
         "more": [*others],
-        "leaves_training_range_after": found.leaves,
-        "inputs_beyond_training": [asdict(each) for each in found.inputs_beyond_training],
-        "steps": len(found.prediction),
-        "method": found.method,
-        "description": found.description,
+        "leaves_training_range_after": result.leaves,
+        "inputs_beyond_training": [asdict(each) for each in result.inputs_beyond_training],
+        "steps": len(result.prediction),
+        "method": result.method,
+        "description": result.description,
         "held_out_rmse": dict(trial.errors),
         "failed": dict(trial.failed),
         "change": {name: trial.change(name) for name in trial.final},
-        "interval": asdict(trial.intervals[found.method]),
-        "seeds": [*found.seeds],
+        "interval": asdict(trial.intervals[result.method]),
+        "seeds": [*result.seeds],
         "environment": environment(),
     }
 
@@ -200,10 +200,10 @@ def _commit() -> str | None:
     if not (folder.parents[1] / ".git").exists():
         return None
     try:
-        found = subprocess.run(
+        described = subprocess.run(
             ["git", "describe", "--always", "--dirty", "--abbrev=12"],
             cwd=folder, capture_output=True, text=True, timeout=10, check=True,
         )  # fmt: skip
     except (OSError, subprocess.SubprocessError):
         return None
-    return found.stdout.strip()
+    return described.stdout.strip()

@@ -23,8 +23,9 @@ def replacing(path: str | Path) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
+        # The content is on the disk before the name is, so that a power cut leaves no empty file.
         with temporary.open("rb") as written:
-            os.fsync(written.fileno())  # a power cut must not leave the name without the content
+            os.fsync(written.fileno())
         temporary.chmod(0o666 & ~_umask())
         temporary.replace(path)
     finally:

@@ -91,14 +91,14 @@ def _in_processes(
     others = multiprocessing.active_children()
     pool = ProcessPoolExecutor(processes, context, _start_worker, (queue,))
     try:
-        with _no_interrupts():  # the queue has begun multiprocessing's tracker, which undoes it
+        with _no_interrupts():  # again: multiprocessing's tracker has reset it
             results = [pool.submit(_work, work, job) for job in jobs]
         for done in as_completed(results):
             yield done.result()
     except BrokenProcessPool:
         raise OSError("a training process was ended from outside, perhaps for memory") from None
     except BaseException:
-        # Interrupted, or a job failed: do not wait for what the others are doing.
+        # After Ctrl-C or a failure, do not wait for the jobs that still run.
         for worker in multiprocessing.active_children():
             if worker not in others:
                 worker.terminate()

@@ -86,15 +86,15 @@ def run(
     time: Array = begin + np.arange(max(samples, 2), dtype=np.float64) * sampling_time
 
     def simulate() -> npt.ArrayLike:
-        if isinstance(simulator, Recorded):  # `time` does not say what is a date
+        if isinstance(simulator, Recorded):  # `time` holds seconds, and its stamps may be dates
             return simulator.on(Grid(start, sampling_time, len(time))).values
         return simulator.simulate(time)
 
     try:
-        found = np.asarray(within(timeout, simulate))
-        if np.iscomplexobj(found):
+        returned = np.asarray(within(timeout, simulate))
+        if np.iscomplexobj(returned):
             raise TypeError("its values must be real")
-        y = np.asarray(found, float)
+        y = np.asarray(returned, float)
     except SimulatorTimeoutError as error:
         waited = getattr(simulator, "timeout", None) if timeout is None else timeout
         within_time = "in time" if waited is None else f"within {waited:g} s"
@@ -130,7 +130,7 @@ def within(timeout: float | None, call: Callable[[], Any]) -> Any:
     def work() -> None:
         try:
             outcome.extend((True, call()))
-        except BaseException as error:  # Ctrl-C too is for the caller
+        except BaseException as error:  # the caller gets all of them, Ctrl-C included
             outcome.extend((False, error))
 
     thread = threading.Thread(target=work, daemon=True)

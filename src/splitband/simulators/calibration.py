@@ -167,7 +167,7 @@ def calibrate(
             f"samples at least, got {y_sim.shape} and {y.shape}, of which {measured} were measured"
         )
     spare = len(y_sim) - samples
-    # Each channel counts the same, whatever its unit.
+    # Channels are scaled to deviation 1, so that each counts the same whatever its unit.
     scale = spread(y)
     y, y_sim = y / scale, y_sim / scale
     if terms is not None:
@@ -183,13 +183,13 @@ def calibrate(
     best = _SETS[0]
     for kept in _SETS[1:]:
         pays = errors[kept].mean() < _WORTH * errors[best].mean()
-        # Noise now and then looks better a little later or slower, but not from every beginning.
+        # By chance noise may fit better at some delay or clock after one cut, but not after all.
         moves = set(kept) & set(_STILL)
         if pays and (not moves or (errors[kept] < errors[best]).all()):
             best = kept
-    found = _fit(y_sim, y, sampling_time, best, samples, scale)
+    calibration = _fit(y_sim, y, sampling_time, best, samples, scale)
     means = {_name(kept): float(left.mean()) for kept, left in errors.items()}
-    return replace(found, errors=means, untried=untried)
+    return replace(calibration, errors=means, untried=untried)
 
 
 def affine_fit(y_sim: Array, y: Array) -> tuple[Array, Array]:
@@ -207,8 +207,8 @@ def affine_fit(y_sim: Array, y: Array) -> tuple[Array, Array]:
 def _mean(values: Array, y: Array) -> Array:
     """Of each channel, where y is no NaN; 0 where it is nothing else."""
     measured = ~np.isnan(y)
-    found = np.where(measured, values, 0.0).sum(axis=0) / np.maximum(measured.sum(axis=0), 1)
-    return np.asarray(found, dtype=np.float64)
+    means = np.where(measured, values, 0.0).sum(axis=0) / np.maximum(measured.sum(axis=0), 1)
+    return np.asarray(means, dtype=np.float64)
 
 
 def _gain(x: Array, y: Array) -> Array:
@@ -229,9 +229,9 @@ def _held_out(
     rows = np.flatnonzero(measured.any(axis=1))
     for share in (0.5, 0.6, 0.7, 0.8):
         cut = rows[max(int(share * len(rows)), 1)]
-        found = _fit(y_sim, y[:cut], sampling_time, terms, samples)
-        left = y[cut:] - found.apply(y_sim, len(y), sampling_time)[cut:]
-        # Only what is known of a channel before tells what its terms are worth.
+        calibration = _fit(y_sim, y[:cut], sampling_time, terms, samples)
+        left = y[cut:] - calibration.apply(y_sim, len(y), sampling_time)[cut:]
+        # A channel counts if it was measured both before the cut, to fit it, and after, to compare.
         told = measured[:cut].any(axis=0) & measured[cut:].any(axis=0)
         if told.any():
             errors.append(rmse(left[:, told], np.zeros_like(left[:, told])))
@@ -258,8 +258,8 @@ def _fit(
     def begun(warp: Array) -> npt.NDArray[np.bool_]:
         """Where the simulator has samples to say something from."""
         delay, clock = _warp(warp, moving)
-        found = clock * index >= delay
-        return found if found.any() else np.ones_like(found)
+        started = clock * index >= delay
+        return started if started.any() else np.ones_like(started)
 
     def residual(warp: Array) -> Array:
         x, seen = moved(warp), begun(warp)
@@ -271,13 +271,13 @@ def _fit(
     if moving:
         low, high = _bounds(len(y_sim), len(y), samples, moving)
         begin = [*_guesses(y, lambda clock: spline(clock * index), moving, low, high)]
-        found = [
+        minima = [
             scipy.optimize.least_squares(
                 residual, np.clip(point, low, high), bounds=(low, high), x_scale=(high - low) / 100
             )
             for point in begin
         ]
-        warp = np.asarray(min(found, key=lambda result: result.cost).x)
+        warp = np.asarray(min(minima, key=lambda result: result.cost).x)
     delay, clock = _warp(warp, moving)
     seen = begun(warp)
     gain, offset = _affine(moved(warp)[seen], y[seen], terms)
@@ -300,8 +300,8 @@ def _affine(x: Array, y: Array, terms: Sequence[Term]) -> tuple[Array, Array]:
 
 def _warp(warp: Array, moving: Sequence[str]) -> tuple[float, float]:
     """Delay in samples, and clock."""
-    found = _STILL | dict(zip(moving, map(float, warp), strict=True))
-    return found["delay"], found["clock"]
+    values = _STILL | dict(zip(moving, map(float, warp), strict=True))
+    return values["delay"], values["clock"]
 
 
 def _bounds(simulated: int, train: int, samples: int, moving: Sequence[str]) -> tuple[Array, Array]:
@@ -309,7 +309,7 @@ def _bounds(simulated: int, train: int, samples: int, moving: Sequence[str]) -> 
     spare = (simulated - samples) / len(moving)
     low = {"delay": -min(MOST_DELAY * train, spare), "clock": 1 - MOST_CLOCK}
     high = {"delay": MOST_DELAY * train, "clock": 1 + min(MOST_CLOCK, spare / samples)}
-    room = 1e-9  # the solver wants some between them
+    room = 1e-9  # the solver refuses equal bounds
     return np.array([low[m] - room for m in moving]), np.array([high[m] + room for m in moving])
 
 
@@ -326,24 +326,35 @@ def _guesses(
     limits = {m: (a, b) for m, a, b in zip(moving, low, high, strict=True)}
     clocks = np.linspace(*limits["clock"], 41) if "clock" in moving else np.ones(1)
     least, most = limits.get("delay", (0.0, 0.0))
+    shifts = np.arange(int(np.ceil(least)), int(most) + 1)  # in samples of the record
+    correlation = _correlation(y)
     ranked = []
     for clock in clocks:
-        correlation = _correlation(at_clock(clock), y)
-        shifts = np.arange(int(np.ceil(least)), int(most) + 1)  # in samples of the record
-        best = shifts[np.argmax(correlation[shifts + len(y) - 1])]
-        ranked.append((correlation[best + len(y) - 1], {"delay": clock * best, "clock": clock}))
+        at_shifts = correlation(at_clock(clock))[shifts]
+        best = int(np.argmax(at_shifts))
+        ranked.append((at_shifts[best], {"delay": clock * shifts[best], "clock": clock}))
     ranked.sort(key=lambda pair: -pair[0])
     for _, point in ranked[:count]:
         yield np.array([point[m] for m in moving])
 
 
-def _correlation(x: Array, y: Array) -> Array:
-    """Of y with x shifted by -(n - 1)..n - 1 samples, squared: a gain may have either sign."""
-    found = np.zeros(2 * len(y) - 1)
-    for a, b in zip((x - x.mean(axis=0)).T, np.nan_to_num(y - _mean(y, y)).T, strict=True):
-        power = float((a**2).sum()) or 1.0
-        found += scipy.signal.correlate(b, a, mode="full", method="fft") ** 2 / power
-    return found
+def _correlation(y: Array) -> Callable[[Array], Array]:
+    """A function of x: the correlation of y with x, squared, as a gain may have either sign.
+
+    Its value at k is that of x shifted by k samples, -(n - 1)..n - 1. The transform of y, which all
+    x have in common, is made once.
+    """
+    length = scipy.fft.next_fast_len(2 * len(y) - 1, real=True)
+    spectrum = scipy.fft.rfft(np.nan_to_num(y - _mean(y, y)), length, axis=0)
+
+    def of(x: Array) -> Array:
+        centred = x - x.mean(axis=0)
+        power = (centred**2).sum(axis=0)
+        product = spectrum * np.conj(scipy.fft.rfft(centred, length, axis=0))
+        squared = scipy.fft.irfft(product, length, axis=0) ** 2
+        return np.asarray((squared / np.where(power > 0, power, 1.0)).sum(axis=1))
+
+    return of
 
 
 def _spline(y: Array) -> Callable[[Array], Array]:

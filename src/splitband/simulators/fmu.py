@@ -65,7 +65,7 @@ class Fmu:
         """See `Simulator`."""
         if self._instance is None:
             raise ValueError(f"the FMU {self.path} has been closed, or an earlier run failed")
-        # Given back only after a good end: an instance that failed or still runs cannot be freed.
+        # Kept for the next run only after success: one that failed or still runs cannot be freed.
         instance, self._instance = self._instance, None
         step = float(time[1] - time[0])
         result = self._simulate_fmu(
@@ -82,10 +82,10 @@ class Fmu:
         self._instance = instance
         if result["time"][-1] < time[-1] - step / 2:
             raise ValueError(f"the FMU {self.path} stopped at {result['time'][-1]:g} s")
-        found = np.column_stack([result[name] for name in self.outputs])
-        # FMPy stores an event's sample beside that of the grid.
+        values = np.column_stack([result[name] for name in self.outputs])
+        # At an event FMPy stores more samples than the grid has: take the grid's.
         at = np.searchsorted(result["time"], time - step / 4)
-        return found[np.minimum(at, len(found) - 1)]
+        return values[np.minimum(at, len(values) - 1)]
 
     def fingerprint(self) -> str:
         """What the trajectory depends on besides the time grid; the key of the cache."""

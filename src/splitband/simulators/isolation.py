@@ -96,7 +96,7 @@ def _run_in(folder: Path, patience: float | None) -> int:
     known = os.environ.get("PYTHONPATH")
     search = os.pathsep.join([package, known] if known else [package])
     process = subprocess.Popen(
-        # -P: nothing in the working directory is taken for a module.
+        # -P keeps Python from importing modules out of the working directory.
         [sys.executable, "-P", "-m", "splitband.simulators.isolation", str(folder)],
         env=os.environ | {"PYTHONPATH": search, "TMPDIR": str(folder)},
         start_new_session=True,
@@ -106,7 +106,7 @@ def _run_in(folder: Path, patience: float | None) -> int:
     except subprocess.TimeoutExpired:
         raise SimulatorTimeoutError from None
     finally:
-        if hasattr(os, "killpg"):  # what it has started, too
+        if hasattr(os, "killpg"):  # end its own child processes as well
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(process.pid, signal.SIGKILL)
         process.kill()
@@ -145,17 +145,17 @@ def _main(folder: Path) -> None:
     task = Isolated(**(facts | {"outputs": tuple(facts["outputs"])}))
     time = np.load(folder / _TIME, allow_pickle=False)
     try:
-        found = np.asarray(within(task.timeout, lambda: _simulate(task, time)))
-        if found.dtype == object:
-            found = found.astype(float)
-        np.save(folder / "partial.npy", found, allow_pickle=False)
+        values = np.asarray(within(task.timeout, lambda: _simulate(task, time)))
+        if values.dtype == object:
+            values = values.astype(float)
+        np.save(folder / "partial.npy", values, allow_pickle=False)
         (folder / "partial.npy").rename(folder / _VALUES)
     except BaseException as error:
         kind = type(error).__name__
         said = one_line(error) if isinstance(error, ValueError) else f"{kind}: {one_line(error)}"
         (folder / _FAILURE).write_text(json.dumps([kind, said]), encoding="utf-8")
     sys.stdout.flush()
-    os._exit(0)  # whatever it left running
+    os._exit(0)  # ends at once, even if the simulator left threads running
 
 
 if __name__ == "__main__":
