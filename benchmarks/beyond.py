@@ -1,4 +1,4 @@
-"""What the default command reaches on the paper's systems, and what each ingredient is worth.
+"""What the default methods reach by the default recipe, nothing searched, and each ingredient.
 
     python -m benchmarks.beyond [--out docs/results/beyond] [--seeds 5] [--jobs 2] [SYSTEM ...]
 
