@@ -12,6 +12,7 @@ setting of the package was chosen by it.
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,7 +30,9 @@ from splitband.metrics import rmse
 from splitband.models import Filtered, Model, Residual
 from splitband.models.base import Signals
 from splitband.networks import GRU
+from splitband.paper import published
 from splitband.paper.settings import HYBRID
+from splitband.runtime.files import write_json
 from splitband.training import Checkpoint, Settings, fit
 
 SAMPLES = HYBRID["v"].train
@@ -37,9 +40,9 @@ FIRST = (0, 400, 600, 1000)
 """Samples that a training segment begins with."""
 STUDIED = 1000
 """Where the plateau is looked at: an exactly right network has by far the lowest loss there."""
-EPOCHS = 250
-"""Of what is tried there, an eighth of the paper's, so that all of it can be tried."""
-FEW = 60
+EPOCHS = 200
+"""Of what is tried there, a tenth of the paper's, so that all of it can be tried."""
+FEW = 30
 """Epochs of what has no kernel: a step of it takes some twenty times as long."""
 
 
@@ -98,9 +101,8 @@ def _studied(**changes: Any) -> Row:
 
 
 PLATEAU = {
-    "the paper's, 250 epochs": _studied(),
+    f"nothing, {EPOCHS} epochs": _studied(),
     "warm-up of 50 samples": _studied(warmup=50),
-    "windows of 400 samples": _studied(window=400),
     "gradients clipped at 1": _studied(clip=1.0),
     "free run that grows": _studied(growth=0.6),
     "rate of 3e-3": _studied(learning_rate=3e-3),
@@ -111,18 +113,26 @@ PLATEAU = {
         warmup=50, clip=1.0, growth=0.6, learning_rate=1e-2, one_cycle=True
     ),
     "told the simulator": replace(_studied(), conditioned=True),
-    "the sum of the bands fed back, 60 epochs": replace(_studied(epochs=FEW), model=FedBack),
+    f"the sum of the bands fed back, {FEW} epochs": replace(_studied(epochs=FEW), model=FedBack),
 }
 """What is tried against the plateau, beside the paper's settings with as few epochs."""
 
-ROWS = {
-    **{
-        f"{method} from {first}": Row(method, first, model=model)
-        for first in FIRST[1:]
-        for method, model in (("filtered-gru", Filtered), ("residual-gru", Residual))
-    },
-    **PLATEAU,
+MODELS: dict[str, type[Filtered | Residual]] = {
+    "filtered-gru": Filtered,
+    "residual-gru": Residual,
 }
+SHORT = {
+    f"{method} from {first}, {EPOCHS} epochs": Row(method, first, {"epochs": EPOCHS}, model)
+    for first in FIRST
+    for method, model in MODELS.items()
+    if (method, first) != ("filtered-gru", STUDIED)
+}
+FULL = {
+    f"{method} from {first}": Row(method, first, model=model)
+    for first in FIRST[1:]
+    for method, model in MODELS.items()
+}
+ROWS = PLATEAU | SHORT | FULL
 """By name; those trained from the first sample on are runs of the paper's tables."""
 
 
@@ -178,15 +188,107 @@ def segment(first: int, samples: int = SAMPLES) -> dict[str, float]:
     return found
 
 
+def page(found: dict[str, list[study.Facts]], segments: study.Facts, runs: Path) -> str:
+    """Segments and runs in Markdown; `runs` is the folder of the paper's own runs of (v)."""
+    assert __doc__ is not None
+    return "\n".join(
+        [
+            f"# {__doc__.splitlines()[0]}\n",
+            "Made by `python -m benchmarks.segments` of the files in [segments](segments) and of "
+            "the paper's runs. RMSE, mean (standard deviation) over seeds.\n",
+            f"What a segment of {SAMPLES} samples rewards, without any training: the low-passed "
+            "simulator alone, which is what a network that adds nothing leaves, beside the low-"
+            "passed simulator with the high band of the record, which is what a network that is "
+            "exactly right would reach; and both with the simulator calibrated to the segment. "
+            "Where the first is the lower one, training learns to add nothing.\n",
+            *study.table(
+                ("samples", *(f"{made}{what}" for made in ("", "calibrated: ")
+                              for what in ("simulator", "nothing learned", "exactly right"))),
+                [(name, *(f"{value:.3f}" for value in of.values()))
+                 for name, of in segments.items()],
+            ),
+            "",
+            "The paper's settings on other segments, each run simulated over the whole record from "
+            "its start; *training loss* is that of the segment, at the end of the training.\n",
+            *study.table(
+                ("trained on", "method", "total RMSE", "paper", "training loss", "seeds", "epochs"),
+                _trained(found, runs),
+            ),
+            "",
+            f"What leaves the plateau on samples {_name(STUDIED)}, where nothing learned has a "
+            f"loss of {segments[_name(STUDIED)]['nothing learned']:.3f} and exactly right one of "
+            f"{segments[_name(STUDIED)]['exactly right']:.3f}; filtered-gru, one thing changed.\n",
+            *study.table(
+                ("changed", "training loss", "total RMSE", "seeds", "epochs"),
+                [
+                    (name, study.spread(found[name], "loss"),
+                     study.spread(found[name], "total_rmse"), str(len(found[name])),
+                     str(row.settings.epochs))
+                    for name, row in PLATEAU.items() if found[name]
+                ],
+            ),
+            "",
+        ]
+    )  # fmt: skip
+
+
+def _trained(found: dict[str, list[study.Facts]], runs: Path) -> list[tuple[str, ...]]:
+    """The rows of the paper's settings, by segment, with its epochs and with fewer."""
+    rows: list[tuple[str, ...]] = []
+    for first in FIRST:
+        for method in MODELS:
+            plain = f"{method} from {first}"
+            short = found.get(f"{plain}, {EPOCHS} epochs", found[next(iter(PLATEAU))])
+            for of in (short, found.get(plain) or _papers(runs / method) * (not first)):
+                if of:
+                    rows.append(
+                        (_name(first), method, study.spread(of, "total_rmse"),
+                         str(published.HYBRID_GRU["v"][method]), study.spread(of, "loss"),
+                         str(len(of)), str(of[0]["settings"]["epochs"]))
+                    )  # fmt: skip
+    return rows
+
+
+def _papers(folder: Path) -> list[study.Facts]:
+    """The runs of the paper's tables, as those here are."""
+    read = [json.loads(path.read_text(encoding="utf-8")) for path in folder.glob("seed*.json")]
+    return [
+        {"total_rmse": run["total_rmse"], "loss": study.final(run["losses"]["network"]),
+         "settings": run["settings"]["settings"]}
+        for run in sorted(read, key=lambda run: int(run["job"]["seed"]))
+    ]  # fmt: skip
+
+
+def _name(first: int, samples: int = SAMPLES) -> str:
+    return f"{first} to {first + samples}"
+
+
 def main() -> None:
     """Train what is missing, one seed of all rows after the other, and write the page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("rows", nargs="*", metavar="ROW", help="; ".join(ROWS))
     parser.add_argument("--out", type=Path, default=Path("docs/results/segments"))
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--no-run", action="store_true", help="just write the page again")
     arguments = parser.parse_args()
+    out = arguments.out
     torch.set_num_threads(1)
-    study.complete(arguments.out, arguments.rows or ROWS, arguments.seeds, _resumed)
+    if not arguments.no_run:
+        study.complete(out, arguments.rows or ROWS, arguments.seeds, _resumed)
+    write_json(out / "segments.json", segments())
+    out.with_suffix(".md").write_text(made(out), encoding="utf-8")
+
+
+def segments() -> dict[str, dict[str, float]]:
+    """What there is to be learned of each segment, and of the whole record."""
+    whole = len(SYSTEMS["v"].record())
+    return {_name(first): segment(first) for first in FIRST} | {_name(0, whole): segment(0, whole)}
+
+
+def made(out: Path) -> str:
+    """The page of the files in a folder."""
+    of = json.loads((out / "segments.json").read_text(encoding="utf-8"))
+    return page(study.found(out, ROWS), of, out.parent / "runs" / "v")
 
 
 def _resumed(name: str, seed: int, path: Path) -> study.Facts:

@@ -11,6 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from splitband.paper import tables
 from splitband.report.results import environment
 from splitband.runtime.files import write_json
 from splitband.training import Settings
@@ -68,3 +69,16 @@ def final(losses: Sequence[float]) -> float:
 def few(losses: Sequence[float], most: int = 100) -> list[float]:
     """At most so many values of a curve, the last among them."""
     return [float(f"{loss:.4g}") for loss in losses[::-1][:: -(-len(losses) // most)][::-1]]
+
+
+def spread(runs: Sequence[Facts], key: str) -> str:
+    """Mean and, in brackets, standard deviation over seeds."""
+    return tables.spread([run[key] for run in runs])
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """A table in Markdown, line by line; words to the left, numbers to the right."""
+    rows = [*rows]
+    first = rows[0] if rows else header
+    ruled = ["---:" if re.match(r"-?\d+(\.\d+)?( \(|$)", cell) else "---" for cell in first]
+    return ["| " + " | ".join(line) + " |" for line in (header, ruled, *rows)]
