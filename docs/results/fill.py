@@ -187,6 +187,13 @@ class Page:
             facts = facts[key]
         return format(facts, keys[-1])
 
+    # Studies
+
+    def tried(self, row: str, key: str) -> str:
+        """Mean and standard deviation over the seeds of a row, such as `segments/nothing`."""
+        paths = sorted(self.folder.glob(f"{row}-seed*.json"))
+        return spread([json.loads(path.read_text(encoding="utf-8"))[key] for path in paths])
+
     # What differs from the paper
 
     def worse(self) -> str:
