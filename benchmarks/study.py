@@ -79,6 +79,7 @@ def spread(runs: Sequence[Facts], key: str) -> str:
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     """A table in Markdown, line by line; words to the left, numbers to the right."""
     rows = [*rows]
-    first = rows[0] if rows else header
-    ruled = ["---:" if re.match(r"-?\d+(\.\d+)?( \(|$)", cell) else "---" for cell in first]
+    columns = zip(*rows, strict=True) if rows else [[]] * len(header)
+    number = re.compile(r"(-?\d+(\.\d+)?( \(.*\))?)?")
+    ruled = ["---:" if all(map(number.fullmatch, column)) else "---" for column in columns]
     return ["| " + " | ".join(line) + " |" for line in (header, ruled, *rows)]

@@ -101,7 +101,7 @@ def _warn_of_nothing_to_learn(record: Trajectory, cutoff: float, order: int) -> 
     mended = oracle(record.y, y_sim, rate, cutoff, order, record.seen)
     facts["oracle_calibrated"] = asdict(mended)
     showing.console.print(
-        f"warning: {found.describe()}, so that training learns to add nothing; calibrated "
+        f"warning: {found.describe()}, to which training does not lead then; calibrated "
         f"(--calibrate), the simulator has {mended.no_network:.3g} and "
         f"{mended.perfect_network:.3g}: "
         + ("the same" if mended.nothing_to_learn else "there is something to learn"),

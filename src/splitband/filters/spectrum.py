@@ -111,8 +111,9 @@ class Oracle:
     def nothing_to_learn(self) -> bool:
         """Whether a network that is exactly right has a larger error than one that adds nothing.
 
-        Training then learns to add nothing. It happens where the delay of the low-pass filter makes
-        up for a simulator that runs ahead, so that L(y_sim) is nearer to y than L(y) is.
+        Training, which looks for a small error, then does not lead to the former. It happens where
+        the delay of the low-pass filter makes up for a simulator that runs ahead: L(y_sim) is then
+        nearer to y than L(y) is.
         """
         return self.perfect_network > self.no_network
 
