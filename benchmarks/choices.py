@@ -25,12 +25,13 @@ import torch
 from torch import Tensor
 
 from benchmarks import study
-from splitband.data import Trajectory, double_torsion
+from benchmarks.high_band import HP, double_filtering, high_band, high_band_section
+from splitband.data import Trajectory
 from splitband.evaluation.setup import Setup
 from splitband.filters.resampling import downsample
 from splitband.metrics import rmse
 from splitband.models import Model, Recurrent, Split
-from splitband.models.base import Signals, Task
+from splitband.models.base import Signals
 from splitband.networks import GRU, rollout
 from splitband.paper import published
 from splitband.paper.settings import LEARNING_BASED
@@ -42,8 +43,6 @@ Array = npt.NDArray[np.float64]
 APART = 2.0
 """Standard errors by which two readings are called different."""
 BASE = "as taken here"
-HP_EPOCHS = 150
-"""Of the paper's 1,000 under (ii): enough to see which of the networks gets stuck."""
 
 
 class FilteredAsAWhole(Split):
@@ -58,26 +57,6 @@ class FilteredAsAWhole(Split):
         if not self.filter_output or not band:
             return y
         return self.pairs[-1].highpass(torch.cat([history, y], dim=1))[:, warmup:]
-
-
-class WarmedOnAll(Split):
-    """A "+HP" whose fast network warms up on the whole signal, which it can then continue."""
-
-    def _simulate(self, band: int, known: Signals, steps: int, slower: Tensor | None) -> Tensor:
-        if not band:
-            return super()._simulate(band, known, steps, slower)
-        warmup = known.y.shape[1]
-        y = rollout(self._network(band), known.y, steps)
-        return self.pairs[-1].highpass(torch.cat([known.y, y], dim=1))[:, warmup:]
-
-
-class TargetFilteredTwice(Split):
-    """A "+HP" that is compared with the high band filtered once more, as its output is."""
-
-    def tasks(self, record: Signals) -> list[Task]:
-        """See `Split`."""
-        low, high = super().tasks(record)
-        return [low, replace(high, target=self.pairs[-1].highpass(high.target, dim=0))]
 
 
 @dataclass(frozen=True)
@@ -107,14 +86,6 @@ READINGS = {
 }
 
 METHODS = ("split-gru",)
-
-HP = {
-    "+HP": (Split, True),
-    "no filter": (Split, False),
-    "+HP, warmed up on the whole signal": (WarmedOnAll, True),
-    "+HP, target filtered twice": (TargetFilteredTwice, True),
-}
-"""Models of (ii), and whether the prediction of their high band is filtered."""
 
 
 class Best:
@@ -185,66 +156,6 @@ def tried(method: str, name: str, seed: int, _: Path) -> study.Facts:
     }
 
 
-class OnlyFast(Model):
-    """A split model of which the fast network alone is trained."""
-
-    def __init__(self, of: Split) -> None:
-        super().__init__(of.ny, of.nu)
-        self.of = of
-
-    def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """Those of the whole."""
-        return self.of.components(known, steps)
-
-    def tasks(self, record: Signals) -> list[Task]:
-        """The last one."""
-        return self.of.tasks(record)[-1:]
-
-
-def high_band(name: str, seed: int, _: Path) -> study.Facts:
-    """Train the high-band network under (ii); how far its loss comes down."""
-    kind, filtered = HP[name]
-    record = double_torsion()
-    setup = LEARNING_BASED["ii"].setup(record.sampling_rate)
-    settings = replace(setup.settings, epochs=HP_EPOCHS)
-    reading = Reading(kind=kind)
-    model = built(record, setup, "split-gru" + "-hp" * filtered, reading, seed)
-    assert isinstance(model, Split)
-    began = time.process_time()
-    history = fit(OnlyFast(model), record[: setup.train], settings, seed)
-    losses = history.losses["high band"]
-    return {"loss": study.final(losses), "losses": study.few(losses),
-            **study.facts(seed, settings, began)}  # fmt: skip
-
-
-def double_filtering() -> dict[str, float]:
-    """What the high-pass filter of "+HP" does under (ii); no network is trained.
-
-    Mean RMSE over the training windows, as the training loss has it: of the high band that is
-    filtered once more, which is what a network has that goes on with what it warmed up on; of the
-    whole signal, filtered; and of nothing.
-    """
-    record, column = double_torsion(), LEARNING_BASED["ii"]
-    setup = column.setup(record.sampling_rate)
-    pair, y, warmup = (
-        setup.bands.pair(record.sampling_rate),
-        record.y[: column.train],
-        column.warmup,
-    )
-    high = y - pair.lowpass(y, dim=0)
-
-    def loss(goes_on: Array) -> float:
-        errors = []
-        for begin in range(len(y) - column.window + 1):
-            at = slice(begin, begin + column.window)
-            warm = y[at][:warmup] - pair.lowpass(y[at][:warmup], dim=0)
-            filtered = pair.highpass(np.concatenate([warm, goes_on[at][warmup:]]), dim=0)
-            errors.append(rmse(high[at][warmup:], filtered[warmup:]))
-        return float(np.mean(errors))
-
-    return {"high band": loss(high), "whole signal": loss(y), "nothing": loss(0 * y)}
-
-
 def page(
     readings: dict[str, dict[str, list[study.Facts]]],
     networks: dict[str, list[study.Facts]],
@@ -276,21 +187,7 @@ def page(
             *[f"- {_verdict(method, of)}" for method, of in readings.items()],
             f"- {_counting(readings)}",
             "",
-            '## "+HP" under (ii)\n',
-            "The network warms up on the high band and is compared with it, but what it predicts "
-            "is filtered first. One that goes on with what it warmed up on is filtered twice: a "
-            f"training loss of {filtering['high band']:.3f}, where predicting nothing has "
-            f"{filtering['nothing']:.3f}, as the fundamental of the record lies near the cut-off "
-            "and is in both bands. To be right after the filter, the network has to go on with "
-            "another signal than the one that it was fed, as with the whole signal, which is "
-            f"right up to {filtering['whole signal']:.3f}. Training losses of the high band after "
-            f"{HP_EPOCHS} epochs:\n",
-            *study.table(
-                ("network of the high band", "training loss", "seeds"),
-                [(name, study.spread(runs, "loss"), str(len(runs)))
-                 for name, runs in networks.items() if runs],
-            ),
-            "",
+            *high_band_section(networks, filtering),
         ]
     )  # fmt: skip
 
