@@ -203,12 +203,15 @@ def page(found: dict[str, list[study.Facts]], segments: study.Facts, runs: Path)
         [
             f"# {__doc__.splitlines()[0]}\n",
             "Made by `python -m benchmarks.segments` of the files in [segments](segments) and of "
-            "the paper's runs. RMSE, mean (standard deviation) over seeds.\n",
+            "the paper's runs. RMSE, mean (standard deviation) over seeds; without one, a single "
+            "seed.\n",
             f"What a segment of {SAMPLES} samples rewards, without any training: the low-passed "
             "simulator alone, which is what a network that adds nothing leaves, beside the low-"
             "passed simulator with the high band of the record, which is what a network that is "
             "exactly right would reach; and both with the simulator calibrated to the segment. "
-            "Where the first is the lower one, training learns to add nothing.\n",
+            "Where the first is the lower one, training does not lead to the second. That one is "
+            "no floor: a network can also make up for what the simulator gets wrong on its "
+            "segment, which then need not hold elsewhere.\n",
             *study.table(
                 ("samples", *(f"{made}{what}" for made in ("", "calibrated: ")
                               for what in ("simulator", "nothing learned", "exactly right"))),
