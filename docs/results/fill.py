@@ -187,6 +187,27 @@ class Page:
             facts = facts[key]
         return format(facts, keys[-1])
 
+    # Studies
+
+    def tried(self, row: str, key: str) -> str:
+        """Mean and standard deviation over the seeds of a row, such as `segments/nothing`."""
+        return spread([run[key] for run in self._tried(row)])
+
+    def tried_setting(self, row: str, name: str) -> str:
+        """How a row was trained."""
+        return str(self._tried(row)[0]["settings"][name])
+
+    def key(self, study: str, name: str) -> str:
+        """What a study calls a row of its facts, which must be there."""
+        facts = json.loads((self.folder / study / f"{study}.json").read_text(encoding="utf-8"))
+        if name not in facts:
+            raise SystemExit(f"{study} has nothing of {name}, just {', '.join(facts)}")
+        return name
+
+    def _tried(self, row: str) -> list[dict[str, Any]]:
+        paths = sorted(self.folder.glob(f"{row}-seed*.json"))
+        return [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+
     # What differs from the paper
 
     def worse(self) -> str:

@@ -14,17 +14,20 @@ import pytest
 
 from splitband import Trajectory
 from splitband.cli import main
+from splitband.evaluation.runs import RunProgress
 from splitband.forecasters.base import Known
 from splitband.metrics import rmse
 from splitband.paper import published
 from splitband.paper.costs import progress
 from splitband.paper.jobs import SYSTEMS, Job
 from splitband.paper.runs import as_run, complete, load, whole_rmse
+from splitband.paper.settings import HYBRID
 from splitband.paper.specs import SPECS, lines
 from splitband.paper.systems import (
     MassSpringOracle,
     double_mass_spring,
     double_torsion_pendulum,
+    van_der_pol,
 )
 from splitband.paper.tables import table
 from splitband.runtime.files import CHECKPOINTS
@@ -195,6 +198,36 @@ def test_a_run_that_went_on_says_so(tmp_path: Path) -> None:
     facts = load(job, tmp_path)
     assert facts["resumed"] is True
     assert facts["cpu_seconds"] > 0
+
+
+class Killed(BaseException):
+    """What nothing catches."""
+
+
+def test_an_rnn_run_that_was_killed_ends_with_the_same_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    column = replace(HYBRID["v"], train=60, rnn_window=50)
+    record = van_der_pol(120)
+    short = replace(SYSTEMS["v"], column=column, record=lambda _: record)
+    monkeypatch.setitem(SYSTEMS, "v", short)
+    job = Job("v", "filtered-rnn", epochs=4)
+
+    def kill(at: RunProgress) -> None:
+        if at.share == 0.5:
+            raise Killed
+
+    complete([job], tmp_path / "whole")
+    with pytest.raises(Killed):
+        complete([job], tmp_path / "killed", 1, kill)
+    assert not (tmp_path / "killed" / job.path).exists()
+    shares: list[float] = []
+    complete([job], tmp_path / "killed", 1, lambda at: shares.append(at.share))
+    assert shares == [0.5, 0.75, 1.0]  # the epoch in which it died has no checkpoint
+    whole, went_on = (load(job, tmp_path / name) for name in ("whole", "killed"))
+    assert went_on["resumed"] is True
+    for name in ("total_rmse", "forecast_rmse", "losses", "from_start", "components"):
+        assert went_on[name] == whole[name]
 
 
 @pytest.mark.usefixtures("public_data")

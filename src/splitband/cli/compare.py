@@ -209,6 +209,7 @@ def _say(result: Comparison, names: list[str], out: Path) -> None:
     unhelpful = bands.choice is not None and bands.choice.simulator_helps is False
     if unhelpful and not set(names) & set(HYBRIDS):
         showing.console.print("hybrid models are left out; --methods brings them back")
+    showing.warn_of_trainings(result.runs)
     showing.warn_of_inputs(result.inputs_beyond_training, record.inputs)
     for test, prediction in zip(result.tests, result.means[best].tests, strict=False):
         for message in prediction.warnings:

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from splitband.evaluation.api import Comparison
-from splitband.evaluation.comparison import Run, by_channel
+from splitband.evaluation.comparison import Run, Runs, by_channel
 from splitband.evaluation.runs import RunProgress
 from splitband.metrics import FARTHEST, Extrapolation, ExtrapolationWarning, spread
 
@@ -180,6 +180,13 @@ def warn_of_inputs(extrapolations: Sequence[Extrapolation], names: Sequence[str]
     for beyond in extrapolations:
         named = names[beyond.channel] if beyond.channel < len(names) else ""
         console.print(f"warning: {beyond.describe(named)}", style="yellow")
+
+
+def warn_of_trainings(runs: Runs) -> None:
+    """Say what a training was not good for, each thing once."""
+    for name, of_method in runs.items():
+        for note in dict.fromkeys(note for run in of_method for note in run.fit.notes):
+            console.print(f"warning: {name}: {note}", style="yellow")
 
 
 @contextmanager

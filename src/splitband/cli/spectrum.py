@@ -15,6 +15,7 @@ from splitband.cli import given, options, showing
 from splitband.cli.simulators import with_simulator
 from splitband.data import Trajectory
 from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
+from splitband.forecasters.simulation import Simulation
 from splitband.metrics import rmse
 from splitband.paper.settings import RECORD_SETTINGS
 from splitband.report import pictures
@@ -73,6 +74,8 @@ def spectrum(
     _show_peaks(trajectory, facts)
     if trajectory.y_sim is not None:
         facts["simulator"] = _show_simulator(trajectory, trajectory.y_sim, chosen, pair.order)
+        training = trajectory[: setup.train]
+        facts["simulator"]["training"] = _warn_of_nothing_to_learn(training, chosen, pair.order)
     write_json(out / "results.json", facts)
     if choice is not None:
         showing.console.print(
@@ -82,6 +85,30 @@ def spectrum(
     drawn = pictures.spectrum(trajectory, measured_spectrum, chosen, choice)
     pictures.save(drawn, out / "spectrum.png")
     showing.console.print(f"picture: {out / 'spectrum.png'}")
+
+
+def _warn_of_nothing_to_learn(record: Trajectory, cutoff: float, order: int) -> dict[str, Any]:
+    """The oracle check of the training samples, and where it says so that of a calibrated one."""
+    assert record.y_sim is not None
+    rate = record.sampling_rate
+    found = oracle(record.y, record.y_sim, rate, cutoff, order, record.seen)
+    facts: dict[str, Any] = {"oracle": asdict(found), "nothing_to_learn": found.nothing_to_learn}
+    if not found.nothing_to_learn:
+        return facts
+    simulation = Simulation(calibrated=True)
+    simulation.fit(record, horizon=0)
+    y_sim = simulation.on(record).y_sim
+    assert y_sim is not None
+    mended = oracle(record.y, y_sim, rate, cutoff, order, record.seen)
+    facts["oracle_calibrated"] = asdict(mended)
+    showing.console.print(
+        f"warning: {found.describe()}, to which training does not lead then; calibrated "
+        f"(--calibrate), the simulator has {mended.no_network:.3g} and "
+        f"{mended.perfect_network:.3g}: "
+        + ("the same" if mended.nothing_to_learn else "there is something to learn"),
+        style="yellow",
+    )
+    return facts
 
 
 def _show_peaks(record: Trajectory, facts: dict[str, Any]) -> None:

@@ -107,6 +107,24 @@ class Oracle:
     perfect_network: float
     no_network: float
 
+    @property
+    def nothing_to_learn(self) -> bool:
+        """Whether a network that is exactly right has a larger error than one that adds nothing.
+
+        Training, which looks for a small error, then does not lead to the former. It happens where
+        the delay of the low-pass filter makes up for a simulator that runs ahead: L(y_sim) is then
+        nearer to y than L(y) is.
+        """
+        return self.perfect_network > self.no_network
+
+    def describe(self) -> str:
+        """What to say where nothing is to be learned."""
+        return (
+            "nothing to learn: on the training samples the low-passed simulator alone has RMSE "
+            f"{self.no_network:.3g}, with a network that is exactly right "
+            f"{self.perfect_network:.3g}"
+        )
+
 
 def oracle(
     y: Array,

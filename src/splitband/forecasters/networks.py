@@ -18,6 +18,7 @@ import torch
 from splitband import models
 from splitband.data import Trajectory
 from splitband.data.gaps import first_after, last_before
+from splitband.filters.spectrum import oracle
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import FitReport, Forecaster, Known, total
 from splitband.forecasters.simulation import Simulation
@@ -176,7 +177,8 @@ class Network(Forecaster):
         self._decide(seen[0], settings)
         self.model = self._built(seen[0], settings, seed).to(self.device)
         history = fit(self.model, seen, settings, seed, progress, checkpoint)
-        report = FitReport(seed, history.seconds, history.losses, tuple(history.notes))
+        notes = (*self._remarks(seen[0]), *history.notes)
+        report = FitReport(seed, history.seconds, history.losses, notes)
         self.fitted = replace(self.require_fitted(), report=report)
 
     def extrapolate(self, known: Known) -> dict[str, Array]:
@@ -219,6 +221,10 @@ class Network(Forecaster):
 
     def _decide(self, record: Trajectory, settings: Settings) -> None:
         """Choose what has been left open, by the record as the model sees it."""
+
+    def _remarks(self, record: Trajectory) -> list[str]:
+        """What a user should know of a training record as the model sees it."""
+        return []
 
     def _slow(self, known: Known) -> Array | None:
         """What the model is given beside the measured samples, `(time + steps, ny)`."""
@@ -517,6 +523,19 @@ class Filtered(_Hybrid):
         cell = self.cell.sized(record.ny, self._told(record), settings.warmup)
         pair = bands.one_way_pair(record.sampling_rate)
         return models.Filtered(cell, pair, self.conditioned, record.nu > 0)
+
+    def _remarks(self, record: Trajectory) -> list[str]:
+        """See `Network`: whether the training samples reward a network that adds nothing."""
+        bands = self.bands
+        assert bands.cutoff is not None
+        assert bands.order is not None
+        assert record.y_sim is not None
+        found = oracle(record.y, record.y_sim, record.sampling_rate, bands.cutoff, bands.order,
+                       record.seen)  # fmt: skip
+        if not found.nothing_to_learn:
+            return []
+        calibrated = isinstance(self.base, Simulation) and self.base.calibrated is not False
+        return [found.describe() + ("" if calibrated else "; calibrating it may change that")]
 
     def _derived_name(self) -> str:
         return self._parts_of_name("filtered")

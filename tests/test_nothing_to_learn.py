@@ -1,0 +1,81 @@
+"""A record on which training rewards a filtered hybrid that adds nothing, and one on which not."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.signal
+
+import splitband as sb
+from splitband import GRU, Bands, Settings, Trajectory
+from splitband.filters.spectrum import oracle
+from tests.cli.support import call, results
+
+DT, SAMPLES, CUTOFF, SLOW = 0.1, 200, 1.0, 0.3
+QUICK = Settings(window=30, warmup=10, epochs=1)
+TIME = DT * np.arange(SAMPLES)
+# Of the low-pass filter at the slow oscillation: a simulator that runs ahead by it is undone.
+AHEAD = -np.angle(
+    scipy.signal.freqz(*scipy.signal.butter(1, CUTOFF, fs=1 / DT), [SLOW], fs=1 / DT)[1][0]
+)
+
+
+def record(ahead: float) -> Trajectory:
+    """A slow oscillation and a fast one; the simulator knows the slow one, with another phase."""
+    slow, fast = 2 * np.pi * SLOW * TIME, 2 * np.pi * 2.0 * TIME
+    y = np.sin(slow) + 0.05 * np.sin(fast)
+    return Trajectory(y[:, None], DT, y_sim=np.sin(slow + ahead)[:, None], name="r")
+
+
+def fitted(ahead: float, calibrated: bool = False) -> sb.Forecaster:
+    filtered = sb.Filtered(None, GRU(2), Bands(CUTOFF, 1, 2), calibrated, settings=QUICK)
+    return filtered.fit(record(ahead))
+
+
+def test_a_simulator_whose_lead_is_the_filters_delay_leaves_nothing_to_learn() -> None:
+    """L(simulator) is then nearly the record, and H(record) is what an exact network adds to it."""
+    for ahead, trap in ((AHEAD, True), (0.0, False)):
+        of = record(ahead)
+        assert of.y_sim is not None
+        found = oracle(of.y, of.y_sim, 1 / DT, CUTOFF)
+        assert found.nothing_to_learn == trap
+        high = scipy.signal.lfilter(*scipy.signal.butter(1, CUTOFF, "high", fs=1 / DT), of.y[:, 0])
+        if trap:
+            assert found.perfect_network == pytest.approx(np.sqrt(np.mean(high**2)), rel=0.1)
+
+
+def test_a_fit_says_that_nothing_is_to_be_learned() -> None:
+    (note,) = fitted(AHEAD).require_fitted().report.notes
+    assert note.startswith("nothing to learn: ")
+    assert note.endswith("calibrating it may change that")
+    assert fitted(AHEAD).describe() == note
+    assert fitted(0.0).require_fitted().report.notes == ()
+
+
+def test_calibration_removes_it() -> None:
+    assert fitted(AHEAD, calibrated=True).require_fitted().report.notes == ()
+
+
+@pytest.mark.parametrize("trap", [True, False])
+def test_the_commands_warn_of_it(
+    trap: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("splitband.report.pictures.save", lambda figure, path: None)
+    of = record(AHEAD if trap else 0.0)
+    assert of.y_sim is not None
+    for name, values in (("r", of.y), ("simulated", of.y_sim)):
+        table = pd.DataFrame({"time": TIME, "y": values[:, 0]})
+        table.to_csv(tmp_path / f"{name}.csv", index=False)
+    options = f"{tmp_path}/r.csv --simulator {tmp_path}/simulated.csv --cutoff {CUTOFF} --order 1 "
+    call(f"spectrum {options} --train 150", tmp_path / "spectrum")
+    said = capsys.readouterr().out
+    assert results(tmp_path / "spectrum")["simulator"]["training"]["nothing_to_learn"] == trap
+    assert ("warning: nothing to learn" in said) == trap
+    assert ("there is something to learn" in said) == trap
+    call(f"compare {options} --train 150 --methods filtered-gru,residual-gru --recipe paper "
+         "--epochs 1 --hidden 2,2 --window 30 --warmup 10 --seeds 1 --jobs 1",
+         tmp_path / "compared")  # fmt: skip
+    said = capsys.readouterr().out
+    assert ("warning: filtered-gru: nothing to learn" in said) == trap
+    assert "warning: residual-gru" not in said
