@@ -86,16 +86,18 @@ def run_all(
     todo.sort(key=lambda job: not ready[job[0]].random)
     stage = None if work.progress is None else work.stage
     job = partial(_work, ready, questions, stage, work.checkpoints, dict(CALIBRATIONS.results))
-    done = {(name, seed): found for name, seed, found in over(job, todo, work.jobs, work.progress)}
+    done = {
+        (name, seed): outcome for name, seed, outcome in over(job, todo, work.jobs, work.progress)
+    }
     results: dict[str, dict[int, Backtest]] = {f.name: {} for f in forecasters}
     failures = []
     for f in forecasters:
         for seed in seeds_of[f.name]:
-            found = done[f.name, seed]
-            if isinstance(found, Failure):
-                failures.append(found)
+            outcome = done[f.name, seed]
+            if isinstance(outcome, Failure):
+                failures.append(outcome)
             else:
-                results[f.name][seed] = found
+                results[f.name][seed] = outcome
     if need_one and not any(results.values()):
         reasons = dict.fromkeys(f"{f.method}: {f.reason}" for f in failures)
         raise ValueError(f"no method could be fitted; {'; '.join(reasons)}")
@@ -141,7 +143,7 @@ def _work(
     if not forecasters[name].random:
         question = replace(question, others=())
     try:
-        found = backtest(forecasters[name], question, seed, watch, checkpoint)
+        outcome = backtest(forecasters[name], question, seed, watch, checkpoint)
     except OSError:
         raise  # a full disk, or a process ended from outside, concerns every method
     except Exception as error:
@@ -149,7 +151,7 @@ def _work(
         expected = isinstance(error, FloatingPointError | ValueError)
         reason = said if expected else f"{type(error).__name__}: {said}"
         return name, seed, Failure(name, seed, reason)
-    return name, seed, found
+    return name, seed, outcome
 
 
 def file_name(name: str) -> str:

@@ -162,7 +162,7 @@ class Attempt:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SearchResult:
     """What a search has found.
 
     Attributes
@@ -205,7 +205,7 @@ def search(
     budget: Search,
     work: Work,
     others: Sequence[Trajectory] = (),
-) -> Found:
+) -> SearchResult:
     """Choose how the networks among some forecasters are trained, where that has been left open.
 
     Parameters
@@ -219,7 +219,7 @@ def search(
     """
     free = [f for f in forecasters if isinstance(f, Network) and f.free]
     if not free:
-        return Found([*forecasters], left=budget.core_seconds)
+        return SearchResult([*forecasters], left=budget.core_seconds)
     makes = {f.name: partial(_candidate, f, record, others) for f in free}
     trials = _Trials(record, steps, work, others)
     for_search, for_one = (share * budget.core_seconds for share in (SEARCHED, TRAINED))
@@ -248,7 +248,7 @@ def search(
         tried += todo
     ranked = _ranked(tried, trials.scores)
     chosen = {c.method: c for c in reversed(ranked)}
-    return Found(
+    return SearchResult(
         [chosen[f.name].network if f.name in chosen else f for f in forecasters],
         tuple(trials.attempts),
         {name: trials.done[candidate.label] for name, candidate in chosen.items()},
@@ -286,15 +286,15 @@ class _Trials:
         }
         self._rounds += 1
         work = self._work.for_stage(f"{SEARCHING} {self._rounds}")
-        found, _ = run_all([*networks.values()], questions, seeds, work, need_one=False)
+        results, _ = run_all([*networks.values()], questions, seeds, work, need_one=False)
         for c in candidates:
             self.spent += len(seeds) * (1 - HELD_OUT) * c.cost
-            self.done[c.label] = found[c.label]
-            if found[c.label]:
-                self.scores[c.label] = held_out_score(self._record, [*found[c.label].values()])
+            self.done[c.label] = results[c.label]
+            if results[c.label]:
+                self.scores[c.label] = held_out_score(self._record, [*results[c.label].values()])
             score = self.scores.get(c.label)
             training = c.network.training_in_words()
-            self.attempts.append(Attempt(c.method, training, len(found[c.label]), score))
+            self.attempts.append(Attempt(c.method, training, len(results[c.label]), score))
 
 
 def _ways(forecaster: Network) -> list[tuple[Settings, float]]:

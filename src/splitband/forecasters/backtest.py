@@ -158,10 +158,10 @@ def first_origin(record: Trajectory, train: int, warmup: int) -> Origin:
 
     There are two at least, as a history is a record, which has no fewer.
     """
-    found = first_after(record.complete, max(warmup, 2))
-    if found is None:
+    start = first_after(record.complete, max(warmup, 2))
+    if start is None:
         raise ValueError(f"warmup must fit between the gaps of the record, got {warmup} samples")
-    return Origin(train, found)
+    return Origin(train, start)
 
 
 def held_out_from(samples: int) -> int:

@@ -302,9 +302,9 @@ class Forecaster(ABC):
                     "on the time since then"
                 )
             known = replace(known, begin=None)
-        found = self.extrapolate(known)
-        y = total([*found.values()] if isinstance(found, dict) else [found])
-        parts = found if isinstance(found, dict) and len(found) > 1 else {}
+        extrapolated = self.extrapolate(known)
+        y = total([*extrapolated.values()] if isinstance(extrapolated, dict) else [extrapolated])
+        parts = extrapolated if isinstance(extrapolated, dict) and len(extrapolated) > 1 else {}
         if y.shape != (steps, past.ny):
             raise ValueError(
                 f"{self.name} must extrapolate {steps} samples of {past.ny} channel(s), "

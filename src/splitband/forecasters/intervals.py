@@ -99,12 +99,12 @@ class Interval:
         """For the first `steps` samples of a horizon, `(steps, ny)`."""
         wanted = np.arange(steps)
         beyond = np.maximum(wanted - self.horizon[-1], 0)
-        found = []
+        rows = []
         for widths, most in zip(np.transpose(self.half_width), self.most, strict=True):
             slope = (widths[-1] - widths[-2]) / (self.horizon[-1] - self.horizon[-2])
             half = np.interp(wanted, self.horizon, widths) + max(slope, 0.0) * beyond
-            found.append(half if most is None else np.minimum(half, most))
-        return np.transpose(found)
+            rows.append(half if most is None else np.minimum(half, most))
+        return np.transpose(rows)
 
     def coverage(self, errors: Array) -> float:
         """The share of errors `(time, ny)` by horizon that lie inside, 0 to 1; NaN is none."""
@@ -201,8 +201,8 @@ def _autocorrelation_time(errors: Sequence[Array]) -> float:
     most = max(map(len, errors))
     products = np.zeros(most)
     for of_one in errors:
-        found = scipy.signal.correlate(of_one, of_one, mode="full", method="fft")
-        products[: len(of_one)] += found[len(of_one) - 1 :]
+        correlated = scipy.signal.correlate(of_one, of_one, mode="full", method="fft")
+        products[: len(of_one)] += correlated[len(of_one) - 1 :]
     correlation = products / products[0]
     until = int(np.argmax(np.append(correlation, -1.0) < 0))
     return float(1 + 2 * correlation[1:until].sum())

@@ -241,13 +241,13 @@ class Network(Forecaster):
     def _start(self, known: Known) -> int:
         """Where the free run starts: after the last warm-up without a gap."""
         complete = np.asarray(~np.isnan(known.y).any(axis=1))
-        found = last_before(complete, self.warmup, len(known.y))
-        if found is None:
+        start = last_before(complete, self.warmup, len(known.y))
+        if start is None:
             raise ValueError(
                 f"history must have {self.warmup} measured samples in a row to warm up on, got "
                 f"{len(known.y)} samples, of which {int(complete.sum())} were measured in whole"
             )
-        return found
+        return start
 
     def _warm(self, known: Known) -> tuple[Array, int, Array | None, Array | None]:
         """What `Model.simulate` takes: warm-up, steps, inputs and the slow part."""

@@ -130,22 +130,22 @@ def load(
     try:
         if facts["format"] != FORMAT:
             raise ValueError(f"it has format {facts['format']!r}; this is for {FORMAT}")
-        found = _decode(facts["forecaster"], _KNOWN | own, simulator)
+        loaded = _decode(facts["forecaster"], _KNOWN | own, simulator)
     except KeyError as error:
         raise ValueError(f"{folder} holds no forecaster: {error} is missing") from None
     except (TypeError, ValueError, AttributeError) as error:
         raise ValueError(f"{folder} holds no forecaster that can be read: {error}") from None
-    if not isinstance(found, Forecaster):
-        raise ValueError(f"{folder} holds no forecaster, but {type(found).__name__}")
-    if isinstance(found, Network):
-        found.model = model
-    if isinstance(found, Filtered | Residual) and not hasattr(found, "base"):
-        found.base = load(folder / BASE, simulator, classes)
-    if isinstance(found, Ensemble):
-        found.members = [
-            load(folder / f"member-{i}", simulator, classes) for i in range(found.count)
+    if not isinstance(loaded, Forecaster):
+        raise ValueError(f"{folder} holds no forecaster, but {type(loaded).__name__}")
+    if isinstance(loaded, Network):
+        loaded.model = model
+    if isinstance(loaded, Filtered | Residual) and not hasattr(loaded, "base"):
+        loaded.base = load(folder / BASE, simulator, classes)
+    if isinstance(loaded, Ensemble):
+        loaded.members = [
+            load(folder / f"member-{i}", simulator, classes) for i in range(loaded.count)
         ]
-    return found
+    return loaded
 
 
 def _is_forecaster(value: Any) -> bool:
@@ -260,15 +260,15 @@ def _decode(  # noqa: PLR0911, PLR0912  a line for each kind
     make = known[name]
     if not _is_forecaster(make):
         raise ValueError(f"{name} is no forecaster")
-    found: Any = object.__new__(make)  # type: ignore[arg-type]
-    vars(found).update({k: again(v) for k, v in value["state"].items()})
-    if isinstance(found, Network):
-        found.model = None
-    if isinstance(found, Ensemble):
-        found.members = []
-    if isinstance(found, Simulation) and simulator is not None:
-        found.simulator = simulator
-    return found
+    forecaster: Any = object.__new__(make)  # type: ignore[arg-type]
+    vars(forecaster).update({k: again(v) for k, v in value["state"].items()})
+    if isinstance(forecaster, Network):
+        forecaster.model = None
+    if isinstance(forecaster, Ensemble):
+        forecaster.members = []
+    if isinstance(forecaster, Simulation) and simulator is not None:
+        forecaster.simulator = simulator
+    return forecaster
 
 
 def _is_plain(value: Any) -> bool:

@@ -45,9 +45,9 @@ class Checkpoint:
         try:
             with safetensors.safe_open(self.path, framework="pt") as file:
                 said = file.metadata() or {}
-                found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-            whole = said.get("key") == key and said.get("sum") == _sum(found)
-            return found if whole else None
+                state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            whole = said.get("key") == key and said.get("sum") == _sum(state)
+            return state if whole else None
         except (OSError, safetensors.SafetensorError):
             return None
 

@@ -117,9 +117,9 @@ class QuasiNewton:
     def state(self) -> State:
         """All that the next round depends on but the weights."""
         of_torch = self._optimizer.state[self.parameters[0]]
-        found = {"scale": self.scale, "settled": float(self.settled)}
-        found |= {name: float(of_torch[name]) for name in _NUMBERS if name in of_torch}
-        tensors = {k: torch.tensor(v, dtype=torch.float64) for k, v in found.items()}
+        numbers = {"scale": self.scale, "settled": float(self.settled)}
+        numbers |= {name: float(of_torch[name]) for name in _NUMBERS if name in of_torch}
+        tensors = {k: torch.tensor(v, dtype=torch.float64) for k, v in numbers.items()}
         for name in _TENSORS:
             value = of_torch.get(name)
             if isinstance(value, list):
