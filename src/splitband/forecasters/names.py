@@ -18,7 +18,8 @@ from splitband.forecasters.closed_form import (
     Persistence,
     SeasonalNaive,
 )
-from splitband.forecasters.networks import Filtered, Residual, Single, Split, Template
+from splitband.forecasters.hybrids import Filtered, Residual
+from splitband.forecasters.networks import Single, Split, Template
 from splitband.forecasters.simulation import AFFINE, Simulation
 from splitband.networks import GRU, EulerMLP
 

@@ -32,8 +32,9 @@ from splitband.forecasters import closed_form
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import FitReport, Fitted, Forecaster
 from splitband.forecasters.ensemble import Ensemble
+from splitband.forecasters.hybrids import Filtered, Residual
 from splitband.forecasters.intervals import Interval
-from splitband.forecasters.networks import Filtered, Network, Residual, Single, Split
+from splitband.forecasters.networks import Network, Single, Split
 from splitband.forecasters.simulation import Simulation
 from splitband.models import saving as models
 from splitband.networks import GRU, EulerMLP

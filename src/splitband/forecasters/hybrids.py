@@ -1,0 +1,207 @@
+"""Hybrid forecasters: a network beside a simulator, or beside a forecaster that is fitted first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Self, final
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband import models
+from splitband.data import Trajectory
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import Forecaster, Known
+from splitband.forecasters.networks import (
+    Banded,
+    Template,
+    as_template,
+    check_warmup,
+    label_of,
+)
+from splitband.forecasters.simulation import Simulation
+from splitband.models import Model
+from splitband.simulators import Simulator
+from splitband.training import Settings
+
+Array = npt.NDArray[np.float64]
+
+
+class _Hybrid(Banded):
+    """A network beside something that holds the long term."""
+
+    def __init__(
+        self,
+        base: Forecaster | Simulator | None,
+        cell: Template,
+        bands: Bands | None,
+        calibrated: bool,
+        conditioned: bool,
+        settings: Settings | None,
+        name: str | None,
+    ) -> None:
+        super().__init__(bands, conditioned, settings, name)
+        self.cell = as_template(cell)
+        if not isinstance(base, Forecaster):
+            base = Simulation(base, calibrated)
+        elif calibrated:
+            raise ValueError(
+                f"calibrated is for a simulator, got {base.name}; Simulation(..., calibrated=True) "
+                "is one that is calibrated"
+            )
+        if not callable(getattr(base, "trajectory", None)):
+            raise ValueError(
+                f"base must say something about the whole record, as a simulator, Linear, Periodic "
+                f"and Harmonic do, got {base.name}"
+            )
+        self.base = base
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What holds the slow part needs it."""
+        return self.base.needs
+
+    @property
+    def anchored(self) -> bool:
+        """What holds the slow part is."""
+        return self.base.anchored
+
+    def check(self, *records: Trajectory) -> None:
+        """See `Forecaster`."""
+        super().check(*records)
+        self.base.check(*records)
+
+    def prepare(self, record: Trajectory, horizon: int) -> None:
+        """See `Forecaster`."""
+        self.base.prepare(record, horizon)
+
+    def settled(self, record: Trajectory, horizon: int) -> Self:
+        """See `Forecaster`."""
+        new = self.copy()
+        new.base = self.base.settled(record, horizon)
+        return new
+
+    def describe(self) -> str:
+        """See `Forecaster`."""
+        if not isinstance(self.base, Simulation):
+            said = f"{self.base.name}: {self.base.describe()}"
+        else:
+            said = f"simulator: {self.base.calibration}" if self.base.calibrated else ""
+        return "; ".join(filter(None, [said, super().describe()]))
+
+    def with_defaults(self, settings: Settings, bands: Bands) -> Self:
+        """See `Forecaster`."""
+        # Where a fitted base knows the record shows once it is fitted: its bands are chosen then.
+        usual = bands if isinstance(self.base, Simulation) else Bands()
+        new = super().with_defaults(settings, usual).copy()
+        new.base = self.base.with_defaults(settings, bands)
+        return new
+
+    def for_fewer_samples(self, share: float) -> Self:
+        """See `Forecaster`."""
+        new = super().for_fewer_samples(share).copy()
+        new.base = self.base.for_fewer_samples(share)
+        return new
+
+    def _seen(self, records: Sequence[Trajectory], seed: int, horizon: int) -> list[Trajectory]:
+        """The records with the slow part as their simulator's output."""
+        self.base.fit(*records, seed=seed, horizon=horizon)
+        if isinstance(self.base, Simulation):
+            seen = [self.base.on(record) for record in records]
+        elif len(records) > 1:
+            raise ValueError(f"several records need a simulator, the base is {self.base.name}")
+        else:
+            record = records[0]
+            known = Known(record.seen, 0, 0.0, record.u, record.y_sim)
+            seen = [replace(record, y_sim=self._slow(known), beyond=None)]
+        return seen
+
+    def _slow(self, known: Known) -> Array:
+        base: Any = self.base  # it has a `trajectory`: the constructor has seen to that
+        return base.trajectory(known)
+
+    def _parts_of_name(self, kind: str) -> str:
+        slow = "" if isinstance(self.base, Simulation) else f"-{self.base.name}"
+        suffix = self.base.suffix if isinstance(self.base, Simulation) else ""
+        return (
+            f"{kind}{slow}-{label_of(self.cell)}{suffix}"
+            f"{'-conditioned' if self.conditioned else ''}"
+        )
+
+
+@final
+class Filtered(_Hybrid):
+    """Something slow in the low band, a network in the high band (paper, Sec. 4.3).
+
+    Parameters
+    ----------
+    base : What holds the low band: a simulator, or a forecaster that is fitted first, such as
+        `Linear()`; by default the simulator's output that a record brings.
+    cell : The network's.
+    bands : Where they part; by default chosen by where base and training samples agree.
+    calibrated : Calibrate the simulator to the training samples first. Not in the paper.
+    conditioned : Tell the network what the base says, value and slope. Not in the paper.
+    settings, name : See `Network`.
+    """
+
+    def __init__(
+        self,
+        base: Forecaster | Simulator | None,
+        cell: Template,
+        bands: Bands | None = None,
+        calibrated: bool = False,
+        conditioned: bool = False,
+        settings: Settings | None = None,
+        name: str | None = None,
+    ) -> None:
+        super().__init__(base, cell, bands, calibrated, conditioned, settings, name)
+
+    def check(self, *records: Trajectory) -> None:
+        """See `Forecaster`."""
+        super().check(*records)
+        check_warmup(self._settings_for(records[0]), (self.bands.order or 1) - 1, self.bands)
+
+    def build(self, record: Trajectory, settings: Settings) -> Model:
+        """See `Network`."""
+        bands = self._bands_for(record, settings)
+        cell = self.cell.sized(record.ny, self._told(record), settings.warmup)
+        pair = bands.one_way_pair(record.sampling_rate)
+        return models.Filtered(cell, pair, self.conditioned, record.nu > 0)
+
+    def _low_band(self, record: Trajectory) -> Array | None:
+        return record.y_sim
+
+    def _derived_name(self) -> str:
+        return self._parts_of_name("filtered")
+
+
+@final
+class Residual(_Hybrid):
+    """A network for what something slower leaves (paper, Sec. 5.1).
+
+    Parameters
+    ----------
+    base : What is added to: see `Filtered`.
+    cell, calibrated, conditioned, settings, name : See `Filtered`.
+    """
+
+    def __init__(
+        self,
+        base: Forecaster | Simulator | None,
+        cell: Template,
+        calibrated: bool = False,
+        conditioned: bool = False,
+        settings: Settings | None = None,
+        name: str | None = None,
+    ) -> None:
+        # It has no filter: any bands will do.
+        super().__init__(base, cell, Bands(1.0, 1, 1), calibrated, conditioned, settings, name)
+
+    def build(self, record: Trajectory, settings: Settings) -> Model:
+        """See `Network`."""
+        cell = self.cell.sized(record.ny, self._told(record), settings.warmup)
+        return models.Residual(cell, self.conditioned, record.nu > 0)
+
+    def _derived_name(self) -> str:
+        return self._parts_of_name("residual")
