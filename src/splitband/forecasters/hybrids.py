@@ -22,6 +22,7 @@ from splitband.forecasters.networks import (
 )
 from splitband.forecasters.simulation import Simulation
 from splitband.models import Model
+from splitband.models.hybrid import FAST, SLOW
 from splitband.simulators import Simulator
 from splitband.training import Settings
 
@@ -103,6 +104,23 @@ class _Hybrid(Banded):
         new = super().for_fewer_samples(share).copy()
         new.base = self.base.for_fewer_samples(share)
         return new
+
+    def extrapolate(self, known: Known) -> dict[str, Array]:
+        """See `Forecaster`."""
+        return self._labelled(super().extrapolate(known))
+
+    def unfiltered(self, steps: int, history: Trajectory) -> dict[str, Array]:
+        """See `Network`."""
+        return self._labelled(super().unfiltered(steps, history))
+
+    def _labelled(self, parts: dict[str, Array]) -> dict[str, Array]:
+        """The model's components; the slow one is labelled by the base, if that is no simulator."""
+        if isinstance(self.base, Simulation):
+            return parts
+        # A base may be named as the fast component is, and two labels must not be the same.
+        slow = self.base.name if self.base.name != FAST else "base"
+        return {label.replace(SLOW, slow, 1) if label.startswith(SLOW) else label: part
+                for label, part in parts.items()}  # fmt: skip
 
     def _seen(self, records: Sequence[Trajectory], seed: int, horizon: int) -> list[Trajectory]:
         """The records with the slow part as their simulator's output."""
