@@ -39,7 +39,7 @@ TRIAL, FINAL = "three quarters", "whole"
 SEEDS = 3
 """Trainings of each network, where nothing else decides how many."""
 TRAINING_SHARE = 0.75
-"""Of a record, where nobody says how much of it is for training."""
+"""The share of a record to train on, where no number of samples is given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +155,7 @@ class Comparison:
 
     def plot(self) -> Figure:
         """Every method's predictions over the record, with intervals."""
-        # Pictures are above comparisons in the layout, as they draw them.
+        # The module of pictures imports this one, so that it is imported only here.
         return import_module("splitband.report.pictures").rollouts(self)
 
     def save(self, folder: str | Path) -> None:
@@ -314,7 +314,7 @@ def forecast(
     check_trial(record, chosen, setup, others)
     work = work or Work()
     trial, searched = _tried(record, chosen, steps, setup, seeds, work, others)
-    # Of the networks just the best one is worth its training on all of the record.
+    # Training is slow: of the networks, only the best one is trained on all of the record.
     fitted = [m for m in searched.forecasters if m.name in trial.errors]
     fitted = [m for m in fitted if not m.random or m.name == trial.best_network]
     origin = Origin(len(record), len(record))
@@ -347,7 +347,7 @@ def _named(test: Trajectory, i: int) -> str:
 
 
 def _mean(done: Mapping[int, Backtest], origin: Origin) -> Prediction:
-    """The mean over seeds of what was said from an origin."""
+    """The mean over the seeds of the predictions from an origin."""
     each = [backtest.predictions[origin] for backtest in done.values()]
     return replace(each[0], y=np.mean([p.y for p in each], axis=0))
 

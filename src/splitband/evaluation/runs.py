@@ -73,9 +73,9 @@ def run_all(
 ) -> tuple[dict[str, dict[int, Backtest]], list[Failure]]:
     """What each forecaster says with each seed, by name; and what could not be fitted.
 
-    `questions` are by name, too, and so are `seeds` where methods differ in them. What draws
-    nothing is fitted once, and to the first record alone. Where `need_one`, ValueError is raised
-    when nothing could be fitted at all.
+    `questions` are by name, too, and so are `seeds` where methods differ in them. A forecaster that
+    is not random is fitted once, and to the first record alone. With `need_one`, ValueError is
+    raised when nothing could be fitted at all.
     """
     if work.checkpoints is not None:
         work.checkpoints.mkdir(parents=True, exist_ok=True)
@@ -107,7 +107,7 @@ def run_all(
 def _seeds_of(
     forecaster: Forecaster, seeds: Sequence[int] | Mapping[str, Sequence[int]]
 ) -> Sequence[int]:
-    """Of one forecaster; one will do where nothing is drawn."""
+    """The seeds of one forecaster: a single one where it is not random."""
     if isinstance(seeds, Mapping):
         seeds = seeds.get(forecaster.name, (0,))
     return seeds if forecaster.random else seeds[:1]
@@ -116,7 +116,7 @@ def _seeds_of(
 def _prepared(forecaster: Forecaster, asked: Question) -> Forecaster:
     """With what all of its jobs share computed here, once for all processes."""
     fits = sorted({origin.fitted for origin in asked.origins})
-    # What cannot be computed fails once more, and is reported, in the job that asks for it.
+    # Errors are not lost: the job that needs the result computes it again and reports the failure.
     with suppress(ValueError):
         forecaster = forecaster.settled(asked.record[: fits[-1]], asked.end - fits[-1])
         for samples in fits:

@@ -1,4 +1,4 @@
-"""The interface of everything that predicts: fitted to a record, it says what comes next."""
+"""The interface of everything that predicts: fitted to a record, it forecasts what follows."""
 
 from __future__ import annotations
 
@@ -243,7 +243,7 @@ class Forecaster(ABC):
                 records, seed=seed, horizon=horizon, progress=progress, checkpoint=checkpoint
             )
         report = self.fitted.report
-        if not report.seconds:  # a training says itself how long it took
+        if not report.seconds:  # the training of a network has set its own time
             report = replace(report, seconds=time.perf_counter() - began)
         self.fitted = replace(self.fitted, report=report)
         return self

@@ -60,12 +60,12 @@ class _Hybrid(Banded):
 
     @property
     def needs(self) -> frozenset[str]:
-        """What holds the slow part needs it."""
+        """What the base needs."""
         return self.base.needs
 
     @property
     def anchored(self) -> bool:
-        """What holds the slow part is."""
+        """Whether the base is."""
         return self.base.anchored
 
     def check(self, *records: Trajectory) -> None:
@@ -93,7 +93,8 @@ class _Hybrid(Banded):
 
     def with_defaults(self, settings: Settings, bands: Bands) -> Self:
         """See `Forecaster`."""
-        # Where a fitted base knows the record shows once it is fitted: its bands are chosen then.
+        # Up to which frequency a fitted base is right is only known once it is fitted. Its bands
+        # are chosen then.
         usual = bands if isinstance(self.base, Simulation) else Bands()
         new = super().with_defaults(settings, usual).copy()
         new.base = self.base.with_defaults(settings, bands)
@@ -136,7 +137,7 @@ class _Hybrid(Banded):
         return seen
 
     def _slow(self, known: Known) -> Array:
-        base: Any = self.base  # it has a `trajectory`: the constructor has seen to that
+        base: Any = self.base  # the constructor has checked that it has a `trajectory`
         return base.trajectory(known)
 
     def _parts_of_name(self, kind: str) -> str:
@@ -213,7 +214,8 @@ class Residual(_Hybrid):
         settings: Settings | None = None,
         name: str | None = None,
     ) -> None:
-        # It has no filter: any bands will do.
+        # A residual model has no filter. These bands are not used; they are given so that none are
+        # chosen.
         super().__init__(base, cell, Bands(1.0, 1, 1), calibrated, conditioned, settings, name)
 
     def build(self, record: Trajectory, settings: Settings) -> Model:

@@ -149,13 +149,13 @@ def named(name: str, sizes: Sizes | None = None) -> Forecaster:
     """The forecaster of a name; raises ValueError for an unknown one."""
     if name not in NAMES:
         raise ValueError(f"methods must be out of {', '.join(NAMES)}, got {name}")
-    # A template has weights that nobody uses; drawing them must not move the user's generator.
+    # A template draws weights that are never used; that must not change the user's random numbers.
     with torch.random.fork_rng(devices=[]):
         return NAMES[name](sizes or Sizes())
 
 
 def with_base(names: Sequence[str], base: str) -> list[str]:
-    """The names with one of `BASES` in the place of a simulator; it stands for itself, too."""
+    """The names with one of `BASES` in a simulator's place, as a part of hybrids and by itself."""
     return [*dict.fromkeys(_on_base(name, base) for name in names)]
 
 

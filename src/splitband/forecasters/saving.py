@@ -1,7 +1,7 @@
 """Saving forecasters whole, and loading them: JSON, and safetensors for the weights.
 
-Loading builds only the classes named here or by the caller. An FMU is opened again from where it
-was, if its content is what it was; other simulators are given to `load`.
+Loading builds only the classes named here or by the caller. An FMU is opened again from its path,
+if the file has not changed; other simulators are given to `load`.
 """
 
 from __future__ import annotations
@@ -164,10 +164,10 @@ def _end(forecaster: Forecaster) -> Fitted:
         first = min(first, (warmup if start is None else start) - warmup)
     first = max(0, min(first, len(record) - 2))
     if "simulator" in forecaster.needs:
-        # A calibrated delay or clock reaches back in its output, by a seventh of it at most.
+        # A calibrated delay or clock uses earlier output of the simulator, a seventh of it at most.
         first = 0 if len(record) <= SHORT else min(first, len(record) - len(record) // 5)
     end = replace(record[first:], beyond=None, u_beyond=None)
-    # Without the time that it took, the same fit is saved as the same file, to the byte.
+    # The run time is left out, so that the same fit is saved as the same file, byte by byte.
     report = replace(fitted.report, seconds=0.0)
     return replace(fitted, record=end, begin=fitted.begin + first, others=(), report=report)
 
@@ -277,7 +277,7 @@ def _is_plain(value: Any) -> bool:
 
 
 def _reopened(facts: Mapping[str, Any]) -> Fmu:
-    """The FMU of a saved forecaster, if its file is what it was."""
+    """The FMU of a saved forecaster, if its file has not changed."""
     path = Path(facts["path"])
     if not path.is_file() or _digest(path) != facts["sha256"]:
         raise ValueError(
