@@ -21,8 +21,9 @@ if TYPE_CHECKING:
         SeasonalNaive,
     )
     from splitband.forecasters.ensemble import Ensemble
+    from splitband.forecasters.hybrids import Filtered, Residual
     from splitband.forecasters.names import named
-    from splitband.forecasters.networks import Filtered, Residual, Single, Split
+    from splitband.forecasters.networks import Single, Split
     from splitband.forecasters.prediction import Prediction
     from splitband.forecasters.saving import load
     from splitband.forecasters.simulation import Simulation
@@ -52,8 +53,9 @@ _MODULES = {
         "SeasonalNaive",
     ),
     "forecasters.ensemble": ("Ensemble",),
+    "forecasters.hybrids": ("Filtered", "Residual"),
     "forecasters.names": ("named",),
-    "forecasters.networks": ("Filtered", "Residual", "Single", "Split"),
+    "forecasters.networks": ("Single", "Split"),
     "forecasters.prediction": ("Prediction",),
     "forecasters.saving": ("load",),
     "forecasters.simulation": ("Simulation",),

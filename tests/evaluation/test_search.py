@@ -14,8 +14,8 @@ from splitband import Settings, Trajectory
 from splitband.evaluation import search as searching
 from splitband.evaluation.runs import Work
 from splitband.evaluation.search import (
-    Found,
     Search,
+    SearchResult,
     held_out_score,
     reference_seconds,
     search,
@@ -43,12 +43,12 @@ def methods(setup: Setup, *names: str) -> list[Forecaster]:
     return [setup.forecaster(name) for name in names]
 
 
-def found_by(
+def searched_by(
     training: Trajectory,
     names: Sequence[str] = ("gru", "split-gru"),
     budget: Search | None = None,
     work: Work | None = None,
-) -> Found:
+) -> SearchResult:
     chosen = methods(SEARCHED, *names)
     return search(training, chosen, STEPS, budget or BUDGET, work or Work())
 
@@ -61,49 +61,51 @@ def settings_of(forecaster: Forecaster) -> Settings:
 
 def test_the_candidate_with_the_lowest_held_out_error_is_chosen() -> None:
     training = record()[:TRAIN]
-    found = found_by(training, ["gru", "mean"])
-    lowest = min(found.attempts, key=lambda attempt: attempt.score or np.inf)
-    chosen, mean = found.forecasters
+    searched = searched_by(training, ["gru", "mean"])
+    lowest = min(searched.attempts, key=lambda attempt: attempt.score or np.inf)
+    chosen, mean = searched.forecasters
     assert isinstance(chosen, Network)
     assert lowest.training == chosen.training_in_words()
     assert mean.name == "mean"
-    assert held_out_score(training, [*found.done["gru"].values()]) == lowest.score
+    assert held_out_score(training, [*searched.done["gru"].values()]) == lowest.score
 
 
 def test_what_was_found_is_what_a_trial_finds() -> None:
     """The same settings, fitted once more to the same three quarters, forecast the same."""
     training = record()[:TRAIN]
-    found = found_by(training)
-    again = try_out(training, found.forecasters, STEPS, searching.TRIED)
-    taken = try_out(training, found.forecasters, STEPS, searching.TRIED, done=found.done)
+    searched = searched_by(training)
+    again = try_out(training, searched.forecasters, STEPS, searching.TRIED)
+    taken = try_out(training, searched.forecasters, STEPS, searching.TRIED, done=searched.done)
     assert taken.errors == pytest.approx(again.errors)
     assert taken.scores == pytest.approx(again.scores)
 
 
 def test_windows_sizes_and_steps_are_tried_and_other_networks_follow_the_first() -> None:
-    found = found_by(record()[:TRAIN])
-    of_first = [a.training for a in found.attempts if a.method == "gru"]
+    searched = searched_by(record()[:TRAIN])
+    of_first = [a.training for a in searched.attempts if a.method == "gru"]
     assert len(of_first) == len(set(of_first))
     for part in ("windows of 22", "windows of 27", "windows of 40", "3 hidden units", "L-BFGS 6"):
         assert any(part in training for training in of_first), part
-    best = sorted((a for a in found.attempts[:7]), key=lambda attempt: attempt.score or np.inf)[:2]
+    best = sorted((a for a in searched.attempts[:7]), key=lambda attempt: attempt.score or np.inf)[
+        :2
+    ]
     windows = {part for a in best for part in a.training.split(", ") if "windows" in part}
-    of_split = [a.training for a in found.attempts if a.method == "split-gru"][:2]
+    of_split = [a.training for a in searched.attempts if a.method == "split-gru"][:2]
     assert {part for t in of_split for part in t.split(", ") if "windows" in part} == windows
 
 
 def test_the_search_looks_at_nothing_after_the_training_part() -> None:
     y = record().y.copy()
     y[TRAIN:] += 100
-    found = [found_by(r[:TRAIN]) for r in (record(), replace(record(), y=y))]
-    assert found[0].attempts == found[1].attempts
+    results = [searched_by(r[:TRAIN]) for r in (record(), replace(record(), y=y))]
+    assert results[0].attempts == results[1].attempts
 
 
 def test_it_depends_neither_on_processes_nor_on_what_is_resumed(tmp_path: Path) -> None:
     training = record()[:TRAIN]
-    alone = found_by(training, ["gru"])
-    first = found_by(training, ["gru"], work=Work(2, None, tmp_path))
-    resumed = found_by(training, ["gru"], work=Work(1, None, tmp_path))
+    alone = searched_by(training, ["gru"])
+    first = searched_by(training, ["gru"], work=Work(2, None, tmp_path))
+    resumed = searched_by(training, ["gru"], work=Work(1, None, tmp_path))
     for other in (first, resumed):
         assert [a.training for a in other.attempts] == [a.training for a in alone.attempts]
         assert [a.score for a in other.attempts] == pytest.approx([a.score for a in alone.attempts])
@@ -111,12 +113,12 @@ def test_it_depends_neither_on_processes_nor_on_what_is_resumed(tmp_path: Path) 
 
 def test_a_small_budget_tries_less_and_a_tiny_one_nothing() -> None:
     training = record()[:TRAIN]
-    whole = found_by(training, ["gru"])
+    whole = searched_by(training, ["gru"])
     spent = BUDGET.core_seconds - whole.left
-    less = found_by(training, ["gru"], Search(0.8 * spent))
+    less = searched_by(training, ["gru"], Search(0.8 * spent))
     assert 0 < len(less.attempts) < len(whole.attempts)
     assert Search(0.8 * spent).core_seconds - less.left <= searching.SEARCHED * 0.8 * spent
-    nothing = found_by(training, ["gru"], Search(1e-6))
+    nothing = searched_by(training, ["gru"], Search(1e-6))
     assert nothing.attempts == ()
     assert settings_of(nothing.forecasters[0]) == QUICK
 
@@ -124,15 +126,15 @@ def test_a_small_budget_tries_less_and_a_tiny_one_nothing() -> None:
 def test_settings_of_ones_own_are_not_searched() -> None:
     own = sb.Single(sb.GRU(4), settings=QUICK)
     chosen = [own.with_defaults(SETUP.settings, SETUP.bands)]
-    found = search(record()[:TRAIN], chosen, STEPS, BUDGET, Work())
-    assert found.attempts == ()
-    assert found.forecasters == chosen
+    searched = search(record()[:TRAIN], chosen, STEPS, BUDGET, Work())
+    assert searched.attempts == ()
+    assert searched.forecasters == chosen
 
 
 def test_cells_of_ones_own_keep_their_size() -> None:
     chosen = [sb.Single(sb.GRU(4)).with_defaults(QUICK, SETUP.bands)]
-    found = search(record()[:TRAIN], chosen, STEPS, BUDGET, Work())
-    assert {a.training.split(",")[0] for a in found.attempts} == {"4 hidden units"}
+    searched = search(record()[:TRAIN], chosen, STEPS, BUDGET, Work())
+    assert {a.training.split(",")[0] for a in searched.attempts} == {"4 hidden units"}
 
 
 def test_what_cannot_be_trained_is_an_attempt_without_a_score(
@@ -142,22 +144,22 @@ def test_what_cannot_be_trained_is_an_attempt_without_a_score(
         raise FloatingPointError("diverged")
 
     monkeypatch.setattr("splitband.forecasters.networks.fit", diverge)
-    found = found_by(record()[:TRAIN], ["gru"])
-    assert found.attempts
-    assert all(attempt.score is None for attempt in found.attempts)
-    assert settings_of(found.forecasters[0]) == QUICK
+    searched = searched_by(record()[:TRAIN], ["gru"])
+    assert searched.attempts
+    assert all(attempt.score is None for attempt in searched.attempts)
+    assert settings_of(searched.forecasters[0]) == QUICK
 
 
 def test_good_methods_get_more_seeds_as_long_as_the_budget_lasts() -> None:
     costs = {"good": 10.0, "near": 10.0, "far": 10.0}
     scores = {"good": 1.0, "near": 1.4, "far": 2.0}
-    assert Found([], costs=costs, left=1000).seeds(scores) == {
+    assert SearchResult([], costs=costs, left=1000).seeds(scores) == {
         "good": range(8), "near": range(3), "far": range(1)
     }  # fmt: skip
-    assert Found([], costs=costs, left=45).seeds(scores) == {
+    assert SearchResult([], costs=costs, left=45).seeds(scores) == {
         "good": range(2), "near": range(1), "far": range(1)
     }  # fmt: skip
-    assert Found([], costs=costs, left=-1).seeds(scores) == dict.fromkeys(costs, range(1))
+    assert SearchResult([], costs=costs, left=-1).seeds(scores) == dict.fromkeys(costs, range(1))
 
 
 def test_compare_searches_by_default_and_says_what_it_has_tried(

@@ -17,6 +17,7 @@ import splitband as sb
 from splitband import GRU, Bands, Forecaster, Known, Recorded, Settings, Trajectory
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.names import NAMES, TRAINED, Sizes
+from splitband.forecasters.networks import Network
 from tests.support import with_other_samples
 
 Array = npt.NDArray[np.float64]
@@ -81,6 +82,33 @@ def test_it_goes_on_from_the_end_of_the_training_record(name: str) -> None:
         np.testing.assert_allclose(sum(found.components.values()), found.y, atol=1e-12)
     again = fitted(name).predict(STEPS, record()[:TRAIN])
     np.testing.assert_array_equal(again.y, found.y)
+
+
+@pytest.mark.parametrize(
+    ("name", "slow"),
+    [
+        ("filtered linear", "linear, low band"),
+        ("residual-periodic-gru", "periodic"),
+        ("residual of a residual", "residual-gru"),
+        ("filtered, simulator of its own", "simulator, low band"),
+        ("residual-gru-calibrated", "simulator"),
+    ],
+)
+def test_the_slow_component_of_a_hybrid_is_labelled_by_its_base(name: str, slow: str) -> None:
+    band = ", high band" if "low band" in slow else ""
+    assert [*fitted(name).predict(STEPS).components] == [slow, f"network{band}"]
+    network = fitted(name)
+    assert isinstance(network, Network)
+    before = network.unfiltered(STEPS, record()[:TRAIN])
+    assert [*before] == ([slow.removesuffix(", low band"), "network"] if band else [])
+
+
+def test_a_base_called_network_is_not_taken_for_the_network_beside_it() -> None:
+    base = sb.Single(GRU(3), SETTINGS, name="network")
+    hybrid = sb.Residual(base, GRU(3), settings=SETTINGS).fit(record()[:TRAIN], seed=1)
+    prediction = hybrid.predict(STEPS)
+    assert [*prediction.components] == ["base", "network"]
+    np.testing.assert_allclose(sum(prediction.components.values()), prediction.y, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", MADE)

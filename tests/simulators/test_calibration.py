@@ -10,8 +10,8 @@ import pytest
 
 from splitband import Trajectory
 from splitband.data import drill_string
+from splitband.forecasters.hybrids import Filtered, Residual
 from splitband.forecasters.names import named
-from splitband.forecasters.networks import Filtered, Residual
 from splitband.forecasters.simulation import Simulation
 from splitband.metrics import rmse
 from splitband.paper.systems import van_der_pol, van_der_pol_simulator

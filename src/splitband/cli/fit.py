@@ -81,8 +81,8 @@ def fit(
 
         if setup.search is not None:
             work = Work(cores, bar, out / CHECKPOINTS)
-            found = search(training, [forecaster], 0, setup.search, work, others)
-            forecaster = found.forecasters[0]
+            searched = search(training, [forecaster], 0, setup.search, work, others)
+            forecaster = searched.forecasters[0]
         (out / CHECKPOINTS).mkdir(exist_ok=True)
         checkpoint = Checkpoint(out / CHECKPOINTS / f"{method}-{seed}.safetensors")
         forecaster.fit(training, *others, seed=seed, progress=update, checkpoint=checkpoint)

@@ -276,8 +276,8 @@ def setup_ahead(
 ) -> Setup:
     """For a forecast of `steps` samples beyond the end of a record."""
     settings = _trained(recipe_settings("default", known), options)
-    found = default_setup(known, len(known), "default", settings, None, methods, steps)
-    return replace(found, search=_search(options, cores))
+    chosen = default_setup(known, len(known), "default", settings, None, methods, steps)
+    return replace(chosen, search=_search(options, cores))
 
 
 def _search(options: ModelOptions, cores: int) -> Search | None:
@@ -307,12 +307,12 @@ def seconds(duration: str) -> float:
     """Of a duration such as 90s, 10m or 1h; raises ValueError for another text."""
     number, unit = duration.strip()[:-1], duration.strip()[-1:].lower()
     try:
-        found = float(number) * {"s": 1, "m": 60, "h": 3600}[unit]
+        length = float(number) * {"s": 1, "m": 60, "h": 3600}[unit]
     except (KeyError, ValueError):
-        found = 0.0
-    if not 0 < found < float("inf"):
+        length = 0.0
+    if not 0 < length < float("inf"):
         raise ValueError(f"--budget must be a time such as 90s, 10m or 1h, got {duration}")
-    return found
+    return length
 
 
 def _trained(settings: Settings, options: ModelOptions) -> Settings:

@@ -23,7 +23,7 @@ from splitband.evaluation.comparison import (
     mean_run,
 )
 from splitband.evaluation.runs import Work, run_all
-from splitband.evaluation.search import Attempt, Found, search
+from splitband.evaluation.search import Attempt, SearchResult, search
 from splitband.evaluation.selection import LEVEL, TRIED, Trial, check_trial, try_out
 from splitband.evaluation.setup import Setup, default_setup, usual_names
 from splitband.forecasters.backtest import Backtest, Origin, Question
@@ -39,7 +39,7 @@ TRIAL, FINAL = "three quarters", "whole"
 SEEDS = 3
 """Trainings of each network, where nothing else decides how many."""
 TRAINING_SHARE = 0.75
-"""Of a record, where nobody says how much of it is for training."""
+"""The share of a record to train on, where no number of samples is given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,15 +87,17 @@ class Comparison:
     def predictions(self) -> dict[str, Prediction]:
         """The forecast of each method beyond the training part, with its interval."""
         intervals = {} if self.trial is None else self.trial.intervals
-        found = {}
+        predictions = {}
         for name, run in self.means.items():
             if run.forecast is None:
                 continue
-            y, found[name] = run.forecast.y, run.forecast
+            y, predictions[name] = run.forecast.y, run.forecast
             if name in intervals:
                 half = intervals[name].half_widths(len(y))
-                found[name] = replace(run.forecast, lower=y - half, upper=y + half, level=LEVEL)
-        return found
+                predictions[name] = replace(
+                    run.forecast, lower=y - half, upper=y + half, level=LEVEL
+                )
+        return predictions
 
     @cached_property
     def table(self) -> pd.DataFrame:
@@ -153,7 +155,7 @@ class Comparison:
 
     def plot(self) -> Figure:
         """Every method's predictions over the record, with intervals."""
-        # Pictures are above comparisons in the layout, as they draw them.
+        # The module of pictures imports this one, so that it is imported only here.
         return import_module("splitband.report.pictures").rollouts(self)
 
     def save(self, folder: str | Path) -> None:
@@ -214,12 +216,14 @@ def compare(
     check(record, chosen, setup, others, tests)
     check_trial(record, chosen, setup, others)
     work, ahead = work or Work(), len(record) - setup.train
-    trial, found = _tried(record[: setup.train], chosen, ahead, setup, seeds, work, others)
-    fitted = [method for method in found.forecasters if method.name in trial.errors]
+    trial, searched = _tried(record[: setup.train], chosen, ahead, setup, seeds, work, others)
+    fitted = [method for method in searched.forecasters if method.name in trial.errors]
     runs = compare_methods(
-        record, fitted, setup, _seeds(found, trial, seeds), work.for_stage(FINAL), others, tests
+        record, fitted, setup, _seeds(searched, trial, seeds), work.for_stage(FINAL), others, tests
     )
-    comparison = Comparison(record, setup, runs, None, tuple(others), tuple(tests), found.attempts)
+    comparison = Comparison(
+        record, setup, runs, None, tuple(others), tuple(tests), searched.attempts
+    )
     final = {name: mean.ahead for name, mean in comparison.means.items()}
     return replace(comparison, trial=trial.settled(final, runs.failed))
 
@@ -232,23 +236,23 @@ def _tried(
     seeds: int | None,
     work: Work,
     others: Sequence[Trajectory],
-) -> tuple[Trial, Found]:
+) -> tuple[Trial, SearchResult]:
     """How networks are to be trained, and what all methods do on held-out samples."""
-    found = Found([*forecasters])
+    searched = SearchResult([*forecasters])
     if setup.search is not None:
-        found = search(record, forecasters, ahead, setup.search, work, others)
+        searched = search(record, forecasters, ahead, setup.search, work, others)
     tried = range(SEEDS if seeds is None else seeds)[:TRIED]
     trial = try_out(
-        record, found.forecasters, ahead, tried, work.for_stage(TRIAL), others, found.done
+        record, searched.forecasters, ahead, tried, work.for_stage(TRIAL), others, searched.done
     )
-    return trial, found
+    return trial, searched
 
 
-def _seeds(found: Found, trial: Trial, seeds: int | None) -> dict[str, range]:
+def _seeds(searched: SearchResult, trial: Trial, seeds: int | None) -> dict[str, range]:
     """Of each method, for the training on all of the training part."""
     usual = range(SEEDS if seeds is None else seeds)
     counts = dict.fromkeys(trial.errors, usual)
-    return counts | (found.seeds(trial.scores) if seeds is None else {})
+    return counts | (searched.seeds(trial.scores) if seeds is None else {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,19 +314,19 @@ def forecast(
     check_trial(record, chosen, setup, others)
     work = work or Work()
     trial, searched = _tried(record, chosen, steps, setup, seeds, work, others)
-    # Of the networks just the best one is worth its training on all of the record.
+    # Training is slow: of the networks, only the best one is trained on all of the record.
     fitted = [m for m in searched.forecasters if m.name in trial.errors]
     fitted = [m for m in fitted if not m.random or m.name == trial.best_network]
     origin = Origin(len(record), len(record))
     question = Question(record, [origin], len(record) + steps, others)
     questions = {method.name: question for method in fitted}
     all_seeds = _seeds(searched, trial, seeds)
-    found, failures = run_all(fitted, questions, all_seeds, work.for_stage(FINAL))
-    means = {name: _mean(of_method, origin) for name, of_method in found.items() if of_method}
+    backtests, failures = run_all(fitted, questions, all_seeds, work.for_stage(FINAL))
+    means = {name: _mean(of_method, origin) for name, of_method in backtests.items() if of_method}
     failed = {f.method: f.reason for f in failures[::-1] if f.method not in means}
     trial = trial.settled({name: mean.y for name, mean in means.items()}, failed)
     best = trial.recommended
-    half, mean, done = trial.intervals[best].half_widths(steps), means[best], found[best]
+    half, mean, done = trial.intervals[best].half_widths(steps), means[best], backtests[best]
     left = [leaves_range(each.y_range, each.predictions[origin].y) for each in done.values()]
     u = record.u_beyond
     return Forecast(
@@ -343,7 +347,7 @@ def _named(test: Trajectory, i: int) -> str:
 
 
 def _mean(done: Mapping[int, Backtest], origin: Origin) -> Prediction:
-    """The mean over seeds of what was said from an origin."""
+    """The mean over the seeds of the predictions from an origin."""
     each = [backtest.predictions[origin] for backtest in done.values()]
     return replace(each[0], y=np.mean([p.y for p in each], axis=0))
 

@@ -152,10 +152,10 @@ def compare_methods(
         )
         for f in forecasters
     }
-    found, failures = run_all(forecasters, questions, seeds, work or Work())
+    backtests, failures = run_all(forecasters, questions, seeds, work or Work())
     runs = {
         name: [as_run(name, questions[name], setup.train, each) for each in done.values()]
-        for name, done in found.items()
+        for name, done in backtests.items()
         if done
     }
     for f in failures:
@@ -199,8 +199,8 @@ def errors_of(run: Run, record: Trajectory, train: int, tests: Sequence[Trajecto
         rmse(truth[-len(from_start) :], from_start),
         None if run.forecast is None else rmse(truth[train:], run.forecast.y),
         tuple(
-            rmse(test.truth[-len(found) :], found.y)
-            for test, found in zip(tests if run.tests else (), run.tests, strict=True)
+            rmse(test.truth[-len(prediction) :], prediction.y)
+            for test, prediction in zip(tests if run.tests else (), run.tests, strict=True)
         ),
     )
 

@@ -73,9 +73,9 @@ def run_all(
 ) -> tuple[dict[str, dict[int, Backtest]], list[Failure]]:
     """What each forecaster says with each seed, by name; and what could not be fitted.
 
-    `questions` are by name, too, and so are `seeds` where methods differ in them. What draws
-    nothing is fitted once, and to the first record alone. Where `need_one`, ValueError is raised
-    when nothing could be fitted at all.
+    `questions` are by name, too, and so are `seeds` where methods differ in them. A forecaster that
+    is not random is fitted once, and to the first record alone. With `need_one`, ValueError is
+    raised when nothing could be fitted at all.
     """
     if work.checkpoints is not None:
         work.checkpoints.mkdir(parents=True, exist_ok=True)
@@ -86,16 +86,18 @@ def run_all(
     todo.sort(key=lambda job: not ready[job[0]].random)
     stage = None if work.progress is None else work.stage
     job = partial(_work, ready, questions, stage, work.checkpoints, dict(CALIBRATIONS.results))
-    done = {(name, seed): found for name, seed, found in over(job, todo, work.jobs, work.progress)}
+    done = {
+        (name, seed): outcome for name, seed, outcome in over(job, todo, work.jobs, work.progress)
+    }
     results: dict[str, dict[int, Backtest]] = {f.name: {} for f in forecasters}
     failures = []
     for f in forecasters:
         for seed in seeds_of[f.name]:
-            found = done[f.name, seed]
-            if isinstance(found, Failure):
-                failures.append(found)
+            outcome = done[f.name, seed]
+            if isinstance(outcome, Failure):
+                failures.append(outcome)
             else:
-                results[f.name][seed] = found
+                results[f.name][seed] = outcome
     if need_one and not any(results.values()):
         reasons = dict.fromkeys(f"{f.method}: {f.reason}" for f in failures)
         raise ValueError(f"no method could be fitted; {'; '.join(reasons)}")
@@ -105,7 +107,7 @@ def run_all(
 def _seeds_of(
     forecaster: Forecaster, seeds: Sequence[int] | Mapping[str, Sequence[int]]
 ) -> Sequence[int]:
-    """Of one forecaster; one will do where nothing is drawn."""
+    """The seeds of one forecaster: a single one where it is not random."""
     if isinstance(seeds, Mapping):
         seeds = seeds.get(forecaster.name, (0,))
     return seeds if forecaster.random else seeds[:1]
@@ -114,7 +116,7 @@ def _seeds_of(
 def _prepared(forecaster: Forecaster, asked: Question) -> Forecaster:
     """With what all of its jobs share computed here, once for all processes."""
     fits = sorted({origin.fitted for origin in asked.origins})
-    # What cannot be computed fails once more, and is reported, in the job that asks for it.
+    # Errors are not lost: the job that needs the result computes it again and reports the failure.
     with suppress(ValueError):
         forecaster = forecaster.settled(asked.record[: fits[-1]], asked.end - fits[-1])
         for samples in fits:
@@ -141,7 +143,7 @@ def _work(
     if not forecasters[name].random:
         question = replace(question, others=())
     try:
-        found = backtest(forecasters[name], question, seed, watch, checkpoint)
+        outcome = backtest(forecasters[name], question, seed, watch, checkpoint)
     except OSError:
         raise  # a full disk, or a process ended from outside, concerns every method
     except Exception as error:
@@ -149,7 +151,7 @@ def _work(
         expected = isinstance(error, FloatingPointError | ValueError)
         reason = said if expected else f"{type(error).__name__}: {said}"
         return name, seed, Failure(name, seed, reason)
-    return name, seed, found
+    return name, seed, outcome
 
 
 def file_name(name: str) -> str:

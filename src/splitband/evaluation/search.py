@@ -1,10 +1,10 @@
 """Finding out how to train networks: window, size and steps, by forecasts of held-out samples.
 
-Not in the paper. One network is trained in several ways for a short time, the others in those that
-suit it best. The better half of each method's candidates goes on for four times as long, and so on
-(successive halving: Jamieson and Talwalkar, 2016), as long as it pays and the budget lasts. What is
-found depends on the record and the budget, not on the machine: costs are counted in seconds of a
-reference core.
+Not in the paper. The first network is trained in several ways for a short time; the other networks
+are trained in the two ways that gave it the lowest errors. Then the better half of each method's
+candidates is trained for four times as long, and so on (successive halving: Jamieson and Talwalkar,
+2016), until longer training makes the errors larger or the budget is used up. The result depends on
+the record and the budget, not on the machine: costs are counted in seconds of a reference core.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ from splitband.training import Settings
 from splitband.training.quasi_newton import samples_in_a_step
 
 SEARCHING = "search"
-"""The stage of the work; a number follows."""
+"""Name of the stage of the work, followed by the number of the round."""
 CORE_SECONDS = 240.0
-"""Of the default budget: two minutes of two cores."""
+"""The default budget: two minutes of two cores."""
 FOR_TRAINING = 0.8
 """Share of a budget of wall time that goes into networks; the rest is for all other work."""
 REFERENCE_SIZE, REFERENCE_BATCH, REFERENCE_STEPS = 32, 25, 400
-"""Of the gradient by which a machine is compared with the reference."""
+"""Hidden units, windows and samples of the gradient by which a machine's speed is measured."""
 SEARCHED, TRAINED = 0.5, 0.3
-"""Shares of the budget: for what is tried out here, and for one seed of each method after it."""
+"""Shares of the budget: for this search, and at most for a single training of a candidate."""
 SAMPLE, WEIGHT = 0.09e-6, 0.25e-9
 """Seconds of a reference core for a sample, forwards and backwards, and as much more per weight."""
 GRADIENT = 4e-3
-"""Of each gradient, however few its samples and weights are."""
+"""Seconds of a reference core for each gradient besides that, however small it is."""
 EVALUATIONS = 1.2
 """Gradients to an iteration of L-BFGS."""
 FREE_RUNS = 50, 100
@@ -63,15 +63,17 @@ TRIED = 0, 1
 RUNG = 0.6
 """Share of what is left for the search that several seeds of each candidate may take."""
 TRANSFERRED = 2
-"""Of the first network's candidates, those that other networks are trained like."""
+"""How many of the first network's best candidates the other networks take settings from."""
 LADDER = 100, 400, 1600, 6400
 """Iterations of L-BFGS that are tried, one after the other."""
 WORSE = 1.1
-"""Times its error that a candidate may have after more iterations, to be trained even longer."""
+"""A candidate is trained even longer if its error is at most this multiple of the lowest error of
+its method."""
 HOPELESS = 2.0
-"""Times the lowest error of any method from which on a method is not trained longer."""
+"""A method is not trained longer if its error is above this multiple of the lowest of all."""
 GOOD = 1.5
-"""Times the lowest error up to which a method gets more than one seed, if the budget allows it."""
+"""A method whose error is at most this multiple of the lowest one gets more than one seed, as far
+as the budget allows."""
 USUAL_SEEDS, MOST_SEEDS = 3, 8
 """Seeds of a good method, and of the best one."""
 
@@ -162,8 +164,8 @@ class Attempt:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """What a search has found.
+class SearchResult:
+    """How each network is to be trained, what has been tried, and what it has cost.
 
     Attributes
     ----------
@@ -205,7 +207,7 @@ def search(
     budget: Search,
     work: Work,
     others: Sequence[Trajectory] = (),
-) -> Found:
+) -> SearchResult:
     """Choose how the networks among some forecasters are trained, where that has been left open.
 
     Parameters
@@ -219,7 +221,7 @@ def search(
     """
     free = [f for f in forecasters if isinstance(f, Network) and f.free]
     if not free:
-        return Found([*forecasters], left=budget.core_seconds)
+        return SearchResult([*forecasters], left=budget.core_seconds)
     makes = {f.name: partial(_candidate, f, record, others) for f in free}
     trials = _Trials(record, steps, work, others)
     for_search, for_one = (share * budget.core_seconds for share in (SEARCHED, TRAINED))
@@ -248,7 +250,7 @@ def search(
         tried += todo
     ranked = _ranked(tried, trials.scores)
     chosen = {c.method: c for c in reversed(ranked)}
-    return Found(
+    return SearchResult(
         [chosen[f.name].network if f.name in chosen else f for f in forecasters],
         tuple(trials.attempts),
         {name: trials.done[candidate.label] for name, candidate in chosen.items()},
@@ -286,15 +288,15 @@ class _Trials:
         }
         self._rounds += 1
         work = self._work.for_stage(f"{SEARCHING} {self._rounds}")
-        found, _ = run_all([*networks.values()], questions, seeds, work, need_one=False)
+        results, _ = run_all([*networks.values()], questions, seeds, work, need_one=False)
         for c in candidates:
             self.spent += len(seeds) * (1 - HELD_OUT) * c.cost
-            self.done[c.label] = found[c.label]
-            if found[c.label]:
-                self.scores[c.label] = held_out_score(self._record, [*found[c.label].values()])
+            self.done[c.label] = results[c.label]
+            if results[c.label]:
+                self.scores[c.label] = held_out_score(self._record, [*results[c.label].values()])
             score = self.scores.get(c.label)
             training = c.network.training_in_words()
-            self.attempts.append(Attempt(c.method, training, len(found[c.label]), score))
+            self.attempts.append(Attempt(c.method, training, len(results[c.label]), score))
 
 
 def _ways(forecaster: Network) -> list[tuple[Settings, float]]:
@@ -339,7 +341,7 @@ def _cost(network: Network, record: Trajectory, others: Sequence[Trajectory]) ->
 def _within(
     candidates: Sequence[Candidate], seeds: int, left: float, for_one: float
 ) -> list[Candidate]:
-    """Those, from the first on, for which what is left of the budget will do."""
+    """The candidates that what is left of the budget pays for, taken in their order."""
     kept = []
     for candidate in candidates:
         cost = seeds * (1 - HELD_OUT) * candidate.cost
@@ -360,7 +362,8 @@ def _promoted(
 ) -> list[Candidate]:
     """The better half of each method's last candidates, to be trained longer; the best one first.
 
-    Not those that more iterations have made worse, nor methods that are far from the best one.
+    Candidates that more iterations have made worse (`WORSE`) are left out, and so are methods that
+    are far from the best one (`HOPELESS`).
     """
     lowest = scores[_ranked(tried, scores)[0].label] if scores else 0.0
     kept = []

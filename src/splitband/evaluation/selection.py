@@ -74,10 +74,10 @@ class Trial:
     def settled(self, final: Mapping[str, Array], failed: Mapping[str, str]) -> Trial:
         """With what the methods forecast after all, out of which one is recommended.
 
-        The held-out part is short: a method may do well there and not know what comes much later.
-        Then its forecast changes once it has seen all of the training part, by more than its errors
-        explain, and its interval becomes wider. A smaller change holds the same errors once more,
-        the noise that both forecasts repeat for instance, and widens nothing.
+        The held-out part is short: a method may forecast it well and still be wrong much later.
+        Then its forecast changes by more than its held-out errors explain once it is fitted to all
+        of the training part, and its interval is widened. A smaller change is explained by those
+        errors and does not widen the interval.
         """
         final = {name: y for name, y in final.items() if name in self.early}
         part = float(np.sqrt(CHANGE_COUNTS))
@@ -94,12 +94,13 @@ class Trial:
     def recommended(self) -> str:
         """The method whose early forecast was least wrong; a network's by `WORTH_TRAINING`.
 
-        How wrong it was on the held-out part is its score. Of what comes later nothing is known but
-        by how much the forecast has changed since. A change no larger than the score is what
-        learning from the held-out part looks like and is no fault; a larger one says that the early
-        forecast was worse there. So the larger of the two counts, the change by `CHANGE_COUNTS`.
+        The score is the error on the held-out part. For later samples the error is not known, only
+        how much the forecast changed when the held-out part was learned from, too. A change no
+        larger than the score is to be expected; a larger one shows that the early forecast was
+        worse there. So the larger of the two counts, the change weighted by `CHANGE_COUNTS`.
 
-        Of two methods that do equally well on short held-out parts, the simpler one is the safer.
+        A network must be better by `WORTH_TRAINING`: of two methods that do equally well on a short
+        held-out part, the simpler one is less likely to fail later.
         """
         return min(self.final or self.scores, key=self._worth)
 

@@ -122,8 +122,8 @@ def default_setup(
         simulation = Simulation(calibrated=calibrated)
         simulation.fit(record[:train], horizon=len(record) - train if ahead is None else ahead)
         y_sim = simulation.on(record[:train]).y_sim
-    found = (bands or Bands()).chosen(
+    bands = (bands or Bands()).chosen(
         record[:train].y, record.sampling_rate, settings.warmup, y_sim
     )
     sizes = Sizes() if recipe == "paper" else Sizes(hidden_high=32, hidden_low=16)
-    return Setup(train, settings, found, sizes, search=search)
+    return Setup(train, settings, bands, sizes, search=search)

@@ -26,7 +26,7 @@ from splitband.training import Checkpoint, Progress
 Array = npt.NDArray[np.float64]
 
 HELD_OUT = 0.25
-"""Share of the training part on which forecasts are tried, by what is fitted to the rest."""
+"""Share of the training part that is forecast, for a trial, by what is fitted to the rest."""
 REFITS = (0.25, 0.2, 0.15, 0.1)
 """Such shares for what is quickly fitted, and is fitted again for each; the first as above."""
 LONGER_REFITS = (0.5, 0.375)
@@ -34,7 +34,8 @@ LONGER_REFITS = (0.5, 0.375)
 FEWEST_FITTED = 20
 """Measured samples of each channel that a baseline is fitted to for the intervals."""
 HOPELESS = 5.0
-"""Times the usual error of a method's first forecast samples: such a fit says nothing of others."""
+"""A fit has failed, and tells nothing about the errors of others, if the error of its first
+forecast samples is above this multiple of the method's usual one."""
 
 
 @dataclass(frozen=True, order=True)
@@ -158,10 +159,10 @@ def first_origin(record: Trajectory, train: int, warmup: int) -> Origin:
 
     There are two at least, as a history is a record, which has no fewer.
     """
-    found = first_after(record.complete, max(warmup, 2))
-    if found is None:
+    start = first_after(record.complete, max(warmup, 2))
+    if start is None:
         raise ValueError(f"warmup must fit between the gaps of the record, got {warmup} samples")
-    return Origin(train, found)
+    return Origin(train, start)
 
 
 def held_out_from(samples: int) -> int:
@@ -172,10 +173,10 @@ def held_out_from(samples: int) -> int:
 def held_out_origins(forecaster: Forecaster, record: Trajectory) -> list[Origin]:
     """From where forecasts of a record's own last quarter are tried.
 
-    What is trained is fitted once, and forecasts from the beginning of that quarter, from a third
-    and from two thirds of it: one beginning may suit a method by chance, as the last sample is now
-    and then the mean. What is fitted quickly is fitted again for each of several origins, some of
-    them earlier.
+    A network is trained once, and forecasts from the beginning of that quarter, from a third and
+    from two thirds of it, as a method may be lucky from a single origin: persistence is, for
+    instance, where the last sample happens to equal the mean. What is fitted quickly is fitted
+    again for each of several origins, some of them earlier.
     """
     samples = len(record)
     fitted = held_out_from(samples)
@@ -198,7 +199,7 @@ def held_out_errors(record: Trajectory, forecasts: Mapping[Origin, Array]) -> li
 
 
 def interval_from(record: Trajectory, forecasts: Mapping[Origin, Array], level: float) -> Interval:
-    """The interval for forecasts that go on from a record, by how well others forecast its end."""
+    """The interval for forecasts beyond a record, from the errors of forecasts of its last part."""
     first = held_out_from(len(record))
     errors = _errors(record, forecasts)
     scored = [e for at, e in errors if at >= first]
@@ -248,8 +249,9 @@ def _errors(record: Trajectory, forecasts: Mapping[Origin, Array]) -> list[tuple
 def _sound(scored: Sequence[Array], longer: Sequence[Array], scale: Array) -> list[Array]:
     """All errors, but no `longer` ones from the first fit on that failed for want of samples.
 
-    `longer` begins with the fit to the most samples. A fit that does not know the record's period
-    yet is wrong from its first forecast samples on; growth alone shows later.
+    `longer` begins with the fit to the most samples. A fit to too few samples, less than a period
+    of the record for instance, is wrong from its first forecast samples on; errors that merely grow
+    with the horizon are still small there.
     """
     near = min(map(len, scored))
     usual = root_mean_square([e[:near] / scale for e in scored])

@@ -61,13 +61,13 @@ class Bands:
         """
         given = self.cutoff, self.order, self.downsampling
         learned = choose(y, sampling_rate, warmup, *given)
-        found = learned
+        choice = learned
         if y_sim is not None:
-            found = choose_with_simulator(y, y_sim, sampling_rate, warmup, *given)
-            if not found.simulator_helps:
-                reason = f"{found.reason}; chosen for networks alone: {learned.reason}"
-                found = replace(learned, reason=reason, simulator_helps=False)
-        return Bands(found.cutoff, found.order, found.downsampling, found)
+            choice = choose_with_simulator(y, y_sim, sampling_rate, warmup, *given)
+            if not choice.simulator_helps:
+                reason = f"{choice.reason}; chosen for networks alone: {learned.reason}"
+                choice = replace(learned, reason=reason, simulator_helps=False)
+        return Bands(choice.cutoff, choice.order, choice.downsampling, choice)
 
     def pair(self, sampling_rate: float) -> ComplementaryPair:
         """The zero-phase pair of a split model."""

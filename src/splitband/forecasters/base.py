@@ -1,4 +1,4 @@
-"""The interface of everything that predicts: fitted to a record, it says what comes next."""
+"""The interface of everything that predicts: fitted to a record, it forecasts what follows."""
 
 from __future__ import annotations
 
@@ -243,7 +243,7 @@ class Forecaster(ABC):
                 records, seed=seed, horizon=horizon, progress=progress, checkpoint=checkpoint
             )
         report = self.fitted.report
-        if not report.seconds:  # a training says itself how long it took
+        if not report.seconds:  # the training of a network has set its own time
             report = replace(report, seconds=time.perf_counter() - began)
         self.fitted = replace(self.fitted, report=report)
         return self
@@ -302,9 +302,9 @@ class Forecaster(ABC):
                     "on the time since then"
                 )
             known = replace(known, begin=None)
-        found = self.extrapolate(known)
-        y = total([*found.values()] if isinstance(found, dict) else [found])
-        parts = found if isinstance(found, dict) and len(found) > 1 else {}
+        extrapolated = self.extrapolate(known)
+        y = total([*extrapolated.values()] if isinstance(extrapolated, dict) else [extrapolated])
+        parts = extrapolated if isinstance(extrapolated, dict) and len(extrapolated) > 1 else {}
         if y.shape != (steps, past.ny):
             raise ValueError(
                 f"{self.name} must extrapolate {steps} samples of {past.ny} channel(s), "

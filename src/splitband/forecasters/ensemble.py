@@ -113,9 +113,9 @@ class Ensemble(Forecaster):
 
     def extrapolate(self, known: Known) -> dict[str, Array]:
         """See `Forecaster`: the mean of the members, part by part."""
-        found = [member.extrapolate(known) for member in self.members]
+        extrapolated = [member.extrapolate(known) for member in self.members]
         parts: list[dict[str, Array]] = [
-            each if isinstance(each, dict) else {self.name: each} for each in found
+            each if isinstance(each, dict) else {self.name: each} for each in extrapolated
         ]
         return {name: np.mean([p[name] for p in parts], axis=0) for name in parts[0]}
 

@@ -1,9 +1,10 @@
 """How sure a forecast is: an interval around it for each horizon.
 
-Not in the paper. Forecasts of samples that are known say how large a method's errors are and how
-they grow. The horizon asked for is mostly longer than theirs, and errors of neighbouring samples
-are alike, so that a growth law is seldom certain: the interval holds its share over all laws, each
-weighted by how well it explains the errors (Bayesian model averaging).
+Not in the paper. Forecasts of known samples show how large a method's errors are and how they grow
+with the horizon. The horizon of the forecast is usually longer than theirs, and errors of
+neighbouring samples are correlated, so that the law of growth is seldom certain. Therefore the
+interval averages over several laws, each weighted by how well it explains the errors (Bayesian
+model averaging).
 """
 
 from __future__ import annotations
@@ -68,13 +69,13 @@ class Interval:
             raise ValueError("errors must have a sample at least, in every channel")
         steps = np.geomspace(1, FARTHEST * len(y), 12 * int(np.ceil(np.log10(len(y)))) + 16)
         horizon = np.unique(np.round(steps)) - 1
-        # Rounding is no less than this, however exact the forecast.
+        # Rounding errors remain even where a forecast is exact.
         floor = 16 * np.finfo(np.float64).eps * np.nanmax(abs(y), axis=0)
         of_channels = [
             np.maximum(_half_widths([e[:, i] for e in errors], len(y), horizon, share), floor[i])
             for i in range(y.shape[1])
         ]
-        # Two signals of one spread that know nothing of each other differ by this much.
+        # The difference of two independent signals of the same deviation is this much wider.
         apart = float(np.sqrt(2)) * _quantile(share)
         most = tuple(
             max(apart * float(np.nanstd(channel)), widths[0]) if _is_bounded(channel) else None
@@ -99,12 +100,12 @@ class Interval:
         """For the first `steps` samples of a horizon, `(steps, ny)`."""
         wanted = np.arange(steps)
         beyond = np.maximum(wanted - self.horizon[-1], 0)
-        found = []
+        rows = []
         for widths, most in zip(np.transpose(self.half_width), self.most, strict=True):
             slope = (widths[-1] - widths[-2]) / (self.horizon[-1] - self.horizon[-2])
             half = np.interp(wanted, self.horizon, widths) + max(slope, 0.0) * beyond
-            found.append(half if most is None else np.minimum(half, most))
-        return np.transpose(found)
+            rows.append(half if most is None else np.minimum(half, most))
+        return np.transpose(rows)
 
     def coverage(self, errors: Array) -> float:
         """The share of errors `(time, ny)` by horizon that lie inside, 0 to 1; NaN is none."""
@@ -154,11 +155,13 @@ def _half_widths(errors: Sequence[Array], train: int, horizon: Array, share: flo
     weights, independent = _information(errors)
     growth, log_prior = _growth((at + 1) / train)
     scaled = sizes / growth
-    # Laplace's distribution, as a few large errors should not decide; its scale is the best one.
+    # Laplace's distribution, so that a few large errors do not decide; its scale is the most likely
+    # one for each law.
     enough = weights.sum()
     log_likelihood = -np.log(growth) @ weights - enough * np.log(scaled @ weights / enough)
     posterior = scipy.special.softmax(log_prior + log_likelihood)
-    # Few errors may all be small by chance: Student's quantile in place of the normal one.
+    # A few errors may all be small by chance. Student's quantile allows for that, the normal one
+    # does not.
     normal = _quantile(share)
     student = scipy.special.stdtrit(max(independent, FEWEST), 0.5 + share / 2)
     deviation = np.quantile(scaled, share, axis=1) / normal * float(student) / normal
@@ -201,8 +204,8 @@ def _autocorrelation_time(errors: Sequence[Array]) -> float:
     most = max(map(len, errors))
     products = np.zeros(most)
     for of_one in errors:
-        found = scipy.signal.correlate(of_one, of_one, mode="full", method="fft")
-        products[: len(of_one)] += found[len(of_one) - 1 :]
+        correlated = scipy.signal.correlate(of_one, of_one, mode="full", method="fft")
+        products[: len(of_one)] += correlated[len(of_one) - 1 :]
     correlation = products / products[0]
     until = int(np.argmax(np.append(correlation, -1.0) < 0))
     return float(1 + 2 * correlation[1:until].sum())

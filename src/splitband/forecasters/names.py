@@ -18,7 +18,8 @@ from splitband.forecasters.closed_form import (
     Persistence,
     SeasonalNaive,
 )
-from splitband.forecasters.networks import Filtered, Residual, Single, Split, Template
+from splitband.forecasters.hybrids import Filtered, Residual
+from splitband.forecasters.networks import Single, Split, Template
 from splitband.forecasters.simulation import AFFINE, Simulation
 from splitband.networks import GRU, EulerMLP
 
@@ -148,13 +149,13 @@ def named(name: str, sizes: Sizes | None = None) -> Forecaster:
     """The forecaster of a name; raises ValueError for an unknown one."""
     if name not in NAMES:
         raise ValueError(f"methods must be out of {', '.join(NAMES)}, got {name}")
-    # A template has weights that nobody uses; drawing them must not move the user's generator.
+    # A template draws weights that are never used; that must not change the user's random numbers.
     with torch.random.fork_rng(devices=[]):
         return NAMES[name](sizes or Sizes())
 
 
 def with_base(names: Sequence[str], base: str) -> list[str]:
-    """The names with one of `BASES` in the place of a simulator; it stands for itself, too."""
+    """The names with one of `BASES` in a simulator's place, as a part of hybrids and by itself."""
     return [*dict.fromkeys(_on_base(name, base) for name in names)]
 
 
@@ -164,10 +165,10 @@ def _on_base(name: str, base: str) -> str:
     if name not in HYBRIDS:
         return name
     kind, _, rest = name.replace(CALIBRATED, "").partition("-")
-    found = f"{kind}-{base}-{rest}"
-    if found not in NAMES:
-        raise ValueError(f"methods on {base} must be out of {', '.join(BASED)}, got {found}")
-    return found
+    method = f"{kind}-{base}-{rest}"
+    if method not in NAMES:
+        raise ValueError(f"methods on {base} must be out of {', '.join(BASED)}, got {method}")
+    return method
 
 
 def base(name: str) -> str:
@@ -180,20 +181,20 @@ def with_variants(names: Sequence[str], calibrate: bool, conditioned: bool) -> l
 
     Raises ValueError where there are none.
     """
-    found: dict[str, None] = {}
+    variants: dict[str, None] = {}
     for name in names:
-        found[name] = None
+        variants[name] = None
         for told in (False, True)[: 1 + conditioned]:
             for calibrated in (False, True)[: 1 + calibrate]:
                 variant = base(name)
                 variant += CALIBRATED if calibrated or CALIBRATED in name else ""
                 variant += CONDITIONED if told or CONDITIONED in name else ""
-                found |= {variant: None} if variant in NAMES else {}
+                variants |= {variant: None} if variant in NAMES else {}
     for argument, wanted, suffix in (
         ("calibrate", calibrate, CALIBRATED),
         ("conditioned", conditioned, CONDITIONED),
     ):
-        if wanted and not any(suffix in name for name in found):
+        if wanted and not any(suffix in name for name in variants):
             able = dict.fromkeys(base(name) for name in NAMES if suffix in name)
             raise ValueError(f"{argument} needs one of {', '.join(able)}, got {', '.join(names)}")
-    return [*found]
+    return [*variants]

@@ -1,7 +1,7 @@
-"""Networks as forecasters: a single one, one for each band, or one beside something slower.
+"""Networks as forecasters: a single one, or one for each band.
 
-What is trained is a model of `splitband.models`; a forecaster adds how it is trained, which bands
-it has and what holds its slow part.
+What is trained is a model of `splitband.models`; a forecaster adds how it is trained and which
+bands it has. A network beside a simulator or another forecaster is in `forecasters.hybrids`.
 """
 
 from __future__ import annotations
@@ -18,13 +18,10 @@ import torch
 from splitband import models
 from splitband.data import Trajectory
 from splitband.data.gaps import first_after, last_before
-from splitband.filters.spectrum import oracle
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import FitReport, Forecaster, Known, total
-from splitband.forecasters.simulation import Simulation
 from splitband.models import Model
 from splitband.networks import Cell
-from splitband.simulators import Simulator
 from splitband.training import Checkpoint, Progress, Settings, fit
 from splitband.training.recipes import recipe_settings
 from splitband.training.windows import windows_in
@@ -247,13 +244,13 @@ class Network(Forecaster):
     def _start(self, known: Known) -> int:
         """Where the free run starts: after the last warm-up without a gap."""
         complete = np.asarray(~np.isnan(known.y).any(axis=1))
-        found = last_before(complete, self.warmup, len(known.y))
-        if found is None:
+        start = last_before(complete, self.warmup, len(known.y))
+        if start is None:
             raise ValueError(
                 f"history must have {self.warmup} measured samples in a row to warm up on, got "
                 f"{len(known.y)} samples, of which {int(complete.sum())} were measured in whole"
             )
-        return found
+        return start
 
     def _warm(self, known: Known) -> tuple[Array, int, Array | None, Array | None]:
         """What `Model.simulate` takes: warm-up, steps, inputs and the slow part."""
@@ -288,7 +285,7 @@ class Single(Network):
         return label_of(self.cell)
 
 
-class _Banded(Network):
+class Banded(Network):
     """A network that has but one of two bands, or is told about the other one."""
 
     def __init__(
@@ -310,11 +307,15 @@ class _Banded(Network):
         self.bands = self._bands_for(record, settings)
 
     def _bands_for(self, record: Trajectory, settings: Settings) -> Bands:
-        """The bands, chosen where need be; by the slow part, once the record has its output."""
+        """The bands; what has been left open of them is chosen by the training record."""
         if self.bands.complete:
             return self.bands
-        y_sim = record.y_sim if isinstance(self, Filtered) else None
+        y_sim = self._low_band(record)
         return self.bands.chosen(record.y, record.sampling_rate, settings.warmup, y_sim)
+
+    def _low_band(self, record: Trajectory) -> Array | None:
+        """What is to hold the low band of a record, `(time, ny)`; None where a network is."""
+        return None
 
     def _told(self, record: Trajectory) -> int:
         """Inputs of the network that sees every sample.
@@ -325,7 +326,7 @@ class _Banded(Network):
 
 
 @final
-class Split(_Banded):
+class Split(Banded):
     """Two networks, each on its band (paper, Sec. 4.2): "split GRU" and "split GRU + HP".
 
     Parameters
@@ -356,7 +357,7 @@ class Split(_Banded):
     def check(self, *records: Trajectory) -> None:
         """See `Forecaster`."""
         super().check(*records)
-        _check_warmup(self._settings_for(records[0]), 3 * ((self.bands.order or 1) + 1), self.bands)
+        check_warmup(self._settings_for(records[0]), 3 * ((self.bands.order or 1) + 1), self.bands)
 
     def build(self, record: Trajectory, settings: Settings) -> Model:
         """See `Network`."""
@@ -383,195 +384,6 @@ class Split(_Banded):
         )
 
 
-class _Hybrid(_Banded):
-    """A network beside something that holds the long term."""
-
-    def __init__(
-        self,
-        base: Forecaster | Simulator | None,
-        cell: Template,
-        bands: Bands | None,
-        calibrated: bool,
-        conditioned: bool,
-        settings: Settings | None,
-        name: str | None,
-    ) -> None:
-        super().__init__(bands, conditioned, settings, name)
-        self.cell = as_template(cell)
-        if not isinstance(base, Forecaster):
-            base = Simulation(base, calibrated)
-        elif calibrated:
-            raise ValueError(
-                f"calibrated is for a simulator, got {base.name}; Simulation(..., calibrated=True) "
-                "is one that is calibrated"
-            )
-        if not callable(getattr(base, "trajectory", None)):
-            raise ValueError(
-                f"base must say something about the whole record, as a simulator, Linear, Periodic "
-                f"and Harmonic do, got {base.name}"
-            )
-        self.base = base
-
-    @property
-    def needs(self) -> frozenset[str]:
-        """What holds the slow part needs it."""
-        return self.base.needs
-
-    @property
-    def anchored(self) -> bool:
-        """What holds the slow part is."""
-        return self.base.anchored
-
-    def check(self, *records: Trajectory) -> None:
-        """See `Forecaster`."""
-        super().check(*records)
-        self.base.check(*records)
-
-    def prepare(self, record: Trajectory, horizon: int) -> None:
-        """See `Forecaster`."""
-        self.base.prepare(record, horizon)
-
-    def settled(self, record: Trajectory, horizon: int) -> Self:
-        """See `Forecaster`."""
-        new = self.copy()
-        new.base = self.base.settled(record, horizon)
-        return new
-
-    def describe(self) -> str:
-        """See `Forecaster`."""
-        if not isinstance(self.base, Simulation):
-            said = f"{self.base.name}: {self.base.describe()}"
-        else:
-            said = f"simulator: {self.base.calibration}" if self.base.calibrated else ""
-        return "; ".join(filter(None, [said, super().describe()]))
-
-    def with_defaults(self, settings: Settings, bands: Bands) -> Self:
-        """See `Forecaster`."""
-        # Where a fitted base knows the record shows once it is fitted: its bands are chosen then.
-        usual = bands if isinstance(self.base, Simulation) else Bands()
-        new = super().with_defaults(settings, usual).copy()
-        new.base = self.base.with_defaults(settings, bands)
-        return new
-
-    def for_fewer_samples(self, share: float) -> Self:
-        """See `Forecaster`."""
-        new = super().for_fewer_samples(share).copy()
-        new.base = self.base.for_fewer_samples(share)
-        return new
-
-    def _seen(self, records: Sequence[Trajectory], seed: int, horizon: int) -> list[Trajectory]:
-        """The records with the slow part as their simulator's output."""
-        self.base.fit(*records, seed=seed, horizon=horizon)
-        if isinstance(self.base, Simulation):
-            seen = [self.base.on(record) for record in records]
-        elif len(records) > 1:
-            raise ValueError(f"several records need a simulator, the base is {self.base.name}")
-        else:
-            record = records[0]
-            known = Known(record.seen, 0, 0.0, record.u, record.y_sim)
-            seen = [replace(record, y_sim=self._slow(known), beyond=None)]
-        return seen
-
-    def _slow(self, known: Known) -> Array:
-        base: Any = self.base  # it has a `trajectory`: the constructor has seen to that
-        return base.trajectory(known)
-
-    def _parts_of_name(self, kind: str) -> str:
-        slow = "" if isinstance(self.base, Simulation) else f"-{self.base.name}"
-        suffix = self.base.suffix if isinstance(self.base, Simulation) else ""
-        return (
-            f"{kind}{slow}-{label_of(self.cell)}{suffix}"
-            f"{'-conditioned' if self.conditioned else ''}"
-        )
-
-
-@final
-class Filtered(_Hybrid):
-    """Something slow in the low band, a network in the high band (paper, Sec. 4.3).
-
-    Parameters
-    ----------
-    base : What holds the low band: a simulator, or a forecaster that is fitted first, such as
-        `Linear()`; by default the simulator's output that a record brings.
-    cell : The network's.
-    bands : Where they part; by default chosen by where base and training samples agree.
-    calibrated : Calibrate the simulator to the training samples first. Not in the paper.
-    conditioned : Tell the network what the base says, value and slope. Not in the paper.
-    settings, name : See `Network`.
-    """
-
-    def __init__(
-        self,
-        base: Forecaster | Simulator | None,
-        cell: Template,
-        bands: Bands | None = None,
-        calibrated: bool = False,
-        conditioned: bool = False,
-        settings: Settings | None = None,
-        name: str | None = None,
-    ) -> None:
-        super().__init__(base, cell, bands, calibrated, conditioned, settings, name)
-
-    def check(self, *records: Trajectory) -> None:
-        """See `Forecaster`."""
-        super().check(*records)
-        _check_warmup(self._settings_for(records[0]), (self.bands.order or 1) - 1, self.bands)
-
-    def build(self, record: Trajectory, settings: Settings) -> Model:
-        """See `Network`."""
-        bands = self._bands_for(record, settings)
-        cell = self.cell.sized(record.ny, self._told(record), settings.warmup)
-        pair = bands.one_way_pair(record.sampling_rate)
-        return models.Filtered(cell, pair, self.conditioned, record.nu > 0)
-
-    def _remarks(self, record: Trajectory) -> list[str]:
-        """See `Network`: whether the training samples reward a network that adds nothing."""
-        bands = self.bands
-        assert bands.cutoff is not None
-        assert bands.order is not None
-        assert record.y_sim is not None
-        found = oracle(record.y, record.y_sim, record.sampling_rate, bands.cutoff, bands.order,
-                       record.seen)  # fmt: skip
-        if not found.nothing_to_learn:
-            return []
-        calibrated = isinstance(self.base, Simulation) and self.base.calibrated is not False
-        return [found.describe() + ("" if calibrated else "; calibrating it may change that")]
-
-    def _derived_name(self) -> str:
-        return self._parts_of_name("filtered")
-
-
-@final
-class Residual(_Hybrid):
-    """A network for what something slower leaves (paper, Sec. 5.1).
-
-    Parameters
-    ----------
-    base : What is added to: see `Filtered`.
-    cell, calibrated, conditioned, settings, name : See `Filtered`.
-    """
-
-    def __init__(
-        self,
-        base: Forecaster | Simulator | None,
-        cell: Template,
-        calibrated: bool = False,
-        conditioned: bool = False,
-        settings: Settings | None = None,
-        name: str | None = None,
-    ) -> None:
-        # It has no filter: any bands will do.
-        super().__init__(base, cell, Bands(1.0, 1, 1), calibrated, conditioned, settings, name)
-
-    def build(self, record: Trajectory, settings: Settings) -> Model:
-        """See `Network`."""
-        cell = self.cell.sized(record.ny, self._told(record), settings.warmup)
-        return models.Residual(cell, self.conditioned, record.nu > 0)
-
-    def _derived_name(self) -> str:
-        return self._parts_of_name("residual")
-
-
 def as_template(cell: Any) -> Template:
     """Check that cells can be made after it; raises TypeError otherwise."""
     if not isinstance(cell, Template):
@@ -587,7 +399,8 @@ def label_of(template: Template) -> str:
     return str(getattr(template, "label", type(template).__name__.lower()))
 
 
-def _check_warmup(settings: Settings, shortest: int, bands: Bands) -> None:
+def check_warmup(settings: Settings, shortest: int, bands: Bands) -> None:
+    """Raise ValueError for a warm-up of `shortest` samples or fewer: the filters need more."""
     if settings.warmup <= shortest:
         raise ValueError(
             f"warmup must have more than {shortest} samples for filters of order "

@@ -1,4 +1,4 @@
-"""What a forecaster says: values, when, and how sure it is."""
+"""What a forecaster returns: values, their times, and the interval around them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Prediction:
     components : The parts that add up to `y`, by name; empty for a whole.
     lower, upper : The interval around `y`, `(steps, ny)`, where one was asked for.
     level : The share of samples that should lie in it.
-    warnings : What should make one doubt it.
+    warnings : Reasons to doubt it, in sentences.
     """
 
     y: Array
@@ -67,7 +67,7 @@ class Prediction:
 
     def plot(self) -> Figure:
         """A picture of it."""
-        # Pictures know records and comparisons, and with them this module.
+        # The module of pictures imports this one, so that it is imported only here.
         return import_module("splitband.report.pictures").prediction(self)
 
 

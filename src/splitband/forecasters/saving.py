@@ -1,7 +1,7 @@
 """Saving forecasters whole, and loading them: JSON, and safetensors for the weights.
 
-Loading builds only the classes named here or by the caller. An FMU is opened again from where it
-was, if its content is what it was; other simulators are given to `load`.
+Loading builds only the classes named here or by the caller. An FMU is opened again from its path,
+if the file has not changed; other simulators are given to `load`.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ from splitband.forecasters import closed_form
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import FitReport, Fitted, Forecaster
 from splitband.forecasters.ensemble import Ensemble
+from splitband.forecasters.hybrids import Filtered, Residual
 from splitband.forecasters.intervals import Interval
-from splitband.forecasters.networks import Filtered, Network, Residual, Single, Split
+from splitband.forecasters.networks import Network, Single, Split
 from splitband.forecasters.simulation import Simulation
 from splitband.models import saving as models
 from splitband.networks import GRU, EulerMLP
@@ -130,22 +131,22 @@ def load(
     try:
         if facts["format"] != FORMAT:
             raise ValueError(f"it has format {facts['format']!r}; this is for {FORMAT}")
-        found = _decode(facts["forecaster"], _KNOWN | own, simulator)
+        loaded = _decode(facts["forecaster"], _KNOWN | own, simulator)
     except KeyError as error:
         raise ValueError(f"{folder} holds no forecaster: {error} is missing") from None
     except (TypeError, ValueError, AttributeError) as error:
         raise ValueError(f"{folder} holds no forecaster that can be read: {error}") from None
-    if not isinstance(found, Forecaster):
-        raise ValueError(f"{folder} holds no forecaster, but {type(found).__name__}")
-    if isinstance(found, Network):
-        found.model = model
-    if isinstance(found, Filtered | Residual) and not hasattr(found, "base"):
-        found.base = load(folder / BASE, simulator, classes)
-    if isinstance(found, Ensemble):
-        found.members = [
-            load(folder / f"member-{i}", simulator, classes) for i in range(found.count)
+    if not isinstance(loaded, Forecaster):
+        raise ValueError(f"{folder} holds no forecaster, but {type(loaded).__name__}")
+    if isinstance(loaded, Network):
+        loaded.model = model
+    if isinstance(loaded, Filtered | Residual) and not hasattr(loaded, "base"):
+        loaded.base = load(folder / BASE, simulator, classes)
+    if isinstance(loaded, Ensemble):
+        loaded.members = [
+            load(folder / f"member-{i}", simulator, classes) for i in range(loaded.count)
         ]
-    return found
+    return loaded
 
 
 def _is_forecaster(value: Any) -> bool:
@@ -163,10 +164,10 @@ def _end(forecaster: Forecaster) -> Fitted:
         first = min(first, (warmup if start is None else start) - warmup)
     first = max(0, min(first, len(record) - 2))
     if "simulator" in forecaster.needs:
-        # A calibrated delay or clock reaches back in its output, by a seventh of it at most.
+        # A calibrated delay or clock uses earlier output of the simulator, a seventh of it at most.
         first = 0 if len(record) <= SHORT else min(first, len(record) - len(record) // 5)
     end = replace(record[first:], beyond=None, u_beyond=None)
-    # Without the time that it took, the same fit is saved as the same file, to the byte.
+    # The run time is left out, so that the same fit is saved as the same file, byte by byte.
     report = replace(fitted.report, seconds=0.0)
     return replace(fitted, record=end, begin=fitted.begin + first, others=(), report=report)
 
@@ -260,15 +261,15 @@ def _decode(  # noqa: PLR0911, PLR0912  a line for each kind
     make = known[name]
     if not _is_forecaster(make):
         raise ValueError(f"{name} is no forecaster")
-    found: Any = object.__new__(make)  # type: ignore[arg-type]
-    vars(found).update({k: again(v) for k, v in value["state"].items()})
-    if isinstance(found, Network):
-        found.model = None
-    if isinstance(found, Ensemble):
-        found.members = []
-    if isinstance(found, Simulation) and simulator is not None:
-        found.simulator = simulator
-    return found
+    forecaster: Any = object.__new__(make)  # type: ignore[arg-type]
+    vars(forecaster).update({k: again(v) for k, v in value["state"].items()})
+    if isinstance(forecaster, Network):
+        forecaster.model = None
+    if isinstance(forecaster, Ensemble):
+        forecaster.members = []
+    if isinstance(forecaster, Simulation) and simulator is not None:
+        forecaster.simulator = simulator
+    return forecaster
 
 
 def _is_plain(value: Any) -> bool:
@@ -276,7 +277,7 @@ def _is_plain(value: Any) -> bool:
 
 
 def _reopened(facts: Mapping[str, Any]) -> Fmu:
-    """The FMU of a saved forecaster, if its file is what it was."""
+    """The FMU of a saved forecaster, if its file has not changed."""
     path = Path(facts["path"])
     if not path.is_file() or _digest(path) != facts["sha256"]:
         raise ValueError(

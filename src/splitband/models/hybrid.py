@@ -23,6 +23,9 @@ from splitband.models.base import (
 )
 from splitband.networks import Cell, rollout
 
+SLOW, FAST = "simulator", "network"
+"""What the labels of the two components begin with."""
+
 
 class Hybrid(Model):
     """A network and a simulator.
@@ -92,18 +95,18 @@ class Filtered(Hybrid):
         """L(simulator) and H(network)."""
         filtered = self._low_passed(known)
         low = _required(filtered)[:, known.y.shape[1] :][:, :steps]
-        return {"simulator, low band": low, "network, high band": self._high(filtered, steps)}
+        return {f"{SLOW}, low band": low, f"{FAST}, high band": self._high(filtered, steps)}
 
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """The simulator's samples and the network's, before the filters."""
         warmup = known.y.shape[1]
         network = rollout(self.cell, known.y, steps, self._conditioned(known).u)
-        return {"simulator": _required(known)[:, warmup : warmup + steps], "network": network}
+        return {SLOW: _required(known)[:, warmup : warmup + steps], FAST: network}
 
     def tasks(self, record: Signals) -> list[Task]:
         """Reproduce the record (paper, Eq. 14); L(simulator) is filtered once, as a whole."""
         known = self._low_passed(record)
-        return [Task("network", as_module(self.cell), known, record.y, self._combined)]
+        return [Task(FAST, as_module(self.cell), known, record.y, self._combined)]
 
     def _low_passed(self, known: Signals) -> Signals:
         """L(simulator) in place of the simulator, once the network has been told of it."""
@@ -135,12 +138,12 @@ class Residual(Hybrid):
         """The simulator's samples and the network's."""
         warmup = known.y.shape[1]
         residual = self._simulate(self._conditioned(known), steps)
-        return {"simulator": _required(known)[:, warmup : warmup + steps], "network": residual}
+        return {SLOW: _required(known)[:, warmup : warmup + steps], FAST: residual}
 
     def tasks(self, record: Signals) -> list[Task]:
         """Reproduce the simulator's residual."""
         known, target = self._conditioned(record), record.y - _required(record)
-        return [Task("network", as_module(self.cell), known, target, self._simulate)]
+        return [Task(FAST, as_module(self.cell), known, target, self._simulate)]
 
     def _simulate(self, known: Signals, steps: int) -> Tensor:
         warmup = known.y.shape[1]

@@ -1,7 +1,7 @@
-"""Checkpoints: where a training that was cut off goes on, to the bit.
+"""Checkpoints: from one, an interrupted training resumes with exactly the same numbers.
 
-One safetensors file, replaced as a whole; no code comes out of it. What is damaged, or of another
-training, is as good as none.
+A checkpoint is one safetensors file, which is always replaced as a whole and holds no code. A file
+that is damaged, or was written by another training, is ignored.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ class Checkpoint:
         try:
             with safetensors.safe_open(self.path, framework="pt") as file:
                 said = file.metadata() or {}
-                found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-            whole = said.get("key") == key and said.get("sum") == _sum(found)
-            return found if whole else None
+                state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            whole = said.get("key") == key and said.get("sum") == _sum(state)
+            return state if whole else None
         except (OSError, safetensors.SafetensorError):
             return None
 
@@ -71,12 +71,12 @@ class Checkpoint:
 
 
 def _sum(state: Mapping[str, Tensor]) -> str:
-    """By which a damaged state is known."""
+    """A hash of the state, by which damage is noticed."""
     return key_of(*(part for name in sorted(state) for part in (name, state[name])))
 
 
 def key_of(*parts: object) -> str:
-    """What two trainings have in common only if they are the same."""
+    """A hash of all that a training depends on: only the same training has the same key."""
     digest = hashlib.sha256()
     for part in parts:
         if isinstance(part, Tensor):

@@ -29,7 +29,7 @@ UNLEARNED = 0.9
 """Loss, in multiples of the target's RMS, from which on a network has learned nothing: as much is
 left when it predicts the mean."""
 ENOUGH_STEPS = 100
-"""Gradient steps before which nobody expects it to have learned anything."""
+"""Gradient steps before which a network that has learned nothing is not reported."""
 MOST_RESTARTS = 3
 """Times that an epoch which diverged is repeated, each time with half the learning rate, before
 the training is given up."""
@@ -52,7 +52,7 @@ class History:
     """What a training run did: the mean loss of each epoch by task, and its run time."""
 
     losses: dict[str, list[float]] = field(default_factory=dict)
-    """Behind those of the epochs those of the rounds of L-BFGS, of the same unit."""
+    """The losses of the epochs, followed by those of the rounds of L-BFGS in the same unit."""
     seconds: float = 0.0
     notes: list[str] = field(default_factory=list)
     """What went wrong and was mended."""
@@ -111,7 +111,7 @@ def fit(
     tasks = [joined(of_records) for of_records in zip(*map(model.tasks, seen), strict=True)]
     states: State = {}
     for done, task in enumerate(tasks):
-        # The seed is for each: a network does not depend on the others.
+        # Each network gets the same seed, so that its training does not depend on the others.
         training = _Training(task, places, settings, seed)
         prefix = f"{done}."
         if f"{prefix}losses" in saved:
@@ -193,7 +193,7 @@ class _Training:
         return settled or len(self.losses) >= self.settings.epochs + self.settings.rounds
 
     def advance(self) -> None:
-        """Train an epoch or, after the last of them, a round of L-BFGS."""
+        """Train for one epoch or, when all epochs are over, for one round of L-BFGS."""
         if self.finish is None or len(self.losses) < self.settings.epochs:
             self.epoch()
             return

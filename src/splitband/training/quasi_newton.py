@@ -1,9 +1,10 @@
 """The end of a training: L-BFGS on windows that lie end to end, all of them in every step.
 
-Not in the paper. Adam on a few windows at a time finds its way from random weights; near a minimum
-its steps are noise, and of networks of this size the whole record's gradient costs no more than a
-few dozen of its steps. From there on quasi-Newton iterations (Nocedal and Wright, Numerical
-Optimization, 2006, Sec. 7.2) get further in a fraction of the time.
+Not in the paper. Adam, which sees a few windows at a time, makes fast progress from random weights.
+Near a minimum its steps are mostly noise. The gradient over the whole record costs no more than a
+few dozen steps of Adam for networks of this size, so that from there on quasi-Newton iterations
+(Nocedal and Wright, Numerical Optimization, 2006, Sec. 7.2) lower the loss in a fraction of the
+time.
 """
 
 from __future__ import annotations
@@ -16,15 +17,17 @@ from torch import Tensor, nn
 from splitband.training.checkpoints import State
 
 ROUND = 20
-"""Iterations of a round, after which a training can be cut off and go on to the bit."""
+"""Iterations of a round. Checkpoints are written between rounds, not within them."""
 MEMORY = 30
 """Steps from which the curvature is estimated."""
 SETTLED = 1e-5
-"""Share of the loss by which a round has to lower it, or there is nothing more to gain."""
+"""A round that lowers the loss by less than this share of it is the last one."""
 HALVED = 20_000
-"""Windows up to which every sample is predicted in two of those that are chosen."""
+"""Where there are at most this many windows to choose from, what successive ones predict overlaps
+by half."""
 MOST_SAMPLES = 100_000
-"""Of the windows, warm-ups included; of a longer record some are left out, evenly."""
+"""Samples in all chosen windows together, warm-ups included. Where there would be more, windows are
+left out at even distances."""
 
 _LISTS = ("old_dirs", "old_stps", "ro")
 _TENSORS = ("d", "prev_flat_grad", *_LISTS)
@@ -32,10 +35,11 @@ _NUMBERS = ("n_iter", "t", "H_diag", "prev_loss")
 
 
 def end_to_end(starts: Tensor, window: int, warmup: int) -> Tensor:
-    """Of the first samples of windows, as few as predict every sample once.
+    """Choose from the first samples of all windows as few as are needed to predict every sample.
 
-    The warm-up of a window lies in what the one before it predicts. In short records there is one
-    more between two of them, as the end of a free run has other errors than its beginning.
+    The warm-up of a window lies in the samples that the window before it predicts. In short records
+    (see `HALVED`) a further window lies halfway between two of them, so that most samples are
+    predicted both early and late in a free run, where errors differ.
     """
     hop = _hop(len(starts), window, warmup)
     chosen = [int(starts[0])]
@@ -50,13 +54,13 @@ def end_to_end(starts: Tensor, window: int, warmup: int) -> Tensor:
 
 
 def samples_in_a_step(samples: int, window: int, warmup: int) -> int:
-    """Of all windows that `end_to_end` chooses from a record of so many samples."""
+    """How many samples the windows have that `end_to_end` chooses from a record, together."""
     places = max(samples - window + 1, 1)
     return min(-(-places // _hop(places, window, warmup)) * window, MOST_SAMPLES)
 
 
 def _hop(places: int, window: int, warmup: int) -> int:
-    """From the beginning of one window to that of the next."""
+    """The distance in samples from one chosen window's beginning to the next one's."""
     return max(1, (window - warmup) // (2 if places <= HALVED else 1))
 
 
@@ -74,7 +78,8 @@ class QuasiNewton:
     ) -> None:
         self.parameters, self._mean_square = [*parameters], mean_square
         self.scale = 0.0
-        """Mean square at the beginning: torch's tolerances are those of a loss of about 1."""
+        """Mean square at the beginning, by which the loss is divided: torch's tolerances suit a
+        loss of about 1."""
         self.settled = False
         self._optimizer = torch.optim.LBFGS(
             self.parameters,
@@ -117,9 +122,9 @@ class QuasiNewton:
     def state(self) -> State:
         """All that the next round depends on but the weights."""
         of_torch = self._optimizer.state[self.parameters[0]]
-        found = {"scale": self.scale, "settled": float(self.settled)}
-        found |= {name: float(of_torch[name]) for name in _NUMBERS if name in of_torch}
-        tensors = {k: torch.tensor(v, dtype=torch.float64) for k, v in found.items()}
+        numbers = {"scale": self.scale, "settled": float(self.settled)}
+        numbers |= {name: float(of_torch[name]) for name in _NUMBERS if name in of_torch}
+        tensors = {k: torch.tensor(v, dtype=torch.float64) for k, v in numbers.items()}
         for name in _TENSORS:
             value = of_torch.get(name)
             if isinstance(value, list):

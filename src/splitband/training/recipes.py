@@ -22,14 +22,14 @@ def recipe_settings(recipe: Recipe, training: Trajectory) -> Settings:
     settings = Settings.of(samples) if recipe == "default" else paper_settings(samples)
     if training.measured is None or samples < settings.window:
         return settings
-    found = []
+    tried = []
     for part in (1, 2, 4):
         warmup = max(settings.warmup // part, 1)
         starts = window_starts([training], settings.window, warmup)
-        found.append((len(starts), warmup))
+        tried.append((len(starts), warmup))
         if len(starts) >= ENOUGH_WINDOWS * (samples - settings.window + 1):
             break
-    windows, warmup = max(found)
+    windows, warmup = max(tried)
     if recipe == "default" and windows:
         settings = Settings.of(samples, windows)
     return replace(settings, warmup=warmup)

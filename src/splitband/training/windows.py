@@ -66,8 +66,8 @@ def _counts(true: npt.NDArray[np.bool_], begin: int, end: int) -> npt.NDArray[np
     """How many of the values from `begin` to `end` after each index are true."""
     count = np.concatenate([[0], np.cumsum(true)])
     index, last = np.arange(len(true)), len(true)
-    found = count[np.minimum(index + end, last)] - count[np.minimum(index + begin, last)]
-    return np.asarray(found)
+    counted = count[np.minimum(index + end, last)] - count[np.minimum(index + begin, last)]
+    return np.asarray(counted)
 
 
 def joined(tasks: Sequence[Task]) -> Task:

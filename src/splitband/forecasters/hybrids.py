@@ -1,0 +1,241 @@
+"""Hybrid forecasters: a network beside a simulator, or beside a forecaster that is fitted first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Self, final
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband import models
+from splitband.data import Trajectory
+from splitband.filters.spectrum import oracle
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import Forecaster, Known
+from splitband.forecasters.networks import (
+    Banded,
+    Template,
+    as_template,
+    check_warmup,
+    label_of,
+)
+from splitband.forecasters.simulation import Simulation
+from splitband.models import Model
+from splitband.models.hybrid import FAST, SLOW
+from splitband.simulators import Simulator
+from splitband.training import Settings
+
+Array = npt.NDArray[np.float64]
+
+
+class _Hybrid(Banded):
+    """A network beside something that holds the long term."""
+
+    def __init__(
+        self,
+        base: Forecaster | Simulator | None,
+        cell: Template,
+        bands: Bands | None,
+        calibrated: bool,
+        conditioned: bool,
+        settings: Settings | None,
+        name: str | None,
+    ) -> None:
+        super().__init__(bands, conditioned, settings, name)
+        self.cell = as_template(cell)
+        if not isinstance(base, Forecaster):
+            base = Simulation(base, calibrated)
+        elif calibrated:
+            raise ValueError(
+                f"calibrated is for a simulator, got {base.name}; Simulation(..., calibrated=True) "
+                "is one that is calibrated"
+            )
+        if not callable(getattr(base, "trajectory", None)):
+            raise ValueError(
+                f"base must say something about the whole record, as a simulator, Linear, Periodic "
+                f"and Harmonic do, got {base.name}"
+            )
+        self.base = base
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What the base needs."""
+        return self.base.needs
+
+    @property
+    def anchored(self) -> bool:
+        """Whether the base is."""
+        return self.base.anchored
+
+    def check(self, *records: Trajectory) -> None:
+        """See `Forecaster`."""
+        super().check(*records)
+        self.base.check(*records)
+
+    def prepare(self, record: Trajectory, horizon: int) -> None:
+        """See `Forecaster`."""
+        self.base.prepare(record, horizon)
+
+    def settled(self, record: Trajectory, horizon: int) -> Self:
+        """See `Forecaster`."""
+        new = self.copy()
+        new.base = self.base.settled(record, horizon)
+        return new
+
+    def describe(self) -> str:
+        """See `Forecaster`."""
+        if not isinstance(self.base, Simulation):
+            said = f"{self.base.name}: {self.base.describe()}"
+        else:
+            said = f"simulator: {self.base.calibration}" if self.base.calibrated else ""
+        return "; ".join(filter(None, [said, super().describe()]))
+
+    def with_defaults(self, settings: Settings, bands: Bands) -> Self:
+        """See `Forecaster`."""
+        # Up to which frequency a fitted base is right is only known once it is fitted. Its bands
+        # are chosen then.
+        usual = bands if isinstance(self.base, Simulation) else Bands()
+        new = super().with_defaults(settings, usual).copy()
+        new.base = self.base.with_defaults(settings, bands)
+        return new
+
+    def for_fewer_samples(self, share: float) -> Self:
+        """See `Forecaster`."""
+        new = super().for_fewer_samples(share).copy()
+        new.base = self.base.for_fewer_samples(share)
+        return new
+
+    def extrapolate(self, known: Known) -> dict[str, Array]:
+        """See `Forecaster`."""
+        return self._labelled(super().extrapolate(known))
+
+    def unfiltered(self, steps: int, history: Trajectory) -> dict[str, Array]:
+        """See `Network`."""
+        return self._labelled(super().unfiltered(steps, history))
+
+    def _labelled(self, parts: dict[str, Array]) -> dict[str, Array]:
+        """The model's components; the slow one is labelled by the base, if that is no simulator."""
+        if isinstance(self.base, Simulation):
+            return parts
+        # A base may be named as the fast component is, and two labels must not be the same.
+        slow = self.base.name if self.base.name != FAST else "base"
+        return {label.replace(SLOW, slow, 1) if label.startswith(SLOW) else label: part
+                for label, part in parts.items()}  # fmt: skip
+
+    def _seen(self, records: Sequence[Trajectory], seed: int, horizon: int) -> list[Trajectory]:
+        """The records with the slow part as their simulator's output."""
+        self.base.fit(*records, seed=seed, horizon=horizon)
+        if isinstance(self.base, Simulation):
+            seen = [self.base.on(record) for record in records]
+        elif len(records) > 1:
+            raise ValueError(f"several records need a simulator, the base is {self.base.name}")
+        else:
+            record = records[0]
+            known = Known(record.seen, 0, 0.0, record.u, record.y_sim)
+            seen = [replace(record, y_sim=self._slow(known), beyond=None)]
+        return seen
+
+    def _slow(self, known: Known) -> Array:
+        base: Any = self.base  # the constructor has checked that it has a `trajectory`
+        return base.trajectory(known)
+
+    def _parts_of_name(self, kind: str) -> str:
+        slow = "" if isinstance(self.base, Simulation) else f"-{self.base.name}"
+        suffix = self.base.suffix if isinstance(self.base, Simulation) else ""
+        return (
+            f"{kind}{slow}-{label_of(self.cell)}{suffix}"
+            f"{'-conditioned' if self.conditioned else ''}"
+        )
+
+
+@final
+class Filtered(_Hybrid):
+    """Something slow in the low band, a network in the high band (paper, Sec. 4.3).
+
+    Parameters
+    ----------
+    base : What holds the low band: a simulator, or a forecaster that is fitted first, such as
+        `Linear()`; by default the simulator's output that a record brings.
+    cell : The network's.
+    bands : Where they part; by default chosen by where base and training samples agree.
+    calibrated : Calibrate the simulator to the training samples first. Not in the paper.
+    conditioned : Tell the network what the base says, value and slope. Not in the paper.
+    settings, name : See `Network`.
+    """
+
+    def __init__(
+        self,
+        base: Forecaster | Simulator | None,
+        cell: Template,
+        bands: Bands | None = None,
+        calibrated: bool = False,
+        conditioned: bool = False,
+        settings: Settings | None = None,
+        name: str | None = None,
+    ) -> None:
+        super().__init__(base, cell, bands, calibrated, conditioned, settings, name)
+
+    def check(self, *records: Trajectory) -> None:
+        """See `Forecaster`."""
+        super().check(*records)
+        check_warmup(self._settings_for(records[0]), (self.bands.order or 1) - 1, self.bands)
+
+    def build(self, record: Trajectory, settings: Settings) -> Model:
+        """See `Network`."""
+        bands = self._bands_for(record, settings)
+        cell = self.cell.sized(record.ny, self._told(record), settings.warmup)
+        pair = bands.one_way_pair(record.sampling_rate)
+        return models.Filtered(cell, pair, self.conditioned, record.nu > 0)
+
+    def _low_band(self, record: Trajectory) -> Array | None:
+        return record.y_sim
+
+    def _remarks(self, record: Trajectory) -> list[str]:
+        """See `Network`: whether the training samples reward a network that adds nothing."""
+        bands = self.bands
+        assert bands.cutoff is not None
+        assert bands.order is not None
+        assert record.y_sim is not None
+        reachable = oracle(record.y, record.y_sim, record.sampling_rate, bands.cutoff, bands.order,
+                       record.seen)  # fmt: skip
+        if not reachable.nothing_to_learn:
+            return []
+        calibrated = isinstance(self.base, Simulation) and self.base.calibrated is not False
+        return [reachable.describe() + ("" if calibrated else "; calibrating it may change that")]
+
+    def _derived_name(self) -> str:
+        return self._parts_of_name("filtered")
+
+
+@final
+class Residual(_Hybrid):
+    """A network for what something slower leaves (paper, Sec. 5.1).
+
+    Parameters
+    ----------
+    base : What is added to: see `Filtered`.
+    cell, calibrated, conditioned, settings, name : See `Filtered`.
+    """
+
+    def __init__(
+        self,
+        base: Forecaster | Simulator | None,
+        cell: Template,
+        calibrated: bool = False,
+        conditioned: bool = False,
+        settings: Settings | None = None,
+        name: str | None = None,
+    ) -> None:
+        # A residual model has no filter. These bands are not used; they are given so that none are
+        # chosen.
+        super().__init__(base, cell, Bands(1.0, 1, 1), calibrated, conditioned, settings, name)
+
+    def build(self, record: Trajectory, settings: Settings) -> Model:
+        """See `Network`."""
+        cell = self.cell.sized(record.ny, self._told(record), settings.warmup)
+        return models.Residual(cell, self.conditioned, record.nu > 0)
+
+    def _derived_name(self) -> str:
+        return self._parts_of_name("residual")
