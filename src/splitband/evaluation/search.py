@@ -1,10 +1,11 @@
 """Finding out how to train networks: window, size and steps, by forecasts of held-out samples.
 
-Not in the paper. The first network is trained in several ways for a short time; the other networks
-are trained in the two ways that gave it the lowest errors. Then the better half of each method's
-candidates is trained for four times as long, and so on (successive halving: Jamieson and Talwalkar,
-2016), until longer training makes the errors larger or the budget is used up. The result depends on
-the record and the budget, not on the machine: costs are counted in seconds of a reference core.
+Not in the paper. The first network is trained in several ways for a short time; the better half of
+them is trained for four times as long, and so on (successive halving: Jamieson and Talwalkar,
+2016), until longer training makes the errors larger or the budget is used up. The other networks
+are trained in the two ways that gave the first one its lowest errors, and likewise for longer. The
+result depends on the record and the budget, not on the machine: costs are counted in seconds of a
+reference core.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ FOR_TRAINING = 0.8
 """Share of a budget of wall time that goes into networks; the rest is for all other work."""
 REFERENCE_SIZE, REFERENCE_BATCH, REFERENCE_STEPS = 32, 25, 400
 """Hidden units, windows and samples of the gradient by which a machine's speed is measured."""
-SEARCHED, TRAINED = 0.5, 0.3
+SEARCHED, TRAINED = 0.55, 0.3
 """Shares of the budget: for this search, and at most for a single training of a candidate."""
 SAMPLE, WEIGHT = 0.09e-6, 0.25e-9
 """Seconds of a reference core for a sample, forwards and backwards, and as much more per weight."""
@@ -60,8 +61,10 @@ FIRST_STEPS = 300
 """Steps of Adam before L-BFGS takes over."""
 TRIED = 0, 1
 """Seeds of each candidate, whose mean is scored; the first one alone where that is too much."""
-RUNG = 0.6
+SEVERAL = 0.6
 """Share of what is left for the search that several seeds of each candidate may take."""
+OF_FIRST = 0.8
+"""Share of the search that may go into the first network."""
 TRANSFERRED = 2
 """How many of the first network's best candidates the other networks take settings from."""
 LADDER = 100, 400, 1600, 6400
@@ -226,28 +229,41 @@ def search(
     trials = _Trials(record, steps, work, others)
     for_search, for_one = (share * budget.core_seconds for share in (SEARCHED, TRAINED))
 
-    def run(candidates: Sequence[Candidate]) -> list[Candidate]:
-        left = for_search - trials.spent
-        both = _within(candidates, len(TRIED), RUNG * left, for_one)
-        seeds = TRIED if len(both) == len(candidates) else TRIED[:1]
-        within = both if len(seeds) > 1 else _within(candidates, 1, left, for_one)
-        if within:
-            trials.run(within, seeds)
-        return within
+    tried: list[Candidate] = []
 
-    first, *others_of_them = free
-    todo = run([makes[first.name](*way) for way in _ways(first)])
-    best = _ranked(todo, trials.scores)[:TRANSFERRED]
-    todo += run([makes[f.name](c.settings, c.size) for c in best for f in others_of_them])
-    tried = [*todo]
-    for iterations in LADDER[1:]:
-        todo = run(
-            [
-                makes[c.method](replace(c.settings, quasi_newton=iterations), c.size)
-                for c in _promoted(todo, tried, trials.scores)
+    def climb(candidates: Sequence[Candidate], allowed: float) -> None:
+        """Try them, then the promising ones for longer, and so on."""
+        while candidates:
+            left = allowed - trials.spent
+            affordable = _within(candidates, len(TRIED), SEVERAL * left, for_one)
+            seeds: Sequence[int] = TRIED
+            if len(affordable) < len(candidates):
+                affordable, seeds = _within(candidates, 1, left, for_one), TRIED[:1]
+            if affordable:
+                trials.run(affordable, seeds)
+                tried.extend(affordable)
+            candidates = [
+                makes[c.method](replace(c.settings, quasi_newton=longer), c.size)
+                for c in _promoted(affordable, tried, trials.scores)
+                for longer in [n for n in LADDER if n > (c.settings.quasi_newton or 0)][:1]
             ]
-        )
-        tried += todo
+
+    first, *rest = free
+    of_first = [makes[first.name](*way) for way in _ways(first)]
+    climb(of_first, (OF_FIRST if rest else 1.0) * for_search)
+    best = _ranked(tried, trials.scores)[:TRANSFERRED]
+    climb([makes[f.name](c.settings, c.size) for c in best for f in rest], for_search)
+    # What suits the first one may take too long for the others: then the shortest of its kind.
+    late = [f for f in rest if not any(c.method == f.name for c in tried)]
+    short = [c for c in best if c.settings.quasi_newton][:1]
+    climb(
+        [
+            makes[f.name](replace(c.settings, quasi_newton=LADDER[0]), c.size)
+            for c in short
+            for f in late
+        ],
+        for_search,
+    )
     ranked = _ranked(tried, trials.scores)
     chosen = {c.method: c for c in reversed(ranked)}
     return SearchResult(
