@@ -126,10 +126,12 @@ def _save(rows: Sequence[report.Row], out: Path, facts: dict[str, Any]) -> None:
 def _say(rows: Sequence[report.Row], out: Path) -> None:
     showing.console.print(_table(rows))
     found = report.summary(rows)
-    done = found["cases"] - found["failed"]
-    if not done:
+    if found["failed"] == found["cases"]:
         raise ValueError(f"no case could be compared; {rows[0].name}: {rows[0].failed}")
-    said = [f"the recommended method was the best one in {found['recommended_is_best']} of {done}"]
+    said = [
+        f"the recommended method was the best one in {found['recommended_is_best']} of "
+        f"{found['with_regret']}"
+    ]
     for what, key in (
         ("median regret", "median_regret"),
         ("worst regret", "worst_regret"),
@@ -159,14 +161,14 @@ def _table(rows: Sequence[report.Row]) -> Table:
             _number(row.error), _number(row.regret),
             "-" if row.held is None else f"{row.held:.0%}",
             "-" if row.seconds is None else f"{row.seconds:.0f}",
-            f"failed: {row.failed}" if row.failed else "",
+            row.note,
         )  # fmt: skip
     return table
 
 
 def _in_short(row: report.Row) -> str:
     if row.failed:
-        return f"failed: {row.failed}"
+        return row.note
     return f"{row.recommended}, error {_number(row.error)}, {row.seconds:.0f} s"
 
 

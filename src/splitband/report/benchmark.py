@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 MOST_NAMED = 120
 """Cases whose names still fit beside a picture."""
+FAR = 10.0
+"""A regret from which on the picture's axis is logarithmic, or it would hide the others."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,15 @@ class Row:
             facts["seconds"],
         )
 
+    @property
+    def note(self) -> str:
+        """What stands in place of numbers that are missing."""
+        if self.failed:
+            return f"failed: {self.failed}"
+        if self.protocol == "test" and self.error is None:
+            return f"{self.recommended} was not tested: see the case's own results"
+        return ""
+
     def as_json(self) -> dict[str, Any]:
         """For results.json and a line of table.csv."""
         return {**vars(self), "regret": self.regret}
@@ -112,6 +124,7 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
     return {
         "cases": len(rows),
         "failed": len(rows) - len(done),
+        "with_regret": sum(row.regret is not None for row in done),
         "recommended_is_best": sum(row.regret == 1 for row in done),
         "median_error": _median([row.error for row in done]),
         "median_regret": _median([row.regret for row in done]),
@@ -128,34 +141,47 @@ def _median(values: Sequence[float | None]) -> float | None:
 def picture(rows: Sequence[Row]) -> Figure:
     """Errors of the recommended and of the best method, and the regret; a line for each case."""
     few = len(rows) <= MOST_NAMED
-    height = 1.6 + 0.24 * len(rows) if few else 14.0
-    figure = Figure(figsize=(12, max(height, 3.0)), layout="constrained")
+    height = max(1.6 + 0.24 * len(rows), 3.0) if few else 14.0
+    figure = Figure(figsize=(12, height), layout="constrained")
     errors, regrets = figure.subplots(1, 2, sharey=True, width_ratios=[3, 2])
-    places = range(len(rows))
-    for label, color, marker, values in (
-        ("best", "0.55", "D", [row.best_error for row in rows]),
-        ("recommended", "#0072B2", "o", [row.error for row in rows]),
-    ):
-        known = [(value, at) for value, at in zip(values, places, strict=True) if value]
-        x, y = [value for value, _ in known], [at for _, at in known]
-        errors.plot(x, y, marker, ms=6 if few else 3, color=color, label=label)
-    errors.set_xscale("log")
-    errors.axvline(1, color="0.4", ls=":", lw=1)
-    errors.set_xlabel("RMSE over the record's deviation (dotted: as good as its mean)")
-    errors.legend(fontsize=8)
-    bars = [(at, regret) for at, row in enumerate(rows) if (regret := row.regret) is not None]
-    regrets.barh(
-        [at for at, _ in bars], [regret - 1 for _, regret in bars], left=1, color="#D55E00"
-    )
-    regrets.axvline(1, color="0.4", ls=":", lw=1)
-    regrets.set_xlabel("regret: recommended over best")
+    _draw_errors(errors, rows, 6 if few else 3)
+    _draw_regrets(regrets, rows, 5 if few else 3)
     if few:
-        names = [f"{row.name}, failed" if row.failed else row.name for row in rows]
-        errors.set_yticks(places, [name.replace("$", r"\$") for name in names], fontsize=8)
+        names = [f"{row.name} (failed)" if row.failed else row.name for row in rows]
+        errors.set_yticks(
+            range(len(rows)), [name.replace("$", r"\$") for name in names], fontsize=8
+        )
     else:
         errors.set_ylabel("case, in the order of the list")
     errors.set_ylim(len(rows) - 0.5, -0.5)
     for ax in (errors, regrets):
+        ax.axvline(1, color="0.4", ls=":", lw=1)
         ax.grid(True, axis="x", which="both", color="0.93", lw=0.6)
         ax.set_axisbelow(True)
     return figure
+
+
+def _draw_errors(ax: Axes, rows: Sequence[Row], size: int) -> None:
+    for label, style, values in (
+        ("best", {"color": "0.6", "marker": "D"}, [row.best_error for row in rows]),
+        ("recommended", {"color": "#0072B2", "marker": "o"}, [row.error for row in rows]),
+    ):
+        # Nothing is drawn of an error of 0, for which a logarithmic axis has no place.
+        known = [(value, at) for at, value in enumerate(values) if value]
+        x, y = [value for value, _ in known], [at for _, at in known]
+        ax.plot(x, y, ls="none", ms=size, label=label, **style)
+    ax.set_xscale("log")
+    ax.set_xlabel("RMSE over the record's deviation (dotted: as good as its mean)")
+    ax.legend(fontsize=8)
+
+
+def _draw_regrets(ax: Axes, rows: Sequence[Row], size: int) -> None:
+    known = [(regret, at) for at, row in enumerate(rows) if (regret := row.regret) is not None]
+    x, y = [regret for regret, _ in known], [at for _, at in known]
+    worst = max(x, default=1.0)
+    ax.hlines(y, 1, x, color="#D55E00", lw=1.5)
+    ax.plot(x, y, "o", ms=size, color="#D55E00")
+    if worst > FAR:
+        ax.set_xscale("log")
+    ax.set_xlim(0.95, max(1.5, 1.1 * worst))
+    ax.set_xlabel("regret: error of the recommended method over the best one's")
