@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +18,7 @@ from splitband.cli.comparing import Request, arguments, carried_out, prepared, s
 from splitband.forecasters.names import NAMES
 from splitband.report import benchmark as report
 from splitband.report import pictures, results
-from splitband.runtime.files import output_folder, replacing, write_json
+from splitband.runtime.files import CHECKPOINTS, output_folder, replacing, write_json
 
 
 @options.with_groups
@@ -103,10 +104,14 @@ def _finished(name: str, folder: Path, identity: dict[str, Any]) -> report.Row |
     """The row of a case whose results are there; None where they are others', or damaged."""
     try:
         facts = _read(folder)
-        same = json.loads(json.dumps(identity)).items() <= facts.items()
-        return report.Row.of(name, facts) if same else None
+        if not json.loads(json.dumps(identity)).items() <= facts.items():
+            return None
+        row = report.Row.of(name, facts)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
+    # They are still there where the command was killed just before it removed them.
+    shutil.rmtree(folder / CHECKPOINTS, ignore_errors=True)
+    return row
 
 
 def _read(folder: Path) -> dict[str, Any]:

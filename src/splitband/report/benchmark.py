@@ -162,14 +162,14 @@ def picture(rows: Sequence[Row]) -> Figure:
 
 
 def _draw_errors(ax: Axes, rows: Sequence[Row], size: int) -> None:
-    for label, style, values in (
-        ("best", {"color": "0.6", "marker": "D"}, [row.best_error for row in rows]),
-        ("recommended", {"color": "#0072B2", "marker": "o"}, [row.error for row in rows]),
+    for label, color, marker, values in (
+        ("best", "0.6", "D", [row.best_error for row in rows]),
+        ("recommended", "#0072B2", "o", [row.error for row in rows]),
     ):
         # Nothing is drawn of an error of 0, for which a logarithmic axis has no place.
         known = [(value, at) for at, value in enumerate(values) if value]
         x, y = [value for value, _ in known], [at for _, at in known]
-        ax.plot(x, y, ls="none", ms=size, label=label, **style)
+        ax.plot(x, y, marker, ms=size, color=color, label=label)
     ax.set_xscale("log")
     ax.set_xlabel("RMSE over the record's deviation (dotted: as good as its mean)")
     ax.legend(fontsize=8)
