@@ -1,7 +1,6 @@
 """`splitband benchmark`: many records by a list, compared one by one and put into one table."""
 
 import json
-import os
 import shutil
 import signal
 from pathlib import Path
@@ -193,7 +192,7 @@ def test_ctrl_c_ends_in_one_line_and_the_same_command_goes_on(
 
     def interrupted(record: Any, **others: Any) -> Any:
         if again:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
         again.append(len(record))
         return compare(record, **others)
 

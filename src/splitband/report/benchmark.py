@@ -171,8 +171,9 @@ def _draw_errors(ax: Axes, rows: Sequence[Row], size: int) -> None:
         x, y = [value for value, _ in known], [at for _, at in known]
         ax.plot(x, y, marker, ms=size, color=color, label=label)
     ax.set_xscale("log")
+    ax.xaxis.set_major_formatter("{x:g}")
     ax.set_xlabel("RMSE over the record's deviation (dotted: as good as its mean)")
-    ax.legend(fontsize=8)
+    ax.legend(fontsize=8, ncols=2, loc="lower left", bbox_to_anchor=(0, 1))
 
 
 def _draw_regrets(ax: Axes, rows: Sequence[Row], size: int) -> None:
@@ -184,4 +185,4 @@ def _draw_regrets(ax: Axes, rows: Sequence[Row], size: int) -> None:
     if worst > FAR:
         ax.set_xscale("log")
     ax.set_xlim(0.95, max(1.5, 1.1 * worst))
-    ax.set_xlabel("regret: error of the recommended method over the best one's")
+    ax.set_xlabel("regret: recommended over best")
