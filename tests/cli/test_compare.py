@@ -63,7 +63,8 @@ def test_compare_writes_what_is_needed_to_run_it_again(compared: Path) -> None:
     found = results(compared)
     assert found["record"] == {
         "name": "record", "samples": SAMPLES, "sampling_time": pytest.approx(DT),
-        "start": 0.0, "columns": ["a"], "inputs": 0, "gaps": 0, "truth": "measured",
+        "start": 0.0, "columns": ["a"], "deviation": pytest.approx(A.std()),
+        "inputs": 0, "gaps": 0, "truth": "measured",
     }  # fmt: skip
     settings = found["settings"]
     choice = settings["choice"]
@@ -79,6 +80,11 @@ def test_compare_writes_what_is_needed_to_run_it_again(compared: Path) -> None:
     assert (found["arguments"]["columns"], found["arguments"]["hidden"]) == ("a", "4,3")
     assert set(found["environment"]) == {"versions", "machine", "commit"}
     assert found["environment"]["versions"]["numpy"] == np.__version__
+
+
+def test_a_cutoff_that_is_to_be_chosen_is_written_as_it_was_asked_for(tmp_path: Path) -> None:
+    call("compare record.csv --columns a --methods mean --cutoff auto --warmup 10", tmp_path)
+    assert results(tmp_path)["arguments"]["cutoff"] == "auto"
 
 
 def test_compare_gives_the_numbers_of_the_library(compared: Path) -> None:

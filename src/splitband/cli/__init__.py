@@ -16,6 +16,7 @@ from typer.exceptions import TyperException
 COMMANDS = {
     "demo": ("compare", "Show what the package does, in under a minute."),
     "compare": ("compare", "Compare models of a record with each other and with naive baselines."),
+    "benchmark": ("benchmark", "Compare models of many records, and put them into one table."),
     "forecast": ("forecast", "Forecast a record beyond its end, with an interval."),
     "fit": ("fit", "Train one model on a record and save it."),
     "simulate": ("simulate", "Simulate a saved model beyond a measured history."),
@@ -91,10 +92,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Without a command typer has printed the help, and its message is empty.
         nothing = f"a command must be given: {' '.join(['splitband', *given])} COMMAND"
         return _complain((error.format_message().strip() or nothing) + _value(error, given))
-    except (ValueError, OSError, FloatingPointError) as error:
-        return _complain(_in_options(_in_one_line(error)))
-    except (MemoryError, OverflowError) as error:
-        return _complain(f"a number is too large for this machine: {_in_one_line(error)}")
+    except EXPECTED as error:
+        return _complain(in_words(error))
     if status == INTERRUPTED:
         _complain("stopped; no file is half written, and the same command goes on from here")
     return status if isinstance(status, int) else 0
@@ -122,6 +121,18 @@ OPTIONS = (
     "methods", "order", "steps", "train", "warmup", "window",
 )  # fmt: skip
 """Arguments of the library that are options of the same name here."""
+
+
+EXPECTED = (ValueError, OSError, FloatingPointError, MemoryError, OverflowError)
+"""What bad input raises; other exceptions are errors of the package."""
+
+
+def in_words(error: Exception) -> str:
+    """What an error says to the user, in one line."""
+    said = _in_options(_in_one_line(error))
+    if isinstance(error, MemoryError | OverflowError):
+        return f"a number is too large for this machine: {said}"
+    return said if isinstance(error, EXPECTED) else f"{type(error).__name__}: {said}"
 
 
 def _in_options(message: str) -> str:

@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-import shutil
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from splitband.cli import given, options, showing
-from splitband.cli.simulators import each_with_simulator, tests_with_simulator, with_simulator
+from splitband.cli.comparing import Request, Task, arguments, carried_out, prepared, save
 from splitband.data import Trajectory
 from splitband.evaluation.api import Comparison
-from splitband.evaluation.api import compare as compare_forecasters
-from splitband.evaluation.comparison import check
-from splitband.evaluation.runs import Work
-from splitband.evaluation.selection import WORTH_TRAINING, check_trial
-from splitband.evaluation.setup import Setup, default_names, usual_names
+from splitband.evaluation.selection import WORTH_TRAINING
+from splitband.evaluation.setup import Setup, default_names
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT
-from splitband.forecasters.names import BASES, CALIBRATED, HYBRIDS, NAMES, with_base, with_variants
+from splitband.forecasters.names import HYBRIDS, NAMES
 from splitband.paper.settings import RECORD_SETTINGS, SAMPLE_FREQUENCY
-from splitband.report import results
-from splitband.runtime.files import CHECKPOINTS, output_folder
-from splitband.runtime.threads import available_cores
 
 
 @options.with_groups
@@ -78,36 +71,11 @@ def compare(
 
     --calibrate and --conditioned add rows: each method that can be is also run that way.
     """
-    trajectory = given.load_record(record, reading)
-    hybrid = simulator.simulator is not None or trajectory.y_sim is not None
-    by_default = default_names(hybrid, trajectory.nu > 0)
-    asked = by_default if methods is None else given.method_names(methods)
-    chosen = with_variants(asked, calibrate, conditioned)
-    based = simulator.simulator in BASES
-    if simulator.simulator in BASES:
-        chosen = with_base(chosen, simulator.simulator)
-    beyond = any(CALIBRATED in method for method in chosen)
-    trajectory = with_simulator(trajectory, simulator, reading, beyond=beyond)
-    tested = bool(testing.test)
-    setup = given.setup(
-        record, trajectory, train, model, chosen, 1 - tested, tested, jobs or available_cores()
-    )
-    if methods is None and not based:
-        chosen = with_variants(usual_names(trajectory, setup), calibrate, conditioned)
-    if horizon is not None:
-        if setup.train + horizon > len(trajectory):
-            raise ValueError(
-                f"--horizon must end within the record: at most {len(trajectory) - setup.train} "
-                f"samples after the {setup.train} of --train, got {horizon}"
-            )
-        trajectory = trajectory[: setup.train + horizon]
-    others = given.load_further(further.more, "--more", trajectory, reading)
-    others = each_with_simulator(others, chosen, further, simulator, reading)
-    tests = tests_with_simulator(
-        given.load_further(testing.test, "--test", trajectory, reading), testing, simulator, reading
-    )
-    task = Task(trajectory, chosen, setup, others, tests, model.device)
-    _compare(context, task, seeds, jobs, out)
+    request = Request(
+        record, reading, simulator, further, testing, model,
+        train, horizon, methods, seeds, jobs, calibrate, conditioned,
+    )  # fmt: skip
+    _compare(context, prepared(request), seeds, jobs, out)
 
 
 @options.with_groups
@@ -128,51 +96,12 @@ def demo(
     _compare(context, Task(record, methods, setup, [], [], "cpu"), 1, jobs, out)
 
 
-@dataclass(frozen=True, eq=False)
-class Task:
-    """What is to be compared on what.
-
-    Attributes
-    ----------
-    record, setup : See `evaluation.api.compare`.
-    names : Of the methods.
-    others : Further records to train on.
-    tests : Records to test on.
-    device : Of the networks.
-    """
-
-    record: Trajectory
-    names: list[str]
-    setup: Setup
-    others: list[Trajectory]
-    tests: list[Trajectory]
-    device: str
-
-
 def _compare(
     context: typer.Context, task: Task, seeds: int | None, jobs: int | None, out: Path
 ) -> None:
-    record, setup, others, tests = task.record, task.setup, task.others, task.tests
-    methods = [given.on_device(setup.forecaster(name), task.device) for name in task.names]
-    given.check_needs(methods, record)
-    check(record, methods, setup, others, tests)
-    check_trial(record, methods, setup, others)
-    output_folder(out)
-    with showing.progress() as progress:
-        work = Work(jobs or available_cores(), progress, out / CHECKPOINTS)
-        result = compare_forecasters(
-            record,
-            methods=methods,
-            others=others,
-            tests=tests,
-            seeds=seeds,
-            setup=setup,
-            work=work,
-        )
-    arguments = {k: str(v) if isinstance(v, Path) else v for k, v in context.params.items()}
-    facts: dict[str, Any] = {"command": context.info_name, "arguments": arguments}
-    results.save(result, out, facts)
-    shutil.rmtree(out / CHECKPOINTS)
+    result = carried_out(task, seeds, jobs, out)
+    facts = {"command": context.info_name, "arguments": arguments(context.params)}
+    save(result, out, facts)
     _say(result, task.names, out)
 
 

@@ -303,6 +303,16 @@ def _search(options: ModelOptions, cores: int) -> Search | None:
     return replace(search, core_seconds=reference_seconds(seconds(options.budget), cores))
 
 
+def check_model_options(options: ModelOptions) -> None:
+    """Raise ValueError for what would be wrong with any record."""
+    _search(options, 1)
+    _with_hidden(Sizes(), options)
+    if options.lr_milestones is not None:
+        _milestones(options.lr_milestones)
+    if options.device != "cpu":
+        _check_device(options.device)
+
+
 def seconds(duration: str) -> float:
     """Of a duration such as 90s, 10m or 1h; raises ValueError for another text."""
     number, unit = duration.strip()[:-1], duration.strip()[-1:].lower()

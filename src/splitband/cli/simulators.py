@@ -233,8 +233,7 @@ def opened_simulator(
     """What --simulator names; of a file with the columns that --simulator-columns chooses."""
     text, timeout = options.simulator or "", options.simulator_timeout
     columns = names(options.simulator_columns or "")
-    file, _, function = text.partition(".py:")
-    file += ".py" if function else ""
+    file, function = parts_of(text)
     if text in SIMULATORS:
         return SIMULATORS[text]()
     if text.endswith(".py"):
@@ -249,6 +248,12 @@ def opened_simulator(
     if text.lower().endswith(".fmu"):
         return Isolated(file, outputs=tuple(columns), timeout=timeout)
     return _exported(text, record, columns, time_column)
+
+
+def parts_of(simulator: str) -> tuple[str, str]:
+    """The file of a simulator, and the function of FILE.py:FUNCTION or an empty text."""
+    file, _, function = simulator.partition(".py:")
+    return file + (".py" if function else ""), function
 
 
 def _times(grid: Grid) -> str:

@@ -20,18 +20,19 @@ from splitband.evaluation.api import Comparison, Forecast
 from splitband.evaluation.comparison import Run, by_channel
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.prediction import time_header
+from splitband.metrics import rmse
 from splitband.report import pictures
 from splitband.runtime.files import output_folder, replacing, write_json
 
 
 def save(comparison: Comparison, folder: Path, facts: dict[str, Any] | None = None) -> None:
-    """Write results.json, predictions.csv and the pictures of a comparison.
+    """Write predictions.csv, the pictures and last results.json of a comparison.
 
-    `facts` go into results.json before the others.
+    Where results.json is there, so is the rest. `facts` go into it before the others.
     """
     record, setup = comparison.record, comparison.setup
     output_folder(folder)
-    write_json(folder / "results.json", (facts or {}) | results(comparison))
+    found = (facts or {}) | results(comparison)
     with replacing(folder / "predictions.csv") as temporary:
         predictions(comparison).to_csv(temporary, index=False)
     pictures.save(pictures.rollouts(comparison), folder / "rollouts.png")
@@ -41,6 +42,7 @@ def save(comparison: Comparison, folder: Path, facts: dict[str, Any] | None = No
     pictures.save(spectrum, folder / "spectrum.png")
     if any(runs[0].from_start.components for runs in comparison.runs.values()):
         pictures.save(pictures.components(comparison), folder / "components.png")
+    write_json(folder / "results.json", found)
 
 
 def results(comparison: Comparison) -> dict[str, Any]:
@@ -54,6 +56,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
             "sampling_time": record.sampling_time,
             "start": as_json(record.start),
             "columns": list(record.columns),
+            "deviation": deviation(record),
             "inputs": record.nu,
             "gaps": 0 if record.measured is None else int((~record.complete).sum()),
             "truth": "measured" if record.y_true is None else "noise-free",
@@ -76,6 +79,13 @@ def results(comparison: Comparison) -> dict[str, Any]:
         | {name: {"failed": reason} for name, reason in trial.failed.items()},
         "environment": environment(),
     }
+
+
+def deviation(record: Trajectory) -> float:
+    """The RMSE of the record's own mean, all channels as in `metrics.rmse`: 0 for constant ones."""
+    y = record.seen
+    varies = np.nanmax(y, axis=0) > np.nanmin(y, axis=0)
+    return rmse(y[:, varies], np.broadcast_to(np.nanmean(y[:, varies], axis=0), y[:, varies].shape))
 
 
 def predictions(comparison: Comparison) -> pd.DataFrame:

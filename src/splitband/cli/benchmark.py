@@ -1,0 +1,181 @@
+"""`splitband benchmark`."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from splitband.cli import given, in_words, options, showing
+from splitband.cli.cases import COLUMNS, OVERALL, Case, read_cases
+from splitband.cli.comparing import Request, arguments, carried_out, prepared, save
+from splitband.forecasters.names import NAMES
+from splitband.report import benchmark as report
+from splitband.report import pictures, results
+from splitband.runtime.files import CHECKPOINTS, output_folder, replacing, write_json
+
+
+@options.with_groups
+def benchmark(
+    context: typer.Context,
+    listed: Annotated[
+        Path,
+        typer.Argument(
+            metavar="LIST",
+            help=f"A CSV file with a row for each case and columns out of {', '.join(COLUMNS)}; "
+            "only record must be there.",
+            show_default=False,
+        ),
+    ],
+    model: options.ModelOptions,
+    methods: Annotated[
+        str | None,
+        typer.Option(
+            help=f"What to compare, separated by commas, out of {', '.join(NAMES)}.",
+            show_default="for each case what `compare` takes",
+        ),
+    ] = None,
+    seeds: options.Seeds = None,
+    jobs: options.Jobs = None,
+    out: Annotated[
+        Path, typer.Option(help="Folder for the table, and for a folder for each case.")
+    ] = Path("benchmark"),
+    calibrate: options.Calibrate = False,
+    conditioned: options.Conditioned = False,
+) -> None:
+    """Compare models of many records, and put them into one table.
+
+    A row of LIST is a case, which is compared as by `splitband compare`; the columns are options of
+    that command. Files are relative to the list's folder; several of them (test, more and their
+    simulators) are separated by ";". A case is called by its name, or after its record. The options
+    of this command hold for all cases; a warm-up in the list comes before --warmup.
+
+    OUT/NAME has for each case what `compare` writes. The table over all of them (table.csv,
+    results.json, cases.png) has the error of the recommended method, on the test records where
+    there are any, else of the forecast, as a multiple of the record's standard deviation; which
+    method was the best; the regret, which is the recommended method's error over the best one's;
+    and how much of the forecast was in its interval.
+
+    A case that fails has a row that says why. Given again, the command goes on: cases whose results
+    are there, of the same options and files, are not computed again.
+    """
+    request = Request(
+        "", model=model, methods=methods, seeds=seeds, jobs=jobs,
+        calibrate=calibrate, conditioned=conditioned,
+    )  # fmt: skip
+    cases = read_cases(listed, request)
+    if methods is not None:
+        given.method_names(methods)
+    given.check_model_options(model)
+    output_folder(out)
+    rows = []
+    for number, case in enumerate(cases, 1):
+        row = _row(case, out / case.name)
+        showing.console.print(f"{number} of {len(cases)}, {case.name}: {_in_short(row)}")
+        rows.append(row)
+    _save(rows, out, {"command": context.info_name, "arguments": arguments(context.params)})
+    _say(rows, out)
+
+
+def _row(case: Case, folder: Path) -> report.Row:
+    """The result of a case that is there, or that is computed now."""
+    try:
+        identity = case.identity()
+        found = _finished(case.name, folder, identity)
+        if found is not None:
+            return found
+        began = time.perf_counter()
+        request = case.request
+        result = carried_out(prepared(request), request.seeds, request.jobs, folder, case.name)
+        seconds = time.perf_counter() - began
+        save(result, folder, {"command": "benchmark", **identity, "seconds": seconds})
+        return report.Row.of(case.name, _read(folder))
+    except Exception as error:  # whatever is wrong with one case, the others go on
+        return report.Row(case.name, failed=in_words(error))
+
+
+def _finished(name: str, folder: Path, identity: dict[str, Any]) -> report.Row | None:
+    """The row of a case whose results are there; None where they are others', or damaged."""
+    try:
+        facts = _read(folder)
+        if not json.loads(json.dumps(identity)).items() <= facts.items():
+            return None
+        row = report.Row.of(name, facts)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+    # They are still there where the command was killed just before it removed them.
+    shutil.rmtree(folder / CHECKPOINTS, ignore_errors=True)
+    return row
+
+
+def _read(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    return found
+
+
+def _save(rows: Sequence[report.Row], out: Path, facts: dict[str, Any]) -> None:
+    results_file, table_file, picture_file = (out / name for name in OVERALL)
+    with replacing(table_file) as temporary:
+        report.table(rows).to_csv(temporary)
+    pictures.save(report.picture(rows), picture_file)
+    facts |= {"summary": report.summary(rows), "cases": [row.as_json() for row in rows]}
+    write_json(results_file, facts | {"environment": results.environment()})
+
+
+def _say(rows: Sequence[report.Row], out: Path) -> None:
+    showing.console.print(_table(rows))
+    found = report.summary(rows)
+    if found["failed"] == found["cases"]:
+        raise ValueError(f"no case could be compared; {rows[0].name}: {rows[0].failed}")
+    said = [
+        f"the recommended method was the best one in {found['recommended_is_best']} of "
+        f"{found['with_regret']}"
+    ]
+    for what, key in (
+        ("median regret", "median_regret"),
+        ("worst regret", "worst_regret"),
+        ("median error", "median_error"),
+    ):
+        said += [] if found[key] is None else [f"{what} {found[key]:.3g}"]
+    said += [f"{found['failed']} failed"] if found["failed"] else []
+    showing.console.print("; ".join(said))
+    showing.console.print(f"results, table and picture: {out}/, and of each case in its folder")
+
+
+def _table(rows: Sequence[report.Row]) -> Table:
+    table = Table(
+        title="errors of the mean over seeds, as multiples of each record's standard deviation",
+        title_justify="left",
+        title_style="bold",
+    )
+    table.add_column("case", overflow="fold")
+    for heading in ("of", "recommended", "best"):
+        table.add_column(heading)
+    for heading in ("error", "regret", "in interval", "seconds"):
+        table.add_column(heading, justify="right")
+    table.add_column("", style="dim")
+    for row in rows:
+        table.add_row(
+            row.name, row.protocol, row.recommended, row.best,
+            _number(row.error), _number(row.regret),
+            "-" if row.held is None else f"{row.held:.0%}",
+            "-" if row.seconds is None else f"{row.seconds:.0f}",
+            row.note,
+        )  # fmt: skip
+    return table
+
+
+def _in_short(row: report.Row) -> str:
+    if row.failed:
+        return row.note
+    return f"{row.recommended}, error {_number(row.error)}, {row.seconds:.0f} s"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"

@@ -1,0 +1,230 @@
+"""The list of `splitband benchmark`: a row is a case, a column an option of `compare`."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import math
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, get_args
+
+from splitband.cli.comparing import Request, arguments
+from splitband.cli.options import FurtherRecords, RecordOptions, SimulatorOptions, TestRecords
+from splitband.cli.simulators import parts_of
+from splitband.data.gaps import Gaps
+from splitband.forecasters.names import BASES
+from splitband.paper.systems import RECORDS, SIMULATORS
+
+COLUMNS = (
+    "record", "name", "columns", "inputs", "time_column", "sampling_time", "gaps", "train",
+    "warmup", "test", "test_simulator", "more", "more_simulator", "simulator", "simulator_columns",
+)  # fmt: skip
+_SEVERAL = {"test", "test_simulator", "more", "more_simulator"}
+_NAMED: dict[str, Collection[str]] = {
+    "record": RECORDS, "test": (), "more": (),
+    **dict.fromkeys(("simulator", "test_simulator", "more_simulator"), (*SIMULATORS, *BASES)),
+}  # fmt: skip
+"""Columns of files, and what may stand there that is none."""
+OVERALL = ("results.json", "table.csv", "cases.png")
+"""What lies beside the folders of the cases."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A row of the list.
+
+    Attributes
+    ----------
+    name : Of the case, and of its folder.
+    request : What is to be compared; its files as they are opened.
+    listed : The same; its files as they stand in the list.
+    files : Each file as it stands in the list, and where it is.
+    """
+
+    name: str
+    request: Request
+    listed: Request
+    files: Mapping[str, Path]
+
+    def identity(self) -> dict[str, Any]:
+        """What decides the numbers of a comparison: its options, and the content of its files.
+
+        `--jobs` is none of it, as the numbers do not depend on it but for rounding.
+        """
+        values: dict[str, Any] = {}
+        for field in fields(self.listed):
+            value = getattr(self.listed, field.name)
+            values |= asdict(value) if is_dataclass(value) else {field.name: value}  # type: ignore[arg-type]
+        del values["jobs"]
+        digests = {
+            listed: hashlib.sha256(path.read_bytes()).hexdigest()
+            for listed, path in self.files.items()
+        }
+        return {"arguments": arguments(values), "files": digests}
+
+
+def read_cases(path: Path, shared: Request) -> list[Case]:
+    """The cases of a CSV file, checked before anything is computed.
+
+    Parameters
+    ----------
+    path : Files in it are relative to its folder.
+    shared : What holds for all cases; its record is not looked at.
+
+    Raises
+    ------
+    ValueError
+        For a column that is unknown, a value that cannot be, a file that is missing, two cases of
+        one name and a list of none; the message names row, column, rule and value.
+    """
+    if not path.is_file():
+        raise ValueError(f"LIST must be a CSV file with a row for each case, got {path}")
+    cases: dict[str, Case] = {}
+    rows: dict[str, int] = {}
+    for row, cells in _rows(path):
+        where = f"{path}, row {row}"
+        case = _case(where, cells, path.parent, shared)
+        key = case.name.casefold()  # as some file systems compare names of folders
+        if key in cases:
+            raise ValueError(
+                f"{where}, column name: must differ from that of row {rows[key]} (without a name a "
+                f"case is called after its record), got {case.name}"
+            )
+        cases[key], rows[key] = case, row
+    if not cases:
+        raise ValueError(f"{path}: must have a row for each case below its header, got none")
+    return [*cases.values()]
+
+
+def _rows(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
+    """The number of each row, of which the header is 1, and its cells that are not empty."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as opened:
+            reader = csv.reader(opened, strict=True)
+            header = [cell.strip() for cell in next(reader, [])]
+            _check_header(path, header)
+            for cells in reader:
+                values = [cell.strip() for cell in cells]
+                if len(values) > len(header):
+                    raise ValueError(
+                        f"{path}, row {reader.line_num}: must have a cell for each of the "
+                        f"{len(header)} columns, one with commas in quotes, got {len(values)}"
+                    )
+                if any(values):
+                    named = zip(header, values, strict=False)
+                    yield reader.line_num, {name: value for name, value in named if value}
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise ValueError(f"LIST must be a CSV file in UTF-8, got {path}: {error}") from None
+
+
+def _check_header(path: Path, header: list[str]) -> None:
+    for i, name in enumerate(header):
+        if name not in COLUMNS or name in header[:i]:
+            rule = "there once" if name in COLUMNS else f"one of {', '.join(COLUMNS)}"
+            raise ValueError(f"{path}, row 1, column {i + 1}: must be {rule}, got {name}")
+    if "record" not in header:
+        raise ValueError(
+            f"{path}, row 1: must have a column record, got {', '.join(header) or 'nothing'}"
+        )
+
+
+def _case(where: str, cells: Mapping[str, str], folder: Path, shared: Request) -> Case:
+    if "record" not in cells:
+        raise ValueError(f"{where}, column record: must be a file or a named record, got nothing")
+    values, files = {}, {}
+    for column, cell in cells.items():
+        try:
+            values[column] = _value(column, cell)
+            for listed in _files(column, cell):
+                files[listed] = folder / listed
+                if not files[listed].is_file():
+                    raise ValueError(f"must be a file{_or_named(column)}")
+        except ValueError as error:
+            raise ValueError(f"{where}, column {column}: {error}, got {cell}") from None
+    name = values.pop("name", Path(cells["record"]).stem)
+    if name.startswith(".") or set(name) & set('/\\:*?"<>|\0') or name.casefold() in OVERALL:
+        raise ValueError(
+            f"{where}, column name: must be the name of a folder, without a dot before it, and "
+            f"none of {', '.join(OVERALL)}, got {name}"
+        )
+
+    def opened(column: str, value: str) -> str:
+        return value if value in _NAMED[column] else str(folder / value)
+
+    return Case(
+        name,
+        _request(values, shared, opened),
+        _request(values, shared, lambda _column, value: value),
+        files,
+    )
+
+
+def _value(column: str, cell: str) -> Any:
+    """A cell as the option of its column takes it."""
+    if column in _SEVERAL:
+        return [part.strip() for part in cell.split(";") if part.strip()]
+    if column in ("train", "warmup"):
+        try:
+            return int(cell)
+        except ValueError:
+            raise ValueError("must be a whole number") from None
+    if column == "sampling_time":
+        try:
+            seconds = float(cell)
+        except ValueError:
+            seconds = math.nan
+        if not 0 < seconds < math.inf:
+            raise ValueError("must be a number of seconds above 0")
+        return seconds
+    if column == "gaps" and cell not in get_args(Gaps):
+        raise ValueError(f"must be one of {', '.join(get_args(Gaps))}")
+    return cell
+
+
+def _files(column: str, cell: str) -> list[str]:
+    """The files that a cell names."""
+    if column not in _NAMED:
+        return []
+    each = _value(column, cell) if column in _SEVERAL else [cell]
+    files = [value for value in each if value not in _NAMED[column]]
+    return [parts_of(value)[0] if "simulator" in column else value for value in files]
+
+
+def _or_named(column: str) -> str:
+    named = _NAMED[column]
+    function = ", FILE.py:FUNCTION" if "simulator" in column else ""
+    return f"{function} or one of {', '.join(named)}" if named else ""
+
+
+def _request(
+    values: Mapping[str, Any], shared: Request, opened: Callable[[str, str], str]
+) -> Request:
+    """The options of a case; each of its files is turned into what is `opened`."""
+    placed: dict[str, Any] = {
+        column: value
+        if column not in _NAMED
+        else [opened(column, each) for each in value]
+        if column in _SEVERAL
+        else opened(column, value)
+        for column, value in values.items()
+    }
+    groups = {
+        "reading": RecordOptions,
+        "simulator": SimulatorOptions,
+        "further": FurtherRecords,
+        "testing": TestRecords,
+    }
+    chosen: dict[str, Any] = {
+        name: replace(
+            getattr(shared, name),
+            **{f.name: placed[f.name] for f in fields(group) if f.name in placed},
+        )
+        for name, group in groups.items()
+    }
+    if "warmup" in placed:
+        chosen["model"] = replace(shared.model, warmup=placed["warmup"])
+    return replace(
+        shared, record=placed["record"], train=placed.get("train", shared.train), **chosen
+    )

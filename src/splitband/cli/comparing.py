@@ -1,0 +1,137 @@
+"""From the options of a comparison to its results, for every command that compares."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from splitband.cli import given, options, showing
+from splitband.cli.simulators import each_with_simulator, tests_with_simulator, with_simulator
+from splitband.data import Trajectory
+from splitband.evaluation.api import Comparison
+from splitband.evaluation.api import compare as compare_forecasters
+from splitband.evaluation.comparison import check
+from splitband.evaluation.runs import Work
+from splitband.evaluation.selection import check_trial
+from splitband.evaluation.setup import Setup, default_names, usual_names
+from splitband.forecasters.names import BASES, CALIBRATED, with_base, with_variants
+from splitband.report import results
+from splitband.runtime.files import CHECKPOINTS, output_folder
+from splitband.runtime.threads import available_cores
+
+
+@dataclass(frozen=True)
+class Request:
+    """The options of `splitband compare`, but for where its results go."""
+
+    record: str
+    reading: options.RecordOptions = field(default_factory=options.RecordOptions)
+    simulator: options.SimulatorOptions = field(default_factory=options.SimulatorOptions)
+    further: options.FurtherRecords = field(default_factory=options.FurtherRecords)
+    testing: options.TestRecords = field(default_factory=options.TestRecords)
+    model: options.ModelOptions = field(default_factory=options.ModelOptions)
+    train: int | None = None
+    horizon: int | None = None
+    methods: str | None = None
+    seeds: int | None = None
+    jobs: int | None = None
+    calibrate: bool = False
+    conditioned: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What is to be compared on what.
+
+    Attributes
+    ----------
+    record, setup : See `evaluation.api.compare`.
+    names : Of the methods.
+    others : Further records to train on.
+    tests : Records to test on.
+    device : Of the networks.
+    """
+
+    record: Trajectory
+    names: list[str]
+    setup: Setup
+    others: list[Trajectory]
+    tests: list[Trajectory]
+    device: str
+
+
+def prepared(request: Request) -> Task:
+    """The records and simulators that the options name, and the settings they come to."""
+    reading, simulator = request.reading, request.simulator
+    trajectory = given.load_record(request.record, reading)
+    hybrid = simulator.simulator is not None or trajectory.y_sim is not None
+    by_default = default_names(hybrid, trajectory.nu > 0)
+    asked = by_default if request.methods is None else given.method_names(request.methods)
+    chosen = with_variants(asked, request.calibrate, request.conditioned)
+    based = simulator.simulator in BASES
+    if simulator.simulator in BASES:
+        chosen = with_base(chosen, simulator.simulator)
+    beyond = any(CALIBRATED in method for method in chosen)
+    trajectory = with_simulator(trajectory, simulator, reading, beyond=beyond)
+    tested = bool(request.testing.test)
+    cores = request.jobs or available_cores()
+    setup = given.setup(
+        request.record, trajectory, request.train, request.model, chosen, 1 - tested, tested, cores
+    )
+    if request.methods is None and not based:
+        usual = usual_names(trajectory, setup)
+        chosen = with_variants(usual, request.calibrate, request.conditioned)
+    if request.horizon is not None:
+        if setup.train + request.horizon > len(trajectory):
+            raise ValueError(
+                f"--horizon must end within the record: at most {len(trajectory) - setup.train} "
+                f"samples after the {setup.train} of --train, got {request.horizon}"
+            )
+        trajectory = trajectory[: setup.train + request.horizon]
+    others = given.load_further(request.further.more, "--more", trajectory, reading)
+    others = each_with_simulator(others, chosen, request.further, simulator, reading)
+    tests = given.load_further(request.testing.test, "--test", trajectory, reading)
+    tests = tests_with_simulator(tests, request.testing, simulator, reading)
+    return Task(trajectory, chosen, setup, others, tests, request.model.device)
+
+
+def carried_out(
+    task: Task, seeds: int | None, jobs: int | None, out: Path, label: str = "training"
+) -> Comparison:
+    """The comparison; what is cut off goes on from checkpoints in the folder `out`.
+
+    `label` stands beside the progress bar.
+    """
+    record, setup, others, tests = task.record, task.setup, task.others, task.tests
+    methods = [given.on_device(setup.forecaster(name), task.device) for name in task.names]
+    given.check_needs(methods, record)
+    check(record, methods, setup, others, tests)
+    check_trial(record, methods, setup, others)
+    output_folder(out)
+    with showing.progress(label) as progress:
+        return compare_forecasters(
+            record,
+            methods=methods,
+            others=others,
+            tests=tests,
+            seeds=seeds,
+            setup=setup,
+            work=Work(jobs or available_cores(), progress, out / CHECKPOINTS),
+        )
+
+
+def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> None:
+    """Write the results, `facts` first, in place of the checkpoints."""
+    results.save(comparison, out, dict(facts))
+    shutil.rmtree(out / CHECKPOINTS)
+
+
+def arguments(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of options as JSON can hold them."""
+    return {
+        name: str(value) if isinstance(value, Path) else "auto" if value == options.AUTO else value
+        for name, value in values.items()
+    }

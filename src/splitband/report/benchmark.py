@@ -1,0 +1,188 @@
+"""What comparisons of many records come to: a row each, a table and a picture of all."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+MOST_NAMED = 120
+"""Cases whose names still fit beside a picture."""
+FAR = 10.0
+"""A regret from which on the picture's axis is logarithmic, or it would hide the others."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """What the comparison of one case came to.
+
+    Errors are RMSE of the mean over seeds, as multiples of the record's standard deviation: 1 is
+    as good as the record's mean.
+
+    Attributes
+    ----------
+    name : Of the case.
+    protocol : "test" where there are test records, of which an error is the mean; else "forecast".
+    recommended : The method chosen by training samples alone.
+    error : Its error; None where it has none: it was not tested, or the record is constant.
+    best : The method with the lowest error, which only the predicted samples show.
+    best_error : Its error.
+    held : Share of the forecast's measured samples in the recommended method's interval, 0 to 1;
+        None where nothing was forecast.
+    seconds : The comparison took, in the call that finished it.
+    failed : Why there is no comparison; empty where there is one.
+    """
+
+    name: str
+    protocol: str = ""
+    recommended: str = ""
+    error: float | None = None
+    best: str = ""
+    best_error: float | None = None
+    held: float | None = None
+    seconds: float | None = None
+    failed: str = ""
+
+    @property
+    def regret(self) -> float | None:
+        """How many times the best method's error the recommended one has; 1 is ideal.
+
+        None where one is missing, or only the best one is 0.
+        """
+        if self.error is None or self.best_error is None:
+            return None
+        if self.error == self.best_error:
+            return 1.0
+        return self.error / self.best_error if self.best_error else None
+
+    @classmethod
+    def of(cls, name: str, facts: Mapping[str, Any]) -> Row:
+        """From what is in a comparison's results.json, and `seconds` beside it.
+
+        Raises
+        ------
+        KeyError
+            Where something is missing there.
+        """
+        protocol = "test" if facts.get("tests") else "forecast"
+        methods, chosen = facts["methods"], facts["recommended"]
+        deviation = facts["record"]["deviation"]
+        errors = {
+            method: error / deviation
+            for method, of_method in methods.items()
+            if deviation and (error := _error(of_method, protocol)) is not None
+        }
+        best = min(errors, key=lambda method: errors[method], default="")
+        return cls(
+            name,
+            protocol,
+            chosen,
+            errors.get(chosen),
+            best,
+            errors.get(best),
+            methods[chosen]["interval"].get("covers"),
+            facts["seconds"],
+        )
+
+    @property
+    def note(self) -> str:
+        """What stands in place of numbers that are missing."""
+        if self.failed:
+            return f"failed: {self.failed}"
+        if self.protocol == "test" and self.error is None:
+            return f"{self.recommended} was not tested: see the case's own results"
+        return ""
+
+    def as_json(self) -> dict[str, Any]:
+        """For results.json and a line of table.csv."""
+        return {**vars(self), "regret": self.regret}
+
+
+def _error(facts: Mapping[str, Any], protocol: str) -> float | None:
+    """A method's error in its record's unit; None where it has none."""
+    mean = facts.get("mean_of_seeds") or {}
+    if protocol == "test":
+        return statistics.mean(mean["test_rmse"]) if mean.get("test_rmse") else None
+    alone = facts.get("forecast_rmse")
+    found = mean.get("forecast_rmse", alone[0] if alone else None)
+    return None if found is None else float(found)
+
+
+def table(rows: Sequence[Row]) -> pd.DataFrame:
+    """A line for each case, as in table.csv."""
+    return pd.DataFrame([row.as_json() for row in rows]).set_index("name")
+
+
+def summary(rows: Sequence[Row]) -> dict[str, Any]:
+    """Medians over all cases that have the number in question; None where none has."""
+    done = [row for row in rows if not row.failed]
+    return {
+        "cases": len(rows),
+        "failed": len(rows) - len(done),
+        "with_regret": sum(row.regret is not None for row in done),
+        "recommended_is_best": sum(row.regret == 1 for row in done),
+        "median_error": _median([row.error for row in done]),
+        "median_regret": _median([row.regret for row in done]),
+        "worst_regret": max((r for row in done if (r := row.regret) is not None), default=None),
+        "median_held": _median([row.held for row in done]),
+    }
+
+
+def _median(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return statistics.median(known) if known else None
+
+
+def picture(rows: Sequence[Row]) -> Figure:
+    """Errors of the recommended and of the best method, and the regret; a line for each case."""
+    few = len(rows) <= MOST_NAMED
+    height = max(1.6 + 0.24 * len(rows), 3.0) if few else 14.0
+    figure = Figure(figsize=(12, height), layout="constrained")
+    errors, regrets = figure.subplots(1, 2, sharey=True, width_ratios=[3, 2])
+    _draw_errors(errors, rows, 6 if few else 3)
+    _draw_regrets(regrets, rows, 5 if few else 3)
+    if few:
+        names = [f"{row.name} (failed)" if row.failed else row.name for row in rows]
+        errors.set_yticks(
+            range(len(rows)), [name.replace("$", r"\$") for name in names], fontsize=8
+        )
+    else:
+        errors.set_ylabel("case, in the order of the list")
+    errors.set_ylim(len(rows) - 0.5, -0.5)
+    for ax in (errors, regrets):
+        ax.axvline(1, color="0.4", ls=":", lw=1)
+        ax.grid(True, axis="x", which="both", color="0.93", lw=0.6)
+        ax.set_axisbelow(True)
+    return figure
+
+
+def _draw_errors(ax: Axes, rows: Sequence[Row], size: int) -> None:
+    for label, color, marker, values in (
+        ("best", "0.6", "D", [row.best_error for row in rows]),
+        ("recommended", "#0072B2", "o", [row.error for row in rows]),
+    ):
+        # Nothing is drawn of an error of 0, for which a logarithmic axis has no place.
+        known = [(value, at) for at, value in enumerate(values) if value]
+        x, y = [value for value, _ in known], [at for _, at in known]
+        ax.plot(x, y, marker, ms=size, color=color, label=label)
+    ax.set_xscale("log")
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.set_xlabel("RMSE over the record's deviation (dotted: as good as its mean)")
+    ax.legend(fontsize=8, ncols=2, loc="lower left", bbox_to_anchor=(0, 1))
+
+
+def _draw_regrets(ax: Axes, rows: Sequence[Row], size: int) -> None:
+    known = [(regret, at) for at, row in enumerate(rows) if (regret := row.regret) is not None]
+    x, y = [regret for regret, _ in known], [at for _, at in known]
+    worst = max(x, default=1.0)
+    ax.hlines(y, 1, x, color="#D55E00", lw=1.5)
+    ax.plot(x, y, "o", ms=size, color="#D55E00")
+    if worst > FAR:
+        ax.set_xscale("log")
+    ax.set_xlim(0.95, max(1.5, 1.1 * worst))
+    ax.set_xlabel("regret: recommended over best")
