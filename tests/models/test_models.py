@@ -76,7 +76,7 @@ def test_a_prediction_sees_the_samples_of_its_warm_up_and_no_other(method: str, 
 
 @pytest.mark.parametrize("method", [m for m in METHODS if "rnn" not in m])
 def test_no_method_learns_from_samples_after_the_training_part(method: Any) -> None:
-    given, later = record(nu=1 if method == "linear" else 0), TRAIN + 5
+    given, later = record(nu=1 if "linear" in method else 0), TRAIN + 5
     expected = asked(method, given, SETUP, later=[later]).predictions
     found = asked(method, with_other_samples(given, TRAIN), SETUP).predictions
     for origin in (first_origin(given, TRAIN, WARMUP), Origin(TRAIN, TRAIN)):
