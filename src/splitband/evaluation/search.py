@@ -4,8 +4,8 @@ Not in the paper. The first network is trained in several ways for a short time;
 them is trained for four times as long, and so on (successive halving: Jamieson and Talwalkar,
 2016), until longer training makes the errors larger or the budget is used up. The other networks
 are trained in the two ways that gave the first one its lowest errors, and likewise for longer. The
-result depends on the record and the budget, not on the machine: costs are counted in seconds of a
-reference core.
+result depends on the record and the budget, not on the speed of the machine: costs are counted in
+seconds of a reference core.
 """
 
 from __future__ import annotations
