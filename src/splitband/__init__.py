@@ -7,7 +7,8 @@ if TYPE_CHECKING:
     from splitband.data import Grid, Trajectory, read
     from splitband.evaluation.api import Comparison, Forecast, compare, forecast
     from splitband.evaluation.runs import Work
-    from splitband.evaluation.setup import Setup
+    from splitband.evaluation.search import Search
+    from splitband.evaluation.setup import Setup, default_setup
     from splitband.filters import ComplementaryPair
     from splitband.forecasters.backtest import Origin, backtest
     from splitband.forecasters.bands import Bands
@@ -39,7 +40,8 @@ _MODULES = {
     "data": ("Grid", "Trajectory", "read"),
     "evaluation.api": ("Comparison", "Forecast", "compare", "forecast"),
     "evaluation.runs": ("Work",),
-    "evaluation.setup": ("Setup",),
+    "evaluation.search": ("Search",),
+    "evaluation.setup": ("Setup", "default_setup"),
     "filters": ("ComplementaryPair",),
     "forecasters.backtest": ("Origin", "backtest"),
     "forecasters.bands": ("Bands",),
@@ -91,6 +93,7 @@ __all__ = [
     "Progress",
     "Recorded",
     "Residual",
+    "Search",
     "SeasonalNaive",
     "Settings",
     "Setup",
@@ -103,6 +106,7 @@ __all__ = [
     "backtest",
     "compare",
     "cumulative_rmse",
+    "default_setup",
     "fit_percent",
     "forecast",
     "load",
