@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import signal
 from pathlib import Path
 from typing import Any
 
@@ -192,7 +191,7 @@ def test_ctrl_c_ends_in_one_line_and_the_same_command_goes_on(
 
     def interrupted(record: Any, **others: Any) -> Any:
         if again:
-            signal.raise_signal(signal.SIGINT)
+            raise KeyboardInterrupt
         again.append(len(record))
         return compare(record, **others)
 
