@@ -33,6 +33,7 @@ from splitband.evaluation.setup import default_setup
 from splitband.report.results import results
 from splitband.runtime.files import CHECKPOINTS, replacing, write_json
 
+PICTURE = "budget.png"
 CORES = 2
 """Of the reference machine, which budgets are reckoned for."""
 
@@ -152,7 +153,7 @@ def page(found: dict[str, dict[float, dict[str, Any]]], out: Path) -> str:
                 facts["recommended"],
                 *_errors(benchmark, facts),
                 str(len(facts["methods"][facts["recommended"]]["seeds"])),
-                f"{facts['seconds']:.0f}",
+                f"{facts['seconds']:.0f}{' (disturbed)' if facts.get('disturbed') else ''}",
             ]
             for minutes, facts in sorted(of_budget.items())
         ]
@@ -167,7 +168,8 @@ def page(found: dict[str, dict[float, dict[str, Any]]], out: Path) -> str:
             for minutes, facts in sorted(of_budget.items())
         ]
         parts += ["What was found (0: the default budget):", "\n".join(chosen)]
-    parts += [f"![Error over budget]({out.name}/budget.png)"]
+    if (out / PICTURE).exists():
+        parts += [f"![Error over budget]({out.name}/{PICTURE})"]
     return "\n\n".join(parts) + "\n"
 
 
@@ -210,6 +212,9 @@ def main() -> None:
     parser.add_argument("--sets", default=",".join(SETS))
     parser.add_argument("--budgets", default="0,1,2,5,10", help="minutes; 0 is the default budget")
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument(
+        "--disturbed", action="store_true", help="the machine does other work: say so of seconds"
+    )
     parser.add_argument("--out", type=Path, default=Path("docs/results/benchmarks"))
     arguments = parser.parse_args()
     out: Path = arguments.out
@@ -221,7 +226,7 @@ def main() -> None:
                 continue
             checkpoints = out / CHECKPOINTS / path.stem
             facts = measure(SETS[name], minutes, arguments.jobs, checkpoints)
-            write_json(path, facts)
+            write_json(path, facts | {"disturbed": arguments.disturbed})
             shutil.rmtree(out / CHECKPOINTS)
             print(f"{path.stem}: {facts['recommended']}", *_errors(SETS[name], facts), flush=True)
     found = {
@@ -229,7 +234,11 @@ def main() -> None:
         for name in SETS
     }
     found = {name: of_budget for name, of_budget in found.items() if of_budget}
-    draw(found, out / "budget.png")
+    several = {
+        name: of_budget for name, of_budget in found.items() if sum(map(bool, of_budget)) > 1
+    }
+    if several:
+        draw(several, out / PICTURE)
     with replacing(out.with_suffix(".md")) as temporary:
         temporary.write_text(page(found, out), encoding="utf-8")
 
