@@ -191,7 +191,7 @@ class SearchResult:
         One of each; of the good ones more, as the mean of several is better than one, as long as
         the budget lasts.
         """
-        ranked = sorted(self.costs.keys() & scores.keys(), key=lambda name: scores[name])
+        ranked = sorted([name for name in self.costs if name in scores], key=lambda n: scores[n])
         counts = dict.fromkeys(ranked, 1)
         left = self.left - sum(self.costs[name] for name in ranked)
         good = [name for name in ranked if scores[name] <= GOOD * scores[ranked[0]]]

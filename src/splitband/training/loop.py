@@ -167,12 +167,11 @@ class _Training:
         self.losses: list[float] = []
         self.restarts: list[int] = []
         """Epochs that diverged and were repeated with half the learning rate."""
-        chosen = quasi_newton.end_to_end(places.starts, settings.window, settings.warmup)
-        self.finish = (
-            quasi_newton.QuasiNewton(parameters, partial(self._mean_square, chosen))
-            if settings.quasi_newton
-            else None
-        )
+        self.finish: quasi_newton.QuasiNewton | None = None
+        if settings.quasi_newton:
+            chosen = quasi_newton.end_to_end(places.starts, settings.window, settings.warmup)
+            error = partial(self._mean_square, chosen)
+            self.finish = quasi_newton.QuasiNewton(parameters, error)
 
     @property
     def notes(self) -> list[str]:
