@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 import splitband as sb
 from splitband import Trajectory
@@ -198,6 +199,9 @@ def draw(found: dict[str, dict[float, dict[str, Any]]], path: Path) -> None:
             ylabel=f"test RMSE ({benchmark.unit})",
         )
         axis.set_xticks(budgets, [f"{minutes:g}" for minutes in budgets])
+        axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis.yaxis.set_minor_formatter(NullFormatter())
         axis.grid(alpha=0.3, which="both")
         axis.legend()
     figure.tight_layout()
