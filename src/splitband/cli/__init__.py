@@ -14,7 +14,7 @@ from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
 COMMANDS = {
-    "demo": ("compare", "Show what the package does, in under a minute."),
+    "demo": ("demo", "Show what the package does, in under a minute."),
     "compare": ("compare", "Compare models of a record with each other and with naive baselines."),
     "benchmark": ("benchmark", "Compare models of many records, and put them into one table."),
     "forecast": ("forecast", "Forecast a record beyond its end, with an interval."),

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import scipy
 
 from splitband.data import Trajectory, double_torsion, drill_string
+from splitband.data.crane import overhead_crane
 from splitband.forecasters.base import Forecaster, Known
 from splitband.simulators import Ode, Recorded, Simulator, run
 
@@ -176,6 +177,7 @@ RECORDS = {
     "double-torsion": double_torsion,
     "van-der-pol": van_der_pol,
     "drill-string": drill_string,
+    "overhead-crane": overhead_crane,
 }
 """Named records; those of the hybrid systems bring their simulator's output as `y_sim`."""
 

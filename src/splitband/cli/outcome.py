@@ -1,0 +1,73 @@
+"""What the commands that compare say of a comparison."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from splitband.cli import showing
+from splitband.data import Trajectory
+from splitband.evaluation.api import Comparison
+from splitband.evaluation.selection import WORTH_TRAINING
+from splitband.evaluation.setup import Setup
+from splitband.filters.spectrum import periodogram
+from splitband.forecasters.backtest import HELD_OUT
+from splitband.forecasters.names import HYBRIDS
+from splitband.paper.settings import RECORD_SETTINGS, SAMPLE_FREQUENCY
+
+
+def show(result: Comparison, names: list[str], out: Path) -> None:
+    """Print the table, what is recommended and why, and what to be warned of."""
+    record, setup, trial = result.record, result.setup, result.require_trial()
+    best = result.recommended
+    showing.console.print(showing.comparison(_title(record, setup), result))
+    changed = (
+        f" and for how little its forecast of what follows changed once these were known "
+        f"({trial.change(best):.3g})"
+        if setup.train < len(record)
+        else ""
+    )
+    showing.console.print(
+        f"recommended: {best}, for its forecast of the last {HELD_OUT:.0%} of the training part "
+        f"(held out: RMSE {trial.errors[best]:.3g}){changed}; a network has to be "
+        f"{WORTH_TRAINING:.0%} better than what needs no training"
+    )
+    if result.left_out:
+        showing.console.print(
+            f"not tested: {', '.join(result.left_out)}; they go on from the training record, or "
+            "need a simulator of the test record (--test-simulator)"
+        )
+    if record.ny > 1:
+        showing.console.print(f"{best}: {showing.channels(result, best)}")
+    bands = setup.bands
+    if bands.cutoff is not None and bands.downsampling is not None:
+        below = periodogram(record[: setup.train].y, record.sampling_rate).share_below(bands.cutoff)
+        showing.console.print(
+            f"cut-off {bands.cutoff:g} Hz{_papers_cutoff(record, setup)}, order {bands.order}, the "
+            f"low band kept at every {showing.ordinal(bands.downsampling)} sample: "
+            + (bands.choice.reason if bands.choice else f"{below:.0%} below")
+        )
+    unhelpful = bands.choice is not None and bands.choice.simulator_helps is False
+    if unhelpful and not set(names) & set(HYBRIDS):
+        showing.console.print("hybrid models are left out; --methods brings them back")
+    showing.warn_of_trainings(result.runs)
+    showing.warn_of_inputs(result.inputs_beyond_training, record.inputs)
+    for test, prediction in zip(result.tests, result.means[best].tests, strict=False):
+        for message in prediction.warnings:
+            showing.console.print(f"warning: {test.name}: {message}", style="yellow")
+    showing.console.print(f"results and pictures: {out}/")
+
+
+def _title(record: Trajectory, setup: Setup) -> str:
+    truth = "the noise-free signal" if record.y_true is not None else "the measurement"
+    return (
+        f"{record.name}: free-run RMSE against {truth}, {setup.train} samples to train on, "
+        f"{len(record) - setup.train} beyond"
+    )
+
+
+def _papers_cutoff(record: Trajectory, setup: Setup) -> str:
+    """The number in the paper's table, where the cut-off is the paper's."""
+    column = RECORD_SETTINGS.get(record.name)
+    if column is None or column.setup(record.sampling_rate).bands.cutoff != setup.bands.cutoff:
+        return ""
+    return f" (the paper's w = {column.cutoff:g} at f = {SAMPLE_FREQUENCY:g})"

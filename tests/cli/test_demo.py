@@ -1,0 +1,33 @@
+"""`splitband demo`, on a shorter crane and hardly trained."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from splitband.cli import demo
+from splitband.data.crane import overhead_crane
+from tests.cli.support import call, results
+
+pytestmark = pytest.mark.usefixtures("inside", "undrawn")
+
+
+def test_the_demo_tells_its_story_with_the_errors_of_its_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(demo, "overhead_crane", lambda: overhead_crane(800))
+    monkeypatch.setattr(demo, "TRAIN", 400)
+    monkeypatch.setattr(demo, "RECIPE", {"window": 60, "warmup": 10, "epochs": 1})
+    call("demo --jobs 1", tmp_path)
+    said = " ".join(capsys.readouterr().out.split())
+    found = results(tmp_path)
+    assert list(found["methods"]) == demo.METHODS
+    table = pd.read_csv(tmp_path / "predictions.csv")
+    truth = overhead_crane(800).y_true
+    assert truth is not None
+    for name in (demo.SIMULATOR, demo.NETWORK, demo.BOTH):
+        errors = table[f"load [m], {name}, forecast"].to_numpy()[400:] - truth[400:, 0]
+        first, last = (np.sqrt(np.mean(part**2)) for part in (errors[:300], errors[-300:]))
+        assert f"{name}: {first:.2f} m, then {last:.2f} m" in said
+    assert f"all of it: {found['recommended']}" in said
