@@ -6,12 +6,14 @@ import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
+
+from splitband import __version__
 
 COMMANDS = {
     "demo": ("demo", "Show what the package does, in under a minute."),
@@ -21,8 +23,10 @@ COMMANDS = {
     "fit": ("fit", "Train one model on a record and save it."),
     "simulate": ("simulate", "Simulate a saved model beyond a measured history."),
     "spectrum": ("spectrum", "Show where the power of a record lies, and what a cut-off parts."),
+    "methods": ("methods", "List what there is to choose from, and when each is worth trying."),
     "data": ("data", "The public records of the paper."),
     "paper": ("paper", "Reproduce the tables and figures of the paper."),
+    "doctor": ("doctor", "Show whether this machine has what the package needs."),
 }
 """The module of each command and a line about it; a module is loaded when its command is given."""
 
@@ -59,11 +63,23 @@ class Commands(TyperGroup):
             self.listing = False
 
 
+QUIET, JSON = "--quiet", "--json"
+"""Options of every command; they may stand before it or after it."""
+WITH_JSON = (
+    "demo", "compare", "benchmark", "forecast", "fit", "simulate", "spectrum", "methods", "doctor",
+)  # fmt: skip
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"splitband {__version__}")
+        raise typer.Exit
+
+
 app = typer.Typer(
     name="splitband",
     cls=Commands,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
@@ -71,10 +87,30 @@ app = typer.Typer(
 
 @app.callback(
     help="Learn a dynamics model from a measured record whose free-running predictions stay "
-    "accurate, in the short term and in the long."
+    "accurate, in the short term and in the long.\n\n"
+    "Exit status: 0 done, 2 bad input (one line on the error stream), 130 stopped by Ctrl-C; "
+    "another one is a defect."
 )
-def splitband() -> None:
-    """All commands; there are no options of its own."""
+def splitband(
+    context: typer.Context,
+    quiet: Annotated[
+        bool,
+        typer.Option(
+            QUIET, help="Print nothing but warnings and errors, on the error stream; no bars."
+        ),
+    ] = False,
+    json: Annotated[
+        bool, typer.Option(JSON, help="Print the results as JSON, and nothing else.")
+    ] = False,
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version)
+    ] = False,
+) -> None:
+    """What holds for every command."""
+    command = str(context.invoked_subcommand)
+    if json and command not in WITH_JSON:
+        raise ValueError(f"{JSON} must be given with one of {', '.join(WITH_JSON)}, got {command}")
+    import_module("splitband.cli.showing").say(quiet, json)
 
 
 INTERRUPTED = 130
@@ -83,7 +119,7 @@ INTERRUPTED = 130
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; bad input is one line on the error stream and exit status 2."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    given = _global_first(sys.argv[1:] if arguments is None else arguments)
     try:
         status = typer.main.get_command(app).main(
             given, prog_name="splitband", standalone_mode=False
@@ -97,6 +133,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if status == INTERRUPTED:
         _complain("stopped; no file is half written, and the same command goes on from here")
     return status if isinstance(status, int) else 0
+
+
+def _global_first(arguments: Sequence[str]) -> list[str]:
+    """The arguments, those for every command before the command."""
+    end = arguments.index("--") if "--" in arguments else len(arguments)
+    own = [word for word in arguments[:end] if word in (QUIET, JSON)]
+    rest = [word for word in arguments[:end] if word not in (QUIET, JSON)]
+    return [*own, *rest, *arguments[end:]]
 
 
 def _value(error: TyperException, given: Sequence[str]) -> str:

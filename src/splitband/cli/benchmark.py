@@ -15,7 +15,6 @@ from rich.table import Table
 from splitband.cli import given, in_words, options, showing
 from splitband.cli.cases import COLUMNS, OVERALL, Case, read_cases
 from splitband.cli.comparing import Request, arguments, carried_out, prepared, save
-from splitband.forecasters.names import NAMES
 from splitband.report import benchmark as report
 from splitband.report import pictures, results
 from splitband.runtime.files import CHECKPOINTS, output_folder, replacing, write_json
@@ -37,7 +36,7 @@ def benchmark(
     methods: Annotated[
         str | None,
         typer.Option(
-            help=f"What to compare, separated by commas, out of {', '.join(NAMES)}.",
+            help="What to compare, separated by commas; `splitband methods` lists what there is.",
             show_default="for each case what `compare` takes",
         ),
     ] = None,
@@ -146,6 +145,7 @@ def _say(rows: Sequence[report.Row], out: Path) -> None:
     said += [f"{found['failed']} failed"] if found["failed"] else []
     showing.console.print("; ".join(said))
     showing.console.print(f"results, table and picture: {out}/, and of each case in its folder")
+    showing.results_file(out / OVERALL[0])
 
 
 def _table(rows: Sequence[report.Row]) -> Table:

@@ -11,7 +11,6 @@ from splitband.cli import options
 from splitband.cli.comparing import Request, arguments, carried_out, prepared, save
 from splitband.cli.outcome import show
 from splitband.evaluation.setup import default_names
-from splitband.forecasters.names import NAMES
 
 
 @options.with_groups
@@ -35,7 +34,7 @@ def compare(
     methods: Annotated[
         str | None,
         typer.Option(
-            help=f"What to compare, separated by commas, out of {', '.join(NAMES)}.",
+            help="What to compare, separated by commas; `splitband methods` lists what there is.",
             show_default=f"{','.join(default_names(False))}; with a simulator "
             f"{','.join(default_names(True))}; with --inputs linear, too",
         ),

@@ -40,7 +40,10 @@ def fit(
     out: Annotated[
         Path, typer.Option(metavar="MODEL_DIR", help="Folder for the model.", show_default=False)
     ],
-    method: Annotated[str, typer.Option(help=f"What to train: {', '.join(FITTED)}.")] = "split-gru",
+    method: Annotated[
+        str,
+        typer.Option(help="What to train, out of what `splitband methods` lists."),
+    ] = "split-gru",
     train: Annotated[
         int | None,
         typer.Option(help="Samples at the beginning to train on.", show_default="all"),
@@ -60,8 +63,7 @@ def fit(
     """
     if calibrate or conditioned:
         method = with_variants([method], calibrate, conditioned)[-1]
-    if method not in FITTED:
-        raise ValueError(f"--method must be one of {', '.join(FITTED)}, got {method}")
+    given.check_names("--method", [method], FITTED)
     trajectory = given.load_record(record, reading)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=CALIBRATED in method)
     samples = len(trajectory) if train is None else train
@@ -115,7 +117,7 @@ def fit(
     write_json(out / "results.json", facts | outcome | {"environment": results.environment()})
     shutil.rmtree(out / CHECKPOINTS)
     for note in fitted.report.notes:
-        showing.console.print(note)
+        showing.warn(note)
     calibration = given.calibration_of(forecaster)
     showing.console.print(
         f"{method} ({forecaster.training_in_words()}) trained on {len(training)} samples in "
@@ -124,6 +126,7 @@ def fit(
         + ("" if calibration is None else f"simulator calibrated: {calibration}\n")
         + f"model: {out}/",
     )
+    showing.results_file(out / "results.json")
 
 
 def _training_error(forecaster: Forecaster) -> float:

@@ -33,7 +33,7 @@ def forecast(
     method: Annotated[
         str | None,
         typer.Option(
-            help=f"Out of {', '.join(NAMES)}.",
+            help="One of those that `splitband methods` lists.",
             show_default="the one that forecasts the record's own last quarter best",
         ),
     ] = None,
@@ -55,8 +55,7 @@ def forecast(
     known = given.load_record(record, reading)
     hybrid = simulator.simulator is not None or known.y_sim is not None
     names = default_names(hybrid, known.nu > 0) if method is None else [method]
-    if names[0] not in NAMES:
-        raise ValueError(f"--method must be one of {', '.join(NAMES)}, got {method}")
+    given.check_names("--method", names, NAMES)
     based = simulator.simulator in BASES
     if simulator.simulator in BASES:
         names, hybrid = with_base(names, simulator.simulator), False
@@ -87,6 +86,7 @@ def forecast(
     pictures.save(pictures.forecast(result), out / "forecast.png")
     shutil.rmtree(out / CHECKPOINTS)
     _say(result, steps, out)
+    showing.results_file(out / "results.json")
 
 
 def _say(result: Forecast, steps: int, out: Path) -> None:

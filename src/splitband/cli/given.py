@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, fields, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -42,10 +43,23 @@ def names(text: str) -> list[str]:
 def method_names(text: str) -> list[str]:
     """The names of an option that lists methods; raises ValueError for unknown ones."""
     asked = names(text)
-    unknown = [name for name in asked if name not in NAMES]
-    if unknown or not asked:
-        raise ValueError(f"methods must be out of {', '.join(NAMES)}, got {', '.join(unknown)}")
+    check_names("--methods", asked, NAMES)
     return asked
+
+
+def check_names(option: str, asked: Sequence[str], possible: Iterable[str]) -> None:
+    """Raise ValueError, with what may have been meant, unless all that is asked for is possible."""
+    possible = [*possible]
+    unknown = [name for name in asked if name not in possible]
+    if not unknown and asked:
+        return
+    meant = [close for name in unknown for close in get_close_matches(name, possible, 1)]
+    raise ValueError(
+        f"{option} must be among those that `splitband methods` lists, "
+        f"got {', '.join(unknown) or 'none'}"
+        + (f"; {', '.join(meant)} is there" if meant else "")
+        + ("" if len(possible) == len(NAMES) else f" (here {', '.join(possible)})")
+    )
 
 
 def check_needs(methods: Sequence[Forecaster], record: Trajectory) -> None:

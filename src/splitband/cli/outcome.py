@@ -53,8 +53,9 @@ def show(result: Comparison, names: list[str], out: Path) -> None:
     showing.warn_of_inputs(result.inputs_beyond_training, record.inputs)
     for test, prediction in zip(result.tests, result.means[best].tests, strict=False):
         for message in prediction.warnings:
-            showing.console.print(f"warning: {test.name}: {message}", style="yellow")
+            showing.warn(f"{test.name}: {message}")
     showing.console.print(f"results and pictures: {out}/")
+    showing.results_file(out / "results.json")
 
 
 def _title(record: Trajectory, setup: Setup) -> str:

@@ -7,6 +7,8 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
@@ -17,6 +19,7 @@ from splitband.evaluation.api import Comparison
 from splitband.evaluation.comparison import Run, Runs, by_channel
 from splitband.evaluation.runs import RunProgress
 from splitband.metrics import FARTHEST, Extrapolation, ExtrapolationWarning, spread
+from splitband.runtime.files import to_json
 
 console = Console(
     soft_wrap=not sys.stdout.isatty(),
@@ -25,6 +28,40 @@ console = Console(
     emoji=False,
     highlight=False,
 )
+_errors = Console(stderr=True, soft_wrap=True, markup=False, emoji=False, highlight=False)
+
+
+@dataclass
+class _Mode:
+    """What a command prints: tables for people, nothing, or its results as JSON."""
+
+    json: bool = False
+
+
+_mode = _Mode()
+
+
+def say(quiet: bool, json: bool) -> None:
+    """Set what is printed from now on; results as JSON leave no room for anything else."""
+    console.quiet = quiet or json
+    _mode.json = json
+
+
+def warn(message: str) -> None:
+    """Print a warning, on the error stream where the other one is kept clean."""
+    (_errors if console.quiet else console).print(f"warning: {message}", style="yellow")
+
+
+def as_json(facts: object) -> None:
+    """Print what a command came to, if that is wanted as JSON."""
+    if _mode.json:
+        print(to_json(facts))
+
+
+def results_file(path: Path) -> None:
+    """Print a file of results, if these are wanted as JSON."""
+    if _mode.json:
+        print(path.read_text(encoding="utf-8").rstrip())
 
 
 def comparison(title: str, result: Comparison) -> Table:
@@ -128,7 +165,7 @@ def progress(
         TextColumn("{task.fields[loss]}"),
         console=Console(stderr=True),
         transient=True,
-        disable=not sys.stderr.isatty(),
+        disable=console.quiet or not sys.stderr.isatty(),
     )
     with bar:
         overall = bar.add_task(label, total=total, loss="")
@@ -179,14 +216,14 @@ def warn_of_inputs(extrapolations: Sequence[Extrapolation], names: Sequence[str]
     """Say which inputs of what is predicted go beyond their range in training."""
     for beyond in extrapolations:
         named = names[beyond.channel] if beyond.channel < len(names) else ""
-        console.print(f"warning: {beyond.describe(named)}", style="yellow")
+        warn(beyond.describe(named))
 
 
 def warn_of_trainings(runs: Runs) -> None:
     """Say what a training was not good for, each thing once."""
     for name, of_method in runs.items():
         for note in dict.fromkeys(note for run in of_method for note in run.fit.notes):
-            console.print(f"warning: {name}: {note}", style="yellow")
+            warn(f"{name}: {note}")
 
 
 @contextmanager

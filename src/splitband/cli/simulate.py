@@ -98,6 +98,8 @@ def simulate(
     if u is not None:
         ahead_only = model.extrapolations(u[known.warmup + since :])
         showing.warn_of_inputs(ahead_only, known.inputs)
+    written = {"model": str(model_dir), "method": known.method, "steps": steps, "file": str(out)}
+    showing.as_json(written | {"leaves_range_after": left})
 
 
 def _history(file: Path, known: _Facts, reading: options.RecordOptions, gaps: Gaps) -> Trajectory:

@@ -85,6 +85,7 @@ def spectrum(
     drawn = pictures.spectrum(trajectory, measured_spectrum, chosen, choice)
     pictures.save(drawn, out / "spectrum.png")
     showing.console.print(f"picture: {out / 'spectrum.png'}")
+    showing.results_file(out / "results.json")
 
 
 def _warn_of_nothing_to_learn(record: Trajectory, cutoff: float, order: int) -> dict[str, Any]:
@@ -101,12 +102,11 @@ def _warn_of_nothing_to_learn(record: Trajectory, cutoff: float, order: int) -> 
     assert y_sim is not None
     mended = oracle(record.y, y_sim, rate, cutoff, order, record.seen)
     facts["oracle_calibrated"] = asdict(mended)
-    showing.console.print(
-        f"warning: {found.describe()}, to which training does not lead then; calibrated "
+    showing.warn(
+        f"{found.describe()}, to which training does not lead then; calibrated "
         f"(--calibrate), the simulator has {mended.no_network:.3g} and "
         f"{mended.perfect_network:.3g}: "
-        + ("the same" if mended.nothing_to_learn else "there is something to learn"),
-        style="yellow",
+        + ("the same" if mended.nothing_to_learn else "there is something to learn")
     )
     return facts
 

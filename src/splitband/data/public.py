@@ -116,6 +116,16 @@ def fetch(name: str, data_dir: str | os.PathLike[str] | None = None) -> Path:
     return path
 
 
+def data_folder() -> Path:
+    """Where `fetch` looks: the folder of SPLITBAND_DATA_DIR, or the user's cache."""
+    variable = os.environ.get("SPLITBAND_DATA_DIR")
+    if variable:
+        return Path(variable)
+    import pooch  # noqa: PLC0415 - slow to import, and seldom needed
+
+    return Path(pooch.os_cache("splitband"))
+
+
 def _download(record: PublicFile) -> Path:
     import pooch  # noqa: PLC0415 - slow to import, and seldom needed
 
@@ -129,7 +139,7 @@ def _download(record: PublicFile) -> Path:
             url,
             known_hash=f"sha256:{record.sha256}",
             fname=filename,
-            path=pooch.os_cache("splitband") / folder,
+            path=data_folder() / folder,
         )
     except OSError as error:  # those of requests and urllib among them
         raise OSError(
