@@ -35,6 +35,9 @@ def test_the_record_is_the_same_each_time_and_another_with_another_seed() -> Non
     record, again = overhead_crane(300), overhead_crane(300)
     other = overhead_crane(300, seed=1)
     np.testing.assert_array_equal(record.y, again.y)
+    assert record.u is not None
+    assert other.u is not None
+    assert record.y_true is not None
     assert np.abs(record.u - other.u).max() > 1
     assert np.std(record.y - record.y_true) == pytest.approx(0.02, rel=0.2)
 

@@ -38,7 +38,7 @@ def overhead_crane(samples: int = 4000, noise: float = 0.02, seed: int = 0) -> T
     """
     random = np.random.default_rng(seed)
     speed, rope = _operated(samples, random)
-    ideal = cumulative_trapezoid(speed, dx=STEP, initial=0.0)
+    ideal = cumulative_trapezoid(speed, dx=STEP, initial=0)
     load = _swinging(speed, rope)
     return Trajectory(
         load + random.normal(0.0, noise, samples),
