@@ -1,35 +1,99 @@
-"""The package's front door."""
+"""What is released: built, installed into an environment of its own, and run from there."""
 
-from __future__ import annotations
-
+import os
 import subprocess
 import sys
+import tarfile
+import tomllib
+import zipfile
+from pathlib import Path
 
 import pytest
 
-import splitband
+import splitband as sb
+
+ROOT = Path(__file__).parents[1]
 
 
-def test_every_public_name_is_there() -> None:
-    assert all(getattr(splitband, name).__name__ == name for name in splitband.__all__)
-    assert set(splitband.__all__) <= set(dir(splitband))
-    assert {name for names in splitband._MODULES.values() for name in names} == set(
-        splitband.__all__
-    )
+def run(*command: str | Path, folder: Path) -> str:
+    own = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(command, cwd=folder, env=own, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
 
 
-def test_other_names_are_not() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'split'"):
-        splitband.split  # noqa: B018
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the wheel and the source distribution; the wheel is built from the latter."""
+    out = tmp_path_factory.mktemp("built")
+    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", out, folder=ROOT)
+    return out
 
 
-def test_importing_the_package_loads_nothing_heavy() -> None:
-    code = """
-import sys, splitband
-heavy = {"torch", "numba", "pandas", "scipy", "matplotlib"}
-assert not heavy & set(sys.modules), heavy & set(sys.modules)
-from splitband import rollout
-import splitband.models
-assert callable(splitband.rollout)
-"""
-    subprocess.run([sys.executable, "-c", code], check=True)
+def test_the_wheel_holds_the_package_and_the_sdist_what_it_takes_to_test_it(built: Path) -> None:
+    with zipfile.ZipFile(next(built.glob("*.whl"))) as wheel:
+        inside = set(wheel.namelist())
+    sources = ROOT / "src"
+    for path in (sources / "splitband").rglob("*"):
+        if path.is_file() and "__pycache__" not in path.parts:
+            assert str(path.relative_to(sources)) in inside
+    assert not any(name.startswith("tests") for name in inside)
+    with tarfile.open(next(built.glob("*.tar.gz"))) as sdist:
+        kept = {name.partition("/")[2] for name in sdist.getnames()}
+    assert {"README.md", "LICENSE", "CITATION.cff", "tests/conftest.py", "Makefile"} <= kept
+
+
+def test_the_installed_wheel_runs_from_an_environment_of_its_own(
+    built: Path, tmp_path: Path
+) -> None:
+    run(sys.executable, "-m", "venv", "--without-pip", "own", folder=tmp_path)
+    site = next((tmp_path / "own").glob("lib/*/site-packages"))
+    with zipfile.ZipFile(next(built.glob("*.whl"))) as wheel:
+        wheel.extractall(site)
+    # What the package depends on is taken from the environment of the tests.
+    (site / "others.pth").write_text(f"{Path(pytest.__file__).parents[1]}\n")
+    python = tmp_path / "own/bin/python"
+    said = run(python, "-m", "splitband", "--version", folder=tmp_path)
+    assert said == f"splitband {sb.__version__}\n"
+    where = "import splitband.cli.compare as m; print(m.__file__)"
+    assert run(python, "-c", where, folder=tmp_path).startswith(str(site))
+    run(python, "-m", "splitband", "methods", folder=tmp_path)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("extras", ["", "[fmu]", "[cluster]", "[tune]"])
+def test_the_wheel_and_its_extras_are_installed_into_an_empty_environment(
+    extras: str, built: Path, tmp_path: Path
+) -> None:
+    run(sys.executable, "-m", "venv", "own", folder=tmp_path)
+    python, wheel = tmp_path / "own/bin/python", next(built.glob("*.whl"))
+    pins = ROOT / "constraints.txt"
+    run(python, "-m", "pip", "install", "-q", "-c", pins, f"{wheel}{extras}", folder=tmp_path)
+    assert "splitband" in run(tmp_path / "own/bin/splitband", "--version", folder=tmp_path)
+    run(tmp_path / "own/bin/splitband", "doctor", folder=tmp_path)
+
+
+def test_the_citation_is_of_this_version() -> None:
+    cited = (ROOT / "CITATION.cff").read_text().splitlines()
+    assert f"version: {sb.__version__}" in cited
+
+
+def test_the_changelog_has_this_version() -> None:
+    assert f"\n## {sb.__version__}" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_every_requirement_is_pinned() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    wanted = [*project["dependencies"], *(line for name in extras for line in extras[name])]
+    names = {line.partition(">")[0].partition("=")[0].partition("[")[0] for line in wanted}
+    pinned = {
+        line.partition("==")[0].lower().replace("_", "-")
+        for line in (ROOT / "constraints.txt").read_text().splitlines()
+        if "==" in line
+    }
+    assert {name.lower().replace("_", "-") for name in names if name not in BENCH} <= pinned
+
+
+BENCH = {"jax", "tsfast"}
+"""Of the extra that is for comparisons with others alone, and not for this machine's Python."""

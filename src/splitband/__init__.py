@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from splitband.simulators import Fmu, Function, Ode, Recorded, Simulator
     from splitband.training import Progress, Settings
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Loaded on first use: torch and pandas take seconds.
 _MODULES = {
