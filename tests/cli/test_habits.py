@@ -1,6 +1,7 @@
 """What holds for every command: quiet, JSON, version, methods, doctor."""
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ import splitband as sb
 from splitband.cli import WITH_JSON, main
 from splitband.cli.methods import _ABOUT, GROUPS
 from splitband.forecasters.names import NAMES
-from tests.cli.support import QUICK, call, results
+from tests.cli.support import QUICK, call, process, results
 
 pytestmark = pytest.mark.usefixtures("inside", "undrawn")
 
@@ -110,3 +111,11 @@ def test_the_doctor_finds_a_record_that_is_not_the_published_one(
     found = json.loads(capsys.readouterr().out)["public records"]
     assert "is not the published drill_string_sim" in found["drill_string_sim"]
     assert found["drill_string_data"] == "not there: splitband data fetch"
+
+
+def test_a_shell_completes_commands(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COMP_WORDS", "splitband fo")
+    monkeypatch.setenv("COMP_CWORD", "1")
+    monkeypatch.setenv("_SPLITBAND_COMPLETE", "complete_bash")
+    found = process(sys.executable, "-m", "splitband")
+    assert found.stdout.split() == ["forecast"]
