@@ -9,6 +9,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import pkgutil
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 
@@ -71,6 +72,18 @@ class VanDerPol(Fmi2Slave):
             self.v += h / 6 * (a[1] + 2 * b[1] + 2 * c[1] + d[1])
         return True
 '''
+
+
+@pytest.fixture(autouse=True, scope="session")
+def one_core() -> Iterator[None]:
+    """Commands use one core by default, as starting a process takes longer than what is trained.
+
+    Tests of several processes ask for them.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        if hasattr(os, "sched_getaffinity"):
+            patch.setattr(os, "sched_getaffinity", lambda _: {0})
+        yield
 
 
 @pytest.fixture(autouse=True)
