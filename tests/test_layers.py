@@ -32,6 +32,8 @@ LEAVES = ("filters", "baselines", "runtime", "metrics", "kernels")
 BELOW_LEAVES = {"kernels", "metrics"}
 ONLY_IN = {
     "matplotlib": {"report"},
+    "bokeh": {"report"},
+    "jinja2": {"report"},
     "numba": {"kernels"},
     "typer": {"cli"},
     "rich": {"cli"},

@@ -66,6 +66,14 @@ def leaves_range(training: Array, prediction: Array) -> int | None:
     return int(rows_outside[0]) if len(rows_outside) else None
 
 
+def leaving(samples: int) -> str:
+    """What to say of a prediction that leaves the range of the training samples."""
+    return (
+        f"after {samples} samples more than {FARTHEST:g} times as far out as the training samples "
+        "go: not to be trusted from there on"
+    )
+
+
 BEYOND = 0.1
 """How far an input may go beyond what was seen of it in training, as a share of its range there."""
 

@@ -123,9 +123,9 @@ def test_compare_recommends_a_method_and_says_how_sure_it_is(compared: Path) -> 
     assert "a, gru, lower" not in table
 
 
-def test_compare_leaves_nothing_but_results_and_pictures(compared: Path) -> None:
+def test_compare_leaves_nothing_but_results_pictures_and_page(compared: Path) -> None:
     pictures = {path.name for path in compared.glob("*.png")}
-    assert set(files(compared)) == {"results.json", "predictions.csv", *pictures}
+    assert set(files(compared)) == {"results.json", "predictions.csv", "report.html", *pictures}
 
 
 def test_the_predictions_beside_the_results_have_the_errors_in_them(compared: Path) -> None:

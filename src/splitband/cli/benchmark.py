@@ -15,8 +15,9 @@ from rich.table import Table
 from splitband.cli import given, in_words, options, showing
 from splitband.cli.cases import COLUMNS, OVERALL, Case, read_cases
 from splitband.cli.comparing import Request, arguments, carried_out, prepared, save
+from splitband.cli.usage import usage
 from splitband.report import benchmark as report
-from splitband.report import pictures, results
+from splitband.report import page, pictures, results
 from splitband.runtime.files import CHECKPOINTS, output_folder, replacing, write_json
 
 
@@ -56,10 +57,10 @@ def benchmark(
     of this command hold for all cases; a warm-up in the list comes before --warmup.
 
     OUT/NAME has for each case what `compare` writes. The table over all of them (table.csv,
-    results.json, cases.png) has the error of the recommended method, on the test records where
-    there are any, else of the forecast, as a multiple of the record's standard deviation; which
-    method was the best; the regret, which is the recommended method's error over the best one's;
-    and how much of the forecast was in its interval.
+    results.json, cases.png, report.html) has the error of the recommended method, on the test
+    records where there are any, else of the forecast, as a multiple of the record's standard
+    deviation; which method was the best; the regret, which is the recommended method's error over
+    the best one's; and how much of the forecast was in its interval.
 
     A case that fails has a row that says why. Given again, the command goes on: cases whose results
     are there, of the same options and files, are not computed again.
@@ -119,11 +120,12 @@ def _read(folder: Path) -> dict[str, Any]:
 
 
 def _save(rows: Sequence[report.Row], out: Path, facts: dict[str, Any]) -> None:
-    results_file, table_file, picture_file = (out / name for name in OVERALL)
+    results_file, table_file, picture_file, page_file = (out / name for name in OVERALL)
     with replacing(table_file) as temporary:
         report.table(rows).to_csv(temporary)
     pictures.save(report.picture(rows), picture_file)
     facts |= {"summary": report.summary(rows), "cases": [row.as_json() for row in rows]}
+    page.write(rows, page_file, usage("benchmark", facts["arguments"]))
     write_json(results_file, facts | {"environment": results.environment()})
 
 
@@ -145,6 +147,7 @@ def _say(rows: Sequence[report.Row], out: Path) -> None:
     said += [f"{found['failed']} failed"] if found["failed"] else []
     showing.console.print("; ".join(said))
     showing.console.print(f"results, table and picture: {out}/, and of each case in its folder")
+    showing.console.print(f"page: {out / page.NAME}")
     showing.results_file(out / OVERALL[0])
 
 

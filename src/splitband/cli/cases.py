@@ -27,7 +27,7 @@ _NAMED: dict[str, Collection[str]] = {
     **dict.fromkeys(("simulator", "test_simulator", "more_simulator"), (*SIMULATORS, *BASES)),
 }  # fmt: skip
 """Columns of files, and what may stand there that is none."""
-OVERALL = ("results.json", "table.csv", "cases.png")
+OVERALL = ("results.json", "table.csv", "cases.png", "report.html")
 """What lies beside the folders of the cases."""
 
 

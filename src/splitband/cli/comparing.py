@@ -10,6 +10,7 @@ from typing import Any
 
 from splitband.cli import given, options, showing
 from splitband.cli.simulators import each_with_simulator, tests_with_simulator, with_simulator
+from splitband.cli.usage import usage
 from splitband.data import Trajectory
 from splitband.evaluation.api import Comparison
 from splitband.evaluation.api import compare as compare_forecasters
@@ -124,8 +125,13 @@ def carried_out(
 
 
 def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> None:
-    """Write the results, `facts` first, in place of the checkpoints."""
-    results.save(comparison, out, dict(facts))
+    """Write the results, `facts` first, in place of the checkpoints.
+
+    The options among the facts (`arguments`) are for the commands on the page, too.
+    """
+    driven = comparison.record.nu > 0
+    used = usage(facts["command"], facts["arguments"], comparison.recommended, driven)
+    results.save(comparison, out, dict(facts), used)
     shutil.rmtree(out / CHECKPOINTS)
 
 

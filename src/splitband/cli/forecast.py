@@ -10,7 +10,9 @@ from typing import Annotated
 import typer
 
 from splitband.cli import given, options, showing
+from splitband.cli.comparing import arguments
 from splitband.cli.simulators import each_with_simulator, with_simulator
+from splitband.cli.usage import usage
 from splitband.evaluation.api import Forecast
 from splitband.evaluation.api import forecast as forecast_record
 from splitband.evaluation.comparison import check
@@ -18,13 +20,15 @@ from splitband.evaluation.runs import Work
 from splitband.evaluation.selection import check_trial
 from splitband.evaluation.setup import default_names, usual_names
 from splitband.forecasters.names import BASES, CALIBRATED, NAMES, with_base
-from splitband.report import pictures, results
+from splitband.metrics import leaving
+from splitband.report import page, pictures, results
 from splitband.runtime.files import CHECKPOINTS, output_folder, replacing, write_json
 from splitband.runtime.threads import available_cores
 
 
 @options.with_groups
 def forecast(
+    context: typer.Context,
     record: options.Record,
     reading: options.RecordOptions,
     simulator: options.SimulatorOptions,
@@ -84,6 +88,8 @@ def forecast(
         out / "results.json", results.forecast_facts(result, [other.name for other in others])
     )
     pictures.save(pictures.forecast(result), out / "forecast.png")
+    used = usage("forecast", arguments(context.params), result.method, known.nu > 0)
+    page.write(result, out / page.NAME, used)
     shutil.rmtree(out / CHECKPOINTS)
     _say(result, steps, out)
     showing.results_file(out / "results.json")
@@ -99,5 +105,6 @@ def _say(result: Forecast, steps: int, out: Path) -> None:
         f"{steps} samples ahead by {result.method}: {out}/forecast.csv, forecast.png"
     )
     if result.leaves is not None:
-        showing.console.print(showing.leaving(result.leaves))
+        showing.console.print(leaving(result.leaves))
     showing.warn_of_inputs(result.inputs_beyond_training, result.record.inputs)
+    showing.console.print(f"page: {out / page.NAME}")

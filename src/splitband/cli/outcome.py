@@ -54,7 +54,7 @@ def show(result: Comparison, names: list[str], out: Path) -> None:
     for test, prediction in zip(result.tests, result.means[best].tests, strict=False):
         for message in prediction.warnings:
             showing.warn(f"{test.name}: {message}")
-    showing.console.print(f"results and pictures: {out}/")
+    showing.console.print(f"results and pictures: {out}/\npage: {out / 'report.html'}")
     showing.results_file(out / "results.json")
 
 

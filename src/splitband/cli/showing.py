@@ -18,7 +18,7 @@ from rich.text import Text
 from splitband.evaluation.api import Comparison
 from splitband.evaluation.comparison import Run, Runs, by_channel
 from splitband.evaluation.runs import RunProgress
-from splitband.metrics import FARTHEST, Extrapolation, ExtrapolationWarning, spread
+from splitband.metrics import Extrapolation, ExtrapolationWarning, leaving, spread
 from splitband.runtime.files import to_json
 
 console = Console(
@@ -202,14 +202,6 @@ def _spread(values: Sequence[float], lowest: float) -> Text:
     if len(set(values)) > 1:
         text += f" ± {statistics.stdev(values):.2g}"
     return Text(text, style="bold" if mean == lowest else "")
-
-
-def leaving(samples: int) -> str:
-    """What to say of a prediction that leaves the range of the training samples."""
-    return (
-        f"after {samples} samples more than {FARTHEST:g} times as far out as the training samples "
-        "go: not to be trusted from there on"
-    )
 
 
 def warn_of_inputs(extrapolations: Sequence[Extrapolation], names: Sequence[str]) -> None:

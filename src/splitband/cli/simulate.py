@@ -16,7 +16,7 @@ from splitband.data import Trajectory, read
 from splitband.data.gaps import Gaps, last_before
 from splitband.data.timing import from_json
 from splitband.forecasters.prediction import Prediction
-from splitband.metrics import leaves_range
+from splitband.metrics import leaves_range, leaving
 from splitband.models import Hybrid, Model, saving
 from splitband.runtime.files import output_folder, replacing
 from splitband.simulators.calibration import Calibration
@@ -94,7 +94,7 @@ def simulate(
     showing.console.print(f"{steps} samples after {history}: {out}")
     left = leaves_range(known.range, y)
     if left is not None:
-        showing.console.print(showing.leaving(left))
+        showing.console.print(leaving(left))
     if u is not None:
         ahead_only = model.extrapolations(u[known.warmup + since :])
         showing.warn_of_inputs(ahead_only, known.inputs)

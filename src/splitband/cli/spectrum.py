@@ -12,19 +12,22 @@ import typer
 from rich.table import Table
 
 from splitband.cli import given, options, showing
+from splitband.cli.comparing import arguments
 from splitband.cli.simulators import with_simulator
+from splitband.cli.usage import usage
 from splitband.data import Trajectory
 from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
 from splitband.forecasters.simulation import Simulation
 from splitband.metrics import rmse
 from splitband.paper.settings import RECORD_SETTINGS
-from splitband.report import pictures
+from splitband.report import page, pictures
 from splitband.runtime.files import output_folder, write_json
 from splitband.training.recipes import Recipe
 
 
 @options.with_groups
 def spectrum(
+    context: typer.Context,
     record: options.Record,
     reading: options.RecordOptions,
     simulator: options.SimulatorOptions,
@@ -84,7 +87,9 @@ def spectrum(
         )
     drawn = pictures.spectrum(trajectory, measured_spectrum, chosen, choice)
     pictures.save(drawn, out / "spectrum.png")
-    showing.console.print(f"picture: {out / 'spectrum.png'}")
+    looked = page.Looked(trajectory, chosen, choice, facts)
+    page.write(looked, out / page.NAME, usage("spectrum", arguments(context.params)))
+    showing.console.print(f"picture: {out / 'spectrum.png'}\npage: {out / page.NAME}")
     showing.results_file(out / "results.json")
 
 

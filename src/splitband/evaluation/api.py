@@ -159,11 +159,11 @@ class Comparison:
         return import_module("splitband.report.pictures").rollouts(self)
 
     def save(self, folder: str | Path) -> None:
-        """Write results.json, predictions.csv and the pictures that `splitband compare` writes."""
+        """Write all files of `splitband compare`: results, predictions, pictures, the page."""
         import_module("splitband.report.results").save(self, Path(folder))
 
     def report(self, path: str | Path) -> None:
-        """Write one HTML file with summary, table, pictures and settings, to send on."""
+        """Write one HTML file with summary, table, plots to zoom into and settings, to send on."""
         import_module("splitband.report.page").write(self, path)
 
 
@@ -279,6 +279,10 @@ class Forecast:
     description: str
     leaves: int | None
     inputs_beyond_training: list[Extrapolation]
+
+    def report(self, path: str | Path) -> None:
+        """Write one HTML file with the forecast, what was tried and settings, to send on."""
+        import_module("splitband.report.page").write(self, path)
 
 
 def forecast(

@@ -22,6 +22,7 @@ from splitband.filters.spectrum import Spectrum, coherence, periodogram
 from splitband.forecasters.intervals import Interval
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import cumulative_rmse
+from splitband.report.colors import PALETTE, place
 from splitband.runtime.files import replacing
 
 Array = npt.NDArray[np.float64]
@@ -29,10 +30,6 @@ Picture: TypeAlias = Figure
 Runs = Mapping[str, Sequence[Run]]
 
 _MEASURED, _TRUTH = "0.72", "0.25"
-_PALETTE = (
-    "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00",
-    "#56B4E9", "#8C564B", "#6A3D9A", "#7F7F00", "#1B7837",
-)  # fmt: skip
 
 
 def save(figure: Figure, path: str | Path) -> None:
@@ -155,12 +152,12 @@ def prediction(
     for i, (ax, column) in enumerate(zip(grid, predicted.columns, strict=True)):
         if record is not None:
             ax.plot(time[shown:], record.seen[shown:, i], color="0.35", lw=0.9, label="measured")
-        ax.plot(ahead, predicted.y[:, i], color=_PALETTE[0], lw=1.2, label=_literal(method))
+        ax.plot(ahead, predicted.y[:, i], color=PALETTE[0], lw=1.2, label=_literal(method))
         lower, upper, level = predicted.lower, predicted.upper, predicted.level
         if lower is not None and upper is not None and level is not None:
             label = f"should hold {level:.0%}".replace("%", " %")
             edges = lower[:, i], upper[:, i]
-            ax.fill_between(ahead, *edges, color=_PALETTE[0], alpha=0.18, lw=0, label=label)
+            ax.fill_between(ahead, *edges, color=PALETTE[0], alpha=0.18, lw=0, label=label)
         ax.set_ylabel(_literal(column))
         ax.margins(x=0.01)
     grid[0].legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
@@ -195,7 +192,7 @@ def components(
         _draw_record(ax, record, channel, 0)
         warmup = setup.settings_of(name).warmup
         start = len(record) - len(next(iter(parts[name].values())))
-        for color, (part, values) in zip(_PALETTE, parts[name].items(), strict=False):
+        for color, (part, values) in zip(PALETTE, parts[name].items(), strict=False):
             ax.plot(times[start:], values[:, channel], color=color, lw=1, label=part)
         ax.axvspan(times[start - warmup], times[start - 1], color="0.93", zorder=0)
         if setup.train < len(record):
@@ -262,7 +259,7 @@ def spectrum(
         frequencies, agreement = coherence(record.y, record.y_sim, record.sampling_rate)
         for i, name in enumerate(record.columns):
             label = f"simulator's {_literal(name)}"
-            style = {"color": _PALETTE[-1 - i % len(_PALETTE)], "lw": 1.0}
+            style = {"color": PALETTE[-1 - i % len(PALETTE)], "lw": 1.0}
             axes[0].loglog(
                 simulated.frequencies[1:], simulated.density[1:, i], label=label, **style
             )
@@ -290,7 +287,7 @@ def _draw_choice(ax: Axes, choice: Choice) -> None:
     for order in sorted({c.order for c in choice.candidates}):
         of_order = [c for c in choice.candidates if c.order == order]
         enough = [c.below >= LEAST_BELOW or choice.simulator_helps is True for c in of_order]
-        color = _PALETTE[order % len(_PALETTE)]
+        color = PALETTE[order % len(PALETTE)]
         x, loss = [c.cutoff for c in of_order], [c.loss for c in of_order]
         ax.semilogx(x, loss, "o-", ms=3, lw=0.8, color=color, label=f"order {order}")
         few = [(c.cutoff, c.loss) for c, ok in zip(of_order, enough, strict=True) if not ok]
@@ -360,7 +357,7 @@ def _time_label(record: Trajectory) -> str:
 
 
 def _color(runs: Runs, name: str) -> str:
-    return _PALETTE[list(runs).index(name) % len(_PALETTE)]
+    return PALETTE[place(runs, name)]
 
 
 def _limits(y: Array) -> tuple[float, float]:

@@ -7,9 +7,10 @@ import statistics
 import subprocess
 from collections.abc import Sequence
 from dataclasses import asdict
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -24,11 +25,20 @@ from splitband.metrics import rmse
 from splitband.report import pictures
 from splitband.runtime.files import output_folder, replacing, write_json
 
+if TYPE_CHECKING:
+    from splitband.report.page.usage import Usage
 
-def save(comparison: Comparison, folder: Path, facts: dict[str, Any] | None = None) -> None:
-    """Write predictions.csv, the pictures and last results.json of a comparison.
 
-    Where results.json is there, so is the rest. `facts` go into it before the others.
+def save(
+    comparison: Comparison,
+    folder: Path,
+    facts: dict[str, Any] | None = None,
+    usage: Usage | None = None,
+) -> None:
+    """Write predictions.csv, the pictures, the page and last results.json of a comparison.
+
+    Where results.json is there, so is the rest. `facts` go into it before the others; `usage` is
+    for the page.
     """
     record, setup = comparison.record, comparison.setup
     output_folder(folder)
@@ -42,6 +52,9 @@ def save(comparison: Comparison, folder: Path, facts: dict[str, Any] | None = No
     pictures.save(spectrum, folder / "spectrum.png")
     if any(runs[0].from_start.components for runs in comparison.runs.values()):
         pictures.save(pictures.components(comparison), folder / "components.png")
+    # It imports this module, and a library that takes its time, so that it is imported only here.
+    page = import_module("splitband.report.page")
+    page.write(comparison, folder / page.NAME, usage)
     write_json(folder / "results.json", found)
 
 

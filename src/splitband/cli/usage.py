@@ -1,0 +1,86 @@
+"""How the page of a result says it can be used: commands, and the line that reads the record."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from splitband.cli import options
+from splitband.cli.fit import FITTED
+from splitband.paper.systems import RECORDS
+from splitband.report.page.usage import Usage
+
+_FIT = (
+    "columns", "inputs", "time_column", "sampling_time", "gaps", "simulator", "simulator_columns",
+    "simulator_timeout", "simulator_cache", "more", "more_simulator", "cutoff", "order",
+    "downsampling", "warmup", "window", "epochs", "recipe", "learning_rate", "lr_milestones",
+    "hidden", "budget", "device",
+)  # fmt: skip
+_FORECAST = (*_FIT[:11], "epochs", "budget", "device")
+_SIMULATE = "simulator", "simulator_columns", "simulator_timeout", "simulator_cache", "time_column"
+_USUAL = {"gaps": "refuse", "recipe": "default", "device": "cpu",
+          "simulator_timeout": options.PATIENCE}  # fmt: skip
+STEPS = 100
+"""Samples ahead in the examples."""
+
+
+def usage(command: str, given: Mapping[str, Any], method: str = "", driven: bool = False) -> Usage:
+    """How to use a method, from the options (as in results.json) of the command that recommends it.
+
+    `driven` is a record with known inputs.
+    """
+    record = str(given.get("record", ""))
+    of_case = command == "benchmark" and record  # one of its cases is a comparison of its own
+    asked = _line(f"splitband {'compare' if of_case else command}", given, [*given])
+    if not method or not record:
+        return Usage(asked=asked)
+    ahead = " --future-inputs FILE" if driven else ""
+    commands = []
+    if method in FITTED:
+        fit = _line("splitband fit", given, ["record", *_FIT])
+        commands.append(("Fit it to the whole record", f"{fit} --method {method} --out model"))
+        simulate = _line("splitband simulate model", given, _SIMULATE)
+        commands.append(
+            ("Simulate it beyond measured samples",
+             f"{simulate} --history FILE --steps {STEPS}{ahead} --out ahead.csv")
+        )  # fmt: skip
+    else:
+        forecast = _line("splitband forecast", given, ["record", *_FORECAST])
+        commands.append(
+            ("Fit it to the whole record, and forecast what comes next",
+             f"{forecast} --method {method} --steps {STEPS}{ahead}")
+        )  # fmt: skip
+    return Usage(commands, _reading(record, given), asked)
+
+
+def _line(begin: str, given: Mapping[str, Any], names: Any) -> str:
+    """A command with those of its options that were given."""
+    words = [begin]
+    for name in names:
+        value = given.get(name)
+        if value in (None, False, "", [], ()) or _USUAL.get(name) == value:
+            continue
+        if name in ("record", "listed"):
+            words.append(shlex.quote(str(value)))
+            continue
+        option = f"--{name.replace('_', '-')}"
+        for each in value if isinstance(value, list | tuple) else [value]:
+            words.append(option if each is True else f"{option} {shlex.quote(str(each))}")
+    return " ".join(words)
+
+
+def _reading(record: str, given: Mapping[str, Any]) -> str:
+    """The line of Python that reads the record."""
+    if record in RECORDS:
+        return f'from splitband.paper.systems import RECORDS\n\nrecord = RECORDS["{record}"]()'
+    words = [repr(str(Path(record)))]
+    for name in ("columns", "inputs"):
+        if given.get(name):
+            words.append(f"{name}={[part.strip() for part in given[name].split(',')]!r}")
+    for name in ("time_column", "sampling_time", "gaps"):
+        value = given.get(name)
+        if value is not None and _USUAL.get(name) != value:
+            words.append(f"{name}={value!r}")
+    return f"record = sb.read({', '.join(words)})"

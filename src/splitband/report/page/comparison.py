@@ -1,0 +1,185 @@
+"""The page of a comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.data import Trajectory
+from splitband.evaluation.api import Comparison
+from splitband.evaluation.selection import Trial
+from splitband.report.page import horizon, runs, tables, usage, words
+from splitband.report.page.parts import Cast, Page, Section, View, number, percent
+from splitband.report.page.spectra import spectrum
+from splitband.report.page.training import training
+from splitband.report.page.usage import Usage
+from splitband.report.results import environment
+
+Array = npt.NDArray[np.float64]
+
+SHOWN = 3
+"""Methods drawn at first beside the recommended one: the next best on held-out samples."""
+
+
+def page(comparison: Comparison, used: Usage) -> Page:
+    """All of it."""
+    record, trial = comparison.record, comparison.require_trial()
+    cast = cast_of([*comparison.runs], trial)
+    most = runs.most_points(comparison)
+    frame = runs.Frame.of(record, cast, most, "time")
+    sections = [
+        _answer(comparison),
+        Section("methods", "All methods", tables=[tables.methods(comparison)]),
+        *_over_time(comparison, frame, most),
+        _bands(comparison),
+        *_trained(comparison, cast),
+        usage.section(comparison.recommended, record, used, max(len(record) // 4, 1)),
+        _settings(comparison, used),
+    ]
+    name = record.name or "a record"
+    return Page(
+        f"{name}: which model to use",
+        lead(record),
+        sections,
+        cast.methods,
+        _views(comparison, frame),
+        intervals=bool(comparison.predictions),
+    )
+
+
+def cast_of(names: list[str], trial: Trial) -> Cast:
+    """The methods, the recommended one and the next best drawn at first."""
+    ranked = [name for name in sorted(trial.errors, key=lambda n: trial.errors[n]) if name in names]
+    others = [name for name in ranked if name != trial.recommended]
+    return Cast(names, trial.recommended, frozenset([trial.recommended, *others[:SHOWN]]))
+
+
+def lead(record: Trajectory) -> str:
+    """The record in a line."""
+    every = f"{record.sampling_time:.6g} s"
+    said = f"{len(record):,} samples every {every}, measured: {', '.join(record.columns)}"
+    return said + (f"; known inputs: {', '.join(record.inputs)}" if record.nu else "")
+
+
+def _answer(comparison: Comparison) -> Section:
+    best, record = comparison.recommended, comparison.record
+    trial, train, mean = comparison.require_trial(), comparison.setup.train, comparison.means[best]
+    ahead = len(record) - train
+    kind = words.in_words(best)
+    text = [f"{best} is {kind}."] if kind else []
+    text += [" ".join(words.why(trial, train, ahead))]
+    text += [" ".join(words.afterwards(comparison))]
+    facts = [("held out", number(trial.errors[best]))]
+    if ahead and mean.forecast is not None:
+        facts.append((f"forecast of {ahead:,} samples", number(mean.forecast_rmse)))
+        facts.append(("samples in its interval", percent(comparison.covers(best))))
+    facts.append(("free run from the start", number(mean.total_rmse)))
+    for test, error in zip(comparison.tests, mean.errors.tests, strict=False):
+        facts.append((f"test record {test.name}", number(error)))
+    return Section("answer", f"Recommended: {best}", text, words.warnings(comparison), facts=facts)
+
+
+def _over_time(comparison: Comparison, frame: runs.Frame, most: int) -> list[Section]:
+    """Free runs, test records, errors and components."""
+    ahead = " and forecasts" if comparison.predictions else ""
+    text = ["These plots zoom together. Shaded: the warm-up; dashed: the end of the training part."]
+    if frame.size > 1:
+        text.append(
+            f"The record is longer than a screen is wide: of every {frame.size} samples each line "
+            "shows the lowest and the highest, so that no peak is lost."
+        )
+    sections = [Section("runs", f"Free runs{ahead}", text, plots=runs.free_runs(comparison, frame))]
+    if comparison.tests:
+        text = ["Simulated from their first samples; nothing was fitted to them."]
+        plots = runs.test_runs(comparison, frame.cast, most)
+        sections.append(Section("tests", "Test records", text, plots=plots))
+    text = ["How far off predictions are on average up to each horizon: a model whose error stays "
+            "flat does not drift. Shaded: from the best to the worst seed."]  # fmt: skip
+    plots = horizon.errors(comparison, frame.cast, most)
+    sections.append(Section("errors", "Error over horizon", text, plots=plots))
+    parts = runs.components(comparison, frame)
+    if parts:
+        text = ["What the models of several parts add up, for the methods that are switched on."]
+        sections.append(Section("components", "Components", text, plots=parts))
+    return sections
+
+
+def _bands(comparison: Comparison) -> Section:
+    """The spectrum, and where the bands part."""
+    bands = comparison.setup.bands
+    part = comparison.record[: comparison.setup.train]
+    text = []
+    if bands.cutoff is not None:
+        text.append(
+            f"Models of two bands part them at {number(bands.cutoff)} Hz, with filters of order "
+            f"{bands.order}; the low band keeps one of {bands.downsampling} samples."
+            + (f" {_sentence(bands.choice.reason)}" if bands.choice else "")
+        )
+    plots = spectrum(part, bands.cutoff, bands.choice, _bases(comparison))
+    return Section("spectrum", "Spectrum and cut-off", text, plots=plots)
+
+
+def _bases(comparison: Comparison) -> dict[str, Array]:
+    """What holds the slow part of a hybrid model in a simulator's place, over the training part.
+
+    Its first samples, which are a warm-up, are the record's own.
+    """
+    train, record = comparison.setup.train, comparison.record
+    found: dict[str, Array] = {}
+    for runs_of in comparison.runs.values():
+        parts: Mapping[str, Array] = runs_of[0].unfiltered or runs_of[0].from_start.components
+        for label, y in parts.items():
+            base = next((b for b in ("linear", "periodic", "harmonic") if b in label), None)
+            if base is not None and base not in found:
+                whole = record.y.copy()
+                whole[len(whole) - len(y) :] = y
+                found[base] = whole[:train]
+    return found
+
+
+def _trained(comparison: Comparison, cast: Cast) -> list[Section]:
+    """Training curves and what the search has tried."""
+    sections = []
+    plots = training(comparison.runs, cast)
+    if plots:
+        text = ["The training loss of each epoch and seed, of the networks that are switched on; a "
+                "line that still falls at its end would gain from a longer training."]  # fmt: skip
+        sections.append(Section("training", "Training", text, plots=plots))
+    if comparison.attempts:
+        tried = [tables.attempts(comparison.attempts)]
+        text = ["How networks are trained was found on the last quarter of the training samples."]
+        sections.append(Section("search", "What was tried", text, tables=tried, folded=True))
+    return sections
+
+
+def _settings(comparison: Comparison, used: Usage) -> Section:
+    facts = comparison.setup.as_json()
+    facts.pop("choice", None)
+    return settings(tables.flat(facts), used)
+
+
+def settings(facts: list[tuple[str, str]], used: Usage) -> Section:
+    """What the numbers were made with."""
+    made = environment()
+    pairs = [("command", used.asked)] if used.asked else []
+    versions = ", ".join(f"{name} {v}" for name, v in made["versions"].items())
+    pairs += [*facts, ("versions", versions), ("machine", made["machine"])]
+    pairs += [("commit", made["commit"])] if made["commit"] else []
+    return Section("settings", "Settings and versions", facts=pairs, folded=True)
+
+
+def _views(comparison: Comparison, frame: runs.Frame) -> list[View]:
+    values, train = frame.axis.values, comparison.setup.train
+    views = [View("Whole record", *frame.axis.whole)]
+    if train < len(values):
+        views += [
+            View("Training part", values[0], values[train - 1]),
+            View("After it", values[train], values[-1]),
+        ]
+    return views
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")

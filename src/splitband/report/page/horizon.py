@@ -1,0 +1,80 @@
+"""Plots over the horizon: how errors grow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.evaluation.api import Comparison
+from splitband.metrics import cumulative_rmse
+from splitband.report.page import figures
+from splitband.report.page.figures import TALL, TimeAxis
+from splitband.report.page.parts import Cast, Plot, number
+from splitband.report.page.runs import LEAST
+from splitband.report.page.thinning import bin_size, places, thinned
+
+Array = npt.NDArray[np.float64]
+Curves = Mapping[str, Array]
+
+SETTLED = 10
+"""Samples after a warm-up whose errors vary too much to set a scale by them."""
+
+
+def errors(comparison: Comparison, cast: Cast, most: int) -> list[Plot]:
+    """How the error grows with the horizon, mean and range over the seeds of each method."""
+    plots = []
+    axis = TimeAxis.of(comparison.record)
+    sides = ["from the start", *(["forecast"] if comparison.predictions else [])]
+    for side in sides:
+        curves: dict[str, Array] = {}
+        for name, runs in comparison.runs.items():
+            each = [run.from_start.y if side == sides[0] else run.ahead for run in runs]
+            truth = comparison.record.truth[len(comparison.record) - len(each[0]) :]
+            found = np.stack([cumulative_rmse(truth, y) for y in each])
+            curves[name] = found.mean(axis=0)
+            if len(found) > 1:
+                curves |= {f"{name} low": found.min(axis=0), f"{name} high": found.max(axis=0)}
+        plots.append(_errors(curves, side, cast, axis, comparison.record.sampling_time, most))
+    return plots
+
+
+def _errors(curves: Curves, side: str, cast: Cast, axis: TimeAxis, step: float, most: int) -> Plot:
+    length = max(map(len, curves.values()))
+    size = bin_size(length, max(most // 2, LEAST))
+    unit = 1.0 if axis.unit == "samples" else step
+    x = np.asarray(unit * (1.0 + places(length, size)), float)
+    drawn = {name: _from_first(y, length) for name, y in curves.items()}
+    settled = [y[SETTLED:][y[SETTLED:] > 0] for y in drawn.values() if len(y) > 2 * SETTLED]
+    scale = [y for y in settled if len(y)] or [np.array([1e-3, 1.0])]
+    low, high = min(float(np.nanmin(y)) for y in scale), max(float(np.nanmax(y)) for y in scale)
+    shown = figures.plain(
+        "RMSE since the warm-up",
+        f"horizon ({axis.unit})",
+        TALL,
+        y_axis_type="log",
+        x_range=figures.time_range(float(x[0]), float(x[-1])),
+        y_range=figures.between(0.7 * low, 1.5 * min(high, 1e12 * low)),
+    )
+    data = figures.source(x, {n: thinned(np.maximum(y, 1e-300), size) for n, y in drawn.items()})
+    for name in cast.names:
+        if f"{name} low" in drawn:
+            figures.method_band(shown, data, f"{name} low", f"{name} high", cast.of(name))
+        figures.method_line(shown, data, name, cast.of(name))
+    figures.hover(shown, f"horizon ({axis.unit})")
+    last = {name: curves[name][-1] for name in cast.names}
+    order = sorted(last, key=lambda name: last[name])[:4]
+    return Plot(
+        shown,
+        f"Error over horizon, {side}",
+        f"Line plot of the RMSE of all samples up to a horizon, {side}, with a logarithmic axis. "
+        f"At its end the lowest are {', '.join(f'{n} {number(last[n])}' for n in order)}.",
+    )
+
+
+def _from_first(y: Array, length: int) -> Array:
+    """An error over horizon, which begins with the first of `length` horizons."""
+    whole = np.full(length, np.nan)
+    whole[: len(y)] = y
+    return whole

@@ -1,0 +1,206 @@
+"""What a page is made of; the template draws it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from splitband.report.colors import place
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of a table: what it says, and what it is sorted by.
+
+    Attributes
+    ----------
+    text : In words or digits.
+    value : A number to sort by; None sorts by the text.
+    best : Whether no other one of the column is lower.
+    link : To another page.
+    """
+
+    text: str
+    value: float | None = None
+    best: bool = False
+    link: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table that readers sort.
+
+    Attributes
+    ----------
+    caption : What it shows.
+    columns : The headings.
+    rows : The first cell of each names it.
+    marked : Rows that stand out.
+    notes : What each heading means, in the order of the columns that need it.
+    """
+
+    caption: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    marked: frozenset[int] = frozenset()
+    notes: Sequence[tuple[str, str]] = ()
+
+    @property
+    def numeric(self) -> list[bool]:
+        """Which columns hold numbers, and stand on the right."""
+        return [
+            any(row[i].value is not None for row in self.rows) for i in range(len(self.columns))
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Plot:
+    """A plot, and what it shows in words.
+
+    Attributes
+    ----------
+    figure : Of Bokeh.
+    caption : Above it.
+    says : For those who do not see it.
+    methods : One of these has to be switched on for it; none: it is always there.
+    key : Colour and name of what else it shows beside the methods.
+    """
+
+    figure: Any
+    caption: str
+    says: str
+    methods: Sequence[str] = ()
+    key: Sequence[tuple[str, str]] = ()
+
+
+@dataclass(frozen=True)
+class Code:
+    """Lines to copy."""
+
+    caption: str
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """A part of the page with a heading.
+
+    Attributes
+    ----------
+    name : Its anchor.
+    title : The heading.
+    words : Paragraphs.
+    items : A list after them.
+    tables, plots, code : After these.
+    facts : Pairs of a name and a value.
+    folded : Whether it opens by a click.
+    """
+
+    name: str
+    title: str
+    words: Sequence[str] = ()
+    items: Sequence[str] = ()
+    tables: Sequence[Table] = ()
+    plots: Sequence[Plot] = ()
+    code: Sequence[Code] = ()
+    facts: Sequence[tuple[str, str]] = ()
+    folded: bool = False
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method that readers switch on and off.
+
+    Attributes
+    ----------
+    name : Of the forecaster.
+    color : Its place in the palette.
+    dashed : Whether its colour is another one's, too.
+    shown : Whether it is drawn at first.
+    recommended : Whether it is the one.
+    """
+
+    name: str
+    color: int
+    dashed: bool
+    shown: bool
+    recommended: bool
+
+
+@dataclass(frozen=True)
+class View:
+    """A part of the time axis that a button shows."""
+
+    label: str
+    start: float
+    end: float
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """A page.
+
+    Attributes
+    ----------
+    title, lead : The heading, and the line below it.
+    sections : In their order; what switches methods stands before the first one with plots.
+    methods : Which are drawn.
+    views : Parts of the time axis worth a button; the first one is all of it.
+    intervals : Whether methods have intervals, which a switch turns on and off.
+    """
+
+    title: str
+    lead: str
+    sections: Sequence[Section]
+    methods: Sequence[Method] = ()
+    views: Sequence[View] = ()
+    intervals: bool = False
+
+    @property
+    def plots(self) -> list[Plot]:
+        """All of them."""
+        return [plot for section in self.sections for plot in section.plots]
+
+
+@dataclass(frozen=True)
+class Cast:
+    """Which methods there are, and how each is drawn.
+
+    Attributes
+    ----------
+    names : In the order of the comparison, which gives them their colours.
+    recommended : The chosen one.
+    shown : Which are drawn at first.
+    """
+
+    names: Sequence[str]
+    recommended: str
+    shown: frozenset[str] = field(default_factory=frozenset)
+
+    @property
+    def methods(self) -> list[Method]:
+        """For the switches, the recommended one first."""
+        first = sorted(self.names, key=lambda n: (n != self.recommended, n not in self.shown))
+        return [self.of(name) for name in first]
+
+    def of(self, name: str) -> Method:
+        """How a method is drawn."""
+        color = place(self.names, name)
+        dashed = [*self.names].index(name) != color
+        return Method(name, color, dashed, name in self.shown, name == self.recommended)
+
+
+def number(value: float | None) -> str:
+    """Three digits; a dash where there is none."""
+    if value is None or value != value:  # noqa: PLR0124  NaN
+        return "–"  # noqa: RUF001
+    if value and not 1e-3 <= abs(value) < 1e5:
+        return f"{value:.2e}"
+    return f"{float(f'{value:.3g}'):,.12g}"
+
+
+def percent(share: float) -> str:
+    """A share as a percentage."""
+    digits = f"{100 * share:.0f}" if share >= 0.1 else f"{100 * share:.2g}"
+    return f"{digits}\N{NO-BREAK SPACE}%"

@@ -1,0 +1,65 @@
+"""How to use the recommended method, in lines of Python."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from splitband.data import Trajectory
+from splitband.forecasters.names import NAMES, named
+from splitband.report.page.parts import Code, Section
+
+
+@dataclass(frozen=True)
+class Usage:
+    """What only the caller knows of how a comparison was asked for.
+
+    Attributes
+    ----------
+    commands : To use the recommended method from a shell, each with what it does.
+    reading : The line of Python that reads the record; empty: it was made in a program.
+    asked : The command that made the page.
+    """
+
+    commands: Sequence[tuple[str, str]] = ()
+    reading: str = ""
+    asked: str = ""
+
+
+def section(method: str, record: Trajectory, usage: Usage, steps: int) -> Section:
+    """The commands, if any, and the lines of Python."""
+    code = [Code(caption, text) for caption, text in usage.commands]
+    code.append(Code("In Python", python(method, record, usage.reading, steps)))
+    return Section(
+        "use",
+        "How to use this model",
+        ["Fitted to the whole record, it goes on from any later measured samples."],
+        code=code,
+    )
+
+
+def python(method: str, record: Trajectory, reading: str, steps: int) -> str:
+    """Fit a method to the whole record, predict, save."""
+    made = f'setup.forecaster("{method}")' if method in NAMES else f"...  # your {method}"
+    lines = ["import splitband as sb", ""]
+    lines.append(reading or "record = ...  # the one of this page, an sb.Trajectory")
+    if record.y_sim is not None and reading:
+        lines.append(
+            "# dataclasses.replace(record, y_sim=...) puts the simulator's output beside it"
+        )
+    more = ", u=inputs_to_come" if record.nu else ""
+    if record.y_sim is not None and "simulator" in _needs(method):
+        more += ", y_sim=simulated"
+    lines += [
+        "setup = sb.default_setup(record, len(record))",
+        f"model = {made}.fit(record)",
+        f"prediction = model.predict({steps}{more}, level=0.9)",
+        "prediction.to_frame()  # values and interval, with their times",
+        'model.save("model")',
+        f'sb.load("model").predict({steps}, history=later_record{more})',
+    ]
+    return "\n".join(lines)
+
+
+def _needs(method: str) -> frozenset[str]:
+    return named(method).needs if method in NAMES else frozenset()

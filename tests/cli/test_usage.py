@@ -1,0 +1,40 @@
+"""The commands that the page shows are those of the options given, and can be pasted."""
+
+import shlex
+
+import pytest
+
+from splitband.cli.usage import usage
+
+GIVEN = {
+    "record": "my rig.csv", "inputs": "force", "columns": None, "gaps": "mask", "cutoff": "auto",
+    "train": 150, "test": ["later.csv"], "methods": "gru,linear", "calibrate": True, "out": "out",
+    "recipe": "default", "device": "cpu", "more": ["a.csv", "b.csv"],
+}  # fmt: skip
+
+
+def test_a_network_is_fitted_and_simulated_with_what_was_given() -> None:
+    found = usage("compare", GIVEN, "gru", driven=True)
+    (_, fit), (_, simulate) = found.commands
+    assert shlex.split(fit) == shlex.split(
+        "splitband fit 'my rig.csv' --inputs force --gaps mask --more a.csv --more b.csv "
+        "--cutoff auto --method gru --out model"
+    )
+    assert simulate.startswith("splitband simulate model --history FILE --steps 100")
+    assert "--future-inputs FILE" in simulate
+    assert found.reading == "record = sb.read('my rig.csv', inputs=['force'], gaps='mask')"
+    assert "--calibrate" in found.asked
+    assert "--test later.csv" in found.asked
+
+
+def test_what_needs_no_training_is_forecast() -> None:
+    ((_, command),) = usage("compare", GIVEN, "harmonic").commands
+    assert command.startswith("splitband forecast 'my rig.csv' --inputs force --gaps mask")
+    assert command.endswith("--method harmonic --steps 100")
+
+
+@pytest.mark.parametrize("command", ["demo", "benchmark"])
+def test_a_command_without_a_record_has_no_example(command: str) -> None:
+    found = usage(command, {"listed": "a list.csv", "out": "out"})
+    assert not found.commands
+    assert found.asked == f"splitband {command} 'a list.csv' --out out"

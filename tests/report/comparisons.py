@@ -1,0 +1,74 @@
+"""Comparisons of what needs no training, with what networks would add to them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from splitband import Settings, Trajectory
+from splitband.evaluation.api import Comparison, Forecast, compare, forecast
+from splitband.evaluation.comparison import Runs
+from splitband.evaluation.search import Attempt
+from splitband.evaluation.setup import Setup
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import FitReport
+
+DT, LENGTH, TRAIN, WARMUP = 0.1, 300, 200, 10
+NASTY = "<script>alert(1)</script> $$x^2$$ & \"quoted\" 'single'"
+"""A name that would be a script, a formula that would be loaded, and the end of an attribute."""
+
+
+def record(length: int = LENGTH, ny: int = 1, nu: int = 0, **others: Any) -> Trajectory:
+    rng = np.random.default_rng(0)
+    t = DT * np.arange(length)[:, None]
+    y = np.sin(2 * np.pi * 0.2 * t + np.arange(ny)) + 0.1 * rng.standard_normal((length, ny))
+    u = np.cos(t + np.arange(nu)) if nu else None
+    return Trajectory(y, DT, u=u, **{"name": "rig", **others})
+
+
+def compared(
+    r: Trajectory,
+    methods: Sequence[str] = ("mean", "persistence", "seasonal-naive"),
+    train: int = TRAIN,
+    tests: Sequence[Trajectory] = (),
+) -> Comparison:
+    """Compared for real; of other methods than these the colours would be others."""
+    setup = Setup(train, Settings(30, WARMUP, 1), Bands(0.5, 1, 2))
+    found = compare(r, methods=[setup.forecaster(m) for m in methods], setup=setup, tests=tests)
+    return replace(found, attempts=(Attempt("gru", "8 hidden units", 2, 0.25),))
+
+
+def as_if_trained(found: Comparison, method: str = "persistence") -> Comparison:
+    """With training losses of two seeds, and two parts, as a model of two bands has them."""
+    (run,) = found.runs[method]
+    y = run.from_start.y
+    parts = replace(run.from_start, components={"low band": 0.75 * y, "high band": 0.25 * y})
+    losses = {"low band": [1.0, 0.4, 0.2], "high band": [1.0, 0.9]}
+    fits = [FitReport(seed, 1.0, losses, ("high band: a note",)) for seed in (0, 1)]
+    runs = dict(found.runs) | {method: [replace(run, from_start=parts, fit=fit) for fit in fits]}
+    return replace(found, runs=Runs(runs))
+
+
+def everything() -> Comparison:
+    """Two channels, an input, a simulator, gaps, dates, a test record and names that are traps."""
+    plain = record(ny=2, nu=1)
+    y = plain.y.copy()
+    y[50:60, 0] = np.nan
+    r = Trajectory.with_gaps(
+        y, DT, plain.u, y_sim=0.9 * plain.y, name=NASTY, columns=("angle (rad)", NASTY),
+        inputs=("force",), start=pd.Timestamp("2024-03-01 08:00"),
+    )  # fmt: skip
+    test = replace(plain, name="later", columns=r.columns, inputs=r.inputs)
+    methods = "mean", "persistence", "seasonal-naive", "simulator", "linear"
+    return as_if_trained(compared(r, methods, tests=[test]))
+
+
+def forecasted() -> Forecast:
+    """Of a record without time stamps whose samples are counted."""
+    r = replace(record(), sampling_time=1.0)
+    setup = Setup(len(r), Settings(30, WARMUP, 1), Bands(0.05, 1, 2))
+    return forecast(r, 40, [setup.forecaster(m) for m in ("mean", "persistence")], setup=setup)

@@ -1,0 +1,185 @@
+"""The page as a file: well formed, names escaped, whole or not there, small."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import html5lib
+import numpy as np
+import pytest
+
+from splitband import Trajectory
+from splitband.evaluation.api import Comparison
+from splitband.filters.spectrum import periodogram
+from splitband.report import page as report
+from splitband.report.benchmark import Row
+from splitband.report.page import comparison, document, figures
+from splitband.report.page.thinning import bin_size, compact, envelope, places, thinned
+from splitband.report.page.usage import Usage
+from tests.report import comparisons
+
+
+def parsed(path: Path) -> Any:
+    """The document; html5lib raises for what is not well formed, as browsers report it."""
+    parser = html5lib.HTMLParser(strict=True, namespaceHTMLElements=False)
+    return parser.parse(path.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def everything() -> Comparison:
+    return comparisons.everything()
+
+
+@pytest.fixture(scope="module")
+def pages(everything: Comparison, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """One of each kind."""
+    folder = tmp_path_factory.mktemp("pages")
+    r = everything.record
+    facts = {
+        "share_below": 0.5, "order": 1, "reconstruction_rmse": 1e-3, "train": 200,
+        "peaks": [{"frequency": f, "share": s} for f, s in periodogram(r.y, 10.0).peaks()],
+        "simulator": {
+            "total_rmse": 1.0, "mean_coherence_below_cutoff": 0.5,
+            "oracle": [{"cutoff": 0.5, "perfect_network": 0.1, "no_network": 0.2}],
+            "training": {"nothing_to_learn": True},
+        },
+    }  # fmt: skip
+    rows = [
+        Row("good", "test", "gru", 0.2, "linear", 0.1, 0.9, 3.0),
+        Row("no error", "test", "gru", None, "", None, None, 3.0),
+        Row(comparisons.NASTY, failed="the file is empty"),
+    ]
+    results: dict[str, Any] = {
+        "comparison": everything,
+        "forecast": comparisons.forecasted(),
+        "spectrum": report.Looked(r, 0.5, None, facts),
+        "benchmark": rows,
+        "failures": rows[2:],
+    }
+    used = Usage([("Fit it", "splitband fit 'a <b>'")], "record = ...", "splitband compare 'a <b>'")
+    for name, result in results.items():
+        report.write(result, folder / name, used)
+    return {name: folder / name for name in results}
+
+
+@pytest.mark.parametrize("kind", ["comparison", "forecast", "spectrum", "benchmark", "failures"])
+def test_each_page_is_well_formed_and_readable(pages: dict[str, Path], kind: str) -> None:
+    """Landmarks, one first heading, no level left out, captions, words for every plot."""
+    tree = parsed(pages[kind])
+    assert tree.get("lang") == "en"
+    assert all(tree.find(f".//{landmark}") is not None for landmark in ("header", "main", "nav"))
+    headings = [e.tag for e in tree.iter() if e.tag in ("h1", "h2", "h3")]
+    assert headings.count("h1") == 1
+    assert headings[:2] == ["h1", "h2"]
+    for table in tree.iter("table"):
+        assert table.find("caption").text
+        assert {th.get("aria-sort") for th in table.findall("./thead//th")} == {"none"}
+        assert all(row.find("th").get("scope") == "row" for row in table.findall("./tbody/tr"))
+    drawn = [e for e in tree.iter("div") if e.get("class") == "plot"]
+    assert all(len(plot.get("aria-label")) > 40 and plot.get("role") == "img" for plot in drawn)
+    identities = [e.get("id") for e in tree.iter() if e.get("id")]
+    assert len(identities) == len(set(identities))
+    anchors = {a.get("href")[1:] for a in tree.findall(".//nav//a")}
+    assert anchors <= set(identities)
+    assert pages[kind].stat().st_size < 6e6
+
+
+def test_names_are_escaped(pages: dict[str, Path]) -> None:
+    text = pages["comparison"].read_text(encoding="utf-8")
+    assert "<script>alert" not in text
+    tree = parsed(pages["comparison"])
+    assert comparisons.NASTY in tree.find(".//h1").text
+    assert "splitband fit 'a <b>'" in [code.text for code in tree.iter("code")]
+    assert "<script>alert" not in pages["benchmark"].read_text(encoding="utf-8")
+
+
+def test_the_page_says_what_it_must(pages: dict[str, Path], everything: Comparison) -> None:
+    said = " ".join("".join(parsed(pages["comparison"]).itertext()).split())
+    for words in (
+        f"Recommended: {everything.recommended}", "samples were not measured", "a note",
+        "To keep in mind", "Error over horizon", "Components", "Spectrum and cut-off", "Training",
+        "What was tried", "How to use this model", "numpy", "splitband compare 'a <b>'",
+        "Not tested: ", "test later",
+    ):  # fmt: skip
+        assert words in said
+
+
+def test_a_page_is_written_whole_or_not_at_all(
+    tmp_path: Path, everything: Comparison, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "report.html"
+    path.write_text("the old one")
+
+    def failing(page: Any) -> str:
+        raise RuntimeError("the template is wrong")
+
+    monkeypatch.setattr(document, "html", failing)
+    with pytest.raises(RuntimeError):
+        everything.report(path)
+    assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("report.html", "the old one")]
+
+
+def test_where_nothing_is_forecast_there_is_no_forecast(tmp_path: Path) -> None:
+    r = comparisons.record()
+    found = comparisons.compared(replace(r, start=5.0), ("mean", "persistence"), len(r), [r])
+    page = comparison.page(found, Usage())
+    assert [view.label for view in page.views] == ["Whole record"]
+    assert not page.intervals
+    found.report(tmp_path / "page.html")
+    parsed(tmp_path / "page.html")
+
+
+def test_time_is_called_what_the_record_knows() -> None:
+    r = comparisons.record()
+    labels = {
+        axis.label: axis.values[1]
+        for axis in (
+            figures.TimeAxis.of(each)
+            for each in (r, replace(r, start=7.0), replace(r, sampling_time=1.0))
+        )
+    }
+    assert labels == {"time since the first sample (s)": 0.1, "time (s)": 7.1, "sample": 1.0}
+
+
+def test_thinning_keeps_every_peak_and_its_order() -> None:
+    rng = np.random.default_rng(0)
+    y = rng.standard_normal(10_007)
+    y[1234], y[7777] = 50.0, -40.0
+    size = bin_size(len(y), 1000)
+    drawn = thinned(y, size)
+    assert size == 21
+    assert len(drawn) == len(places(len(y), size)) <= 1000
+    for i in range(0, len(drawn) // 2):
+        of_bin = y[i * size : (i + 1) * size]
+        low, high = of_bin.argmin(), of_bin.argmax()
+        expected = [of_bin[min(low, high)], of_bin[max(low, high)]]
+        np.testing.assert_allclose(drawn[2 * i : 2 * i + 2], expected, rtol=1e-6)
+    assert np.all(np.diff(places(len(y), size)) >= 0)
+
+
+def test_thinning_leaves_gaps_and_short_curves() -> None:
+    y = np.arange(100.0)
+    np.testing.assert_array_equal(thinned(y, bin_size(100, 100)), y)
+    y[20:40] = np.nan
+    drawn = thinned(y, 10)
+    assert np.isnan(drawn[4:8]).all()
+    assert np.isfinite(np.delete(drawn, range(4, 8))).all()
+    lower, upper = envelope(y - 1, y + 1, 10)
+    assert lower[:4].tolist() == [-1, -1, 9, 9]
+    assert upper[:4].tolist() == [10, 10, 20, 20]
+
+
+def test_single_precision_is_used_only_where_nobody_sees_it() -> None:
+    assert compact(np.linspace(0, 1, 50)).dtype == np.float32
+    assert compact(1e8 + np.linspace(0, 1, 50)).dtype == np.float64
+    assert compact(np.array([1e100, 0.0])).dtype == np.float64
+
+
+def test_a_diverging_method_is_drawn_to_the_edge(tmp_path: Path) -> None:
+    """Numbers that no canvas takes, as of a simulation that has exploded."""
+    r = comparisons.record()
+    r = Trajectory(r.y, r.sampling_time, y_sim=np.where(np.arange(len(r)) > 250, 1e60, 0.0))
+    comparisons.compared(r, ("mean", "simulator")).report(tmp_path / "page.html")
+    parsed(tmp_path / "page.html")
