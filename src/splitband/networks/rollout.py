@@ -35,6 +35,13 @@ def rollout(
     -------
     Tensor
         The simulated samples R..R+steps-1, shape `(batch, steps, ny)`.
+
+    Examples
+    --------
+    >>> import torch
+    >>> cell = sb.GRU(8)
+    >>> sb.rollout(cell, torch.zeros(2, 5, 1), steps=30).shape
+    torch.Size([2, 30, 1])
     """
     _check(cell, y_warmup, steps, u)
     warmup = y_warmup.shape[1]
