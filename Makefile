@@ -30,7 +30,7 @@ format: .venv/.ready
 	$(BIN)/ruff format .
 
 docs: .venv/.ready
-	$(BIN)/python -m sphinx -b html --fail-on-warning --keep-going docs docs/_build/html
+	$(BIN)/python -m sphinx -b html --fresh-env --fail-on-warning --keep-going docs docs/_build/html
 
 bench: .venv/.ready
 	mkdir -p docs/benchmarks

@@ -31,6 +31,7 @@ html_theme = "furo"
 html_title = f"splitband {release}"
 html_static_path = ["_static"]
 html_css_files = ["splitband.css"]
+html_theme_options = {"light_css_variables": {"color-code-background": "#f4f6f8"}}
 html_math_renderer = "mathml"
 html_show_sphinx = False
 html_copy_source = False

@@ -13,6 +13,7 @@ import os
 import shutil
 import subprocess
 import sys
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -28,6 +29,8 @@ from sphinx.util.docutils import SphinxDirective
 
 LANGUAGES = {"python": "python", "console": "bash"}
 """What a block can be, and how it is highlighted."""
+WIDTH = 88
+"""Characters of a line that a page has room for."""
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = "_build/executed"
 """Where results are kept, below the folder of the pages."""
@@ -85,13 +88,21 @@ def _shown(block: Block, result: dict[str, str]) -> list[nodes.Node]:
     code = nodes.literal_block(block["code"], block["code"], language=LANGUAGES[block["kind"]])
     shown: list[nodes.Node] = [code]
     if result.get("output") and "quiet" not in block:
-        output = nodes.literal_block(result["output"], result["output"], language="text")
+        text = "\n".join(_wrapped(line) for line in result["output"].splitlines())
+        output = nodes.literal_block(text, text, language="text")
         output["classes"].append("output")
         shown.append(output)
     if "figure" in result:
         image = nodes.image(uri=f"/{KEPT}/{result['figure']}", alt=block["alt"])
         shown.append(nodes.figure("", image))
     return shown
+
+
+def _wrapped(line: str) -> str:
+    """A sentence on lines of a page's width; a row of a table as it is."""
+    if len(line) <= WIDTH or line[0] in "│┃┏┡└":
+        return line
+    return textwrap.fill(line, WIDTH, subsequent_indent="  ", break_long_words=False)
 
 
 def _results(page: str, blocks: Sequence[Block], kept: Path) -> list[dict[str, str]]:
