@@ -30,7 +30,7 @@ class Commands(SphinxDirective):
             line = " ".join((command.help or "").partition("\n\n")[0].split())
             listed += _defined([nodes.literal("", f"splitband {name}")], self.parse_inline(line)[0])
             sections.append(self._section(f"splitband {name}", command))
-        return [listed, *sections]
+        return [listed, nodes.paragraph("", "For all of them:"), *self._options(group), *sections]
 
     def _section(self, name: str, command: Any) -> nodes.Node:
         section = nodes.section(ids=[name.replace(" ", "-")])
@@ -44,6 +44,11 @@ class Commands(SphinxDirective):
         yield nodes.literal_block("", " ".join(words), language="text")
         for paragraph in (command.help or "").split("\n\n"):
             yield nodes.paragraph("", "", *self.parse_inline(" ".join(paragraph.split()))[0])
+        yield from self._options(command)
+        for word, sub in getattr(command, "commands", {}).items():
+            yield self._section(f"{name} {word}", sub)
+
+    def _options(self, command: Any) -> Iterator[nodes.Node]:
         panels: dict[str, list[Any]] = {}
         for parameter in command.params:
             if not getattr(parameter, "hidden", False):
@@ -56,8 +61,6 @@ class Commands(SphinxDirective):
             for each in members:
                 listed += self._option(each)
             yield listed
-        for word, sub in getattr(command, "commands", {}).items():
-            yield self._section(f"{name} {word}", sub)
 
     def _option(self, parameter: Any) -> nodes.Node:
         """An option or argument: how it is written, what it does, what it is by default."""
