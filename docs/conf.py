@@ -27,6 +27,8 @@ extensions = [
 exclude_patterns = ["_build", "results/page.md", "results/causes.md", "results/tables"]
 nitpicky = True
 
+smartquotes = False  # it takes the two hyphens of an option for a dash
+
 html_theme = "furo"
 html_title = f"splitband {release}"
 html_static_path = ["_static"]

@@ -97,6 +97,17 @@ def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:
         assert not [a for a in page.addresses if re.match(r"\w+:|//", a) and "data:" not in a]
 
 
+def test_links_lead_to_files_in_a_viewer_of_the_repository_too() -> None:
+    pages = [path for path in DOCS.rglob("*.md") if "_build" not in path.parts]
+    broken = [
+        (path.name, link)
+        for path in (*pages, DOCS.parent / "README.md", DOCS.parent / "CONTRIBUTING.md")
+        for link in re.findall(r"\]\(([^)#`\s]+)[^)]*\)", path.read_text(encoding="utf-8"))
+        if not re.match(r"\w+:", link) and not (path.parent / link).exists()
+    ]
+    assert broken == []
+
+
 def test_a_block_that_fails_ends_the_build(tmp_path: Path) -> None:
     (tmp_path / "conf.py").write_text(
         f"import sys\nsys.path.insert(0, {str(DOCS / '_ext')!r})\n"

@@ -67,7 +67,7 @@ class Commands(SphinxDirective):
         named = _name(parameter)
         if parameter.param_type_name == "option":
             names = ", ".join([*parameter.opts, *parameter.secondary_opts])
-            value = parameter.metavar or _kind(parameter.bare_type)
+            value = parameter.metavar or _kind(parameter.type_descriptor.annotation)
             named = names if parameter.is_flag else f"{names} {value}"
         said = [parameter.help or ""]
         default = parameter.show_default
