@@ -1,4 +1,5 @@
 # `make demo` runs the main job, `make test` every check; both set up .venv first if need be.
+# `make docs` builds the documentation site, whose tutorials it executes: docs/_build/html/index.html.
 # `make fuzz` looks for failures at random, `make soak` repeats what takes long: both for minutes.
 PYTHON ?= python3
 BIN := .venv/bin
@@ -7,7 +8,7 @@ ifneq ($(wildcard ../shared/data),)
 export SPLITBAND_DATA_DIR ?= $(abspath ../shared/data)
 endif
 
-.PHONY: demo test check kernels format bench fuzz soak memory clean
+.PHONY: demo test check kernels format docs bench fuzz soak memory clean
 
 demo: .venv/.ready
 	$(BIN)/splitband demo --out demo
@@ -27,6 +28,9 @@ check: .venv/.ready
 format: .venv/.ready
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+docs: .venv/.ready
+	$(BIN)/python -m sphinx -b html --fresh-env --fail-on-warning --keep-going docs docs/_build/html
 
 bench: .venv/.ready
 	mkdir -p docs/benchmarks
@@ -50,4 +54,4 @@ memory: .venv/.ready
 	touch $@
 
 clean:
-	rm -rf .venv demo out .mypy_cache .ruff_cache .pytest_cache
+	rm -rf .venv demo out docs/_build .mypy_cache .ruff_cache .pytest_cache

@@ -16,7 +16,13 @@ Array = npt.NDArray[np.float64]
 
 
 def rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
-    """Root of the mean squared error, in the unit of y: the last value of `cumulative_rmse`."""
+    """Root of the mean squared error, in the unit of y: the last value of `cumulative_rmse`.
+
+    Examples
+    --------
+    >>> sb.rmse([0.0, 0.0, 0.0, 0.0], [1.0, -1.0, 1.0, -1.0])
+    1.0
+    """
     squared = _squared_errors(y, prediction)
     if np.isnan(squared).any():
         return float(_cumulative(squared, np.asarray(y, float))[-1])

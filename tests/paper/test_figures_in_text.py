@@ -1,267 +1,25 @@
 """Figures in the documents: each is in a file of results, where a test looks it up.
 
 docs/results/README.md is made of the run files as a whole. The other documents are written by hand;
-a sentence of theirs that states a figure stands in `quotes` below, with braces in place of the
-figures and where these are found.
+a sentence of theirs that states a figure stands in `tests/paper/quotes.py`.
 """
 
 from __future__ import annotations
 
-import json
 import re
 import runpy
-import statistics
-from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
-from typing import Any
 
 import pytest
 
-from splitband.paper import published
+from tests.paper.quotes import DEVIATIONS, NO_RESULT, RESULTS, ROOT, WHOLE, one_line, quotes
 
-ROOT = Path(__file__).parents[2]
-DOCS = ROOT / "docs"
-RESULTS = DOCS / "results"
-README, DEVIATIONS = "README.md", "docs/deviations.md"
-
-NO_RESULT = (
-    "Python 3.11 or newer",
-    "level=0.9",
-)
-"""What looks like a figure in README.md and is none."""
-
-
-@dataclass(frozen=True)
-class Quote:
-    """A sentence of a document, `{}` for each figure, and the figures as files have them."""
-
-    document: str
-    sentence: str
-    figures: tuple[float | str, ...]
-
-    @property
-    def text(self) -> str:
-        return _one_line(self.sentence.format(*self.figures))
-
-
-@cache
-def _json(path: str) -> Any:
-    return json.loads((DOCS / path).read_text(encoding="utf-8"))
-
-
-def _at(path: str, *keys: str) -> Any:
-    found = _json(path)
-    for key in keys:
-        found = found[key]
-    return found
-
-
-def _row(table: str, system: str, method: str) -> dict[str, Any]:
-    rows: list[dict[str, Any]] = _at(f"results/tables/{table}.json", "rows")
-    return next(row for row in rows if (row["system"], row["method"]) == (system, method))
-
-
-def _mean(table: str, system: str, method: str) -> float:
-    return statistics.mean(_row(table, system, method)["total_rmse"])
-
-
-def _number(text: str, after: str) -> float:
-    """The number that stands behind a word in a description."""
-    found = re.search(rf"{after} (-?[\d.]+\d)", text)
-    assert found, (text, after)
-    return float(found[1])
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
-
-
-def quotes() -> list[Quote]:
-    return [*_compared(), *_beyond(), *_speed(), *_paper(), *_deviations()]
-
-
-def _compared() -> Iterator[Quote]:
-    """The tables of README.md, by `splitband compare`."""
-    of = _at("results/drill-string.json", "methods")
-    recommended = _at("results/drill-string.json", "recommended")
-    for name, facts in of.items():
-        cells = "| {} | {:.3f} | {:.3f} | {:.3f} | {:.3f} | {:.0f} % |"
-        if name == recommended:
-            errors = " | ".join(["**{:.3f}**", "{:.3f}", "**{:.3f}**", "**{:.3f}**"])
-            cells = f"| **{{}}** (recommended) | {errors} | {{:.0f}} % |"
-        elif facts["change"] == 0:
-            cells = "| {} | {:.3f} | {:.0f} | {:.3f} | {:.3f} | {:.0f} % |"
-        figures = (facts["held_out_rmse"], facts["change"], facts["total_rmse_mean"],
-                   facts["forecast_rmse_mean"], 100 * facts["interval"]["covers"])  # fmt: skip
-        yield Quote(README, cells, (name, *figures))
-    best = of["filtered-gru-calibrated-conditioned"]
-    yield Quote(README, "simulator below {:.2f} Hz, network above",
-                (_at("results/drill-string.json", "settings", "cutoff"),))  # fmt: skip
-    yield Quote(README, "offset {:.3f}: all that pays",
-                (_number(of["simulator-calibrated"]["description"], "offset"),))  # fmt: skip
-    for name, words, number in (
-        ("seasonal-naive", "the last", "the last {:.0f} samples, repeated"),
-        ("periodic", "a period of", "harmonics of a period of {:.0f} samples"),
-    ):
-        yield Quote(README, number, (_number(of[name]["description"], words),))
-    yield Quote(README, "which is what you get, has {:.3f}", (best["mean_of_seeds"]["total_rmse"],))
-    yield Quote(README, "The paper's best on this record is {:.3f}.",
-                (published.HYBRID_RNN["vi"]["filtered-rnn"].mean,))  # fmt: skip
-    of = _at("results/double-torsion.json", "methods")
-    yield Quote(
-        README,
-        "recommends the mean over its periods, {:.3f}, where seasonal-naive has {:.3f} and a GRU "
-        "{:.3f} ({:.2f})",
-        (of["periodic"]["total_rmse_mean"], of["seasonal-naive"]["total_rmse_mean"],
-         of["gru"]["total_rmse_mean"], of["gru"]["total_rmse_std"]),
-    )  # fmt: skip
-
-
-def _beyond() -> Iterator[Quote]:
-    """What calibration and conditioning do, in README.md and the deviations."""
-    of = _at("results/beyond/v.json", "methods")
-    raw, calibrated = (
-        of[name]["total_rmse_mean"] for name in ("simulator", "simulator-calibrated")
-    )
-    note = of["simulator-calibrated"]["description"]
-    terms = _number(note, "delay"), _number(note, "clock")
-    yield Quote(
-        README,
-        "delay {:.2f} s, clock {:.4f}; the simulator's error falls from {:.3f} to {:.3f} with",
-        (*terms, raw, calibrated),
-    )
-    yield Quote(
-        DEVIATIONS,
-        "(v): {:.3f} becomes {:.3f}, delay {:.2f} s and clock {:.4f} found",
-        (raw, calibrated, *terms),
-    )
-    filtered = (
-        f"filtered-gru{s}" for s in ("-calibrated-conditioned", "-calibrated", "-conditioned")
-    )
-    yield Quote(
-        README,
-        "Van der Pol: {:.3f} with the network in the high band ({:.3f} calibrated alone, {:.3f} "
-        "conditioned alone) and {:.3f} with it added to the simulator, without a filter; the "
-        "paper's best is {:.3f}.",
-        (*(of[name]["total_rmse_mean"] for name in filtered),
-         of["residual-gru-calibrated-conditioned"]["total_rmse_mean"],
-         published.HYBRID_RNN["v"]["filtered-rnn"].mean),
-    )  # fmt: skip
-    yield Quote(README, "periodic regression has {:.3f} with no network",
-                (of["periodic"]["total_rmse_mean"],))  # fmt: skip
-
-
-def _speed() -> Iterator[Quote]:
-    one, two = (_at("benchmarks/rollout.json", f"GRU, {n} threads") for n in (1, 2))
-    yield Quote(README, "batch 50, window 150: ours | {:.1f} ms | {:.1f} ms |",
-                (one["kernel, ms"], two["kernel, ms"]))  # fmt: skip
-    for label, key in (
-        ("a loop over `torch.nn.GRU`, step by step", "nn.GRU, step by step"),
-        ("tsfast, autoregressive GRU", "tsfast AR_Model"),
-        ("JAX `scan`, compiled whole, always on two threads", "JAX scan"),
-    ):
-        ratios = tuple(of[f"{key} / kernel"] for of in (one, two))
-        yield Quote(README, f"| {label} | {{:.1f}} | {{:.1f}} |", ratios)
-    one, two = (_at("benchmarks/rollout.json", f"EulerMLP, {n} threads") for n in (1, 2))
-    yield Quote(README, "batch 50, window 200: ours | {:.0f} ms | {:.0f} ms |",
-                (one["kernel, ms"], two["kernel, ms"]))  # fmt: skip
-    yield Quote(README, "| the loop in torch | {:.1f} | {:.1f} |",
-                (one["plain loop / kernel"], two["plain loop / kernel"]))  # fmt: skip
-    faster = (min(of[f"tsfast NeuralStateSpace, {b} / kernel"] for b in ("eager", "C"))
-              for of in (one, two))  # fmt: skip
-    yield Quote(README, "its faster backend | {:.1f} | {:.1f} |", tuple(faster))
-    one, two = (_at("benchmarks/system_i.json", f"{n} threads") for n in (1, 2))
-    yield Quote(
-        README,
-        "trains in {:.1f} s on one thread and {:.1f} s on two (the paper: {:.0f} s; our own loop: "
-        "{:.0f} s and {:.0f} s)",
-        (one["kernels, s"], two["kernels, s"], published.SECONDS["i"]["split-gru"].mean,
-         one["plain loop, s"], two["plain loop, s"]),
-    )  # fmt: skip
-    yield Quote(
-        README,
-        "of (50, 1500) samples, forward and backward, takes {:.1f} times SciPy's forward pass",
-        (_at("benchmarks/filters.json", "(50, 1500)", "zero-phase / SciPy filtfilt"),),
-    )
-
-
-def _paper() -> Iterator[Quote]:
-    """The paper's tables, in README.md and the deviations."""
-    off = [
-        100 * abs(_mean("hybrid-gru", "vi", name) / published.HYBRID_GRU["vi"][name].mean - 1)
-        for name in ("filtered-gru", "residual-gru")
-    ]
-    yield Quote(README, "are reproduced to {:.0f} and {:.0f} %", tuple(off))
-    yield Quote(
-        README,
-        "at the paper's settings, {:.3f} where the paper has {:.3f}",
-        (_mean("learning-based", "i", "split-gru"),
-         published.LEARNING_BASED["i"]["split-gru"].mean),
-    )  # fmt: skip
-    best = {
-        system: [
-            min(_mean(table, system, method) for method in methods)
-            for methods in (published_row, ("persistence", "seasonal-naive", "harmonic"))
-        ]
-        for table, of in (("learning-based", published.LEARNING_BASED),
-                          ("hybrid-gru", published.HYBRID_GRU))
-        for system, row in of.items()
-        for published_row in [[name for name in row if name != "simulator"]]
-    }  # fmt: skip
-    assert [system for system, (network, naive) in best.items() if network < naive] == ["vi"]
-    yield Quote(README, "beats the best of the naive baselines, {:.3f} against {:.3f}",
-                tuple(best["vi"]))  # fmt: skip
-    simulator = _row("hybrid-gru", "vi", "simulator")
-    yield Quote(
-        DEVIATIONS,
-        "the simulator of (vi) has {:.3f} in the paper, {:.3f} here with the warm-up counted and "
-        "{:.3f} without it",
-        (simulator["paper"]["mean"], simulator["whole_rmse"][0], simulator["total_rmse"][0]),
-    )
-    losses = [f(_row("learning-based", "ii", name)["losses"]["high band"])
-              for name in ("split-gru-hp", "split-gru") for f in (min, max)]  # fmt: skip
-    yield Quote(
-        DEVIATIONS,
-        "training loss {:.2f} to {:.2f} over five seeds, against {:.2f} to {:.2f} without the "
-        "filter",
-        tuple(losses),
-    )
-
-
-def _deviations() -> Iterator[Quote]:
-    """The improvements that docs/deviations.md lists."""
-    held = {
-        name: [statistics.mean(run["held_out"] for run in runs[told])
-               for told in ("measurement", "prediction")]
-        for name, runs in _json("benchmarks/conditioning.json").items()
-    }  # fmt: skip
-    draws = [held[f"i, draw {draw}"] for draw in (0, 1)]
-    yield Quote(
-        DEVIATIONS,
-        "on the torsion record {:.3f} against {:.3f}, on two draws of (i) {:.3f} and {:.3f} "
-        "against {:.3f} and {:.3f}",
-        (*held["double-torsion record"], draws[0][0], draws[1][0], draws[0][1], draws[1][1]),
-    )
-    pendulum = _at("results/beyond/pendulum-ii.json", "methods")
-    torsion = _at("results/beyond/double-torsion-record.json", "methods")
-    names = ("periodic", "seasonal-naive")
-    yield Quote(
-        DEVIATIONS,
-        "On the torsion record {:.3f} where seasonal-naive, which repeats one noisy period, has "
-        "{:.3f}; on the simulated pendulum (ii) {:.3f} where harmonic regression has {:.2f}",
-        (*(torsion[name]["total_rmse_mean"] for name in names),
-         *(pendulum[name]["total_rmse_mean"] for name in ("periodic", "harmonic"))),
-    )  # fmt: skip
-
-
-DOCUMENTS = (README, DEVIATIONS)
+DOCUMENTS = (*WHOLE, DEVIATIONS)
 
 
 @cache
 def _document(name: str) -> str:
-    return _one_line((ROOT / name).read_text(encoding="utf-8"))
+    return one_line((ROOT / name).read_text(encoding="utf-8"))
 
 
 def _not_found(document: str, text: str) -> list[str]:
@@ -269,9 +27,9 @@ def _not_found(document: str, text: str) -> list[str]:
     return [q.text for q in quotes() if q.document == document and q.text not in text]
 
 
-def _unknown(text: str) -> list[str]:
-    """The decimal numbers that no sentence of README.md, as the files have it, accounts for."""
-    for known in (*NO_RESULT, *(q.text for q in quotes() if q.document == README)):
+def _unknown(document: str, text: str) -> list[str]:
+    """The decimal numbers that no sentence, as the files have it, accounts for."""
+    for known in (*NO_RESULT, *(q.text for q in quotes() if q.document == document)):
         text = text.replace(known, "")
     return re.findall(r".{0,40}\d\.\d+.{0,20}", text)
 
@@ -281,18 +39,21 @@ def test_a_quoted_figure_is_the_one_in_its_file(document: str) -> None:
     assert _not_found(document, _document(document)) == []
 
 
-def test_every_decimal_number_of_the_readme_is_looked_up() -> None:
+@pytest.mark.parametrize("document", WHOLE)
+def test_every_decimal_number_is_looked_up(document: str) -> None:
     """One that fails here wants an entry in `quotes`, or in `NO_RESULT`."""
-    assert _unknown(_document(README)) == []
+    assert _unknown(document, _document(document)) == []
 
 
 def test_editing_any_figure_is_noticed() -> None:
-    text = _document(README)
-    places = [m.end() - 1 for m in re.finditer(r"\d\.\d+", text)]
-    assert len(places) > 60
-    for at in places:
-        edited = text[:at] + str((int(text[at]) + 1) % 10) + text[at + 1 :]
-        assert _not_found(README, edited) or _unknown(edited), text[at - 40 : at + 20]
+    for document in WHOLE:
+        text = _document(document)
+        places = [m.end() - 1 for m in re.finditer(r"\d\.\d+", text)]
+        assert len(places) > 1
+        for at in places:
+            edited = text[:at] + str((int(text[at]) + 1) % 10) + text[at + 1 :]
+            noticed = _not_found(document, edited) or _unknown(document, edited)
+            assert noticed, text[at - 40 : at + 20]
 
 
 @cache

@@ -87,6 +87,14 @@ def read(
     ValueError
         If it cannot be understood: the message names the file, the column and the data row,
         counted from 0 without the header. A `ColumnError` where a column is not there.
+
+    Examples
+    --------
+    >>> rows = [[0.0, 1, 0.0], [0.5, 1, 0.2], [1.0, 1, 0.3]]
+    >>> np.savetxt("rig.csv", rows, delimiter=",", header="time,force,x", comments="")
+    >>> record = sb.read("rig.csv", inputs="force")
+    >>> len(record), record.sampling_time, record.columns, record.inputs
+    (3, 0.5, ('x',), ('force',))
     """
     path = Path(path)
     try:

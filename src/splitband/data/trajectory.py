@@ -47,6 +47,17 @@ class Trajectory:
         If a signal is not real and finite, its unit such that its square would not be (1e120, or a
         range of 1e-120), lengths or channels differ, there are fewer than two samples, the
         sampling time is not positive, or `start` is no time stamp. Rows are counted from 0.
+
+    Examples
+    --------
+    >>> record = sb.Trajectory([0.0, 0.2, 0.3, 0.3], sampling_time=0.5, u=[1, 1, 0, 0])
+    >>> record.y.shape, record.time
+    ((4, 1), array([0. , 0.5, 1. , 1.5]))
+
+    A slice keeps what is known of the time after it: here the input.
+
+    >>> record[:3].u_beyond
+    array([[0.]])
     """
 
     y: FloatArray

@@ -202,6 +202,15 @@ def compare(
     ------
     ValueError
         For what `check` finds, before anything is computed; where no method can be fitted.
+
+    Examples
+    --------
+    >>> record = sb.Trajectory(np.sin(0.3 * np.arange(400)), 0.1)
+    >>> result = sb.compare(record, 300, [sb.Mean(), sb.Persistence(), sb.Harmonic()])
+    >>> result.recommended
+    'harmonic'
+    >>> list(result.table["forecast"].round(1))
+    [0.7, 1.2, 0.0]
     """
     if setup is None:
         usual = len(record) if tests else int(TRAINING_SHARE * len(record))
@@ -308,6 +317,13 @@ def forecast(
     ------
     ValueError
         As `compare`, and where inputs or simulator do not reach so far.
+
+    Examples
+    --------
+    >>> record = sb.Trajectory(np.sin(0.3 * np.arange(400)), 0.1)
+    >>> found = sb.forecast(record, 50, [sb.Mean(), sb.Harmonic()])
+    >>> found.method, found.prediction.y.shape, found.prediction.lower.shape
+    ('harmonic', (50, 1), (50, 1))
     """
     _check_ahead(record, steps)
     setup = setup or default_setup(record, len(record), ahead=steps)

@@ -78,6 +78,19 @@ class ComplementaryPair:
     cutoff : In Hz, where it is known.
     zero_phase : Whether the filters run in both directions.
     start : How they start, see `lfilter` and `filtfilt`.
+
+    Examples
+    --------
+    >>> y = np.sin(0.1 * np.arange(200))
+    >>> pair = sb.ComplementaryPair.perfect([0.1], [1.0, -0.9], sampling_rate=20)
+    >>> low, high = pair.split(y)
+    >>> bool(np.abs(low + high - y).max() < 1e-12)
+    True
+
+    The low band of one signal and the high band of another:
+
+    >>> pair.combine(low=y, high=np.zeros(200)).shape
+    (200,)
     """
 
     b_low: Array
@@ -108,7 +121,7 @@ class ComplementaryPair:
     ) -> ComplementaryPair:
         """Two Butterworth filters that share a cut-off.
 
-        They satisfy |L|^2 + |H|^2 = 1, so in both directions any order adds up to the identity
+        They satisfy `|L|^2 + |H|^2 = 1`, so in both directions any order adds up to the identity
         away from the ends of a signal. One way, only order 1 does.
 
         Parameters

@@ -27,6 +27,14 @@ class Ensemble(Forecaster):
     member : What each of them is.
     count : How many; they are fitted with the seeds `seed`, `seed + 1`, ...
     name : By default that of the member.
+
+    Examples
+    --------
+    >>> record = sb.Trajectory(np.sin(0.3 * np.arange(120)), 0.1)
+    >>> short = sb.Settings(window=40, warmup=10, epochs=1)
+    >>> model = sb.Ensemble(sb.Single(sb.GRU(4), short), count=2).fit(record, seed=0)
+    >>> model.name, model.predict(20).y.shape
+    ('gru', (20, 1))
     """
 
     def __init__(self, member: Forecaster, count: int = 3, name: str | None = None) -> None:

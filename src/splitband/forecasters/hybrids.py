@@ -162,7 +162,17 @@ class Filtered(_Hybrid):
     bands : Where they part; by default chosen by where base and training samples agree.
     calibrated : Calibrate the simulator to the training samples first. Not in the paper.
     conditioned : Tell the network what the base says, value and slope. Not in the paper.
-    settings, name : See `Network`.
+    settings, name : See `Single`.
+
+    Examples
+    --------
+    >>> time = 0.1 * np.arange(150)
+    >>> record = sb.Trajectory(np.sin(time) + 0.2 * np.sin(9 * time), 0.1)
+    >>> short = sb.Settings(window=40, warmup=10, epochs=1)
+    >>> model = sb.Filtered(sb.Function(np.sin), sb.GRU(4), sb.Bands(0.5, 1, 1), settings=short)
+    >>> prediction = model.fit(record[:120], seed=0).predict(30)
+    >>> sorted(prediction.components)
+    ['network, high band', 'simulator, low band']
     """
 
     def __init__(
@@ -217,6 +227,15 @@ class Residual(_Hybrid):
     ----------
     base : What is added to: see `Filtered`.
     cell, calibrated, conditioned, settings, name : See `Filtered`.
+
+    Examples
+    --------
+    >>> time = 0.1 * np.arange(150)
+    >>> record = sb.Trajectory(np.sin(time) + 0.2 * np.sin(9 * time), 0.1)
+    >>> short = sb.Settings(window=40, warmup=10, epochs=1)
+    >>> model = sb.Residual(sb.Function(np.sin), sb.GRU(4), settings=short)
+    >>> model.fit(record[:120], seed=0).predict(30).y.shape
+    (30, 1)
     """
 
     def __init__(

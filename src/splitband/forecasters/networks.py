@@ -267,7 +267,17 @@ class Single(Network):
     Parameters
     ----------
     cell : Such as `GRU(64)`; of its sizes the hidden ones count, the others are the record's.
-    settings, name : See `Network`.
+    settings : How it is trained; by default the default recipe for the length of the record.
+    name : By default what it is made of.
+
+    Examples
+    --------
+    >>> record = sb.Trajectory(np.sin(0.3 * np.arange(120)), 0.1)
+    >>> short = sb.Settings(window=40, warmup=10, epochs=1)
+    >>> model = sb.Single(sb.GRU(4), short).fit(record, seed=0)
+    >>> prediction = model.predict(20)
+    >>> prediction.y.shape, float(round(prediction.time[0], 1))
+    ((20, 1), 0.1)
     """
 
     def __init__(
@@ -335,7 +345,16 @@ class Split(Banded):
     bands : Where one ends and the other begins; by default chosen by the training samples.
     filter_output : High-pass the fast network's output too, the paper's "+HP".
     conditioned : Tell the fast network what the slow one predicts. Not in the paper.
-    settings, name : See `Network`.
+    settings, name : See `Single`.
+
+    Examples
+    --------
+    >>> time = 0.1 * np.arange(120)
+    >>> record = sb.Trajectory(np.sin(time) + 0.2 * np.sin(9 * time), 0.1)
+    >>> short = sb.Settings(window=40, warmup=10, epochs=1)
+    >>> model = sb.Split(sb.GRU(4), sb.GRU(4), sb.Bands(0.5, 1, 2), settings=short)
+    >>> sorted(model.fit(record, seed=0).predict(20).components)
+    ['high band', 'low band']
     """
 
     cells = ("low", "high")

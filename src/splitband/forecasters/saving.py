@@ -117,6 +117,14 @@ def load(
         When a file is missing.
     ValueError
         When a file is damaged, of another format, or names a class that is not known.
+
+    Examples
+    --------
+    >>> record = sb.Trajectory(np.sin(0.3 * np.arange(120)), 0.1)
+    >>> model = sb.Periodic().fit(record)
+    >>> model.save("model")
+    >>> bool(np.allclose(sb.load("model").predict(20).y, model.predict(20).y))
+    True
     """
     folder, own = Path(folder), dict(classes or {})
     if (folder / FILE).is_file():

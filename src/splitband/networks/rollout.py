@@ -16,7 +16,7 @@ Backend = Literal["auto", "plain", "fused"]
 def rollout(
     cell: Cell, y_warmup: Tensor, steps: int, u: Tensor | None = None, backend: Backend = "auto"
 ) -> Tensor:
-    """Warm up on measured samples, then simulate (paper, Eq. 9, with the start of NOTES 7).
+    """Warm up on measured samples, then simulate freely (paper, Equation 9).
 
     The warm-up feeds y_0..y_{R-1} and leaves h_R; the first prediction is C h_R, and each
     prediction is fed back in place of a measurement.
@@ -35,6 +35,13 @@ def rollout(
     -------
     Tensor
         The simulated samples R..R+steps-1, shape `(batch, steps, ny)`.
+
+    Examples
+    --------
+    >>> import torch
+    >>> cell = sb.GRU(8)
+    >>> sb.rollout(cell, torch.zeros(2, 5, 1), steps=30).shape
+    torch.Size([2, 30, 1])
     """
     _check(cell, y_warmup, steps, u)
     warmup = y_warmup.shape[1]

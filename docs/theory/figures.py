@@ -1,0 +1,170 @@
+"""Draw the figures of these pages: `python docs/theory/figures.py`.
+
+They are made of the package's own filters and systems and of the result files, and are committed,
+so that a viewer of the repository shows them too.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import splitband as sb
+from splitband.paper.systems import double_mass_spring, van_der_pol
+
+HERE = Path(__file__).resolve().parent
+RESULTS = HERE.parent / "results"
+TRAIN = 600
+"""Samples of system (v) that are trained on."""
+
+Array = npt.NDArray[np.float64]
+
+
+def _panels(count: int, height: float = 3.0, **options: Any) -> tuple[Figure, list[Axes]]:
+    figure = Figure(figsize=(9, height), layout="constrained")
+    return figure, [*np.ravel(figure.subplots(1, count, **options))]
+
+
+def pair() -> Figure:
+    """What the two filters let through, and what they add up to."""
+    figure, (left, right) = _panels(2)
+    freqs = np.geomspace(1e-3, 10, 400)
+    shared = sb.ComplementaryPair.butterworth(0.25, 20)
+    low, high = shared.response(freqs)
+    left.semilogx(freqs, low, label="L")
+    left.semilogx(freqs, high, label="H")
+    left.semilogx(freqs, low + high, "k--", lw=1, label="L + H")
+    left.set(title="order 1, both directions", xlabel="frequency (Hz)", ylabel="gain")
+    for order in (1, 2, 3):
+        one_way = sb.ComplementaryPair.butterworth(0.25, 20, order=order, zero_phase=False)
+        wrong = abs(np.sum(one_way.response(freqs), axis=0) - 1)
+        right.semilogx(freqs, wrong, label=f"Butterworth pair, order {order}")
+    two = sb.ComplementaryPair.butterworth(0.25, 20, order=2)
+    perfect = sb.ComplementaryPair.perfect(two.b_low, two.a, 20).response(freqs)
+    wrong = abs(np.sum(perfect, axis=0) - 1)
+    right.semilogx(freqs, wrong, "k--", lw=1, label="perfect pair, order 2")
+    right.set(title="one way: |L + H - 1|", xlabel="frequency (Hz)")
+    for axes in (left, right):
+        axes.axvline(0.25, color="0.7", lw=1)
+        axes.legend()
+    return figure
+
+
+def bands() -> Figure:
+    """The two bands of system (i), and the samples that the slower network lives on."""
+    figure, (axes,) = _panels(1)
+    record = double_mass_spring(samples=1000)
+    assert record.y_true is not None
+    y = record.y_true[:, 0]
+    split = sb.ComplementaryPair.butterworth(record.sampling_rate * 0.02, record.sampling_rate)
+    low, high = split.split(y)
+    shown = slice(100, 300)
+    axes.plot(record.time[shown], y[shown], "k", lw=1, label="y")
+    axes.plot(record.time[shown], low[shown], label="L(y)")
+    kept = slice(100, 300, 5)
+    axes.plot(record.time[kept], low[kept], "C0o", ms=4, label="every fifth sample of it")
+    axes.plot(record.time[shown], high[shown], "C1", lw=1, label="H(y)")
+    axes.set(xlabel="time (s)")
+    axes.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    return figure
+
+
+def drift() -> Figure:
+    """Errors up to a time of free runs on system (v), by the committed runs."""
+    figure, (axes,) = _panels(1)
+    record = van_der_pol()
+    assert record.y_sim is not None
+    warmup = len(record) - len(_run("v/gru/seed0")["from_start"][0])
+    time, truth = record.time[warmup:], record.truth[warmup:, 0]
+    for seed in range(5):
+        y = np.asarray(_run(f"v/gru/seed{seed}")["from_start"][0])
+        label = "GRU alone, five seeds" if seed == 0 else None
+        axes.plot(time, sb.cumulative_rmse(truth, y), "C3", lw=1, label=label)
+    y_sim = record.y_sim[warmup:, 0]
+    axes.plot(time, sb.cumulative_rmse(truth, y_sim), "C0", lw=2, label="simulator")
+    axes.axvline(record.time[TRAIN], color="0.5", ls=":", label="end of the training samples")
+    axes.set(xlabel="time (s)", ylabel="RMSE up to then", ylim=(0, None))
+    axes.legend()
+    return figure
+
+
+def _run(name: str) -> dict[str, Any]:
+    run: dict[str, Any] = json.loads((RESULTS / "runs" / f"{name}.json").read_text("utf-8"))
+    return run
+
+
+def calibration() -> Figure:
+    """System (v)'s simulator at the beginning and the end of the record, before and after."""
+    figure, panels = _panels(2, sharey=True)
+    record = van_der_pol()
+    assert record.y_sim is not None
+    fitted = sb.Simulation(calibrated=True).fit(record[:TRAIN], horizon=len(record) - TRAIN)
+    calibrated = fitted.on(record).y_sim
+    assert calibrated is not None
+    titles = ("at the beginning", "at the end")
+    for axes, begin, title in zip(panels, (0, 1700), titles, strict=True):
+        shown = slice(begin, begin + 300)
+        axes.plot(record.time[shown], record.y[shown, 0], "k", lw=1.2, label="record")
+        axes.plot(record.time[shown], record.y_sim[shown, 0], "C0--", label="simulator")
+        axes.plot(record.time[shown], calibrated[shown, 0], "C2", label="calibrated")
+        axes.set(title=title, xlabel="time (s)")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def trap() -> Figure:
+    """What each training segment of (v) rewards: adding nothing, or being exactly right."""
+    figure, panels = _panels(2, sharey=True)
+    segments = json.loads((RESULTS / "segments/segments.json").read_text("utf-8"))
+    at = np.arange(len(segments))
+    for axes, prefix, title in zip(
+        panels, ("", "calibrated "), ("simulator as it comes", "simulator calibrated"), strict=True
+    ):
+        for shift, name in ((-0.2, "nothing learned"), (0.2, "exactly right")):
+            heights = [of[prefix + name] for of in segments.values()]
+            axes.bar(at + shift, heights, 0.4, label=name)
+        axes.set_xticks(at, [*segments], rotation=20)
+        axes.set(title=title)
+    panels[0].set(ylabel="training loss (RMSE)")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure
+
+
+def growth() -> Figure:
+    """The laws by which a forecast's errors may grow, each doubling its variance at one horizon."""
+    figure, (axes,) = _panels(1)
+    horizon, onset, saturation = np.linspace(0, 1, 300), 0.1, 0.125
+    settled = 1 + saturation / onset * (1 - np.exp(-horizon / saturation))
+    for name, variance in {
+        "constant": np.ones_like(horizon),
+        "saturating": settled,
+        "random walk": 1 + horizon / onset,
+        "drift": 1 + (horizon / onset) ** 2,
+    }.items():
+        axes.plot(horizon, np.sqrt(variance), label=name)
+    axes.set(xlabel="horizon (in training records)", ylabel="deviation, over the first one")
+    axes.set(ylim=(0, 6))
+    axes.legend()
+    return figure
+
+
+FIGURES: tuple[Callable[[], Figure], ...] = (pair, bands, drift, calibration, trap, growth)
+
+
+def main() -> None:
+    """Write each figure beside this file."""
+    mpl.rcParams.update({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False})
+    for draw in FIGURES:
+        draw().savefig(HERE / f"{draw.__name__}.png", dpi=140)
+
+
+if __name__ == "__main__":
+    main()

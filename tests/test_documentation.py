@@ -1,0 +1,125 @@
+"""The documentation site: it builds without a warning, leaves nothing out, and its examples run.
+
+What takes long, executing the tutorials, is left to `make docs`.
+"""
+
+from __future__ import annotations
+
+import doctest
+import io
+import re
+import subprocess
+import sys
+from contextlib import redirect_stdout
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import splitband
+from splitband.cli import COMMANDS
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+EXAMPLES = (
+    "ComplementaryPair", "Ensemble", "Filtered", "Residual", "Single", "Split", "Trajectory",
+    "compare", "forecast", "load", "read", "rmse", "rollout",
+)  # fmt: skip
+"""Public names whose docstrings must have an example."""
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_examples_of_a_docstring_run(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    described = getattr(splitband, name)
+    names = {"sb": splitband, "np": np}
+    (found,) = (
+        test
+        for test in doctest.DocTestFinder(recurse=False).find(described, name, globs=names)
+        if test.examples
+    )
+    with redirect_stdout(io.StringIO()) as said:
+        failed, tried = doctest.DocTestRunner().run(found)
+    assert tried
+    assert not failed, said.getvalue()
+
+
+class Loaded(HTMLParser):
+    """What a page makes a browser load."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Keep what is loaded by itself; a link is followed by its reader alone."""
+        names = {"script": "src", "img": "src", "link": "href", "iframe": "src"}
+        self.addresses += [value or "" for name, value in attrs if name == names.get(tag)]
+
+
+def _built(pages: Path, out: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    """Build pages with warnings as errors, in a process of its own."""
+    for package in ("sphinx", "furo", "numpydoc", "myst_parser", "latex2mathml"):
+        pytest.importorskip(package, reason="pip install 'splitband[docs]'")
+    return subprocess.run(
+        [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", *options, pages, out],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The pages, their blocks shown and not executed."""
+    out = tmp_path_factory.mktemp("site")
+    done = _built(DOCS, out, "-D", "run_blocks=0", "-d", str(out / ".doctrees"))
+    assert (done.returncode, done.stderr) == (0, "")
+    return out
+
+
+def test_every_public_name_and_every_command_is_in_the_reference(site: Path) -> None:
+    pages = [path.read_text(encoding="utf-8") for path in (site / "reference").glob("*.html")]
+    described = {name for page in pages for name in re.findall(r'id="splitband\.(\w+)"', page)}
+    assert described == set(splitband.__all__)
+    commands = (site / "reference/commands.html").read_text(encoding="utf-8")
+    sections = re.findall(r'<section id="splitband-(\w+)">', commands)
+    assert [name for name in sections if name in COMMANDS] == [*COMMANDS]
+
+
+def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:
+    for path in site.rglob("*.html"):
+        page = Loaded()
+        page.feed(path.read_text(encoding="utf-8"))
+        assert page.addresses
+        assert not [a for a in page.addresses if re.match(r"\w+:|//", a) and "data:" not in a]
+
+
+def test_links_lead_to_files_in_a_viewer_of_the_repository_too() -> None:
+    pages = [path for path in DOCS.rglob("*.md") if "_build" not in path.parts]
+    broken = [
+        (path.name, link)
+        for path in (*pages, DOCS.parent / "README.md", DOCS.parent / "CONTRIBUTING.md")
+        for link in re.findall(r"\]\(([^)#`\s]+)[^)]*\)", path.read_text(encoding="utf-8"))
+        if not re.match(r"\w+:", link) and not (path.parent / link).exists()
+    ]
+    assert broken == []
+
+
+def test_a_block_that_fails_ends_the_build(tmp_path: Path) -> None:
+    (tmp_path / "conf.py").write_text(
+        f"import sys\nsys.path.insert(0, {str(DOCS / '_ext')!r})\n"
+        'extensions = ["myst_parser", "executed"]\n'
+    )
+
+    def built(code: str) -> subprocess.CompletedProcess[str]:
+        (tmp_path / "index.md").write_text(f"# Page\n\n```{{run}} python\n{code}\n```\n")
+        return _built(tmp_path, tmp_path / "out", "-b", "text")
+
+    assert built("print('six', 2 * 3)").returncode == 0
+    assert "six 6" in (tmp_path / "out/index.txt").read_text()
+    failed = built("1 / 0")
+    assert failed.returncode
+    assert "ZeroDivisionError" in failed.stderr
