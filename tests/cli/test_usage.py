@@ -33,6 +33,13 @@ def test_what_needs_no_training_is_forecast() -> None:
     assert command.endswith("--method harmonic --steps 100")
 
 
+def test_a_record_that_the_command_made_has_a_name_for_the_others() -> None:
+    found = usage("demo", {"out": "demo"}, "harmonic", named="overhead-crane")
+    ((_, command),) = found.commands
+    assert command.startswith("splitband forecast overhead-crane --method harmonic")
+    assert found.asked == "splitband demo --out demo"
+
+
 @pytest.mark.parametrize("command", ["demo", "benchmark"])
 def test_a_command_without_a_record_has_no_example(command: str) -> None:
     found = usage(command, {"listed": "a list.csv", "out": "out"})

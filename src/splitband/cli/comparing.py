@@ -129,8 +129,9 @@ def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> None:
 
     The options among the facts (`arguments`) are for the commands on the page, too.
     """
-    driven = comparison.record.nu > 0
-    used = usage(facts["command"], facts["arguments"], comparison.recommended, driven)
+    record = comparison.record
+    method, driven = comparison.recommended, record.nu > 0
+    used = usage(facts["command"], facts["arguments"], method, driven, record.name)
     results.save(comparison, out, dict(facts), used)
     shutil.rmtree(out / CHECKPOINTS)
 

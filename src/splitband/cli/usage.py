@@ -26,16 +26,21 @@ STEPS = 100
 """Samples ahead in the examples."""
 
 
-def usage(command: str, given: Mapping[str, Any], method: str = "", driven: bool = False) -> Usage:
+def usage(
+    command: str, given: Mapping[str, Any], method: str = "", driven: bool = False, named: str = ""
+) -> Usage:
     """How to use a method, from the options (as in results.json) of the command that recommends it.
 
-    `driven` is a record with known inputs.
+    `driven` is a record with known inputs; `named` is what the record is called, where a command
+    without one has made it.
     """
     record = str(given.get("record", ""))
     of_case = command == "benchmark" and record  # one of its cases is a comparison of its own
     asked = _line(f"splitband {'compare' if of_case else command}", given, [*given])
+    record = record or (named if named in RECORDS else "")
     if not method or not record:
         return Usage(asked=asked)
+    given = {**given, "record": record}
     ahead = " --future-inputs FILE" if driven else ""
     commands = []
     if method in FITTED:
