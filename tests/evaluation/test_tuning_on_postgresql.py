@@ -31,11 +31,11 @@ def server() -> Iterator[str]:
         os.chown(folder, user, -1)
     data = folder / "data"
     options = f"-k {folder} -c listen_addresses= -c fsync=off -c max_connections=20"
-    control = [programs / "pg_ctl", "-D", data, "-w", "-s"]
+    control = [f"{programs}/pg_ctl", "-D", f"{data}", "-w", "-s"]
     try:
         for command in (
-            [programs / "initdb", "-D", data, "-A", "trust", "-U", "tuner", "-N"],
-            [*control, "-o", options, "-l", folder / "log", "start"],
+            [f"{programs}/initdb", "-D", f"{data}", "-A", "trust", "-U", "tuner", "-N"],
+            [*control, "-o", options, "-l", f"{folder}/log", "start"],
         ):
             subprocess.run(command, user=user, cwd=folder, check=True, timeout=120,
                            stdout=subprocess.DEVNULL, stdin=subprocess.DEVNULL)  # fmt: skip

@@ -51,10 +51,12 @@ class Tuned:
             raise ValueError(f"method must be one of {', '.join(TRAINED)}, got {self.method}")
 
     def forecaster(self) -> Network:
-        """The network, not fitted."""
+        """The network, not fitted; a comparison trains it as it is."""
         network: Forecaster = named(self.method, self.sizes)
         assert isinstance(network, Network)
-        return network.with_defaults(self.settings, self.bands)
+        network = network.with_defaults(self.settings, self.bands)
+        network.free = False
+        return network
 
     def in_words(self) -> str:
         """Sizes, window, steps and bands, for tables."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from splitband.evaluation.trials import Attempt
 from splitband.evaluation.tuned import FILE
@@ -70,7 +71,7 @@ def history(tuning: Tuning) -> Figure:
     ax.set_yscale("log")
     ax.yaxis.set_major_formatter("{x:g}")
     ax.yaxis.set_minor_formatter("{x:g}")
-    ax.xaxis.get_major_locator().set_params(integer=True)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set_ylim(top=4 * float(np.median(values)) + 1e-12 if values else None)
     ax.set_xlabel("trial")
     ax.set_ylabel(_ERROR)
