@@ -131,10 +131,12 @@ def test_fit_and_forecast_train_as_the_settings_say(
 
 
 @pytest.mark.usefixtures("untrained")
-def test_a_storage_is_gone_on_with(tmp_path: Path) -> None:
+def test_a_storage_is_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = f"{TUNE} --storage sqlite:///{tmp_path}/tune.db --trials"
     call(f"{line} 3", tmp_path / "first")
-    call(f"{line} 5", tmp_path / "second")
+    capsys.readouterr()
+    call(f"{line} 5 --json", tmp_path / "second")
+    assert json.loads(capsys.readouterr().out) == results(tmp_path / "second")
     first, second = (results(tmp_path / name)["trials"] for name in ("first", "second"))
     assert len(second) == 5
     assert second[:3] == first
@@ -184,7 +186,7 @@ def test_no_password_is_written_down(tmp_path: Path, monkeypatch: pytest.MonkeyP
         (f"{TUNE} --storage nowhere", ("--storage must be a database", "got nowhere")),
         (f"{TUNE} --budget soon", ("--budget must be a time such as 90s, 10m or 1h", "soon")),
         (f"{TUNE} --trials 0", ("--trials",)),
-        (f"{TUNE} --methods mean --trials 1", ("--methods must be networks", "got mean")),
+        (f"{TUNE} --methods mean --trials 1", ("--methods must be among those", "got mean")),
         (f"{TUNE} --train 9 --trials 1", ("--warmup must have more than 6 samples",)),
         ("compare record.csv --columns a --settings no.json",
          ("--settings must be a file", "no.json")),

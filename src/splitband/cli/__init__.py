@@ -67,7 +67,8 @@ class Commands(TyperGroup):
 QUIET, JSON = "--quiet", "--json"
 """Options of every command; they may stand before it or after it."""
 WITH_JSON = (
-    "demo", "compare", "benchmark", "forecast", "fit", "simulate", "spectrum", "methods", "doctor",
+    "demo", "compare", "benchmark", "forecast", "tune", "fit", "simulate", "spectrum", "methods",
+    "doctor",
 )  # fmt: skip
 
 

@@ -65,7 +65,7 @@ def tune(
     methods: Annotated[
         str | None,
         typer.Option(
-            help=f"Networks to search, separated by commas, out of {', '.join(TRAINED)}.",
+            help="Networks to search, separated by commas; `splitband methods` lists them.",
             show_default="every kind with a GRU that the record has what it needs for",
         ),
     ] = None,
@@ -96,7 +96,9 @@ def tune(
     given.check_model_options(model)
     request = Request(record, reading, simulator, further, model=model, train=train, jobs=jobs)
     task = prepared(request, ahead=0)
-    names = None if methods is None else given.method_names(methods)
+    names = None if methods is None else given.names(methods)
+    if names is not None:
+        given.check_names("--methods", names, TRAINED)
     output_folder(out)
     with showing.progress("tuning") as progress:
         result = search_settings(
@@ -135,6 +137,7 @@ def _say(result: Tuning, record: str, out: Path) -> None:
         f"settings: {out / FILE}; to use them: splitband compare {record} ... --settings "
         f"{out / FILE}\nresults and pictures: {out}/"
     )
+    showing.results_file(out / "results.json")
 
 
 def _table(result: Tuning) -> Table:
@@ -145,15 +148,16 @@ def _table(result: Tuning) -> Table:
         title_justify="left",
         title_style="bold",
     )
-    table.add_column("trial")
-    table.add_column("held out", justify="right")
-    table.add_column("by part", justify="right")
-    table.add_column("method")
-    table.add_column("settings", style="dim", overflow="fold")
-    table.add_column("seconds", justify="right")
     shown = result.ranked[:SHOWN]
     if result.default is not None and result.default not in shown:
         shown.append(result.default)
+    table.add_column("trial")
+    table.add_column("held out", justify="right")
+    table.add_column("by part", justify="right")
+    longest = max(len(each.tuned.method) for each in shown if each.tuned is not None)
+    table.add_column("method", min_width=longest)
+    table.add_column("settings", style="dim", overflow="fold")
+    table.add_column("seconds", justify="right")
     for each in shown:
         table.add_row(*_cells(each), style="bold" if each is result.best else "")
     return table

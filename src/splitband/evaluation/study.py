@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
+import numpy as np
 import optuna
 from optuna.exceptions import ExperimentalWarning, OptunaError
 from optuna.storages import RDBStorage, RetryHeartbeatStaleTrialCallback
@@ -130,7 +131,8 @@ class _Trying:
         if sum(map(_counts, earlier)) >= job.limits.trials:
             raise _NotCountedError
         # What is drawn depends on the trials before it alone, not on which process draws.
-        trial.study.sampler = optuna.samplers.TPESampler(seed=job.seed + trial.number)
+        seed = np.random.SeedSequence((job.seed, trial.number)).generate_state(1)
+        trial.study.sampler = optuna.samplers.TPESampler(seed=int(seed[0]))
         tuned = job.space.drawn(trial)
         trial.set_user_attr(_SETTINGS, tuned.as_json())
         network = tuned.forecaster()
