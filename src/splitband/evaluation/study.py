@@ -50,14 +50,14 @@ _SETTINGS, _SCORES, _FAILED, _USUAL = "settings", "scores", "failed", "usual"
 
 
 class _NotCountedError(Exception):
-    """A trial that is one too many, or that the time is over for."""
+    """A trial that is one too many or there already, or that the time is over for."""
 
 
 def begin(job: Job) -> None:
     """Make the study if need be, with its first trials: the default recipe and short trainings."""
     with _study(job, new=True) as study:
         kept = [t for t in study.get_trials(deepcopy=False) if not _lost(t)]
-        there = [t.system_attrs.get("fixed_params") for t in kept]
+        there = [*map(_fixed, kept)]
         for point, usual in job.space.beginnings(job.record):
             if point not in there:
                 study.enqueue_trial(point, user_attrs={_USUAL: usual})
@@ -127,8 +127,12 @@ class _Trying:
 
     def _value(self, trial: optuna.Trial) -> float:
         job, usual = self._job, trial.user_attrs.get(_USUAL, False)
-        earlier = trial.study.get_trials(deepcopy=False)[: trial.number]
-        if sum(map(_counts, earlier)) >= job.limits.trials:
+        trials = trial.study.get_trials(deepcopy=False)
+        earlier = [each for each in trials[: trial.number] if _counts(each)]
+        # Two processes that begin a study at once may both have put the first trials into it.
+        first = _fixed(trials[trial.number])
+        again = first is not None and any(_fixed(each) == first for each in earlier)
+        if again or len(earlier) >= job.limits.trials:
             raise _NotCountedError
         # What is drawn depends on the trials before it alone, not on which process draws.
         seed = np.random.SeedSequence((job.seed, trial.number)).generate_state(1)
@@ -185,13 +189,18 @@ class _Watch:
         return not trials
 
 
+def _fixed(trial: FrozenTrial) -> Any:
+    """What a trial was to begin with; None where everything is drawn."""
+    return trial.system_attrs.get("fixed_params")
+
+
 def _counts(trial: FrozenTrial) -> bool:
     """Whether it is one of the trials that were asked for: begun, and not lost."""
     return trial.state != TrialState.WAITING and not _lost(trial)
 
 
 def _lost(trial: FrozenTrial) -> bool:
-    """Whether its process has died, the time was over, or it was one too many."""
+    """Whether its process has died, the time was over, or it was not needed."""
     return trial.state == TrialState.FAIL and _FAILED not in trial.user_attrs
 
 
