@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import optuna
-from optuna.exceptions import ExperimentalWarning, OptunaError
+from optuna.exceptions import ExperimentalWarning, OptunaError, UpdateFinishedTrialError
 from optuna.storages import RDBStorage, RetryHeartbeatStaleTrialCallback
 from optuna.trial import FrozenTrial, TrialState
 from sqlalchemy.exc import (
@@ -78,7 +78,14 @@ def run(job: Job, index: int, report: Callable[[RunProgress], None]) -> None:
             if begun < job.limits.trials:
                 waited = 0.0
                 trying = _Trying(job, report)
-                study.optimize(trying, n_trials=1, catch=(Exception,))
+                try:
+                    study.optimize(trying, n_trials=1, catch=(Exception,))
+                except ValueError as error:
+                    # SQLite locks no rows: two processes may have taken the same trial at once,
+                    # and the other one has finished it.
+                    if "Cannot tell" not in str(error):
+                        raise
+                    continue
                 if trying.broken is not None:
                     raise trying.broken
                 continue
@@ -113,7 +120,7 @@ class _Trying:
         """The root mean square of the scores."""
         try:
             return self._value(trial)
-        except (optuna.TrialPruned, _NotCountedError):
+        except (optuna.TrialPruned, UpdateFinishedTrialError, _NotCountedError):
             raise
         except (OSError, SQLAlchemyError, OptunaError) as error:
             self.broken = error
