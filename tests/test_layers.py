@@ -39,6 +39,8 @@ ONLY_IN = {
     "rich": {"cli"},
     "fmpy": {"simulators"},
     "pooch": {"data"},
+    "optuna": {"evaluation"},
+    "sqlalchemy": {"evaluation"},
 }
 
 

@@ -9,6 +9,8 @@ if TYPE_CHECKING:
     from splitband.evaluation.runs import Work
     from splitband.evaluation.search import Search
     from splitband.evaluation.setup import Setup, default_setup
+    from splitband.evaluation.tuned import Tuned
+    from splitband.evaluation.tuning import Effort, Tuning, tune
     from splitband.filters import ComplementaryPair
     from splitband.forecasters.backtest import Origin, backtest
     from splitband.forecasters.bands import Bands
@@ -42,6 +44,8 @@ _MODULES = {
     "evaluation.runs": ("Work",),
     "evaluation.search": ("Search",),
     "evaluation.setup": ("Setup", "default_setup"),
+    "evaluation.tuned": ("Tuned",),
+    "evaluation.tuning": ("Effort", "Tuning", "tune"),
     "filters": ("ComplementaryPair",),
     "forecasters.backtest": ("Origin", "backtest"),
     "forecasters.bands": ("Bands",),
@@ -72,6 +76,7 @@ __all__ = [
     "Cell",
     "Comparison",
     "ComplementaryPair",
+    "Effort",
     "Ensemble",
     "EulerMLP",
     "ExtrapolationWarning",
@@ -102,6 +107,8 @@ __all__ = [
     "Single",
     "Split",
     "Trajectory",
+    "Tuned",
+    "Tuning",
     "Work",
     "backtest",
     "compare",
@@ -115,6 +122,7 @@ __all__ = [
     "read",
     "rmse",
     "rollout",
+    "tune",
 ]
 
 

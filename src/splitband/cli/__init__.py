@@ -20,6 +20,7 @@ COMMANDS = {
     "compare": ("compare", "Compare models of a record with each other and with naive baselines."),
     "benchmark": ("benchmark", "Compare models of many records, and put them into one table."),
     "forecast": ("forecast", "Forecast a record beyond its end, with an interval."),
+    "tune": ("tune", "Search for a network and its settings by held-out samples of a record."),
     "fit": ("fit", "Train one model on a record and save it."),
     "simulate": ("simulate", "Simulate a saved model beyond a measured history."),
     "spectrum": ("spectrum", "Show where the power of a record lies, and what a cut-off parts."),
@@ -66,7 +67,8 @@ class Commands(TyperGroup):
 QUIET, JSON = "--quiet", "--json"
 """Options of every command; they may stand before it or after it."""
 WITH_JSON = (
-    "demo", "compare", "benchmark", "forecast", "fit", "simulate", "spectrum", "methods", "doctor",
+    "demo", "compare", "benchmark", "forecast", "tune", "fit", "simulate", "spectrum", "methods",
+    "doctor",
 )  # fmt: skip
 
 
@@ -162,7 +164,7 @@ def _complain(message: str) -> int:
 
 OPTIONS = (
     "calibrate", "columns", "conditioned", "cutoff", "downsampling", "epochs", "inputs", "level",
-    "methods", "order", "steps", "train", "warmup", "window",
+    "methods", "order", "settings", "steps", "storage", "train", "warmup", "window",
 )  # fmt: skip
 """Arguments of the library that are options of the same name here."""
 

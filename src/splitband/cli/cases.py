@@ -57,7 +57,7 @@ class Case:
         for field in fields(self.listed):
             value = getattr(self.listed, field.name)
             values |= asdict(value) if is_dataclass(value) else {field.name: value}  # type: ignore[arg-type]
-        del values["jobs"]
+        del values["jobs"], values["settings"]  # the latter is no option of `benchmark`
         digests = {
             listed: hashlib.sha256(path.read_bytes()).hexdigest()
             for listed, path in self.files.items()

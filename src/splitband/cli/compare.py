@@ -44,6 +44,7 @@ def compare(
     out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = Path("out"),
     calibrate: options.Calibrate = False,
     conditioned: options.Conditioned = False,
+    settings: options.SettingsFile = None,
 ) -> None:
     """Compare models of a record with each other and with naive baselines.
 
@@ -63,10 +64,13 @@ def compare(
     test record, to simulate it to its end; the table shows the RMSE of the seeds' mean there.
 
     --calibrate and --conditioned add rows: each method that can be is also run that way.
+
+    With --settings the networks are trained as `splitband tune` has found; without --methods they
+    are its network alone, beside what needs no training.
     """
     request = Request(
         record, reading, simulator, further, testing, model,
-        train, horizon, methods, seeds, jobs, calibrate, conditioned,
+        train, horizon, methods, seeds, jobs, calibrate, conditioned, settings,
     )  # fmt: skip
     task = prepared(request)
     result = carried_out(task, seeds, jobs, out)

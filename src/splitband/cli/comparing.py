@@ -18,7 +18,7 @@ from splitband.evaluation.comparison import check
 from splitband.evaluation.runs import Work
 from splitband.evaluation.selection import check_trial
 from splitband.evaluation.setup import Setup, default_names, usual_names
-from splitband.forecasters.names import BASES, CALIBRATED, with_base, with_variants
+from splitband.forecasters.names import BASES, CALIBRATED, TRAINED, with_base, with_variants
 from splitband.report import results
 from splitband.runtime.files import CHECKPOINTS, output_folder
 from splitband.runtime.threads import available_cores
@@ -41,6 +41,7 @@ class Request:
     jobs: int | None = None
     calibrate: bool = False
     conditioned: bool = False
+    settings: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +65,18 @@ class Task:
     device: str
 
 
-def prepared(request: Request) -> Task:
-    """The records and simulators that the options name, and the settings they come to."""
+def prepared(request: Request, ahead: int | None = None) -> Task:
+    """The records and simulators that the options name, and the settings they come to.
+
+    `ahead` samples at least must follow the training part, by default one, unless there are tests.
+    """
     reading, simulator = request.reading, request.simulator
+    tuned = given.load_settings(request.settings, request.model)
     trajectory = given.load_record(request.record, reading)
     hybrid = simulator.simulator is not None or trajectory.y_sim is not None
     by_default = default_names(hybrid, trajectory.nu > 0)
+    if tuned is not None:
+        by_default = [tuned.method, *(name for name in by_default if name not in TRAINED)]
     asked = by_default if request.methods is None else given.method_names(request.methods)
     chosen = with_variants(asked, request.calibrate, request.conditioned)
     based = simulator.simulator in BASES
@@ -78,11 +85,13 @@ def prepared(request: Request) -> Task:
     beyond = any(CALIBRATED in method for method in chosen)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=beyond)
     tested = bool(request.testing.test)
+    ahead = 1 - tested if ahead is None else ahead
     cores = request.jobs or available_cores()
     setup = given.setup(
-        request.record, trajectory, request.train, request.model, chosen, 1 - tested, tested, cores
-    )
-    if request.methods is None and not based:
+        request.record, trajectory, request.train, request.model, chosen, ahead, tested,
+        cores, tuned,
+    )  # fmt: skip
+    if request.methods is None and tuned is None and not based:
         usual = usual_names(trajectory, setup)
         chosen = with_variants(usual, request.calibrate, request.conditioned)
     if request.horizon is not None:

@@ -41,9 +41,12 @@ def fit(
         Path, typer.Option(metavar="MODEL_DIR", help="Folder for the model.", show_default=False)
     ],
     method: Annotated[
-        str,
-        typer.Option(help="What to train, out of what `splitband methods` lists."),
-    ] = "split-gru",
+        str | None,
+        typer.Option(
+            help="What to train, out of what `splitband methods` lists.",
+            show_default="that of --settings, or split-gru",
+        ),
+    ] = None,
     train: Annotated[
         int | None,
         typer.Option(help="Samples at the beginning to train on.", show_default="all"),
@@ -54,13 +57,18 @@ def fit(
     calibrate: options.Calibrate = False,
     conditioned: options.Conditioned = False,
     jobs: options.Jobs = None,
+    settings: options.SettingsFile = None,
 ) -> None:
     """Train one model on a record and save it.
 
-    How it is trained is found on the last quarter of the samples first, as by `compare`.
+    How it is trained is found on the last quarter of the samples first, as by `compare`, or said by
+    --settings.
 
     MODEL_DIR gets the weights (safetensors), everything else (JSON) and results.json.
     """
+    tuned = given.load_settings(settings, model)
+    if method is None:
+        method = "split-gru" if tuned is None else tuned.method
     if calibrate or conditioned:
         method = with_variants([method], calibrate, conditioned)[-1]
     given.check_names("--method", [method], FITTED)
@@ -68,7 +76,9 @@ def fit(
     trajectory = with_simulator(trajectory, simulator, reading, beyond=CALIBRATED in method)
     samples = len(trajectory) if train is None else train
     cores = jobs or available_cores()
-    setup = given.setup(record, trajectory, samples, model, [method], ahead=0, cores=cores)
+    setup = given.setup(
+        record, trajectory, samples, model, [method], ahead=0, cores=cores, tuned=tuned
+    )
     others = given.load_further(further.more, "--more", trajectory, reading)
     others = each_with_simulator(others, [method], further, simulator, reading)
     forecaster: Forecaster = given.on_device(setup.forecaster(method), model.device)

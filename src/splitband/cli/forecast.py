@@ -19,7 +19,7 @@ from splitband.evaluation.comparison import check
 from splitband.evaluation.runs import Work
 from splitband.evaluation.selection import check_trial
 from splitband.evaluation.setup import default_names, usual_names
-from splitband.forecasters.names import BASES, CALIBRATED, NAMES, with_base
+from splitband.forecasters.names import BASES, CALIBRATED, NAMES, TRAINED, with_base
 from splitband.metrics import leaving
 from splitband.report import page, pictures, results
 from splitband.runtime.files import CHECKPOINTS, output_folder, replacing, write_json
@@ -48,17 +48,23 @@ def forecast(
     epochs: options.Epochs = None,
     budget: options.Budget = None,
     device: options.Device = "cpu",
+    settings: options.SettingsFile = None,
 ) -> None:
     """Forecast a record beyond its end, with the interval that should hold nine tenths of it.
 
     Without --method, several are tried as `compare` tries them: each forecasts the last quarter of
-    the record from the rest of it. What did well is fitted again, on the whole record, and should
+    the record from the rest of it; with --settings, the network that `tune` has found and what
+    needs no training. What did well is fitted again, on the whole record, and should
     then still forecast the same. A simulator must reach --steps samples beyond the record; a
     record with known inputs needs --future-inputs.
     """
+    model, jobs = options.ModelOptions(epochs=epochs, budget=budget), jobs or available_cores()
+    tuned = given.load_settings(settings, model)
     known = given.load_record(record, reading)
     hybrid = simulator.simulator is not None or known.y_sim is not None
     names = default_names(hybrid, known.nu > 0) if method is None else [method]
+    if method is None and tuned is not None:
+        names = [tuned.method, *(name for name in names if name not in TRAINED)]
     given.check_names("--method", names, NAMES)
     based = simulator.simulator in BASES
     if simulator.simulator in BASES:
@@ -67,9 +73,9 @@ def forecast(
     known = with_simulator(known, simulator, reading, steps if hybrid else 0, beyond)
     u = given.inputs_ahead(future_inputs, known, steps, reading)
     known = replace(known, u_beyond=u)
-    model, jobs = options.ModelOptions(epochs=epochs, budget=budget), jobs or available_cores()
-    setup = given.setup_ahead(known, steps, names, model, jobs)
-    names = usual_names(known, setup) if method is None and not based else names
+    setup = given.setup_ahead(known, steps, names, model, jobs, tuned)
+    if method is None and tuned is None and not based:
+        names = usual_names(known, setup)
     others = given.load_further(further.more, "--more", known, reading)
     others = each_with_simulator(others, names, further, simulator, reading)
     methods = [given.on_device(setup.forecaster(name), device) for name in names]

@@ -20,6 +20,7 @@ from splitband.data.timing import same_sampling
 from splitband.evaluation.comparison import check_train
 from splitband.evaluation.search import Search, reference_seconds
 from splitband.evaluation.setup import Setup, default_setup
+from splitband.evaluation.tuned import Tuned
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES, Sizes
@@ -248,8 +249,9 @@ def setup(
     ahead: int = 1,
     tested: bool = False,
     cores: int = 1,
+    tuned: Tuned | None = None,
 ) -> Setup:
-    """What the options say (`None`: nothing), the rest by the recipe.
+    """What the options say (`None`: nothing), the rest as `tuned`, or else by the recipe.
 
     The paper's recipe for its own records is the settings of its tables. `record` is the argument
     that `trajectory` comes from, `methods` what the setup is for; `ahead` samples at least must be
@@ -264,6 +266,8 @@ def setup(
     bands = Bands(
         None if options.cutoff == AUTO else options.cutoff, options.order, options.downsampling
     )
+    if tuned is not None:
+        return _as_tuned(tuned, trajectory, train, options, bands, methods)
     if column is None or options.recipe != "paper":
         settings = _trained(recipe_settings(options.recipe, trajectory[:train]), options)
         by_recipe = default_setup(trajectory, train, options.recipe, settings, bands, methods)
@@ -285,10 +289,51 @@ def setup(
     )
 
 
+def load_settings(path: Path | None, options: ModelOptions) -> Tuned | None:
+    """What --settings names; raises ValueError for options that it leaves nothing to."""
+    if path is None:
+        return None
+    if not path.is_file():
+        raise FileNotFoundError(f"--settings must be a file that `tune` wrote, got {path}")
+    if options.budget is not None:
+        raise ValueError(
+            f"--budget is for finding out how to train, which --settings decides, got "
+            f"{options.budget}"
+        )
+    if options.recipe != "default":
+        raise ValueError(f"--recipe and --settings exclude each other, got {options.recipe}")
+    return Tuned.read(path)
+
+
+def _as_tuned(
+    tuned: Tuned,
+    trajectory: Trajectory,
+    train: int,
+    options: ModelOptions,
+    bands: Bands,
+    methods: Sequence[str] | None,
+    ahead: int | None = None,
+) -> Setup:
+    """What the options say, the rest as it has been found before."""
+    said = {name: value for name, value in vars(bands).items() if value is not None}
+    # What was found for one cut-off is not for another one.
+    bands = bands if options.cutoff is not None else replace(tuned.bands, **said)
+    settings = _trained(tuned.settings, options)
+    chosen = default_setup(trajectory, train, "default", settings, bands, methods, ahead)
+    return replace(chosen, sizes=_with_hidden(tuned.sizes, options))
+
+
 def setup_ahead(
-    known: Trajectory, steps: int, methods: Sequence[str], options: ModelOptions, cores: int
+    known: Trajectory,
+    steps: int,
+    methods: Sequence[str],
+    options: ModelOptions,
+    cores: int,
+    tuned: Tuned | None = None,
 ) -> Setup:
     """For a forecast of `steps` samples beyond the end of a record."""
+    if tuned is not None:
+        return _as_tuned(tuned, known, len(known), options, Bands(), methods, steps)
     settings = _trained(recipe_settings("default", known), options)
     chosen = default_setup(known, len(known), "default", settings, None, methods, steps)
     return replace(chosen, search=_search(options, cores))

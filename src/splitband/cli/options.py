@@ -316,6 +316,17 @@ Hidden = Annotated[
         show_default="32,16, with --recipe paper 64,32; a single network has their sum",
     ),
 ]
+SettingsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--settings",
+        metavar="FILE",
+        help="Method, sizes, training and bands that `splitband tune` has found (settings.json), "
+        "in place of a search; other options come before what it says.",
+        rich_help_panel=_TRAINING,
+        show_default=False,
+    ),
+]
 
 Jobs = Annotated[
     int | None,

@@ -249,7 +249,7 @@ def search(
             ]
 
     first, *rest = free
-    of_first = [makes[first.name](*way) for way in _ways(first)]
+    of_first = [makes[first.name](*way) for way in ways(first)]
     climb(of_first, (OF_FIRST if rest else 1.0) * for_search)
     best = _ranked(tried, trials.scores)[:TRANSFERRED]
     climb([makes[f.name](c.settings, c.size) for c in best for f in rest], for_search)
@@ -315,7 +315,7 @@ class _Trials:
             self.attempts.append(Attempt(c.method, training, len(results[c.label]), score))
 
 
-def _ways(forecaster: Network) -> list[tuple[Settings, float]]:
+def ways(forecaster: Network) -> list[tuple[Settings, float]]:
     """The usual training, and shorter ones with L-BFGS, of windows and sizes that differ."""
     usual = forecaster.settings
     assert usual is not None

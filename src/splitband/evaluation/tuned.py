@@ -1,0 +1,185 @@
+"""What `tune` has found, as a file that people read and other commands take."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.names import TRAINED, Sizes, named
+from splitband.forecasters.networks import Network
+from splitband.runtime.files import write_json
+from splitband.training import Settings
+
+FORMAT, VERSION = "splitband settings", 1
+FILE = "settings.json"
+_KINDS = {
+    int: ("a whole number", (int,)),
+    float: ("a number", (int, float)),
+    bool: ("true or false", (bool,)),
+}
+
+Section = TypeVar("Section", Sizes, Settings, Bands)
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """One network, and how it is trained.
+
+    Attributes
+    ----------
+    method : Its name.
+    settings : How it is trained.
+    bands : Which band is whose, where the method has bands; None is chosen when it is fitted.
+    sizes : Of its cells.
+    found : On what, and how well it did there; nothing depends on it.
+    """
+
+    method: str
+    settings: Settings
+    bands: Bands = field(default_factory=Bands)
+    sizes: Sizes = field(default_factory=Sizes)
+    found: Mapping[str, Any] = field(default_factory=dict, compare=False)
+
+    def __post_init__(self) -> None:
+        """Check the name."""
+        if self.method not in TRAINED:
+            raise ValueError(f"method must be one of {', '.join(TRAINED)}, got {self.method}")
+
+    def forecaster(self) -> Network:
+        """The network, not fitted; a comparison trains it as it is."""
+        network: Forecaster = named(self.method, self.sizes)
+        assert isinstance(network, Network)
+        network = network.with_defaults(self.settings, self.bands)
+        network.free = False
+        return network
+
+    def in_words(self) -> str:
+        """Sizes, window, steps and bands, for tables."""
+        said = [self.forecaster().training_in_words(), f"rate {self.settings.learning_rate:.2g}"]
+        bands = self.bands
+        if bands.cutoff is not None:
+            said.append(f"{bands.cutoff:.3g} Hz, order {bands.order}")
+            said[-1] += "" if bands.downsampling is None else f", k = {bands.downsampling}"
+        return ", ".join(said)
+
+    def as_json(self) -> dict[str, Any]:
+        """What `save` writes."""
+        bands = asdict(self.bands)
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "method": self.method,
+            "sizes": asdict(self.sizes),
+            "bands": {name: bands[name] for name in _names(Bands)},
+            "training": asdict(self.settings),
+            "found": dict(self.found),
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write a JSON file."""
+        write_json(path, self.as_json())
+
+    @classmethod
+    def of(cls, facts: Any) -> Tuned:
+        """From what `as_json` returns; raises ValueError that names the key that is wrong."""
+        _check_keys("", facts, {"format", "version", "method", "sizes", "bands", "training"})
+        if (facts["format"], facts["version"]) != (FORMAT, VERSION):
+            raise ValueError(
+                f"format must be {FORMAT}, version {VERSION}, got {facts['format']}, version "
+                f"{facts['version']}"
+            )
+        if not isinstance(facts["method"], str):
+            raise ValueError(f"method must be a name, got {facts['method']!r}")
+        found = facts.get("found", {})
+        if not isinstance(found, dict):
+            raise ValueError(f"found must be an object, got {found!r}")
+        return cls(
+            facts["method"],
+            _section("training", facts["training"], Settings),
+            _section("bands", facts["bands"], Bands),
+            _section("sizes", facts["sizes"], Sizes),
+            found,
+        )
+
+    @classmethod
+    def read(cls, path: str | Path) -> Tuned:
+        """What `save` wrote, or somebody by hand.
+
+        Raises
+        ------
+        FileNotFoundError
+            Where there is no such file.
+        ValueError
+            For what is no settings file, an unknown or missing key and a value out of its range;
+            the message names file, key, rule and value.
+        """
+        try:
+            facts = json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=_refused)
+            return cls.of(facts)
+        except (UnicodeDecodeError, json.JSONDecodeError) as error:
+            raise ValueError(f"settings must be a JSON file, got {path}: {error}") from None
+        except ValueError as error:
+            raise ValueError(f"settings {path}: {error}") from None
+
+
+def _refused(constant: str) -> float:
+    raise ValueError(f"numbers must be finite, got {constant}")
+
+
+def _names(section: type[Section]) -> list[str]:
+    """The keys of a section: `Bands.choice` says why, which is no setting."""
+    return [each.name for each in fields(section) if each.name != "choice"]
+
+
+def _check_keys(where: str, given: Any, names: set[str]) -> None:
+    if not isinstance(given, dict):
+        raise ValueError(f"{where or 'the file'} must be an object, got {given!r}")
+    dot = f"{where}." if where else ""
+    optional = set() if where else {"found"}
+    for key in given:
+        if key not in names | optional:
+            raise ValueError(
+                f"{dot}{key} is unknown, the keys are {', '.join(sorted(names | optional))}"
+            )
+    for key in sorted(names - set(given)):
+        raise ValueError(f"{dot}{key} must be given")
+
+
+def _section(where: str, given: Any, section: type[Section]) -> Section:
+    hints = get_type_hints(section)
+    _check_keys(where, given, set(_names(section)))
+    values = {name: _value(f"{where}.{name}", given[name], hints[name]) for name in given}
+    try:
+        return section(**values)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def _value(name: str, value: Any, hint: Any) -> Any:
+    """A value as the type of its field has it."""
+    if name.endswith("milestones"):
+        return _milestones(name, value)
+    allowed = getattr(hint, "__args__", (hint,))
+    if value is None and type(None) in allowed:
+        return None
+    kind = next(each for each in _KINDS if each in allowed)
+    words, types = _KINDS[kind]
+    if not isinstance(value, types) or (isinstance(value, bool) and kind is not bool):
+        none = " or null" if type(None) in allowed else ""
+        raise ValueError(f"{name} must be {words}{none}, got {json.dumps(value)}")
+    return float(value) if kind is float else value
+
+
+def _milestones(name: str, value: Any) -> tuple[tuple[int, float], ...]:
+    try:
+        pairs = tuple((epoch, float(rate)) for epoch, rate in value)
+        if all(type(epoch) is int for epoch, _ in pairs):
+            return pairs
+    except (TypeError, ValueError):
+        pass
+    raise ValueError(f"{name} must be a list of [epoch, rate], got {json.dumps(value)}")

@@ -1,0 +1,92 @@
+"""settings.json: what is read is what was written, and what is wrong is named."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from splitband.evaluation.tuned import Tuned
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.names import TRAINED, Sizes
+from splitband.training import Settings
+
+TUNED = Tuned(
+    "split-gru-conditioned",
+    Settings(60, 12, 3, 16, 2e-3, milestones=((2, 1e-4),), most_batches=4, quasi_newton=7),
+    Bands(0.6, 2, 3),
+    Sizes(12, 5),
+    {"held_out": 0.25},
+)
+
+
+def written(path: Path, *where: str, value: Any) -> Path:
+    """A settings file with another value at a key, or without the key."""
+    TUNED.save(path)
+    facts = inner = json.loads(path.read_text())
+    for key in where[:-1]:
+        inner = inner[key]
+    inner[where[-1]] = value
+    if value is KeyError:
+        del inner[where[-1]]
+    path.write_text(json.dumps(facts))
+    return path
+
+
+@pytest.mark.parametrize("method", TRAINED)
+def test_what_is_read_is_what_was_written(method: str, tmp_path: Path) -> None:
+    tuned = replace(TUNED, method=method)
+    tuned.save(tmp_path / "settings.json")
+    read = Tuned.read(tmp_path / "settings.json")
+    assert read == tuned
+    assert read.found == {"held_out": 0.25}
+    forecaster = read.forecaster()
+    assert forecaster.name == method
+    assert forecaster.settings == tuned.settings
+    assert not forecaster.free  # a comparison does not search for other settings
+
+
+@pytest.mark.parametrize(
+    ("where", "value", "says"),
+    [
+        (("format",), "other", "format must be splitband settings, version 1, got other"),
+        (("version",), 2, "got splitband settings, version 2"),
+        (("method",), "lstm", "method must be one of gru, "),
+        (("method",), 3, "method must be a name, got 3"),
+        (("extra",), 1, "extra is unknown, the keys are bands, "),
+        (("bands",), KeyError, "bands must be given"),
+        (("bands",), [], "bands must be an object, got []"),
+        (("training", "epoch"), 1, "training.epoch is unknown, the keys are batch_size, "),
+        (("training", "epochs"), KeyError, "training.epochs must be given"),
+        (("training", "epochs"), 2.5, "training.epochs must be a whole number, got 2.5"),
+        (("training", "epochs"), True, "training.epochs must be a whole number, got true"),
+        (("training", "epochs"), 0, "training: epochs must be at least 1, got 0"),
+        (("training", "window"), 12, "training: window must be longer than the warm-up of 12"),
+        (("training", "clip"), "1", 'training.clip must be a number or null, got "1"'),
+        (("training", "one_cycle"), 1, "training.one_cycle must be true or false, got 1"),
+        (("training", "milestones"), [[1.5, 2]], "training.milestones must be a list of [epoch"),
+        (("bands", "order"), 0, "bands: order must be between 1 and 10000, got 0"),
+        (("sizes", "hidden_low"), -3, "sizes: hidden_low must be between 1 and 10000, got -3"),
+        (("training", "learning_rate"), float("nan"), "numbers must be finite, got NaN"),
+        (("found",), 1, "found must be an object, got 1"),
+    ],
+)
+def test_what_is_wrong_is_named(
+    where: tuple[str, ...], value: Any, says: str, tmp_path: Path
+) -> None:
+    path = written(tmp_path / "settings.json", *where, value=value)
+    with pytest.raises(ValueError, match=r"settings .*settings\.json: ") as caught:
+        Tuned.read(path)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1, 2]", "\ud800"])
+def test_what_is_no_settings_file_is_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "settings.json"
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    with pytest.raises(ValueError, match=r"settings"):
+        Tuned.read(path)
