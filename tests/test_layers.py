@@ -37,6 +37,7 @@ ONLY_IN = {
     "rich": {"cli"},
     "fmpy": {"simulators"},
     "pooch": {"data"},
+    "distributed": {"runtime"},
 }
 
 

@@ -9,18 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from splitband.cli import given, options, showing
+from splitband.cli.crew import Crew
 from splitband.cli.simulators import each_with_simulator, tests_with_simulator, with_simulator
 from splitband.data import Trajectory
 from splitband.evaluation.api import Comparison
 from splitband.evaluation.api import compare as compare_forecasters
 from splitband.evaluation.comparison import check
-from splitband.evaluation.runs import Work
 from splitband.evaluation.selection import check_trial
 from splitband.evaluation.setup import Setup, default_names, usual_names
 from splitband.forecasters.names import BASES, CALIBRATED, with_base, with_variants
 from splitband.report import results
 from splitband.runtime.files import CHECKPOINTS, output_folder
-from splitband.runtime.threads import available_cores
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,6 @@ class Request:
     horizon: int | None = None
     methods: str | None = None
     seeds: int | None = None
-    jobs: int | None = None
     calibrate: bool = False
     conditioned: bool = False
 
@@ -63,8 +61,11 @@ class Task:
     device: str
 
 
-def prepared(request: Request) -> Task:
-    """The records and simulators that the options name, and the settings they come to."""
+def prepared(request: Request, cores: int) -> Task:
+    """The records and simulators that the options name, and the settings they come to.
+
+    `cores` are what a budget is spent on.
+    """
     reading, simulator = request.reading, request.simulator
     trajectory = given.load_record(request.record, reading)
     hybrid = simulator.simulator is not None or trajectory.y_sim is not None
@@ -77,7 +78,6 @@ def prepared(request: Request) -> Task:
     beyond = any(CALIBRATED in method for method in chosen)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=beyond)
     tested = bool(request.testing.test)
-    cores = request.jobs or available_cores()
     setup = given.setup(
         request.record, trajectory, request.train, request.model, chosen, 1 - tested, tested, cores
     )
@@ -99,7 +99,7 @@ def prepared(request: Request) -> Task:
 
 
 def carried_out(
-    task: Task, seeds: int | None, jobs: int | None, out: Path, label: str = "training"
+    task: Task, seeds: int | None, workers: Crew, out: Path, label: str = "training"
 ) -> Comparison:
     """The comparison; what is cut off goes on from checkpoints in the folder `out`.
 
@@ -119,7 +119,7 @@ def carried_out(
             tests=tests,
             seeds=seeds,
             setup=setup,
-            work=Work(jobs or available_cores(), progress, out / CHECKPOINTS),
+            work=workers.work(progress, out),
         )
 
 
