@@ -56,6 +56,38 @@ def test_the_facts_of_a_record_are_made_once(recommendation: Any, tmp_path: Path
     assert recommendation._measured(job, None)["regret"] == 7.0
 
 
+def test_the_page_of_scaling_is_made_of_measured_costs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where it is not: `python -m benchmarks.scaling`."""
+    monkeypatch.syspath_prepend(str(ROOT))
+    scaling = importlib.import_module("benchmarks.scaling")
+    facts = json.loads((ROOT / "docs/benchmarks/scaling.json").read_text(encoding="utf-8"))
+    page = (ROOT / "docs/scaling.md").read_text(encoding="utf-8")
+    before, _, rest = page.partition(scaling.BEGIN)
+    shown, _, after = rest.partition(scaling.END)
+    assert shown == scaling.table(facts)
+    assert not [c for c in before + after if c.isdigit()]
+    again = scaling.simulated(*scaling.costs())
+    assert again["overhead, s"] == pytest.approx(facts["overhead, s"])
+    for commands, hours in again["hours, by commands and workers"].items():
+        assert facts["hours, by commands and workers"][commands] == pytest.approx(hours)
+
+
+def test_the_model_of_a_queue_has_the_times_that_follow(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT))
+    scaling = importlib.import_module("benchmarks.scaling")
+    records = scaling.RECORDS // scaling._FEWER
+    rounds = records * scaling.STAGES
+    # One worker does one job after the other, whatever the order; the scheduler adds its part.
+    assert scaling.finished([3.0, 1.0], 0.0, 1, 1) == pytest.approx(4 * rounds)
+    assert scaling.finished([3.0, 1.0], 0.5, 1, 1) == pytest.approx(5 * rounds)
+    # With as many as there are jobs, a stage takes as long as its longest one.
+    assert scaling.finished([3.0, 1.0], 0.0, 2, 1) == pytest.approx(3 * rounds)
+    # Two commands keep two workers busy.
+    assert scaling.finished([3.0], 0.0, 2, 2) == pytest.approx(3 * rounds / 2)
+    # The scheduler alone: jobs that take no time.
+    assert scaling.finished([0.0] * 10, 0.01, 1000, 100) == pytest.approx(0.1 * rounds)
+
+
 @pytest.fixture(params=["segments", "choices"])
 def study(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, Path]:
     """A study of the paper's settings, and the folder of its runs."""

@@ -41,6 +41,7 @@ ONLY_IN = {
     "pooch": {"data"},
     "optuna": {"evaluation"},
     "sqlalchemy": {"evaluation"},
+    "distributed": {"runtime"},
 }
 
 

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from splitband.forecasters.simulation import Simulation
     from splitband.metrics import ExtrapolationWarning, cumulative_rmse, fit_percent, nrmse, rmse
     from splitband.networks import GRU, Cell, EulerMLP, rollout
+    from splitband.runtime.cluster import Cluster
     from splitband.simulators import Fmu, Function, Ode, Recorded, Simulator
     from splitband.training import Progress, Settings
 
@@ -67,6 +68,7 @@ _MODULES = {
     "forecasters.simulation": ("Simulation",),
     "metrics": ("ExtrapolationWarning", "cumulative_rmse", "fit_percent", "nrmse", "rmse"),
     "networks": ("GRU", "Cell", "EulerMLP", "rollout"),
+    "runtime.cluster": ("Cluster",),
     "simulators": ("Fmu", "Function", "Ode", "Recorded", "Simulator"),
     "training": ("Progress", "Settings"),
 }
@@ -74,6 +76,7 @@ __all__ = [
     "GRU",
     "Bands",
     "Cell",
+    "Cluster",
     "Comparison",
     "ComplementaryPair",
     "Effort",

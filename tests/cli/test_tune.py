@@ -100,7 +100,7 @@ def as_saved(settings: dict[str, Any]) -> bool:
 
 def test_compare_trains_as_the_settings_say(saved: Path, tmp_path: Path) -> None:
     reading = RecordOptions(columns="a")
-    task = prepared(Request("record.csv", reading, settings=saved))
+    task = prepared(Request("record.csv", reading, settings=saved), 1)
     assert as_saved(json.loads(json.dumps(task.setup.as_json())))
     assert task.names == ["split-gru", *(n for n in default_names(False) if n not in TRAINED)]
     line = f"compare record.csv --columns a --seeds 1 --jobs 1 --settings {saved}"

@@ -15,6 +15,7 @@ from rich.table import Table
 from splitband.cli import given, in_words, options, showing
 from splitband.cli.cases import COLUMNS, OVERALL, Case, read_cases
 from splitband.cli.comparing import Request, arguments, carried_out, prepared, save
+from splitband.cli.crew import Crew, crew
 from splitband.cli.usage import usage
 from splitband.report import benchmark as report
 from splitband.report import page, pictures, results
@@ -48,6 +49,7 @@ def benchmark(
     ] = Path("benchmark"),
     calibrate: options.Calibrate = False,
     conditioned: options.Conditioned = False,
+    cluster: options.Cluster = None,
 ) -> None:
     """Compare models of many records, and put them into one table.
 
@@ -66,7 +68,7 @@ def benchmark(
     are there, of the same options and files, are not computed again.
     """
     request = Request(
-        "", model=model, methods=methods, seeds=seeds, jobs=jobs,
+        "", model=model, methods=methods, seeds=seeds,
         calibrate=calibrate, conditioned=conditioned,
     )  # fmt: skip
     cases = read_cases(listed, request)
@@ -75,15 +77,16 @@ def benchmark(
     given.check_model_options(model)
     output_folder(out)
     rows = []
-    for number, case in enumerate(cases, 1):
-        row = _row(case, out / case.name)
-        showing.console.print(f"{number} of {len(cases)}, {case.name}: {_in_short(row)}")
-        rows.append(row)
+    with crew(jobs, cluster) as workers:
+        for number, case in enumerate(cases, 1):
+            row = _row(case, out / case.name, workers)
+            showing.console.print(f"{number} of {len(cases)}, {case.name}: {_in_short(row)}")
+            rows.append(row)
     _save(rows, out, {"command": context.info_name, "arguments": arguments(context.params)})
     _say(rows, out)
 
 
-def _row(case: Case, folder: Path) -> report.Row:
+def _row(case: Case, folder: Path, workers: Crew) -> report.Row:
     """The result of a case that is there, or that is computed now."""
     try:
         identity = case.identity()
@@ -92,10 +95,13 @@ def _row(case: Case, folder: Path) -> report.Row:
             return found
         began = time.perf_counter()
         request = case.request
-        result = carried_out(prepared(request), request.seeds, request.jobs, folder, case.name)
+        task = prepared(request, workers.cores)
+        result = carried_out(task, request.seeds, workers, folder, case.name)
         seconds = time.perf_counter() - began
         save(result, folder, {"command": "benchmark", **identity, "seconds": seconds})
         return report.Row.of(case.name, _read(folder))
+    except ConnectionError:
+        raise  # without its cluster no case goes on
     except Exception as error:  # whatever is wrong with one case, the others go on
         return report.Row(case.name, failed=in_words(error))
 

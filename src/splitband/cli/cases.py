@@ -51,13 +51,13 @@ class Case:
     def identity(self) -> dict[str, Any]:
         """What decides the numbers of a comparison: its options, and the content of its files.
 
-        `--jobs` is none of it, as the numbers do not depend on it but for rounding.
+        What carries it out is none of it, as the numbers do not depend on it but for rounding.
         """
         values: dict[str, Any] = {}
         for field in fields(self.listed):
             value = getattr(self.listed, field.name)
             values |= asdict(value) if is_dataclass(value) else {field.name: value}  # type: ignore[arg-type]
-        del values["jobs"], values["settings"]  # the latter is no option of `benchmark`
+        del values["settings"]  # no option of `benchmark`
         digests = {
             listed: hashlib.sha256(path.read_bytes()).hexdigest()
             for listed, path in self.files.items()

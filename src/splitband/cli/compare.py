@@ -9,6 +9,7 @@ import typer
 
 from splitband.cli import options
 from splitband.cli.comparing import Request, arguments, carried_out, prepared, save
+from splitband.cli.crew import crew
 from splitband.cli.outcome import show
 from splitband.evaluation.setup import default_names
 
@@ -45,6 +46,7 @@ def compare(
     calibrate: options.Calibrate = False,
     conditioned: options.Conditioned = False,
     settings: options.SettingsFile = None,
+    cluster: options.Cluster = None,
 ) -> None:
     """Compare models of a record with each other and with naive baselines.
 
@@ -70,9 +72,10 @@ def compare(
     """
     request = Request(
         record, reading, simulator, further, testing, model,
-        train, horizon, methods, seeds, jobs, calibrate, conditioned, settings,
+        train, horizon, methods, seeds, calibrate, conditioned, settings,
     )  # fmt: skip
-    task = prepared(request)
-    result = carried_out(task, seeds, jobs, out)
+    with crew(jobs, cluster) as workers:
+        task = prepared(request, workers.cores)
+        result = carried_out(task, seeds, workers, out)
     save(result, out, {"command": context.info_name, "arguments": arguments(context.params)})
     show(result, task.names, out)

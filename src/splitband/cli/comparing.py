@@ -9,19 +9,18 @@ from pathlib import Path
 from typing import Any
 
 from splitband.cli import given, options, showing
+from splitband.cli.crew import Crew
 from splitband.cli.simulators import each_with_simulator, tests_with_simulator, with_simulator
 from splitband.cli.usage import usage
 from splitband.data import Trajectory
 from splitband.evaluation.api import Comparison
 from splitband.evaluation.api import compare as compare_forecasters
 from splitband.evaluation.comparison import check
-from splitband.evaluation.runs import Work
 from splitband.evaluation.selection import check_trial
 from splitband.evaluation.setup import Setup, default_names, usual_names
 from splitband.forecasters.names import BASES, CALIBRATED, TRAINED, with_base, with_variants
 from splitband.report import results
 from splitband.runtime.files import CHECKPOINTS, output_folder
-from splitband.runtime.threads import available_cores
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,6 @@ class Request:
     horizon: int | None = None
     methods: str | None = None
     seeds: int | None = None
-    jobs: int | None = None
     calibrate: bool = False
     conditioned: bool = False
     settings: Path | None = None
@@ -65,10 +63,11 @@ class Task:
     device: str
 
 
-def prepared(request: Request, ahead: int | None = None) -> Task:
+def prepared(request: Request, cores: int, ahead: int | None = None) -> Task:
     """The records and simulators that the options name, and the settings they come to.
 
-    `ahead` samples at least must follow the training part, by default one, unless there are tests.
+    `cores` are what a budget is spent on; `ahead` samples at least must follow the training part,
+    by default one, unless there are tests.
     """
     reading, simulator = request.reading, request.simulator
     tuned = given.load_settings(request.settings, request.model)
@@ -86,7 +85,6 @@ def prepared(request: Request, ahead: int | None = None) -> Task:
     trajectory = with_simulator(trajectory, simulator, reading, beyond=beyond)
     tested = bool(request.testing.test)
     ahead = 1 - tested if ahead is None else ahead
-    cores = request.jobs or available_cores()
     setup = given.setup(
         request.record, trajectory, request.train, request.model, chosen, ahead, tested,
         cores, tuned,
@@ -109,7 +107,7 @@ def prepared(request: Request, ahead: int | None = None) -> Task:
 
 
 def carried_out(
-    task: Task, seeds: int | None, jobs: int | None, out: Path, label: str = "training"
+    task: Task, seeds: int | None, workers: Crew, out: Path, label: str = "training"
 ) -> Comparison:
     """The comparison; what is cut off goes on from checkpoints in the folder `out`.
 
@@ -129,7 +127,7 @@ def carried_out(
             tests=tests,
             seeds=seeds,
             setup=setup,
-            work=Work(jobs or available_cores(), progress, out / CHECKPOINTS),
+            work=workers.work(progress, out),
         )
 
 

@@ -11,6 +11,7 @@ import typer
 
 from splitband.cli import options, showing
 from splitband.cli.comparing import Task, arguments, carried_out, save
+from splitband.cli.crew import crew
 from splitband.cli.outcome import show
 from splitband.data.crane import overhead_crane
 from splitband.evaluation.api import Comparison
@@ -51,7 +52,8 @@ def demo(
     )
     setup = default_setup(record, TRAIN, names=METHODS)
     setup = replace(setup, settings=replace(setup.settings, **RECIPE), sizes=SIZES, search=None)
-    result = carried_out(Task(record, METHODS, setup, [], [], "cpu"), 1, jobs, out)
+    with crew(jobs, None) as workers:
+        result = carried_out(Task(record, METHODS, setup, [], [], "cpu"), 1, workers, out)
     save(result, out, {"command": context.info_name, "arguments": arguments(context.params)})
     show(result, METHODS, out)
     _tell(result)

@@ -11,19 +11,18 @@ import typer
 
 from splitband.cli import given, options, showing
 from splitband.cli.comparing import arguments
+from splitband.cli.crew import crew
 from splitband.cli.simulators import each_with_simulator, with_simulator
 from splitband.cli.usage import usage
 from splitband.evaluation.api import Forecast
 from splitband.evaluation.api import forecast as forecast_record
 from splitband.evaluation.comparison import check
-from splitband.evaluation.runs import Work
 from splitband.evaluation.selection import check_trial
 from splitband.evaluation.setup import default_names, usual_names
 from splitband.forecasters.names import BASES, CALIBRATED, NAMES, TRAINED, with_base
 from splitband.metrics import leaving
 from splitband.report import page, pictures, results
 from splitband.runtime.files import CHECKPOINTS, output_folder, replacing, write_json
-from splitband.runtime.threads import available_cores
 
 
 @options.with_groups
@@ -49,6 +48,7 @@ def forecast(
     budget: options.Budget = None,
     device: options.Device = "cpu",
     settings: options.SettingsFile = None,
+    cluster: options.Cluster = None,
 ) -> None:
     """Forecast a record beyond its end, with the interval that should hold nine tenths of it.
 
@@ -58,7 +58,7 @@ def forecast(
     then still forecast the same. A simulator must reach --steps samples beyond the record; a
     record with known inputs needs --future-inputs.
     """
-    model, jobs = options.ModelOptions(epochs=epochs, budget=budget), jobs or available_cores()
+    model = options.ModelOptions(epochs=epochs, budget=budget)
     tuned = given.load_settings(settings, model)
     known = given.load_record(record, reading)
     hybrid = simulator.simulator is not None or known.y_sim is not None
@@ -73,21 +73,22 @@ def forecast(
     known = with_simulator(known, simulator, reading, steps if hybrid else 0, beyond)
     u = given.inputs_ahead(future_inputs, known, steps, reading)
     known = replace(known, u_beyond=u)
-    setup = given.setup_ahead(known, steps, names, model, jobs, tuned)
-    if method is None and tuned is None and not based:
-        names = usual_names(known, setup)
-    others = given.load_further(further.more, "--more", known, reading)
-    others = each_with_simulator(others, names, further, simulator, reading)
-    methods = [given.on_device(setup.forecaster(name), device) for name in names]
-    given.check_needs(methods, known)
-    check(known, methods, setup, others, beyond=True)
-    check_trial(known, methods, setup, others)
-    output_folder(out)
-    with showing.progress() as progress:
-        work = Work(jobs, progress, out / CHECKPOINTS)
-        result = forecast_record(
-            known, steps, methods, others=others, seeds=seeds, setup=setup, work=work
-        )
+    with crew(jobs, cluster) as workers:
+        setup = given.setup_ahead(known, steps, names, model, workers.cores, tuned)
+        if method is None and tuned is None and not based:
+            names = usual_names(known, setup)
+        others = given.load_further(further.more, "--more", known, reading)
+        others = each_with_simulator(others, names, further, simulator, reading)
+        methods = [given.on_device(setup.forecaster(name), device) for name in names]
+        given.check_needs(methods, known)
+        check(known, methods, setup, others, beyond=True)
+        check_trial(known, methods, setup, others)
+        output_folder(out)
+        with showing.progress() as progress:
+            result = forecast_record(
+                known, steps, methods,
+                others=others, seeds=seeds, setup=setup, work=workers.work(progress, out),
+            )  # fmt: skip
     with replacing(out / "forecast.csv") as temporary:
         result.prediction.to_frame().to_csv(temporary, index=False)
     write_json(

@@ -337,6 +337,15 @@ Jobs = Annotated[
         show_default="one a core",
     ),
 ]
+Cluster = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="A Dask scheduler, such as tcp://10.0.0.5:8786, whose workers train in place of this "
+        "machine; one training a core.",
+        show_default=False,
+    ),
+]
 Device = Annotated[
     str,
     typer.Option(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ import typer
 from rich.table import Table as RichTable
 
 from splitband.cli import given, options, showing
+from splitband.cli.crew import Crew, crew
 from splitband.forecasters.names import TRAINED
 from splitband.paper.costs import progress
 from splitband.paper.figures import FIGURES, figure, needed
@@ -19,7 +21,6 @@ from splitband.paper.specs import SPECS, Line, lines
 from splitband.paper.tables import Table, table
 from splitband.report import pictures
 from splitband.runtime.files import output_folder, replacing, write_json
-from splitband.runtime.threads import available_cores
 
 paper = typer.Typer(
     help="Reproduce the tables and figures of the paper.",
@@ -93,6 +94,7 @@ def make_table(
     seeds: Seeds = 5,
     epochs: Epochs = None,
     jobs: options.Jobs = None,
+    cluster: options.Cluster = None,
     out: Out = Path("paper"),
     run: Run = True,
 ) -> None:
@@ -106,7 +108,7 @@ def make_table(
     if len(chosen) > 1 and (systems or methods):
         raise ValueError(f"--systems and --methods must be used with one table, got {name}")
     of = {each: lines(each, _split(systems), _split(methods), seeds, epochs) for each in chosen}
-    _run_missing((line for rows in of.values() for line in rows), out, jobs, run)
+    _run_missing((line for rows in of.values() for line in rows), out, crew(jobs, cluster), run)
     for each, rows in of.items():
         made = table(each, rows, out / "runs")
         output_folder(out / "tables")
@@ -129,6 +131,7 @@ def make_figure(
     seeds: Seeds = 5,
     epochs: Epochs = None,
     jobs: options.Jobs = None,
+    cluster: options.Cluster = None,
     out: Out = Path("paper"),
     run: Run = True,
 ) -> None:
@@ -136,7 +139,7 @@ def make_figure(
     chosen = _chosen(name, FIGURES, "figure")
     of = {each: needed(each, _split(systems), _split(methods), seeds, epochs) for each in chosen}
     every = (line for by_system in of.values() for rows in by_system.values() for line in rows)
-    _run_missing(every, out, jobs, run)
+    _run_missing(every, out, crew(jobs, cluster), run)
     output_folder(out / "figures")
     for each, by_system in of.items():
         for system, rows in by_system.items():
@@ -151,14 +154,16 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
-def _run_missing(of: Iterable[Line], out: Path, processes: int | None, run: bool) -> None:
+def _run_missing(
+    of: Iterable[Line], out: Path, workers: AbstractContextManager[Crew], run: bool
+) -> None:
     output_folder(out / "runs")
     if not run:
         return
     todo = missing((job for line in of for job in line.jobs), out / "runs")
     trainings = sum(job.method in TRAINED for job in todo)
-    with showing.progress(f"{trainings} trainings", trainings) as report:
-        complete(todo, out / "runs", processes or available_cores(), report)
+    with workers as chosen, showing.progress(f"{trainings} trainings", trainings) as report:
+        complete(todo, out / "runs", chosen.executor or chosen.cores, report)
 
 
 def _chosen(name: str, possible: Iterable[str], what: str) -> list[str]:

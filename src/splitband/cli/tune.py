@@ -12,7 +12,7 @@ from rich.table import Table
 
 from splitband.cli import given, options, showing
 from splitband.cli.comparing import Request, arguments, prepared
-from splitband.evaluation.runs import Work
+from splitband.cli.crew import crew
 from splitband.evaluation.trials import Attempt, hidden
 from splitband.evaluation.tuned import FILE
 from splitband.evaluation.tuning import Effort, Tuning
@@ -20,7 +20,6 @@ from splitband.evaluation.tuning import tune as search_settings
 from splitband.forecasters.names import TRAINED
 from splitband.report import tuning as report
 from splitband.runtime.files import CHECKPOINTS, output_folder
-from splitband.runtime.threads import available_cores
 
 SHOWN = 5
 """Trials in the table."""
@@ -79,6 +78,7 @@ def tune(
     ),
     warmup: options.Warmup = None,
     device: options.Device = "cpu",
+    cluster: options.Cluster = None,
 ) -> None:
     """Search for the network and the settings that forecast held-out training samples best.
 
@@ -94,22 +94,27 @@ def tune(
     effort = Effort(trials, seconds, seed, storage)
     model = options.ModelOptions(warmup=warmup, device=device)
     given.check_model_options(model)
-    request = Request(record, reading, simulator, further, model=model, train=train, jobs=jobs)
-    task = prepared(request, ahead=0)
+    if cluster is not None and storage is None:
+        raise ValueError(
+            "--storage must be given with --cluster: an address that its workers reach, too"
+        )
+    request = Request(record, reading, simulator, further, model=model, train=train)
     names = None if methods is None else given.names(methods)
     if names is not None:
         given.check_names("--methods", names, TRAINED)
-    output_folder(out)
-    with showing.progress("tuning") as progress:
-        result = search_settings(
-            task.record,
-            methods=names,
-            others=task.others,
-            effort=effort,
-            setup=task.setup,
-            work=Work(jobs or available_cores(), progress, out / CHECKPOINTS),
-            device=device,
-        )
+    with crew(jobs, cluster) as workers:
+        task = prepared(request, workers.cores, ahead=0)
+        output_folder(out)
+        with showing.progress("tuning") as progress:
+            result = search_settings(
+                task.record,
+                methods=names,
+                others=task.others,
+                effort=effort,
+                setup=task.setup,
+                work=workers.work(progress, out),
+                device=device,
+            )
     given_values = arguments(context.params)
     if storage is not None:
         given_values["storage"] = hidden(storage)

@@ -1,10 +1,11 @@
-"""Forecasters on a record, each with each seed: one job after the other, in processes."""
+"""Forecasters on a record, each with each seed: a job each, wherever jobs are carried out."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,6 +13,7 @@ from pathlib import Path
 from splitband.forecasters.backtest import Backtest, Question, backtest
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.simulation import CALIBRATIONS
+from splitband.runtime.places import Files, Place
 from splitband.runtime.processes import over
 from splitband.simulators.calibration import Calibration
 from splitband.training import Checkpoint, Progress
@@ -39,15 +41,20 @@ class Work:
     ----------
     jobs : Processes at once, each on one thread. With several, a script has to keep what it does
         under `if __name__ == "__main__":`, as each process begins by importing it.
-    progress : Called in this process after each epoch of each run.
-    checkpoints : Folder, created if need be, from which trainings that were cut off go on.
+    progress : Called in this process after each epoch of each run; with an executor that cannot
+        send while a job runs, at the end of each run.
+    checkpoints : Folder, created if need be, from which trainings that were cut off go on. Workers
+        that do not see it send their trainings there when these are over.
     stage : What the progress is reported as.
+    executor : What carries out the jobs in place of processes of this machine: any executor of
+        `concurrent.futures`, Dask's (`Cluster`) or mpi4py's, for instance. It stays open.
     """
 
     jobs: int = 1
     progress: Callable[[RunProgress], None] | None = None
     checkpoints: Path | None = None
     stage: str = "whole"
+    executor: Executor | None = None
 
     def for_stage(self, stage: str) -> Work:
         """For one of several parts of the work, with a folder of its own for checkpoints."""
@@ -77,30 +84,50 @@ def run_all(
     is not random is fitted once, and to the first record alone. With `need_one`, ValueError is
     raised when nothing could be fitted at all.
     """
-    if work.checkpoints is not None:
-        work.checkpoints.mkdir(parents=True, exist_ok=True)
     ready = {f.name: _prepared(f, questions[f.name]) for f in forecasters}
     seeds_of = {f.name: _seeds_of(f, seeds) for f in forecasters}
-    todo = [(f.name, seed) for f in forecasters for seed in seeds_of[f.name]]
-    # The longest first, so that no process is left with one of them at the end.
-    todo.sort(key=lambda job: not ready[job[0]].random)
     stage = None if work.progress is None else work.stage
-    job = partial(_work, ready, questions, stage, work.checkpoints, dict(CALIBRATIONS.results))
-    done = {
-        (name, seed): outcome for name, seed, outcome in over(job, todo, work.jobs, work.progress)
-    }
-    results: dict[str, dict[int, Backtest]] = {f.name: {} for f in forecasters}
-    failures = []
-    for f in forecasters:
-        for seed in seeds_of[f.name]:
-            outcome = done[f.name, seed]
-            if isinstance(outcome, Failure):
-                failures.append(outcome)
-            else:
-                results[f.name][seed] = outcome
+    done = {}
+    with _place(work) as place:
+        # The longest first, so that no process is left with one of them at the end.
+        todo = [
+            _Job(f.name, seed, place.files(_file(f.name, seed)) if place and f.random else {})
+            for f in sorted(forecasters, key=lambda f: not f.random)
+            for seed in seeds_of[f.name]
+        ]
+        job = partial(_work, ready, questions, stage, place, dict(CALIBRATIONS.results))
+        workers = work.executor or work.jobs
+        for name, seed, outcome, files in over(job, todo, workers, work.progress):
+            done[name, seed] = outcome
+            if place is not None:
+                place.keep(files)
+    results, failures = _sorted_out(seeds_of, done)
     if need_one and not any(results.values()):
         reasons = dict.fromkeys(f"{f.method}: {f.reason}" for f in failures)
         raise ValueError(f"no method could be fitted; {'; '.join(reasons)}")
+    return results, failures
+
+
+def _place(work: Work) -> AbstractContextManager[Place | None]:
+    """Where checkpoints are, while jobs are carried out."""
+    if work.checkpoints is None:
+        return nullcontext()
+    return Place.opened(work.checkpoints, anywhere=work.executor is not None)
+
+
+def _sorted_out(
+    seeds_of: Mapping[str, Sequence[int]], done: Mapping[tuple[str, int], Backtest | Failure]
+) -> tuple[dict[str, dict[int, Backtest]], list[Failure]]:
+    """Results and failures, in the order of forecasters and seeds."""
+    results: dict[str, dict[int, Backtest]] = {name: {} for name in seeds_of}
+    failures = []
+    for name, seeds in seeds_of.items():
+        for seed in seeds:
+            outcome = done[name, seed]
+            if isinstance(outcome, Failure):
+                failures.append(outcome)
+            else:
+                results[name][seed] = outcome
     return results, failures
 
 
@@ -124,34 +151,59 @@ def _prepared(forecaster: Forecaster, asked: Question) -> Forecaster:
     return forecaster
 
 
+@dataclass(frozen=True)
+class _Job:
+    """A forecaster with a seed, and what there is of its training already."""
+
+    name: str
+    seed: int
+    files: Files
+
+
+def _file(name: str, seed: int) -> str:
+    """What the files of a job's checkpoint begin with."""
+    return f"{file_name(name)}-{seed}"
+
+
 def _work(
     forecasters: Mapping[str, Forecaster],
     questions: Mapping[str, Question],
     stage: str | None,
-    checkpoints: Path | None,
+    place: Place | None,
     calibrations: Mapping[str, Calibration],
-    job: tuple[str, int],
+    job: _Job,
     report: Callable[[RunProgress], None],
-) -> tuple[str, int, Backtest | Failure]:
-    name, seed = job
+) -> tuple[str, int, Backtest | Failure, Files]:
+    name, seed = job.name, job.seed
     CALIBRATIONS.learn(calibrations)
     watch = None if stage is None else _reporter(name, seed, stage, report)
-    checkpoint = None
-    if checkpoints is not None and forecasters[name].random:
-        checkpoint = Checkpoint(checkpoints / f"{file_name(name)}-{seed}.safetensors")
-    question = questions[name]
-    if not forecasters[name].random:
+    forecaster, question = forecasters[name], questions[name]
+    if not forecaster.random:
         question = replace(question, others=())
+    if place is None or not forecaster.random:
+        return name, seed, _outcome(forecaster, question, seed, watch, None), {}
+    with place.at_work(job.files) as (folder, changed):
+        checkpoint = Checkpoint(folder / f"{_file(name, seed)}.safetensors")
+        outcome = _outcome(forecaster, question, seed, watch, checkpoint)
+    return name, seed, outcome, changed
+
+
+def _outcome(
+    forecaster: Forecaster,
+    question: Question,
+    seed: int,
+    watch: Callable[[Progress], None] | None,
+    checkpoint: Checkpoint | None,
+) -> Backtest | Failure:
     try:
-        outcome = backtest(forecasters[name], question, seed, watch, checkpoint)
+        return backtest(forecaster, question, seed, watch, checkpoint)
     except OSError:
         raise  # a full disk, or a process ended from outside, concerns every method
     except Exception as error:
         said = " ".join(str(error).split())
         expected = isinstance(error, FloatingPointError | ValueError)
         reason = said if expected else f"{type(error).__name__}: {said}"
-        return name, seed, Failure(name, seed, reason)
-    return name, seed, outcome
+        return Failure(forecaster.name, seed, reason)
 
 
 def file_name(name: str) -> str:

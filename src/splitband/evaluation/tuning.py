@@ -215,7 +215,8 @@ def tune(
             _name(training, shares, others, space, effort), effort.seed, limits,
         )  # fmt: skip
         study.begin(job)
-        for _ in over(partial(study.run, job), range(work.jobs), work.jobs, work.progress):
+        workers = work.executor or work.jobs
+        for _ in over(partial(study.run, job), range(work.jobs), workers, work.progress):
             pass
         found, importances = study.outcome(job)
     if all(each.value is None for each in found):

@@ -6,7 +6,6 @@ forecast are made of these forecasts.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
@@ -21,6 +20,7 @@ from splitband.forecasters.intervals import Interval
 from splitband.forecasters.networks import Network
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import ExtrapolationWarning, rmse, spread
+from splitband.runtime.threads import without_warnings
 from splitband.training import Checkpoint, Progress
 
 Array = npt.NDArray[np.float64]
@@ -124,8 +124,7 @@ def backtest(
         )
         for origin in of_fit:
             history = record[: origin.at]
-            with warnings.catch_warnings():  # they are kept with the prediction
-                warnings.simplefilter("ignore", ExtrapolationWarning)
+            with without_warnings(ExtrapolationWarning):  # they are kept with the prediction
                 predictions[origin] = fitted.predict(end - origin.at, history)
             if isinstance(fitted, Network):
                 unfiltered[origin] = fitted.unfiltered(end - origin.at, history)
@@ -147,8 +146,7 @@ def _tested(fitted: Forecaster, question: Question) -> list[Prediction]:
         return predictions
     for test in question.tests:
         at = first_origin(test, 0, fitted.warmup or question.warmup).at
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ExtrapolationWarning)
+        with without_warnings(ExtrapolationWarning):
             history = test[:at]
             predictions.append(fitted.predict(len(test) - at, history, other_record=True))
     return predictions

@@ -22,6 +22,7 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import FitReport, Forecaster, Known, total
 from splitband.models import Model
 from splitband.networks import Cell
+from splitband.runtime.threads import drawn_from
 from splitband.training import Checkpoint, Progress, Settings, fit
 from splitband.training.recipes import recipe_settings
 from splitband.training.windows import windows_in
@@ -229,8 +230,7 @@ class Network(Forecaster):
 
     def _built(self, record: Trajectory, settings: Settings, seed: int) -> Model:
         """The untrained model, its parameters drawn from `seed`."""
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
+        with drawn_from(seed):
             return self.build(record, settings)
 
     def _settings_for(self, record: Trajectory) -> Settings:

@@ -7,7 +7,8 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, replace
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ from splitband.paper.jobs import ORACLE, Job
 from splitband.paper.systems import MassSpringOracle
 from splitband.report.results import environment
 from splitband.runtime.files import CHECKPOINTS, write_json_lines
+from splitband.runtime.places import Files, Place
 from splitband.runtime.processes import over
 from splitband.training import Checkpoint, Progress
 
@@ -45,16 +47,20 @@ _WAITED = 1.25  # wall seconds per processor second above which a run shared its
 def complete(
     jobs: Iterable[Job],
     folder: Path,
-    processes: int = 1,
+    workers: int | Executor = 1,
     progress: Callable[[RunProgress], None] | None = None,
 ) -> int:
     """Run the jobs that have no file in `folder` yet; return how many there were.
 
-    Each writes its file as soon as it is done, so that one stopped in between is all that is lost.
+    The file of each is written as soon as it is done, so that one stopped in between is all that is
+    lost. `workers` are processes of this machine, or any executor.
     """
     todo = missing(jobs, folder)
-    for _ in over(partial(_work, folder, progress is None), todo, processes, progress):
-        pass
+    with Place.opened(folder, anywhere=isinstance(workers, Executor)) as place:
+        sent = [_Sent.of(job, place) for job in todo]
+        for job, facts in over(partial(_work, progress is None, place), sent, workers, progress):
+            write_json_lines(folder / job.path, facts)
+            shutil.rmtree(folder / _checkpoints(job), ignore_errors=True)
     return len(todo)
 
 
@@ -176,22 +182,38 @@ def disturbed(facts: dict[str, Any]) -> bool | None:
     return bool(facts["seconds"] > _WAITED * facts["cpu_seconds"])
 
 
-def _work(folder: Path, silent: bool, job: Job, report: Callable[[RunProgress], None]) -> None:
-    record = job.record
+@dataclass(frozen=True, eq=False)
+class _Sent:
+    """All that a job needs, wherever it is run: its record, and what there is of its training."""
+
+    job: Job
+    record: Trajectory
+    files: Files
+
+    @classmethod
+    def of(cls, job: Job, place: Place) -> _Sent:
+        return cls(job, job.record, place.files(job.method, _checkpoints(job)))
+
+
+def _checkpoints(job: Job) -> str:
+    return f"{job.path.with_suffix('')}-{CHECKPOINTS}"
+
+
+def _work(
+    silent: bool, place: Place, sent: _Sent, report: Callable[[RunProgress], None]
+) -> tuple[Job, dict[str, Any]]:
+    job, record = sent.job, sent.record
     setup = job.setup(record)
-    path = folder / job.path
-    checkpoints = path.parent / f"{path.stem}-{CHECKPOINTS}"
-    checkpoints.mkdir(parents=True, exist_ok=True)
-    resumed = any(checkpoints.iterdir())
     began = time.process_time()
-    try:
-        done = run(job, record, setup, None if silent else report, checkpoints)
-        seconds = _time(done.fit.seconds, time.process_time() - began, resumed)
-        facts = _results(job, done) | seconds
-    except FloatingPointError as error:
-        facts = {"diverged": str(error)}
-    write_json_lines(path, _identity(job, record, setup) | facts | {"environment": environment()})
-    shutil.rmtree(checkpoints)
+    with place.at_work(sent.files, _checkpoints(job)) as (checkpoints, _):
+        resumed = any(checkpoints.iterdir())
+        try:
+            done = run(job, record, setup, None if silent else report, checkpoints)
+            seconds = _time(done.fit.seconds, time.process_time() - began, resumed)
+            facts = _results(job, done) | seconds
+        except FloatingPointError as error:
+            facts = {"diverged": str(error)}
+    return job, _identity(job, record, setup) | facts | {"environment": environment()}
 
 
 def run(

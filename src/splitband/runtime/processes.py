@@ -1,4 +1,4 @@
-"""The same work over many inputs, in this process or in several."""
+"""The same work over many inputs, in this process, in several or by an executor."""
 
 from __future__ import annotations
 
@@ -8,24 +8,29 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait
 from multiprocessing.queues import SimpleQueue
-from typing import Any, TypeVar
+from typing import Any, final
 
+from splitband.runtime.executors import (
+    Job,
+    Message,
+    Parameters,
+    Report,
+    Result,
+    Work,
+    Workers,
+    given_to,
+)
 from splitband.runtime.threads import one_thread, use_one_thread
-
-Job = TypeVar("Job")
-Result = TypeVar("Result")
-Message = TypeVar("Message")
-Work = Callable[[Job, Callable[[Message], None]], Result]
 
 
 def over(
     work: Work[Job, Message, Result],
     jobs: Sequence[Job],
-    processes: int = 1,
+    workers: int | Executor = 1,
     progress: Callable[[Message], None] | None = None,
 ) -> Iterator[Result]:
     """Yield `work(job, report)` for each job as it is done, each on one thread.
@@ -34,33 +39,91 @@ def over(
     ----------
     work : A function of a module, as other processes have to find it.
     jobs : In the order in which they are begun.
-    processes : How many at once; 1 is this process.
+    workers : Processes of this machine, of which 1 is this one; or any executor.
     progress : Called in this process with whatever the work reports.
 
     Raises
     ------
     OSError
-        When a process is ended from outside.
+        When a process is ended from outside, or an executor loses a job.
     """
-    if processes > 1 and len(jobs) > 1:
-        yield from _in_processes(work, jobs, min(processes, len(jobs)), progress)
-        return
-    for job in jobs:
-        with one_thread():
-            result = work(job, progress or _ignore)
-        yield result
+    progress = progress or _ignore
+    if isinstance(workers, Executor):
+        yield from given_to(workers, work, jobs, progress)
+    elif workers > 1 and len(jobs) > 1:
+        with Processes(min(workers, len(jobs))) as processes:
+            yield from given_to(processes, work, jobs, progress)
+    else:
+        for job in jobs:
+            with one_thread():
+                result = work(job, progress)
+            yield result
 
 
 def _ignore(_: Any) -> None:
     pass
 
 
-_to_parent: Any = None
+@final
+class Processes(Workers):
+    """Processes of this machine, which end with this one.
+
+    Parameters
+    ----------
+    count : How many at most.
+    """
+
+    def __init__(self, count: int) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._others = multiprocessing.active_children()
+        self._queue: SimpleQueue[Any] = context.SimpleQueue()
+        self._pool = ProcessPoolExecutor(count, context, _start_worker, (self._queue,))
+
+    def submit(
+        self,
+        fn: Callable[Parameters, Result],
+        /,
+        *args: Parameters.args,
+        **kwargs: Parameters.kwargs,
+    ) -> Future[Result]:
+        """See `Executor`."""
+        with _no_interrupts():  # again: multiprocessing's tracker has reset it
+            return self._pool.submit(fn, *args, **kwargs)
+
+    @contextlib.contextmanager
+    def listening(self, progress: Callable[[Any], None]) -> Iterator[Report]:
+        """See `Workers`."""
+        listener = threading.Thread(target=_forward, args=(self._queue, progress), daemon=True)
+        listener.start()
+        try:
+            yield _to_parent
+        finally:
+            self._queue.put(None)
+            listener.join()
+
+    def abandon(self, jobs: Sequence[Future[Any]]) -> None:
+        """See `Workers`; the processes are ended."""
+        for worker in multiprocessing.active_children():
+            if worker not in self._others:
+                worker.terminate()
+
+    def explained(self, error: BaseException) -> BaseException:
+        """See `Workers`."""
+        if isinstance(error, BrokenProcessPool):
+            return OSError("a training process was ended from outside, perhaps for memory")
+        return super().explained(error)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
+        """See `Executor`."""
+        self._pool.shutdown(wait, cancel_futures=cancel_futures)
+
+
+_queue: Any = None
 
 
 def _start_worker(queue: Any) -> None:
-    global _to_parent  # noqa: PLW0603  set once, when the process starts
-    _to_parent = queue
+    global _queue  # noqa: PLW0603  set once, when the process starts
+    _queue = queue
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends them
     use_one_thread()
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -74,39 +137,9 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _work(work: Work[Job, Message, Result], job: Job) -> Result:
-    return work(job, _to_parent.put)
-
-
-def _in_processes(
-    work: Work[Job, Message, Result],
-    jobs: Sequence[Job],
-    processes: int,
-    progress: Callable[[Message], None] | None,
-) -> Iterator[Result]:
-    context = multiprocessing.get_context("spawn")
-    queue: SimpleQueue[Message | None] = context.SimpleQueue()
-    listener = threading.Thread(target=_forward, args=(queue, progress or _ignore), daemon=True)
-    listener.start()
-    others = multiprocessing.active_children()
-    pool = ProcessPoolExecutor(processes, context, _start_worker, (queue,))
-    try:
-        with _no_interrupts():  # again: multiprocessing's tracker has reset it
-            results = [pool.submit(_work, work, job) for job in jobs]
-        for done in as_completed(results):
-            yield done.result()
-    except BrokenProcessPool:
-        raise OSError("a training process was ended from outside, perhaps for memory") from None
-    except BaseException:
-        # After Ctrl-C or a failure, do not wait for the jobs that still run.
-        for worker in multiprocessing.active_children():
-            if worker not in others:
-                worker.terminate()
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
-        queue.put(None)
-        listener.join()
+def _to_parent(message: Any) -> bool:
+    _queue.put(message)
+    return True
 
 
 @contextlib.contextmanager
@@ -122,6 +155,6 @@ def _no_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _forward(queue: SimpleQueue[Message | None], progress: Callable[[Message], None]) -> None:
+def _forward(queue: SimpleQueue[Any], progress: Callable[[Any], None]) -> None:
     while (at := queue.get()) is not None:
         progress(at)

@@ -1,13 +1,17 @@
-"""The one place where thread counts are set."""
+"""The one place where thread counts are set, and what several threads of a process share."""
 
 from __future__ import annotations
 
 import os
+import threading
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import threadpoolctl
 import torch
+
+_DRAWING, _WARNING = threading.RLock(), threading.RLock()
 
 
 def use_one_thread() -> None:
@@ -21,9 +25,48 @@ def use_one_thread() -> None:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Compute on one thread, as with `use_one_thread`, and then on as many as before."""
-    with one_torch_thread(), threadpoolctl.threadpool_limits(1, user_api="blas"):
+    """Compute on one thread, as with `use_one_thread`, and then on as many as before.
+
+    Several threads may do so at the same time.
+    """
+    with one_torch_thread(), _ONE_BLAS_THREAD.entered():
         yield
+
+
+class _OneBlasThread:
+    """BLAS has one count for the whole process: the last to leave restores the first one's."""
+
+    def __init__(self) -> None:
+        self._lock, self._inside = threading.Lock(), 0
+        self._limits: threadpoolctl.threadpool_limits | None = None
+
+    @contextmanager
+    def entered(self) -> Iterator[None]:
+        with self._lock:
+            if self._inside == 0:
+                _let_this_thread_set_blas()
+                self._limits = threadpoolctl.threadpool_limits(1, user_api="blas")
+            self._inside += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._inside -= 1
+                if self._inside == 0:
+                    assert self._limits is not None
+                    _let_this_thread_set_blas()
+                    self._limits.restore_original_limits()
+                    _let_this_thread_set_blas()
+
+
+def _let_this_thread_set_blas() -> None:
+    """Later versions of threadpoolctl ignore, without a word, all threads but the first one."""
+    clear = getattr(threadpoolctl.OpenBLASController, "clear_controlling_thread", None)
+    if clear is not None:
+        clear(force=True)
+
+
+_ONE_BLAS_THREAD = _OneBlasThread()
 
 
 @contextmanager
@@ -38,6 +81,22 @@ def one_torch_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(count)
+
+
+@contextmanager
+def drawn_from(seed: int) -> Iterator[None]:
+    """Let torch draw from a seed, undisturbed by other threads, and then go on as before."""
+    with _DRAWING, torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        yield
+
+
+@contextmanager
+def without_warnings(category: type[Warning]) -> Iterator[None]:
+    """Without warnings of a kind; one thread at a time, as the filters are those of the process."""
+    with _WARNING, warnings.catch_warnings():
+        warnings.simplefilter("ignore", category)
+        yield
 
 
 def available_cores() -> int:

@@ -1,0 +1,52 @@
+"""What carries out the trainings of a command: cores of this machine, or a cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from splitband.cli import showing
+from splitband.evaluation.runs import RunProgress, Work
+from splitband.runtime.cluster import Cluster, silence
+from splitband.runtime.files import CHECKPOINTS
+from splitband.runtime.threads import available_cores
+
+
+@dataclass(frozen=True)
+class Crew:
+    """Cores, of this machine where there is no executor."""
+
+    cores: int
+    executor: Executor | None = None
+
+    def work(self, progress: Callable[[RunProgress], None], out: Path) -> Work:
+        """How a comparison is computed by them, with checkpoints in the folder `out`."""
+        return Work(self.cores, progress, out / CHECKPOINTS, executor=self.executor)
+
+
+@contextmanager
+def crew(jobs: int | None, cluster: str | None) -> Iterator[Crew]:
+    """What --jobs and --cluster ask for."""
+    if cluster is None:
+        yield Crew(jobs or available_cores())
+        return
+    if jobs is not None:
+        raise ValueError(
+            f"--jobs must be left out with --cluster, where each thread has one, got {jobs}"
+        )
+    silence()
+    try:
+        executor = Cluster(cluster)
+    except ConnectionError:
+        raise ValueError(
+            "--cluster must be the address of a Dask scheduler that answers, such as "
+            f"tcp://10.0.0.5:8786, got {cluster}"
+        ) from None
+    with executor:
+        cores = executor.cores
+        if cores == 0:
+            showing.console.print(f"{cluster} has no worker yet: waiting for the first one")
+        yield Crew(max(cores, 1), executor)

@@ -1,0 +1,231 @@
+"""Jobs sent to the workers of a Dask scheduler; nothing else of the package knows Dask."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import pickle
+import time
+import uuid
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from typing import Any, final
+
+from splitband.runtime.executors import Parameters, Report, Result, Workers
+
+PATIENCE = 5.0
+"""Seconds after which a scheduler that does not answer is given up on."""
+BETWEEN_REPORTS = 1.0
+"""Seconds between two reports of a job, as all of them pass through the scheduler."""
+COMPARED = ("python", "splitband", "torch", "numpy", "distributed")
+"""What must have the same version everywhere: of Python the first two parts of it."""
+NAMED = 3
+"""How many of the workers with other versions are named in an error."""
+
+
+@final
+class Cluster(Workers):
+    """The workers of a Dask scheduler, as an executor (the extra `splitband[cluster]`).
+
+    It is also a context manager, which closes the connection and leaves the workers as they are.
+
+    Parameters
+    ----------
+    address : Of the scheduler, such as "tcp://10.0.0.5:8786".
+
+    Raises
+    ------
+    ValueError
+        Where `distributed` is not installed here; where a worker has other versions than this
+        process, or lacks a package.
+    ConnectionError
+        Where no scheduler answers within `PATIENCE` seconds.
+    """
+
+    def __init__(self, address: str) -> None:
+        try:
+            from distributed import Client  # noqa: PLC0415
+        except ImportError:
+            raise ValueError("a cluster needs Dask: pip install 'splitband[cluster]'") from None
+        self.address = address
+        with ThreadPoolExecutor(1) as aside:  # this thread may have an event loop, as in notebooks
+            answers = aside.submit(lambda: asyncio.run(_is_scheduler(address))).result()
+        if not answers:
+            raise ConnectionError(f"no Dask scheduler answers at {address}")
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Mismatched versions")  # an error, below
+            self._client: Any = Client(address, timeout=PATIENCE, set_as_default=False)
+        self._executor = self._client.get_executor(pure=False)
+        try:
+            self._versions = self._compared()
+        except BaseException:
+            self.shutdown()
+            raise
+
+    @property
+    def cores(self) -> int:
+        """How many jobs its workers carry out at once; 0 before the first one has come."""
+        return sum(self._client.nthreads().values())
+
+    def submit(
+        self,
+        fn: Callable[Parameters, Result],
+        /,
+        *args: Parameters.args,
+        **kwargs: Parameters.kwargs,
+    ) -> Future[Result]:
+        """See `Executor`; jobs are begun in the order in which they were submitted."""
+        given = {**kwargs, "fifo_timeout": 0}
+        return self._executor.submit(_carry_out, self._versions, fn, *args, **given)
+
+    def shared(self, value: Any) -> Any:
+        """See `Workers`.
+
+        The scheduler keeps it, so that it is not lost with the worker that has it; workers get it
+        from each other.
+        """
+        import cloudpickle  # noqa: PLC0415  it comes with Dask
+
+        with warnings.catch_warnings():  # that it is large is why it travels by itself
+            warnings.filterwarnings("ignore", "Sending large graph")
+            return self._client.submit(pickle.loads, cloudpickle.dumps(value), pure=False)
+
+    @contextmanager
+    def listening(self, progress: Callable[[Any], None]) -> Iterator[Report]:
+        """See `Workers`."""
+        topic = f"splitband-{uuid.uuid4().hex}"
+        self._client.subscribe_topic(topic, lambda event: progress(pickle.loads(event[1])))
+        try:
+            yield _ToScheduler(topic)
+        finally:
+            with suppress(Exception):  # the connection may be lost
+                self._client.unsubscribe_topic(topic)
+
+    def abandon(self, jobs: Sequence[Future[Any]]) -> None:
+        """See `Workers`; a training that runs ends with its epoch."""
+        if self._connected:
+            self._executor.shutdown(wait=False)
+            self._executor = self._client.get_executor(pure=False)
+
+    def explained(self, error: BaseException) -> BaseException:
+        """See `Workers`."""
+        from distributed import KilledWorker  # noqa: PLC0415
+
+        if isinstance(error, KilledWorker):
+            return OSError(
+                f"{error.allowed_failures + 1} workers of {self.address} ended while they carried "
+                "out the same job, perhaps for memory"
+            )
+        lost = isinstance(error, Exception) and not self._connected
+        if lost or isinstance(error, CancelledError):
+            return ConnectionError(
+                f"the Dask scheduler at {self.address} is gone; what is finished is kept, and the "
+                "same command goes on from here"
+            )
+        return error
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Close the connection; the scheduler gives up what has not been finished."""
+        self._client.close(timeout=PATIENCE)
+
+    @property
+    def _connected(self) -> bool:
+        return bool(self._client.status == "running")
+
+    def _compared(self) -> Mapping[str, str | None]:
+        """The versions here; raises ValueError where they are not those of all workers."""
+        found = self._client.get_versions(packages=COMPARED[1:])
+        here = found["client"]["packages"]
+        others = {
+            address: said
+            for address, of_worker in found["workers"].items()
+            if (said := _difference(here, of_worker["packages"]))
+        }
+        if others:
+            named = [f"worker {address} {said}" for address, said in [*others.items()][:NAMED]]
+            more = [f"{len(others) - NAMED} more do, too"] if len(others) > NAMED else []
+            raise ValueError(f"{'; '.join(named + more)}; all must have the same versions")
+        return here
+
+
+async def _is_scheduler(address: str) -> bool:
+    """Whether one answers; a client would wait for ever for what is none."""
+    from distributed.comm.core import connect  # noqa: PLC0415
+    from distributed.core import send_recv  # noqa: PLC0415
+    from distributed.security import Security  # noqa: PLC0415
+
+    try:
+        async with asyncio.timeout(PATIENCE):
+            comm = await connect(address, **Security().get_connection_args("client"))
+            try:
+                said = await send_recv(comm, op="identity")
+            finally:
+                comm.abort()
+    except Exception:  # what else may listen there can say anything
+        return False
+    return bool(said["type"] == "Scheduler")
+
+
+def silence() -> None:
+    """Keep Dask from logging to the error stream; for programs that say themselves what happens."""
+    with suppress(ImportError):
+        import distributed  # noqa: F401, PLC0415  which sets its loggers up
+    for name in [*logging.root.manager.loggerDict]:
+        if name.split(".")[0] in ("distributed", "tornado"):
+            logging.getLogger(name).handlers = [logging.NullHandler()]
+            logging.getLogger(name).propagate = False
+
+
+def _difference(here: Mapping[str, str | None], there: Mapping[str, str | None]) -> str:
+    """How the versions of a worker differ from those of this process; empty where they do not."""
+    missing = [package for package in COMPARED if there.get(package) is None]
+    if missing:
+        return f"has no {' and no '.join(missing)}"
+    for package in COMPARED:
+        versions = [_counted(package, str(each[package])) for each in (there, here)]
+        if versions[0] != versions[1]:
+            return f"has {package} {versions[0]} and not {versions[1]}"
+    return ""
+
+
+def _counted(package: str, version: str) -> str:
+    """What counts of a version: not for which processors it was built ("+cpu")."""
+    return (
+        ".".join(version.split(".")[:2])
+        if package == "python"
+        else version.split("+", maxsplit=1)[0]
+    )
+
+
+def _carry_out(
+    versions: Mapping[str, str | None], work: Callable[..., Result], *args: Any, **kwargs: Any
+) -> Result:
+    """On a worker, which may have come after the versions were compared: do a job."""
+    from distributed.versions import get_versions  # noqa: PLC0415
+
+    said = _difference(versions, get_versions(COMPARED[1:])["packages"])
+    if said:
+        raise OSError(f"a worker that has come later {said}; all must have the same versions")
+    return work(*args, **kwargs)
+
+
+class _ToScheduler:
+    """Reports of one job, through the scheduler to whoever has subscribed to the topic."""
+
+    def __init__(self, topic: str) -> None:
+        self._topic, self._next = topic, 0.0
+
+    def __call__(self, message: Any) -> bool:
+        from distributed import get_worker  # noqa: PLC0415
+
+        worker, now = get_worker(), time.monotonic()
+        task = worker.state.tasks.get(worker.get_current_task())
+        if task is None or task.state == "cancelled":
+            raise RuntimeError("nobody waits for this job any more")
+        if now < self._next:
+            return False
+        self._next = now + BETWEEN_REPORTS
+        worker.log_event(self._topic, pickle.dumps(message))
+        return True
