@@ -89,7 +89,7 @@ def test_the_python_of_the_readme_runs_as_it_stands(
     found: dict[str, Any] = {"new": new}
     exec(code, found)
     assert [*found["result"].table.index] == ["gru", "mean", "persistence"]
-    assert "<table>" in Path("rig.html").read_text()
+    assert "<table" in Path("rig.html").read_text()
     p = found["p"]
     assert p.y.shape == (500, 2)
     assert (p.lower < p.y).all()

@@ -58,7 +58,7 @@ SETTINGS = [
     bad(SPLIT + "--train 200", "train", "199", "got 200"),
     bad(SPLIT + "--train 20", "window", "20 training samples", "got 30"),
     bad(SPLIT + "--horizon 51", "--horizon", "at most 50", "got 51"),
-    bad(SPLIT + "--methods gru,lstm", "methods", "split-gru-hp", "got lstm"),
+    bad(SPLIT + "--methods gru,lstm", "--methods", "`splitband methods` lists", "got lstm"),
     bad(SPLIT + "--cutoff 0", "cutoff", "5 Hz", "got 0 Hz"),
     bad(SPLIT + "--cutoff -1", "cutoff", "got -1 Hz"),
     bad(SPLIT + "--cutoff 5", "cutoff", "Nyquist", "got 5 Hz"),
