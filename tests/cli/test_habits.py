@@ -8,7 +8,7 @@ import pytest
 
 import splitband as sb
 from splitband.cli import WITH_JSON, main
-from splitband.cli.methods import _ABOUT, GROUPS
+from splitband.cli.methods import _ABOUT, GROUPS, _about
 from splitband.forecasters.names import NAMES
 from tests.cli.support import QUICK, call, process, results
 
@@ -90,6 +90,7 @@ def test_every_method_is_in_one_group_and_explained() -> None:
     grouped = [name for group in GROUPS for name in group.names]
     assert sorted(grouped) == sorted(NAMES)
     assert _ABOUT.keys() <= NAMES.keys()
+    assert all(map(_about, NAMES))
 
 
 def test_an_unknown_method_is_told_what_may_have_been_meant(

@@ -94,16 +94,16 @@ def methods() -> None:
         table.add_section()
         table.add_row(Text(group.title, "bold"), Text(f"for {group.when}", "italic"))
         for name in group.names:
-            if name in _ABOUT:
-                table.add_row(f"  {name}", _ABOUT[name], _variants(name), _needs(name))
+            if name in _ABOUT or name == name_without_suffixes(name):
+                table.add_row(f"  {name}", _about(name), _variants(name), _needs(name))
     showing.console.print(table)
     showing.as_json({group.title: {name: _about(name) for name in group.names} for group in GROUPS})
 
 
 def _about(name: str) -> str:
     """What a method is, its variants included."""
-    base = next(each for each in (name, name_without_suffixes(name)) if each in _ABOUT)
-    return _ABOUT[base] + "".join(
+    base = name if name in _ABOUT else name_without_suffixes(name)
+    return _ABOUT.get(base, "") + "".join(
         f"; {said}"
         for suffix, said in ((CALIBRATED, "simulator calibrated"), (CONDITIONED, "conditioned"))
         if suffix in name.removeprefix(base)
