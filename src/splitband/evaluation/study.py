@@ -61,6 +61,7 @@ def begin(job: Job) -> None:
         for point, usual in job.space.beginnings(job.record):
             if point not in there:
                 study.enqueue_trial(point, user_attrs={_USUAL: usual})
+                there.append(point)
 
 
 def run(job: Job, index: int, report: Callable[[RunProgress], None]) -> None:
