@@ -28,8 +28,9 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 import splitband as sb
 from splitband import Trajectory
 from splitband.data.reading import read
+from splitband.evaluation.costs import FOR_TRAINING
 from splitband.evaluation.runs import Work
-from splitband.evaluation.search import FOR_TRAINING, Search
+from splitband.evaluation.search import Search
 from splitband.evaluation.setup import default_setup
 from splitband.report.results import results
 from splitband.runtime.files import CHECKPOINTS, replacing, write_json

@@ -12,12 +12,12 @@ import pytest
 import splitband as sb
 from splitband import Settings, Trajectory
 from splitband.evaluation import search as searching
+from splitband.evaluation.costs import reference_seconds
 from splitband.evaluation.runs import Work
 from splitband.evaluation.search import (
     Search,
     SearchResult,
     held_out_score,
-    reference_seconds,
     search,
 )
 from splitband.evaluation.selection import try_out

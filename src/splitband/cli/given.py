@@ -18,7 +18,8 @@ from splitband.data.gaps import places
 from splitband.data.reading import ColumnError
 from splitband.data.timing import same_sampling
 from splitband.evaluation.comparison import check_train
-from splitband.evaluation.search import Search, reference_seconds
+from splitband.evaluation.costs import reference_seconds
+from splitband.evaluation.search import Search
 from splitband.evaluation.setup import Setup, default_setup
 from splitband.evaluation.tuned import Tuned
 from splitband.forecasters.bands import Bands
