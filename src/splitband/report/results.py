@@ -220,7 +220,8 @@ def _method(runs: Sequence[Run]) -> dict[str, Any]:
 def _commit() -> str | None:
     """The commit of the checkout that the package runs from, if it runs from one."""
     folder = Path(__file__).resolve().parent
-    if not (folder.parents[1] / ".git").exists():
+    package = folder.parent
+    if not (package.parents[1] / ".git").exists():
         return None
     try:
         described = subprocess.run(
