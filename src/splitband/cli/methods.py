@@ -10,15 +10,15 @@ from rich.text import Text
 from splitband.cli import showing
 from splitband.forecasters.names import (
     BASED,
-    BASES,
     CALIBRATED,
     CONDITIONED,
     HYBRIDS,
     NAMES,
     TRAINED,
+    base,
     named,
 )
-from splitband.forecasters.names import base as name_without_suffixes
+from splitband.report.page.words import in_words
 
 
 @dataclass(frozen=True)
@@ -52,32 +52,6 @@ GROUPS = (
     Group("the simulator itself", "seeing what a network adds to it", _SIMULATORS),
     Group("simple baselines", "every record: what learning has to be better than", _BASELINES),
 )
-_ABOUT = {
-    "gru": "a GRU",
-    "rnn": "an MLP that adds to its state, the paper's RNN",
-    "split-gru": "a GRU for the slow band at a lower rate, another for the fast band",
-    "split-gru-hp": "the same, the fast one's output high-passed (the paper's +HP)",
-    "filtered-gru": "the simulator's low band and a GRU's high band",
-    "filtered-rnn": "the simulator's low band and the paper's RNN's high band",
-    "residual-gru": "a GRU added to the simulator, no filters",
-    "residual-rnn": "the paper's RNN added to the simulator, no filters",
-    "simulator": "as it comes",
-    "simulator-affine": "with offset and gain",
-    "simulator-calibrated": "with offset, gain and clock, where each pays",
-    "mean": "of the training samples",
-    "persistence": "the last measured sample, held",
-    "seasonal-naive": "the last period, repeated, with a trend where that pays",
-    "harmonic": "a sum of sinusoids, decaying ones among them",
-    "periodic": "the harmonics of one period",
-    "linear": "a linear model of the inputs (output error)",
-} | {
-    f"{kind}-{base}-gru": f"{what} {base} model"
-    for kind, what in (
-        ("filtered", "a GRU's high band and the low band of a fitted"),
-        ("residual", "a GRU added to a fitted"),
-    )
-    for base in BASES
-}
 
 
 def methods() -> None:
@@ -94,19 +68,11 @@ def methods() -> None:
         table.add_section()
         table.add_row(Text(group.title, "bold"), Text(f"for {group.when}", "italic"))
         for name in group.names:
-            if name in _ABOUT or name == name_without_suffixes(name):
-                table.add_row(f"  {name}", _about(name), _variants(name), _needs(name))
+            if name == base(name) or name in _SIMULATORS:
+                table.add_row(f"  {name}", in_words(name), _variants(name), _needs(name))
     showing.console.print(table)
-    showing.as_json({group.title: {name: _about(name) for name in group.names} for group in GROUPS})
-
-
-def _about(name: str) -> str:
-    """What a method is, its variants included."""
-    base = name if name in _ABOUT else name_without_suffixes(name)
-    return _ABOUT.get(base, "") + "".join(
-        f"; {said}"
-        for suffix, said in ((CALIBRATED, "simulator calibrated"), (CONDITIONED, "conditioned"))
-        if suffix in name.removeprefix(base)
+    showing.as_json(
+        {group.title: {name: in_words(name) for name in group.names} for group in GROUPS}
     )
 
 
