@@ -17,8 +17,8 @@ _KINDS = {
     "rnn": "a recurrent network (Euler MLP) that learns the whole signal",
     "split-gru": "two recurrent networks, one for the slow and one for the fast part of the "
     "signal, parted by a pair of complementary filters",
-    "split-gru-hp": "two recurrent networks, one for each part of the signal, the output of the fast one "
-    "high-passed, too",
+    "split-gru-hp": "two recurrent networks, one for each part of the signal, the output of the "
+    "fast one high-passed, too",
     "filtered": "{base} for the slow part of the signal and a network for the fast one, put "
     "together by a pair of complementary filters",
     "residual": "{base}, and a network that learns what it leaves",
