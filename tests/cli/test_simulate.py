@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import splitband as sb
 from splitband import read
 from splitband.models import Filtered
 from splitband.models.saving import load
@@ -104,3 +105,23 @@ def test_future_inputs_drive_a_model_that_has_inputs(driven_model: Path, tmp_pat
     expected = load(driven_model)[0].simulate(A[40:50, None], 20, FORCE[40:70, None])
     np.testing.assert_allclose(plain[["a"]], expected, atol=1e-6)
     assert np.abs(plain["a"] - strong["a"])[0] > 1e-3  # an input acts on its own sample already
+
+
+@pytest.mark.parametrize("method", ["harmonic", "linear", "residual-linear-gru"])
+def test_what_is_fitted_in_closed_form_goes_on_as_python_says(method: str, tmp_path: Path) -> None:
+    out = tmp_path / "model"
+    call(f"fit record.csv --columns a --inputs force --method {method} {QUICK}", out)
+    call(f"simulate {out} --history history.csv --steps 25 --future-inputs record.csv",
+         tmp_path / "ahead.csv")  # fmt: skip
+    history = read("history.csv", columns=["a"], inputs=["force"])
+    expected = sb.load(out).predict(25, history, u=FORCE[50:75]).y
+    np.testing.assert_allclose(written(tmp_path / "ahead.csv")[["a"]], expected, rtol=1e-12)
+    np.testing.assert_allclose(expected[:, 0], A[50:75], atol=0.7)
+
+
+def test_a_model_takes_the_place_of_another_kind(model: Path, tmp_path: Path) -> None:
+    network, mean = sb.load(model), sb.Mean().fit(read("record.csv", columns=["a", "b"]))
+    for forecaster in (network, mean, network):
+        forecaster.save(tmp_path)
+        assert sb.load(tmp_path).name == forecaster.name
+    assert not (tmp_path / "forecaster.json").exists()

@@ -27,16 +27,16 @@ def test_a_network_is_fitted_and_simulated_with_what_was_given() -> None:
     assert "--test later.csv" in found.asked
 
 
-def test_what_needs_no_training_is_forecast() -> None:
-    ((_, command),) = usage("compare", GIVEN, "harmonic").commands
+def test_a_simulator_is_forecast_with() -> None:
+    ((_, command),) = usage("compare", GIVEN, "simulator-calibrated").commands
     assert command.startswith("splitband forecast 'my rig.csv' --inputs force --gaps mask")
-    assert command.endswith("--method harmonic --steps 100")
+    assert command.endswith("--method simulator-calibrated --steps 100")
 
 
 def test_a_record_that_the_command_made_has_a_name_for_the_others() -> None:
     found = usage("demo", {"out": "demo"}, "harmonic", named="overhead-crane")
-    ((_, command),) = found.commands
-    assert command.startswith("splitband forecast overhead-crane --method harmonic")
+    (_, command), _ = found.commands
+    assert command.startswith("splitband fit overhead-crane --method harmonic")
     assert found.asked == "splitband demo --out demo"
 
 

@@ -18,7 +18,7 @@ from splitband.evaluation.search import search
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.names import BASED, CALIBRATED, TRAINED, with_variants
+from splitband.forecasters.names import CALIBRATED, NAMES, with_variants
 from splitband.forecasters.networks import Network
 from splitband.metrics import rmse
 from splitband.report import results
@@ -26,8 +26,8 @@ from splitband.runtime.files import CHECKPOINTS, output_folder, write_json
 from splitband.runtime.threads import available_cores
 from splitband.training import Checkpoint, Progress
 
-FITTED = tuple(name for name in TRAINED if name not in BASED)
-"""Methods whose saved models `simulate` reads."""
+FITTED = tuple(name for name in NAMES if not name.startswith("simulator"))
+"""Methods whose saved models `simulate` reads: all that learn something of the record."""
 
 
 @options.with_groups
@@ -43,7 +43,7 @@ def fit(
     method: Annotated[
         str | None,
         typer.Option(
-            help="What to train, out of what `splitband methods` lists.",
+            help="What to fit, out of what `splitband methods` lists.",
             show_default="that of --settings, or split-gru",
         ),
     ] = None,
@@ -59,12 +59,12 @@ def fit(
     jobs: options.Jobs = None,
     settings: options.SettingsFile = None,
 ) -> None:
-    """Train one model on a record and save it.
+    """Fit one method to a record and save it.
 
-    How it is trained is found on the last quarter of the samples first, as by `compare`, or said by
-    --settings.
+    How a network is trained is found on the last quarter of the samples first, as by `compare`, or
+    said by --settings.
 
-    MODEL_DIR gets the weights (safetensors), everything else (JSON) and results.json.
+    MODEL_DIR gets the weights of networks (safetensors), everything else (JSON) and results.json.
     """
     tuned = given.load_settings(settings, model)
     if method is None:
@@ -99,9 +99,11 @@ def fit(
         checkpoint = Checkpoint(out / CHECKPOINTS / f"{method}-{seed}.safetensors")
         forecaster.fit(training, *others, seed=seed, progress=update, checkpoint=checkpoint)
     fitted = forecaster.require_fitted()
-    assert isinstance(forecaster, Network)
-    assert forecaster.settings is not None
-    setup = replace(setup.only_for(method), settings=forecaster.settings)
+    setup, training_in_words = setup.only_for(method), ""
+    if isinstance(forecaster, Network):
+        assert forecaster.settings is not None
+        setup = replace(setup, settings=forecaster.settings)
+        training_in_words = forecaster.training_in_words()
     facts = {
         "method": method,
         "seed": seed,
@@ -113,7 +115,7 @@ def fit(
         "columns": list(training.columns),
         "inputs": given.names(reading.inputs or ""),
         "setup": setup.as_json(),
-        "training": forecaster.training_in_words(),
+        "training": training_in_words,
         "calibration": given.calibration_facts(forecaster),
     }
     saving.save(forecaster, out, facts)
@@ -129,10 +131,10 @@ def fit(
     for note in fitted.report.notes:
         showing.warn(note)
     calibration = given.calibration_of(forecaster)
+    said = training_in_words or forecaster.describe()
     showing.console.print(
-        f"{method} ({forecaster.training_in_words()}) trained on {len(training)} samples in "
-        f"{fitted.report.seconds:.1f} s; free run "
-        f"over them from the first {forecaster.warmup}: RMSE {within:.4g}\n"
+        f"{method} ({said}) fitted to {len(training)} samples in {fitted.report.seconds:.1f} s; "
+        f"free run over them from the first {max(forecaster.warmup, 2)}: RMSE {within:.4g}\n"
         + ("" if calibration is None else f"simulator calibrated: {calibration}\n")
         + f"model: {out}/",
     )

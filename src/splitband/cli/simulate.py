@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+import numpy.typing as npt
 import typer
 
 from splitband.cli import given, options, showing
@@ -15,11 +16,16 @@ from splitband.cli.simulators import Trained, opened_simulator, simulated_again
 from splitband.data import Trajectory, read
 from splitband.data.gaps import Gaps, last_before
 from splitband.data.timing import from_json
+from splitband.forecasters import saving as forecasters
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.names import BASED
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import leaves_range, leaving
 from splitband.models import Hybrid, Model, saving
 from splitband.runtime.files import output_folder, replacing
 from splitband.simulators.calibration import Calibration
+
+Array = npt.NDArray[np.float64]
 
 
 @options.with_groups
@@ -51,42 +57,29 @@ def simulate(
 ) -> None:
     """Simulate a saved model beyond a measured history.
 
-    A hybrid model also needs --simulator, which reaches --steps samples beyond the history. Where
-    training record and history have time stamps, the model knows how much later the history
-    begins: a function or an FMU is run from the beginning of the training record on, and a
-    calibrated delay or clock counts from there. Otherwise the history is taken to begin where the
-    training record did. An exported trajectory has to cover the warm-up and what follows, by its
-    time stamps. The CSV has a column `time`, which goes on with the time stamps of the history
-    (without any: seconds after its last sample), and one for each measured channel.
+    A model with a simulator also needs --simulator, which reaches --steps samples beyond the
+    history. Where training record and history have time stamps, the model knows how much later the
+    history begins: a function or an FMU is run from the beginning of the training record on, and
+    periods, trends and a calibrated delay or clock count from there. Otherwise the history is taken
+    to begin where the training record did. An exported trajectory has to cover the warm-up and what
+    follows, by its time stamps. The CSV has a column `time`, which goes on with the time stamps of
+    the history (without any: seconds after its last sample), and one for each measured channel.
     """
-    model, facts = saving.load(model_dir)
-    known = _Facts(model_dir, model, facts)
-    model = given.model_on_device(model, device)
     if out.is_dir():
         raise ValueError(f"--out must be a file, got the folder {out}")
+    saved, known = _opened(model_dir)
     reading = options.RecordOptions(inputs=",".join(known.inputs), time_column=time_column)
     past = _history(history, known, reading, gaps)
-    start = last_before(past.complete, known.warmup, len(past))
-    if start is None:
-        raise ValueError(
-            f"warmup must fit between the gaps of the first {len(past)} samples, got "
-            f"{known.warmup} samples"
-        )
-    y_sim = None
-    if isinstance(model, Hybrid):
-        if simulator.simulator is None:
-            raise ValueError(
-                f"--simulator must be given for a hybrid model, this is {known.method}"
-            )
-        opened = opened_simulator(simulator, past, time_column)
-        trained = Trained(known.start, known.calibration)
-        y_sim = simulated_again(opened, simulator, past, start - known.warmup, steps, trained)
     u = given.inputs_ahead(future_inputs, past, steps, reading)
-    if u is not None and past.u is not None:
-        u = np.concatenate([past.u[start - known.warmup :], u])
-    since = len(past) - start
     with showing.without_warnings():  # warned of below, by the inputs' names
-        y = model.simulate(past.y[start - known.warmup : start], since + steps, u, y_sim)[since:]
+        if isinstance(saved, Model):
+            y = _simulated(
+                given.model_on_device(saved, device), known, past, steps, u, simulator, time_column
+            )
+            beyond = [] if u is None else saved.extrapolations(u)
+        else:
+            y = saved.predict(steps, past, u).y
+            beyond = saved.require_fitted().inputs_beyond(u)
     prediction = Prediction(y, past.grid.after(steps), tuple(known.columns))
     output_folder(out.parent)
     with replacing(out) as temporary:
@@ -95,11 +88,54 @@ def simulate(
     left = leaves_range(known.range, y)
     if left is not None:
         showing.console.print(leaving(left))
-    if u is not None:
-        ahead_only = model.extrapolations(u[known.warmup + since :])
-        showing.warn_of_inputs(ahead_only, known.inputs)
+    showing.warn_of_inputs(beyond, known.inputs)
     written = {"model": str(model_dir), "method": known.method, "steps": steps, "file": str(out)}
     showing.as_json(written | {"leaves_range_after": left})
+
+
+def _opened(folder: Path) -> tuple[Model | Forecaster, _Facts]:
+    """What `fit` saved: a model, or where something is fitted besides networks the forecaster."""
+    if not (folder / forecasters.FILE).is_file():
+        model, facts = saving.load(folder)
+        if facts.get("method") not in BASED:
+            return model, _Facts(folder, (model.ny, model.nu), facts)
+    forecaster, facts = forecasters.load_with_facts(folder)
+    record = forecaster.require_fitted().record
+    known = _Facts(folder, (record.ny, record.nu), facts)
+    known.warmup = max(forecaster.warmup, 1)
+    return forecaster, known
+
+
+def _simulated(
+    model: Model,
+    known: _Facts,
+    past: Trajectory,
+    steps: int,
+    u: Array | None,
+    simulator: options.SimulatorOptions,
+    time_column: str | None,
+) -> Array:
+    """What a model says of the samples after a history, `(steps, ny)`."""
+    start = last_before(past.complete, known.warmup, len(past))
+    if start is None:
+        raise ValueError(
+            f"warmup must fit between the gaps of the first {len(past)} samples, got "
+            f"{known.warmup} samples"
+        )
+    first, since = start - known.warmup, len(past) - start
+    y_sim = None
+    if isinstance(model, Hybrid):
+        if simulator.simulator is None:
+            raise ValueError(
+                f"--simulator must be given for a hybrid model, this is {known.method}"
+            )
+        opened = opened_simulator(simulator, past, time_column)
+        trained = Trained(known.start, known.calibration)
+        y_sim = simulated_again(opened, simulator, past, first, steps, trained)
+    if u is not None and past.u is not None:
+        u = np.concatenate([past.u[first:], u])
+    y: Array = model.simulate(past.y[first:start], since + steps, u, y_sim)[since:]
+    return y
 
 
 def _history(file: Path, known: _Facts, reading: options.RecordOptions, gaps: Gaps) -> Trajectory:
@@ -129,7 +165,8 @@ def _history(file: Path, known: _Facts, reading: options.RecordOptions, gaps: Ga
 class _Facts:
     """What `fit` saved with the model and `simulate` needs."""
 
-    def __init__(self, folder: Path, model: Model, facts: dict[str, Any]) -> None:
+    def __init__(self, folder: Path, channels: tuple[int, int], facts: dict[str, Any]) -> None:
+        ny, nu = channels
         try:
             self.method = str(facts["method"])
             self.columns = [str(name) for name in facts["columns"]]
@@ -138,20 +175,20 @@ class _Facts:
             self.warmup = int(facts["setup"]["settings"]["warmup"])
             # Models saved by older versions have neither, and are simulated without these checks.
             self.start = from_json(facts.get("start"))
-            nothing = [[0.0] * model.ny] * 2
+            nothing = [[0.0] * ny] * 2
             self.range = np.array(facts.get("range", nothing), dtype=np.float64)
             self.calibration = Calibration(**(facts["calibration"] or {}))
-            self.calibration.check(model.ny)
+            self.calibration.check(ny)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{folder} was not written by `splitband fit`: {error!r}") from None
-        if self.range.shape != (2, model.ny) or not np.isfinite(self.range).all():
+        if self.range.shape != (2, ny) or not np.isfinite(self.range).all():
             raise ValueError(f"{folder} is damaged: its range is {facts['range']}")
         if not 0 < self.sampling_time < math.inf:
             raise ValueError(f"{folder} is damaged: its sampling time is {self.sampling_time}")
         if self.warmup < 1:
             raise ValueError(f"{folder} is damaged: its warmup is {self.warmup}")
-        if (len(self.columns), len(self.inputs)) != (model.ny, model.nu):
+        if (len(self.columns), len(self.inputs)) != (ny, nu):
             raise ValueError(
                 f"{folder} is damaged: its columns {self.columns} and inputs {self.inputs} are not "
-                f"the model's {model.ny} and {model.nu}"
+                f"the model's {ny} and {nu}"
             )

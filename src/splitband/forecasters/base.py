@@ -21,6 +21,7 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.intervals import Interval
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import (
+    Extrapolation,
     ExtrapolationWarning,
     extrapolations,
     input_range,
@@ -113,6 +114,13 @@ class Fitted:
             tuple(records[1:]),
             FitReport(seed),
         )
+
+    def inputs_beyond(self, u: Array | None) -> list[Extrapolation]:
+        """Which inputs `u` `(time, nu)` go beyond those that were trained on."""
+        if u is None or self.u_range is None:
+            return []
+        low, high = self.u_range
+        return extrapolations(low, high, u)
 
 
 class Forecaster(ABC):
@@ -314,12 +322,8 @@ class Forecaster(ABC):
         if level is not None:
             half = self._interval_at(level).half_widths(steps)
             prediction = replace(prediction, lower=y - half, upper=y + half, level=level)
-        messages = []
-        ahead = None if known.u is None else known.u[len(known.y) :]
-        if ahead is not None and fitted.u_range is not None:
-            low, high = fitted.u_range
-            beyond = extrapolations(low, high, ahead)
-            messages = [each.describe(past.inputs[each.channel]) for each in beyond]
+        beyond = fitted.inputs_beyond(None if known.u is None else known.u[len(known.y) :])
+        messages = [each.describe(past.inputs[each.channel]) for each in beyond]
         left = leaves_range(fitted.y_range, y)
         if left is not None:
             messages.append(

@@ -91,11 +91,15 @@ def save(
     if isinstance(forecaster, Network):
         assert forecaster.model is not None
         models.save(forecaster.model, folder, {**(facts or {}), **description})
+        (folder / FILE).unlink(
+            missing_ok=True
+        )  # of what was there before; `load` looks there first
         return
     if isinstance(forecaster, Ensemble):
         for i, member in enumerate(forecaster.members):
             save(member, folder / f"member-{i}")
     write_json(folder / FILE, {**(facts or {}), **description})
+    models.remove(folder)
 
 
 def load(
@@ -126,6 +130,15 @@ def load(
     >>> bool(np.allclose(sb.load("model").predict(20).y, model.predict(20).y))
     True
     """
+    return load_with_facts(folder, simulator, classes)[0]
+
+
+def load_with_facts(
+    folder: str | Path,
+    simulator: Simulator | None = None,
+    classes: Mapping[str, Callable[..., Any]] | None = None,
+) -> tuple[Forecaster, dict[str, Any]]:
+    """What `load` returns, and the facts that were saved with it."""
     folder, own = Path(folder), dict(classes or {})
     if (folder / FILE).is_file():
         try:
@@ -154,7 +167,7 @@ def load(
         loaded.members = [
             load(folder / f"member-{i}", simulator, classes) for i in range(loaded.count)
         ]
-    return loaded
+    return loaded, facts
 
 
 def _is_forecaster(value: Any) -> bool:

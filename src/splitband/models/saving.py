@@ -128,6 +128,12 @@ def save(model: Model, folder: str | Path, facts: Mapping[str, Any] | None = Non
     (folder / _PREVIOUS).unlink(missing_ok=True)
 
 
+def remove(folder: Path) -> None:
+    """Remove a model's files where there are any, the description first."""
+    for name in (_DESCRIPTION, _WEIGHTS, _PREVIOUS):
+        (folder / name).unlink(missing_ok=True)
+
+
 def _keep_previous(folder: Path) -> None:
     """Copy the weights of the model that is there to where `load` finds them, too."""
     try:
