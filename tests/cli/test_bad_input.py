@@ -156,7 +156,7 @@ SIMULATORS = [
 
 MODELS = [
     bad(f"{FIT} --method lstm", "--method", "got lstm"),
-    bad(f"{FIT} --method persistence", "--method", "got persistence"),
+    bad(f"{FIT} --method simulator", "--method", "got simulator"),
     bad(FIT + "--conditioned", "--conditioned", "split-gru", "got gru"),
     bad(FIT + "--calibrate", "--calibrate", "filtered-gru", "got gru"),
     bad(FIT + "--method filtered-gru --calibrate", "filtered-gru-calibrated", "--simulator"),
