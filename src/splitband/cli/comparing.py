@@ -17,7 +17,7 @@ from splitband.evaluation.api import Comparison
 from splitband.evaluation.api import compare as compare_forecasters
 from splitband.evaluation.comparison import check
 from splitband.evaluation.selection import check_trial
-from splitband.evaluation.setup import Setup, default_names, usual_names
+from splitband.evaluation.setup import Setup, default_names, trying_bases, usual_names
 from splitband.forecasters.names import BASES, CALIBRATED, TRAINED, with_base, with_variants
 from splitband.report import results
 from splitband.runtime.files import CHECKPOINTS, output_folder
@@ -92,6 +92,7 @@ def prepared(request: Request, cores: int, ahead: int | None = None) -> Task:
     if request.methods is None and tuned is None and not based:
         usual = usual_names(trajectory, setup)
         chosen = with_variants(usual, request.calibrate, request.conditioned)
+        setup = trying_bases(setup)
     if request.horizon is not None:
         if setup.train + request.horizon > len(trajectory):
             raise ValueError(

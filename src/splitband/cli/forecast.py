@@ -18,7 +18,7 @@ from splitband.evaluation.api import Forecast
 from splitband.evaluation.api import forecast as forecast_record
 from splitband.evaluation.comparison import check
 from splitband.evaluation.selection import check_trial
-from splitband.evaluation.setup import default_names, usual_names
+from splitband.evaluation.setup import default_names, trying_bases, usual_names
 from splitband.forecasters.names import BASES, CALIBRATED, NAMES, TRAINED, with_base
 from splitband.metrics import leaving
 from splitband.report import page, pictures, results
@@ -76,7 +76,7 @@ def forecast(
     with crew(jobs, cluster) as workers:
         setup = given.setup_ahead(known, steps, names, model, workers.cores, tuned)
         if method is None and tuned is None and not based:
-            names = usual_names(known, setup)
+            names, setup = usual_names(known, setup), trying_bases(setup)
         others = given.load_further(further.more, "--more", known, reading)
         others = each_with_simulator(others, names, further, simulator, reading)
         methods = [given.on_device(setup.forecaster(name), device) for name in names]

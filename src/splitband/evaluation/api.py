@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from splitband.data import Trajectory
+from splitband.evaluation.bases import on_baseline
 from splitband.evaluation.comparison import (
     Run,
     Runs,
@@ -25,7 +26,7 @@ from splitband.evaluation.comparison import (
 from splitband.evaluation.runs import Work, run_all
 from splitband.evaluation.search import Attempt, SearchResult, search
 from splitband.evaluation.selection import LEVEL, TRIED, Trial, check_trial, try_out
-from splitband.evaluation.setup import Setup, default_setup, usual_names
+from splitband.evaluation.setup import Setup, default_setup, trying_bases, usual_names
 from splitband.forecasters.backtest import Backtest, Origin, Question
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import Prediction
@@ -221,11 +222,13 @@ def compare(
         raise ValueError(f"train must be that of setup, {setup.train}, got {train}")
     if methods is None:
         methods = [setup.forecaster(name) for name in usual_names(record, setup)]
+        setup = trying_bases(setup)
     chosen = [method.with_defaults(setup.settings, setup.bands) for method in methods]
     check(record, chosen, setup, others, tests)
     check_trial(record, chosen, setup, others)
     work, ahead = work or Work(), len(record) - setup.train
-    trial, searched = _tried(record[: setup.train], chosen, ahead, setup, seeds, work, others)
+    training = record[: setup.train]
+    trial, searched = _tried(training, chosen, ahead, setup, seeds, work, others, bool(tests))
     fitted = [method for method in searched.forecasters if method.name in trial.errors]
     runs = compare_methods(
         record, fitted, setup, _seeds(searched, trial, seeds), work.for_stage(FINAL), others, tests
@@ -245,6 +248,7 @@ def _tried(
     seeds: int | None,
     work: Work,
     others: Sequence[Trajectory],
+    tested: bool = False,
 ) -> tuple[Trial, SearchResult]:
     """How networks are to be trained, and what all methods do on held-out samples."""
     searched = SearchResult([*forecasters])
@@ -254,7 +258,9 @@ def _tried(
     trial = try_out(
         record, searched.forecasters, ahead, tried, work.for_stage(TRIAL), others, searched.done
     )
-    return trial, searched
+    if others:  # a baseline is fitted to one record
+        return trial, searched
+    return on_baseline(record, trial, searched, setup, ahead, tried, work, tested)
 
 
 def _seeds(searched: SearchResult, trial: Trial, seeds: int | None) -> dict[str, range]:
@@ -329,6 +335,7 @@ def forecast(
     setup = setup or default_setup(record, len(record), ahead=steps)
     if methods is None:
         methods = [setup.forecaster(name) for name in usual_names(record, setup)]
+        setup = trying_bases(setup)
     chosen = [method.with_defaults(setup.settings, setup.bands) for method in methods]
     check(record, chosen, setup, others, beyond=True)
     check_trial(record, chosen, setup, others)

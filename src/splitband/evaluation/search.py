@@ -73,10 +73,12 @@ class Search:
     ----------
     core_seconds : Of a reference core, for a whole comparison.
     sizes : Whether networks that go by a name may be smaller than usual.
+    bases : Whether a network may be tried on top of a baseline that does better than all networks.
     """
 
     core_seconds: float = field(default_factory=lambda: CORE_SECONDS)
     sizes: bool = True
+    bases: bool = False
 
     def __post_init__(self) -> None:
         """Check ranges."""

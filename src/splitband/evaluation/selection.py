@@ -85,6 +85,18 @@ class Trial:
         intervals = {name: self.intervals[name].widened(by) for name, by in changes.items()}
         return replace(self, final=final, intervals=intervals, failed={**self.failed, **failed})
 
+    def joined(self, other: Trial) -> Trial:
+        """With the methods of another trial of the same record."""
+        return replace(
+            self,
+            errors={**self.errors, **other.errors},
+            scores={**self.scores, **other.scores},
+            intervals={**self.intervals, **other.intervals},
+            early={**self.early, **other.early},
+            trained=self.trained | other.trained,
+            failed={**self.failed, **other.failed},
+        )
+
     def change(self, method: str) -> float:
         """RMSE between a method's early and final forecast, in the record's unit."""
         moved = self.final[method] - self.early[method]
@@ -126,6 +138,7 @@ def try_out(
     work: Work | None = None,
     others: Sequence[Trajectory] = (),
     done: Mapping[str, Mapping[int, Backtest]] | None = None,
+    need_one: bool = True,
 ) -> Trial:
     """Fit each forecaster to the first part of a training record, to forecast the rest of it.
 
@@ -137,13 +150,16 @@ def try_out(
     steps : How far beyond the record is to be forecast after all.
     seeds, work, others : See `compare_methods`; errors likewise.
     done : Forecasts that have been made already, by name and seed.
+    need_one : Raise ValueError where nothing could be fitted.
     """
     record, done = replace(record, y_true=None), done or {}
     shorter = [f.for_fewer_samples(HELD_OUT) for f in forecasters]
     todo = [f for f in shorter if not done.get(f.name)]
     end = len(record) + steps
     questions = {f.name: Question(record, held_out_origins(f, record), end, others) for f in todo}
-    fitted, failures = run_all(todo, questions, seeds, work or Work(), need_one=not any(done))
+    fitted, failures = run_all(
+        todo, questions, seeds, work or Work(), need_one=need_one and not any(done)
+    )
     made = {**done, **fitted}
     forecasts = {f.name: mean_forecasts([*made[f.name].values()]) for f in shorter if made[f.name]}
     scale = spread(record.seen)

@@ -90,6 +90,13 @@ def usual_names(record: Trajectory, setup: Setup) -> list[str]:
     return [*learned[:3], *kept, *learned[3:]]
 
 
+def trying_bases(setup: Setup) -> Setup:
+    """The setup of a comparison whose methods are up to it, `usual_names` and what they suggest."""
+    return (
+        setup if setup.search is None else replace(setup, search=replace(setup.search, bases=True))
+    )
+
+
 def default_setup(
     record: Trajectory,
     train: int,

@@ -1,0 +1,81 @@
+"""A network on top of a baseline, where that baseline does better than every network.
+
+Not in the paper. What a periodic regression or a linear model knows of a record, a network need
+not learn; what these leave, it may. That is tried with the training that suits the best network,
+and kept where it is better than the baseline alone on held-out samples. Where a network is the best
+method anyway, there is nothing to try.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from splitband.data import Trajectory
+from splitband.evaluation.costs import training_cost
+from splitband.evaluation.runs import Work
+from splitband.evaluation.search import Attempt, SearchResult
+from splitband.evaluation.selection import WORTH_TRAINING, Trial, try_out
+from splitband.evaluation.setup import Setup
+from splitband.forecasters.backtest import HELD_OUT
+from splitband.forecasters.names import BASES
+from splitband.forecasters.networks import Network
+
+STAGE = "on a baseline"
+"""Name of the stage of the work."""
+
+
+def on_baseline(
+    record: Trajectory,
+    trial: Trial,
+    searched: SearchResult,
+    setup: Setup,
+    ahead: int,
+    seeds: Sequence[int],
+    work: Work,
+    tested: bool,
+) -> tuple[Trial, SearchResult]:
+    """The trial and the methods, with a network on the best baseline where that pays.
+
+    Parameters
+    ----------
+    record : The training part, and nothing else.
+    trial, searched : What has been found of all other methods.
+    setup : Its `search` says whether this is wanted.
+    ahead : Samples to be forecast after all.
+    seeds : Of the network, whose mean is scored.
+    work : Processes, progress and checkpoints.
+    tested : Whether methods are asked about other records, too, where some have nothing to say.
+    """
+    networks = {f.name: f for f in searched.forecasters if isinstance(f, Network)}
+    best = trial.best_network
+    able = [
+        f.name
+        for f in searched.forecasters
+        if f.name in BASES and f.name in trial.scores and not (tested and f.anchored)
+    ]
+    if setup.search is None or not setup.search.bases or best is None or not able:
+        return trial, searched
+    base = min(able, key=lambda name: trial.scores[name])
+    if trial.scores[base] >= trial.scores[best]:
+        return trial, searched
+    network = setup.forecaster(f"residual-{base}-gru-conditioned")
+    assert isinstance(network, Network)
+    settings = networks[best].settings
+    assert settings is not None
+    network = network.trained_as(settings).to(networks[best].device)
+    cost = training_cost(network, record, ())
+    spent = len(seeds) * (1 - HELD_OUT) * cost
+    if network.name in trial.scores or spent + cost > searched.left:
+        return trial, searched
+    found = try_out(record, [network], ahead, seeds, work.for_stage(STAGE), need_one=False)
+    score = found.scores.get(network.name)
+    attempt = Attempt(network.name, network.training_in_words(), len(seeds), score)
+    searched = replace(searched, attempts=(*searched.attempts, attempt), left=searched.left - spent)
+    if score is None or score * (1 + WORTH_TRAINING) >= trial.scores[base]:
+        return trial, searched
+    return trial.joined(found), replace(
+        searched,
+        forecasters=[*searched.forecasters, network],
+        costs={**searched.costs, network.name: cost},
+    )
