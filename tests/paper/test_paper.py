@@ -248,7 +248,7 @@ def test_the_list_counts_the_runs_and_estimates_the_missing_ones(
 ) -> None:
     for seed in range(2):
         two = Job("i", "split-gru", seed, epochs=2)
-        _copies(folder, tmp_path / "runs", two, seconds=2.0, cpu_seconds=2.0)
+        _copies(folder, tmp_path / "runs", two, seconds=9.0, cpu_seconds=2.0)  # they had to wait
     whole = Job("i", "split-gru", 0)
     _copies(folder, tmp_path / "runs", whole, seconds=300.0, cpu_seconds=300.0)
     row = lines("learning-based", ["i"], ["split-gru"], 5)

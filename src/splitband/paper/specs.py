@@ -67,7 +67,7 @@ SPECS = {
     ),
     "epochs": Spec(
         "System (i), trained for longer",
-        ("i",), _GRU, {}, shows="losses", varied="epochs", values=(300, 1000, 2000),
+        ("i",), _GRU, {}, shows="losses", varied="epochs", values=(300, 1000, 2000, 4000),
     ),
     "cutoff": Spec(
         "Ablation of the cut-off w on system (i), k = 2",
