@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.signal import lfilter
 
 from splitband.cli import main
 from splitband.runtime.files import CHECKPOINTS
+from tests.cli.test_interrupting import command_line
+from tests.runtime.test_processes import eventually
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "fork") or sys.platform == "darwin",
@@ -118,9 +122,9 @@ def assert_same(command: str, folder: Path, whole: Path) -> None:
 
 
 def without_times(found: Any) -> Any:
-    """Facts without what an interruption changes: times, its mark, and the folder's name."""
+    """Facts without what an interruption changes: times, its mark, the folder's name, the commit."""
     if isinstance(found, dict):
-        kept = found.keys() - {"seconds", "cpu_seconds", "resumed", "out"}
+        kept = found.keys() - {"seconds", "cpu_seconds", "resumed", "out", "commit"}
         return {key: without_times(found[key]) for key in sorted(kept, key=str)}
     return [*map(without_times, found)] if isinstance(found, list | tuple) else found
 
@@ -162,3 +166,56 @@ def test_a_command_killed_at_random_moments_ends_with_the_same_numbers(
         else:
             assert_same(command, tmp_path / "killed", tmp_path / "whole")
             shutil.rmtree(tmp_path / "killed")
+
+
+def write_driven(cases: int) -> None:
+    """Resonances, each faster than the one before, under a force that jumps; and a list of them."""
+    rng = np.random.default_rng(0)
+    for i in range(cases):
+        force = np.repeat(rng.choice([-1.0, 1.0], 20), 10)
+        y = lfilter([0.1], [1, -1.9 * np.cos(0.1 + 0.02 * i), 0.9], force)
+        y += 0.02 * rng.standard_normal(200)
+        table = pd.DataFrame({"time": 0.1 * np.arange(200), "a": y, "force": force})
+        table.to_csv(f"driven-{i}.csv", index=False)
+    rows = [f"driven-{i}.csv,force" for i in range(cases)]
+    Path("driven.csv").write_text("\n".join(["record,inputs", *rows]))
+
+
+@pytest.mark.soak
+def test_a_list_of_24_cases_killed_twice_ends_with_the_same_table(tmp_path: Path) -> None:
+    write_driven(24)
+    line = (
+        "benchmark driven.csv --methods gru,linear,mean,persistence --epochs 3 --seeds 1 --jobs 1"
+    )
+    stopped, whole = tmp_path / "stopped", tmp_path / "whole"
+    with command_line(f"{line} --out {whole}") as running:
+        assert running.wait() == 0
+
+    def finished() -> dict[Path, bytes]:
+        return {path: path.read_bytes() for path in stopped.glob("*/results.json")}
+
+    def at_work_after(cases: int) -> bool:
+        """Whether so many are finished, and the network of the next one is trained in part."""
+        trained = stopped.glob(f"*/{CHECKPOINTS}/**/*.safetensors")
+        return len(finished()) >= cases and any(trained)
+
+    kept: dict[Path, bytes] = {}
+    for cases in (8, 16):
+        with command_line(f"{line} --out {stopped}") as running:
+            eventually(partial(at_work_after, cases), seconds=3600)
+            os.killpg(running.pid, signal.SIGKILL)
+        assert running.returncode == -signal.SIGKILL
+        assert kept.items() <= finished().items()
+        kept = finished()
+        assert cases <= len(kept) < 24
+        assert not (stopped / "table.csv").exists()
+    with command_line(f"{line} --out {stopped}") as running:
+        assert running.wait() == 0
+    assert kept.items() <= finished().items()  # none of them was computed again
+    found, expected = (
+        pd.read_csv(each / "table.csv", index_col="name").drop(columns="seconds")
+        for each in (stopped, whole)
+    )
+    assert len(found) == 24
+    pd.testing.assert_frame_equal(found, expected, check_exact=True)
+    assert_same("benchmark", stopped, whole)
