@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +75,14 @@ class Running:
     def add(self, name: str, **environment: str) -> None:
         words = "worker", "--no-nanny", "--nthreads", "1", "--no-dashboard", "--name", name
         self.workers[name] = self._begin(*words, **environment)
+
+    def only(self, *names: str) -> None:
+        """Start what does not run, and end all other workers."""
+        for name in self.workers.keys() - {*names}:
+            self.end(name)
+        self.whole(*names)
+        with distributed.Client(self.address, set_as_default=False) as client:
+            eventually(lambda: len(client.nthreads()) == len(names))
 
     def expect(self, workers: int) -> None:
         """Wait until there are so many at least, as the scheduler knows them."""
@@ -141,16 +150,25 @@ def complaint(capsys: pytest.CaptureFixture[str]) -> str:
 # ---------------------------------------------------------------- results
 
 
+def test_one_worker_and_two_find_the_numbers_of_this_machine(
+    running: Running, tmp_path: Path
+) -> None:
+    call(f"{COMPARE} --jobs 1", tmp_path / "here")
+    for names in (("a",), ("a", "b")):
+        running.only(*names)
+        call(f"{COMPARE} --cluster {running.address}", tmp_path / str(len(names)))
+        assert same(results(tmp_path / str(len(names))), results(tmp_path / "here"))
+
+
 @pytest.mark.parametrize(
     ("line", "found"),
     [
-        (COMPARE, "results.json"),
         ("forecast record.csv --columns a --steps 5 --method gru --epochs 2 --seeds 2 ",
          "results.json"),
         ("paper table learning-based --systems i --methods split-gru --seeds 2 --epochs 2 ",
          "runs/i/split-gru/epochs2-seed1.json"),
     ],
-    ids=["compare", "forecast", "paper"],
+    ids=["forecast", "paper"],
 )  # fmt: skip
 def test_results_are_those_of_this_machine(
     line: str, found: str, whole: Running, tmp_path: Path
@@ -294,19 +312,31 @@ def test_jobs_of_this_machine_and_a_cluster_exclude_each_other(
 
 
 def test_a_worker_that_is_killed_changes_no_number(whole: Running) -> None:
+    assert killed_after(0, whole)
+
+
+@pytest.mark.soak
+def test_workers_killed_at_random_moments_change_no_number(running: Running) -> None:
+    rng, kills = np.random.default_rng(), 0
+    while kills < 20:
+        running.whole("a", "b")
+        kills += killed_after(int(rng.integers(8)), running)
+
+
+def killed_after(reports: int, running: Running) -> bool:
+    """Whether a worker was killed while trainings ran; checks that it has changed no number."""
     expected = compared(None, lambda _: None)
-    killing = threading.Event()
+    seen = count()
 
     def kill(_: RunProgress) -> None:
-        if not killing.is_set():
-            killing.set()
-            whole.end("a")
+        if next(seen) == reports:
+            running.end("a")
 
-    with Cluster(whole.address) as cluster:
+    with Cluster(running.address) as cluster:
         found = compared(cluster, kill)
-    assert killing.is_set()
     numbers = [c for c in found if found[c].dtype.kind == "f" and c != "fit (s)"]
     np.testing.assert_allclose(found[numbers], expected[numbers], rtol=1e-6)
+    return next(seen) > reports
 
 
 def test_the_end_of_the_scheduler_is_one_line_and_finished_work_is_kept(
