@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from splitband.filters import ComplementaryPair
     from splitband.forecasters.backtest import Origin, backtest
     from splitband.forecasters.bands import Bands
-    from splitband.forecasters.base import Forecaster, Known
+    from splitband.forecasters.base import Forecaster
     from splitband.forecasters.closed_form import (
         Harmonic,
         Linear,
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     )
     from splitband.forecasters.ensemble import Ensemble
     from splitband.forecasters.hybrids import Filtered, Residual
+    from splitband.forecasters.known import Known
     from splitband.forecasters.names import named
     from splitband.forecasters.networks import Single, Split
     from splitband.forecasters.prediction import Prediction
@@ -50,7 +51,7 @@ _MODULES = {
     "filters": ("ComplementaryPair",),
     "forecasters.backtest": ("Origin", "backtest"),
     "forecasters.bands": ("Bands",),
-    "forecasters.base": ("Forecaster", "Known"),
+    "forecasters.base": ("Forecaster",),
     "forecasters.closed_form": (
         "Harmonic",
         "Linear",
@@ -61,6 +62,7 @@ _MODULES = {
     ),
     "forecasters.ensemble": ("Ensemble",),
     "forecasters.hybrids": ("Filtered", "Residual"),
+    "forecasters.known": ("Known",),
     "forecasters.names": ("named",),
     "forecasters.networks": ("Single", "Split"),
     "forecasters.prediction": ("Prediction",),

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.naive import ByTime
 from splitband.baselines.seasonal import SeasonalNaive
-from splitband.forecasters.base import Known
 from splitband.forecasters.closed_form import Persistence
+from splitband.forecasters.known import Known
 from splitband.paper.systems import double_mass_spring
 
 Array = npt.NDArray[Any]

@@ -13,7 +13,7 @@ from splitband.evaluation.selection import Trial
 from splitband.evaluation.setup import Setup, default_names, default_setup, usual_names
 from splitband.forecasters.backtest import HELD_OUT, Origin, Question, backtest, held_out_origins
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.base import FitReport
+from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.names import CALIBRATED, HYBRIDS, Sizes
 from splitband.forecasters.networks import Network
 from splitband.forecasters.prediction import Prediction

@@ -15,7 +15,7 @@ import pytest
 from splitband import Trajectory
 from splitband.cli import main
 from splitband.evaluation.runs import RunProgress
-from splitband.forecasters.base import Known
+from splitband.forecasters.known import Known
 from splitband.metrics import rmse
 from splitband.paper import published
 from splitband.paper.costs import progress

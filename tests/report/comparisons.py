@@ -15,7 +15,7 @@ from splitband.evaluation.comparison import Runs
 from splitband.evaluation.search import Attempt
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.base import FitReport
+from splitband.forecasters.fitted import FitReport
 
 DT, LENGTH, TRAIN, WARMUP = 0.1, 300, 200, 10
 NASTY = "<script>alert(1)</script> $$x^2$$ & \"quoted\" 'single'"

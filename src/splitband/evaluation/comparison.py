@@ -18,7 +18,8 @@ from splitband.data.gaps import first_after
 from splitband.evaluation.runs import Failure, Work, run_all
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import Backtest, Origin, Question, first_origin
-from splitband.forecasters.base import FitReport, Forecaster
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.networks import check_alike
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse

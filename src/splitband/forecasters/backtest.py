@@ -15,7 +15,8 @@ import numpy.typing as npt
 
 from splitband.data import Trajectory
 from splitband.data.gaps import first_after
-from splitband.forecasters.base import FitReport, Forecaster
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import Interval
 from splitband.forecasters.networks import Network
 from splitband.forecasters.prediction import Prediction

@@ -7,8 +7,8 @@ import copy
 import time
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Self, final
 
@@ -16,17 +16,12 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Trajectory
-from splitband.data.timing import Stamp, seconds_between
 from splitband.forecasters.bands import Bands
+from splitband.forecasters.fitted import Fitted
 from splitband.forecasters.intervals import Interval
+from splitband.forecasters.known import Known, continued
 from splitband.forecasters.prediction import Prediction
-from splitband.metrics import (
-    Extrapolation,
-    ExtrapolationWarning,
-    extrapolations,
-    input_range,
-    leaves_range,
-)
+from splitband.metrics import ExtrapolationWarning, leaves_range
 from splitband.runtime.threads import one_thread
 from splitband.training import Checkpoint, Progress, Settings
 
@@ -34,93 +29,6 @@ Array = npt.NDArray[np.float64]
 
 OVERFLOWED = 1e100
 """Stands for predicted values that are not finite, so that their errors are finite, and huge."""
-NEAR_ROW = 1e-3
-"""Of a sample: a history that begins so close to a sample of the training record begins there."""
-
-
-@dataclass(frozen=True, eq=False)
-class Known:
-    """What a forecaster may know when it is asked.
-
-    Attributes
-    ----------
-    y : What was measured up to the origin, `(time, ny)`; NaN where nothing was.
-    steps : How many samples after it are asked for.
-    begin : How many samples after the first one of the training record `y` begins; None for
-        another record, whose time has nothing to do with that.
-    u : The inputs over both, `(time + steps, nu)`, where there are any.
-    y_sim : A simulator's output over both, `(time + steps or more, ny)`, where there is one.
-    """
-
-    y: Array
-    steps: int
-    begin: float | None = 0.0
-    u: Array | None = None
-    y_sim: Array | None = None
-
-
-@dataclass(frozen=True)
-class FitReport:
-    """What a fit did.
-
-    Attributes
-    ----------
-    seed : It was given.
-    seconds : How long it took.
-    losses : Mean training loss of each epoch, by network.
-    notes : What went wrong in training and was mended.
-    """
-
-    seed: int = 0
-    seconds: float = 0.0
-    losses: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """What a forecaster remembers of the records it was fitted to.
-
-    Attributes
-    ----------
-    record : The first one, or the end of it that a forecast from there needs.
-    begin : How many samples of it were dropped before `record`.
-    start : Time stamp of its first sample.
-    y_range : Lowest and highest measured value of each channel in all records, `(2, ny)`.
-    u_range : The same of the inputs, `(2, nu)`.
-    others : The other training records, as long as the first one is whole.
-    report : What the fit did.
-    """
-
-    record: Trajectory
-    begin: int
-    start: Stamp | None
-    y_range: Array
-    u_range: Array | None
-    others: tuple[Trajectory, ...] = ()
-    report: FitReport = field(default_factory=FitReport)
-
-    @classmethod
-    def of(cls, records: Sequence[Trajectory], seed: int) -> Fitted:
-        """What is known before anything is computed."""
-        seen = np.concatenate([record.seen for record in records])
-        inputs = [record.u for record in records if record.u is not None]
-        return cls(
-            records[0],
-            0,
-            records[0].start,
-            np.stack([np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)]),
-            np.stack(input_range(inputs)) if inputs else None,
-            tuple(records[1:]),
-            FitReport(seed),
-        )
-
-    def inputs_beyond(self, u: Array | None) -> list[Extrapolation]:
-        """Which inputs `u` `(time, nu)` go beyond those that were trained on."""
-        if u is None or self.u_range is None:
-            return []
-        low, high = self.u_range
-        return extrapolations(low, high, u)
 
 
 class Forecaster(ABC):
@@ -367,7 +275,7 @@ class Forecaster(ABC):
         fitted = self.require_fitted()
         past, begin = fitted.record, float(fitted.begin)
         if history is not None:
-            past, begin = history, self._begins(history)
+            past, begin = history, fitted.begins(history)
         training = fitted.record
         if (past.ny, past.nu) != (training.ny, training.nu):
             raise ValueError(
@@ -376,33 +284,16 @@ class Forecaster(ABC):
             )
         inputs = None
         if past.u is not None:
-            ahead = past.u_beyond if u is None else _columns(u)
-            inputs = np.concatenate([past.u, _enough("u", ahead, steps, past.nu)])
+            inputs = continued("u", past.u, past.u_beyond if u is None else u, steps)
         elif u is not None:
             raise ValueError("u must be given exactly for a record with inputs, this has none")
         simulated = None
         if "simulator" in self.needs:
-            ahead = past.beyond if y_sim is None else _columns(y_sim)
             if past.y_sim is None:
                 raise ValueError(f"history must bring a simulator's output (y_sim) for {self.name}")
-            simulated = np.concatenate(
-                [past.y_sim, _enough("y_sim", ahead, steps, past.ny, more=True)]
-            )
+            ahead = past.beyond if y_sim is None else y_sim
+            simulated = continued("y_sim", past.y_sim, ahead, steps, more=True)
         return Known(past.seen, steps, begin, inputs, simulated), past
-
-    def _begins(self, history: Trajectory) -> float:
-        """How many samples after the training record's first one a history begins."""
-        fitted = self.require_fitted()
-        step = fitted.record.sampling_time
-        if abs(history.sampling_time - step) > 0.01 * step:
-            raise ValueError(
-                f"history must be sampled like the training record, every {step:g} s, "
-                f"got every {history.sampling_time:g} s"
-            )
-        if fitted.start is None or history.start is None:
-            return 0.0
-        begin = seconds_between(fitted.start, history.start) / step
-        return float(round(begin)) if abs(begin - round(begin)) < NEAR_ROW else begin
 
     def _interval_at(self, level: float) -> Interval:
         """The interval of a level, from held-out forecasts where none has been fitted yet."""
@@ -417,25 +308,6 @@ def total(parts: Sequence[Array]) -> Array:
     """Their sum, with `OVERFLOWED` where it is not finite."""
     most = OVERFLOWED
     return np.nan_to_num(np.sum(parts, axis=0), nan=most, posinf=most, neginf=-most)
-
-
-def _columns(values: npt.ArrayLike) -> Array:
-    """`(time,)` or `(time, channels)` as the latter."""
-    array = np.asarray(values, dtype=np.float64)
-    return array[:, None] if array.ndim == 1 else array
-
-
-def _enough(
-    name: str, values: Array | None, steps: int, channels: int, more: bool = False
-) -> Array:
-    """The first `steps` rows of what lies ahead, or with `more` all of them."""
-    rows = 0 if values is None else len(values)
-    if values is None or rows < steps or values.shape[1] != channels:
-        shape = "none" if values is None else values.shape
-        raise ValueError(
-            f"{name} must hold the {steps} samples to come in {channels} channel(s), got {shape}"
-        )
-    return values if more else values[:steps]
 
 
 def _named(record: Trajectory) -> str:

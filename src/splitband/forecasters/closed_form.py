@@ -15,7 +15,8 @@ from splitband.baselines.naive import ByTime
 from splitband.baselines.periodic import PeriodicRegression
 from splitband.baselines.seasonal import SeasonalNaive as LastPeriod
 from splitband.data import Trajectory
-from splitband.forecasters.base import Forecaster, Known
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.known import Known
 
 Array = npt.NDArray[np.float64]
 

@@ -11,7 +11,9 @@ import numpy.typing as npt
 
 from splitband.data import Trajectory
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.base import FitReport, Forecaster, Known
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.fitted import FitReport
+from splitband.forecasters.known import Known
 from splitband.forecasters.networks import Network
 from splitband.training import Checkpoint, Progress, Settings
 

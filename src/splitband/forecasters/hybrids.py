@@ -13,7 +13,8 @@ from splitband import models
 from splitband.data import Trajectory
 from splitband.filters.spectrum import oracle
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.base import Forecaster, Known
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.known import Known
 from splitband.forecasters.networks import (
     Banded,
     Template,

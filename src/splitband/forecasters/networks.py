@@ -19,7 +19,9 @@ from splitband import models
 from splitband.data import Trajectory
 from splitband.data.gaps import first_after, last_before
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.base import FitReport, Forecaster, Known, total
+from splitband.forecasters.base import Forecaster, total
+from splitband.forecasters.fitted import FitReport
+from splitband.forecasters.known import Known
 from splitband.models import Model
 from splitband.networks import Cell
 from splitband.runtime.threads import drawn_from

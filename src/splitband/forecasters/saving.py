@@ -30,8 +30,9 @@ from splitband.data.gaps import last_before
 from splitband.filters.cutoff import Candidate, Choice
 from splitband.forecasters import closed_form
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.base import FitReport, Fitted, Forecaster
+from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import Ensemble
+from splitband.forecasters.fitted import FitReport, Fitted
 from splitband.forecasters.hybrids import Filtered, Residual
 from splitband.forecasters.intervals import Interval
 from splitband.forecasters.networks import Network, Single, Split

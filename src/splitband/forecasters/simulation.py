@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Grid, Trajectory
-from splitband.forecasters.base import Forecaster, Known
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.known import Known
 from splitband.forecasters.remembering import Remembered
 from splitband.simulators import Recorded, Simulator, run
 from splitband.simulators.calibration import Calibration, Term, calibrate, samples_needed

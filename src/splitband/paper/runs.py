@@ -22,7 +22,8 @@ from splitband.evaluation.comparison import as_run as run_of
 from splitband.evaluation.runs import RunProgress
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import Origin, Question, backtest, first_origin
-from splitband.forecasters.base import FitReport, Forecaster
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.names import named
 from splitband.forecasters.prediction import Prediction
 from splitband.forecasters.simulation import Simulation

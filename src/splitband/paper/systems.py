@@ -11,7 +11,8 @@ import scipy
 
 from splitband.data import Trajectory, double_torsion, drill_string
 from splitband.data.crane import overhead_crane
-from splitband.forecasters.base import Forecaster, Known
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.known import Known
 from splitband.simulators import Ode, Recorded, Simulator, run
 
 Array = npt.NDArray[np.float64]

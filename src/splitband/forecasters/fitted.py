@@ -1,0 +1,98 @@
+"""What a forecaster remembers of its fit: the training record, ranges, and how the fit went."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.data import Trajectory
+from splitband.data.timing import Stamp, seconds_between
+from splitband.metrics import Extrapolation, extrapolations, input_range
+
+Array = npt.NDArray[np.float64]
+
+NEAR_ROW = 1e-3
+"""Of a sample: a history that begins so close to a sample of the training record begins there."""
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """What a fit did.
+
+    Attributes
+    ----------
+    seed : It was given.
+    seconds : How long it took.
+    losses : Mean training loss of each epoch, by network.
+    notes : What went wrong in training and was mended.
+    """
+
+    seed: int = 0
+    seconds: float = 0.0
+    losses: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """What a forecaster remembers of the records it was fitted to.
+
+    Attributes
+    ----------
+    record : The first one, or the end of it that a forecast from there needs.
+    begin : How many samples of it were dropped before `record`.
+    start : Time stamp of its first sample.
+    y_range : Lowest and highest measured value of each channel in all records, `(2, ny)`.
+    u_range : The same of the inputs, `(2, nu)`.
+    others : The other training records, as long as the first one is whole.
+    report : What the fit did.
+    """
+
+    record: Trajectory
+    begin: int
+    start: Stamp | None
+    y_range: Array
+    u_range: Array | None
+    others: tuple[Trajectory, ...] = ()
+    report: FitReport = field(default_factory=FitReport)
+
+    @classmethod
+    def of(cls, records: Sequence[Trajectory], seed: int) -> Fitted:
+        """What is known before anything is computed."""
+        seen = np.concatenate([record.seen for record in records])
+        inputs = [record.u for record in records if record.u is not None]
+        return cls(
+            records[0],
+            0,
+            records[0].start,
+            np.stack([np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)]),
+            np.stack(input_range(inputs)) if inputs else None,
+            tuple(records[1:]),
+            FitReport(seed),
+        )
+
+    def begins(self, history: Trajectory) -> float:
+        """How many samples after the training record's first one a history begins.
+
+        Raises ValueError for one that is not sampled like it.
+        """
+        step = self.record.sampling_time
+        if abs(history.sampling_time - step) > 0.01 * step:
+            raise ValueError(
+                f"history must be sampled like the training record, every {step:g} s, "
+                f"got every {history.sampling_time:g} s"
+            )
+        if self.start is None or history.start is None:
+            return 0.0
+        begin = seconds_between(self.start, history.start) / step
+        return float(round(begin)) if abs(begin - round(begin)) < NEAR_ROW else begin
+
+    def inputs_beyond(self, u: Array | None) -> list[Extrapolation]:
+        """Which inputs `u` `(time, nu)` go beyond those that were trained on."""
+        if u is None or self.u_range is None:
+            return []
+        low, high = self.u_range
+        return extrapolations(low, high, u)
