@@ -13,7 +13,7 @@ from splitband.evaluation.runs import Work
 from splitband.evaluation.selection import try_out
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import HELD_OUT, held_out_from
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 
 
 def forecasters(names: Sequence[str], setup: Setup) -> list[Forecaster]:

@@ -17,7 +17,7 @@ from splitband.evaluation.selection import Trial
 from splitband.evaluation.selection import try_out as try_forecasters_out
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import Backtest, Origin, Question, backtest, first_origin
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 from splitband.models import Model
 from splitband.training import Checkpoint, Progress
 

@@ -27,10 +27,11 @@ if TYPE_CHECKING:
     from splitband.forecasters.hybrids import Filtered, Residual
     from splitband.forecasters.known import Known
     from splitband.forecasters.names import named
-    from splitband.forecasters.networks import Single, Split
     from splitband.forecasters.prediction import Prediction
     from splitband.forecasters.saving import load
     from splitband.forecasters.simulation import Simulation
+    from splitband.forecasters.single import Single
+    from splitband.forecasters.split import Split
     from splitband.metrics import ExtrapolationWarning, cumulative_rmse, fit_percent, nrmse, rmse
     from splitband.networks import GRU, Cell, EulerMLP, rollout
     from splitband.runtime.cluster import Cluster
@@ -64,10 +65,11 @@ _MODULES = {
     "forecasters.hybrids": ("Filtered", "Residual"),
     "forecasters.known": ("Known",),
     "forecasters.names": ("named",),
-    "forecasters.networks": ("Single", "Split"),
     "forecasters.prediction": ("Prediction",),
     "forecasters.saving": ("load",),
     "forecasters.simulation": ("Simulation",),
+    "forecasters.single": ("Single",),
+    "forecasters.split": ("Split",),
     "metrics": ("ExtrapolationWarning", "cumulative_rmse", "fit_percent", "nrmse", "rmse"),
     "networks": ("GRU", "Cell", "EulerMLP", "rollout"),
     "runtime.cluster": ("Cluster",),

@@ -18,7 +18,7 @@ from splitband.evaluation.setup import default_names
 from splitband.evaluation.tuned import Tuned
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import TRAINED, Sizes
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 from splitband.runtime.files import CHECKPOINTS
 from splitband.training import Settings
 from tests.cli.support import assert_fails, assert_pictures, call, files, results

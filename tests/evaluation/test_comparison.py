@@ -15,7 +15,7 @@ from splitband.forecasters.backtest import HELD_OUT, Origin, Question, backtest,
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.names import CALIBRATED, HYBRIDS, Sizes
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
 from splitband.report.pictures import rollouts
 from tests.support import compare, forecasters, settled, try_out

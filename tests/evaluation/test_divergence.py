@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 import torch
 
-import splitband.forecasters.networks
+import splitband.forecasters.network
 from splitband import GRU, Settings, Trajectory
 from splitband.cli import main
 from splitband.evaluation.api import Comparison
@@ -105,7 +105,7 @@ def test_of_several_seeds_those_that_could_be_fitted_count(
             raise FloatingPointError("diverged")
         return fit(*arguments)
 
-    monkeypatch.setattr(splitband.forecasters.networks, "fit", diverging)
+    monkeypatch.setattr(splitband.forecasters.network, "fit", diverging)
     runs = compare(RECORD, ["gru"], SETUP, seeds=(0, 1, 2))
     assert [run.seed for run in runs["gru"]] == [0, 2]
     assert runs["gru"][0].description.endswith("; seed 1 failed: diverged")

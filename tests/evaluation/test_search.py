@@ -23,7 +23,7 @@ from splitband.evaluation.search import (
 from splitband.evaluation.selection import try_out
 from splitband.evaluation.setup import Setup, default_setup
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 from tests.records import SETUP, TRAIN, record
 
 QUICK = Settings(40, 12, 1, 16, most_batches=2)
@@ -152,7 +152,7 @@ def test_what_cannot_be_trained_is_an_attempt_without_a_score(
     def diverge(*_: object, **__: object) -> None:
         raise FloatingPointError("diverged")
 
-    monkeypatch.setattr("splitband.forecasters.networks.fit", diverge)
+    monkeypatch.setattr("splitband.forecasters.network.fit", diverge)
     searched = searched_by(record()[:TRAIN], ["gru"])
     assert searched.attempts
     assert all(attempt.score is None for attempt in searched.attempts)

@@ -22,7 +22,7 @@ from splitband.evaluation.space import Space, tunable_names, usual_networks
 from splitband.evaluation.trials import SHARES, Attempt, hidden
 from splitband.evaluation.tuned import Tuned
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 from tests.records import SETUP, TRAIN, record
 from tests.support import with_other_samples
 

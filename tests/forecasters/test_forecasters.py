@@ -17,7 +17,7 @@ import splitband as sb
 from splitband import GRU, Bands, Forecaster, Known, Recorded, Settings, Trajectory
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.names import NAMES, TRAINED, Sizes
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 from tests.support import with_other_samples
 
 Array = npt.NDArray[np.float64]

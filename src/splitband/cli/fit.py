@@ -19,7 +19,7 @@ from splitband.forecasters import saving
 from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import CALIBRATED, NAMES, with_variants
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 from splitband.metrics import rmse
 from splitband.report import results
 from splitband.runtime.files import CHECKPOINTS, output_folder, write_json

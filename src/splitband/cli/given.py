@@ -25,7 +25,7 @@ from splitband.evaluation.tuned import Tuned
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES, Sizes
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import Simulation
 from splitband.models import Model
 from splitband.paper.settings import RECORD_SETTINGS

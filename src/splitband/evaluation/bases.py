@@ -19,7 +19,7 @@ from splitband.evaluation.selection import WORTH_TRAINING, Trial, try_out
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import HELD_OUT
 from splitband.forecasters.names import BASES
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 
 STAGE = "on a baseline"
 """Name of the stage of the work."""

@@ -20,7 +20,7 @@ from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import Backtest, Origin, Question, first_origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
-from splitband.forecasters.networks import check_alike
+from splitband.forecasters.network import check_alike
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import torch
 
 from splitband.data import Trajectory
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 from splitband.networks import GRU, rollout
 from splitband.runtime.threads import one_thread
 from splitband.training.quasi_newton import samples_in_a_step

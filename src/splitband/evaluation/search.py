@@ -27,7 +27,7 @@ from splitband.forecasters.backtest import (
     root_mean_square,
 )
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 from splitband.metrics import spread
 from splitband.training import Settings
 

@@ -11,7 +11,7 @@ from splitband.evaluation.search import Search
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import HYBRIDS, Sizes, base, named
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import Simulation
 from splitband.training import Settings
 from splitband.training.recipes import Recipe, recipe_settings

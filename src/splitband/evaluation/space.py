@@ -15,8 +15,9 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.hybrids import Filtered
 from splitband.forecasters.names import BASED, HYBRIDS, TRAINED, Sizes, named
-from splitband.forecasters.networks import Network, Split
+from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import Simulation
+from splitband.forecasters.split import Split
 from splitband.training import Settings
 
 HIDDEN = 6, 96

@@ -12,7 +12,7 @@ from splitband.evaluation.search import held_out_score
 from splitband.evaluation.space import Space
 from splitband.evaluation.tuned import Tuned
 from splitband.forecasters.backtest import HELD_OUT, Question, backtest, held_out_origins
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 from splitband.training import Progress
 
 SHARES = 1.0, 7 / 8, 3 / 4

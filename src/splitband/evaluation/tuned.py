@@ -11,7 +11,7 @@ from typing import Any, TypeVar, get_type_hints
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import TRAINED, Sizes, named
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 from splitband.runtime.files import write_json
 from splitband.training import Settings
 

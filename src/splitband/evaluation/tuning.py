@@ -26,7 +26,7 @@ from splitband.evaluation.trials import SHARES, Attempt, Job, Limits, beginning
 from splitband.evaluation.tuned import Tuned
 from splitband.forecasters.backtest import HELD_OUT
 from splitband.forecasters.names import TRAINED
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 from splitband.runtime.processes import over
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from splitband.data.gaps import first_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import Interval
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import ExtrapolationWarning, rmse, spread
 from splitband.runtime.threads import without_warnings

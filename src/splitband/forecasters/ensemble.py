@@ -14,7 +14,7 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.known import Known
-from splitband.forecasters.networks import Network
+from splitband.forecasters.network import Network
 from splitband.training import Checkpoint, Progress, Settings
 
 Array = npt.NDArray[np.float64]

@@ -15,14 +15,9 @@ from splitband.filters.spectrum import oracle
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.known import Known
-from splitband.forecasters.networks import (
-    Banded,
-    Template,
-    as_template,
-    check_warmup,
-    label_of,
-)
+from splitband.forecasters.network import Template, as_template, label_of
 from splitband.forecasters.simulation import Simulation
+from splitband.forecasters.split import Banded, check_warmup
 from splitband.models import Model
 from splitband.models.hybrid import FAST, SLOW
 from splitband.simulators import Simulator

@@ -19,8 +19,10 @@ from splitband.forecasters.closed_form import (
     SeasonalNaive,
 )
 from splitband.forecasters.hybrids import Filtered, Residual
-from splitband.forecasters.networks import Single, Split, Template
+from splitband.forecasters.network import Template
 from splitband.forecasters.simulation import AFFINE, Simulation
+from splitband.forecasters.single import Single
+from splitband.forecasters.split import Split
 from splitband.networks import GRU, EulerMLP
 
 CALIBRATED, CONDITIONED = "-calibrated", "-conditioned"

@@ -35,8 +35,10 @@ from splitband.forecasters.ensemble import Ensemble
 from splitband.forecasters.fitted import FitReport, Fitted
 from splitband.forecasters.hybrids import Filtered, Residual
 from splitband.forecasters.intervals import Interval
-from splitband.forecasters.networks import Network, Single, Split
+from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import Simulation
+from splitband.forecasters.single import Single
+from splitband.forecasters.split import Split
 from splitband.models import saving as models
 from splitband.networks import GRU, EulerMLP
 from splitband.runtime.files import write_json

@@ -1,7 +1,8 @@
-"""Networks as forecasters: a single one, or one for each band.
+"""What all networks share as forecasters: how they are trained, and run freely.
 
 What is trained is a model of `splitband.models`; a forecaster adds how it is trained and which
-bands it has. A network beside a simulator or another forecaster is in `forecasters.hybrids`.
+bands it has. One network is in `forecasters.single`, one for each band in `forecasters.split`, one
+beside a simulator or another forecaster in `forecasters.hybrids`.
 """
 
 from __future__ import annotations
@@ -9,13 +10,12 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Protocol, Self, final, runtime_checkable
+from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
-from splitband import models
 from splitband.data import Trajectory
 from splitband.data.gaps import first_after, last_before
 from splitband.forecasters.bands import Bands
@@ -262,149 +262,6 @@ class Network(Forecaster):
         return known.y[begin:start], len(known.y) + known.steps - start, u, slow
 
 
-@final
-class Single(Network):
-    """One network on the whole band: the baseline (paper, Sec. 4.1).
-
-    Parameters
-    ----------
-    cell : Such as `GRU(64)`; of its sizes the hidden ones count, the others are the record's.
-    settings : How it is trained; by default the default recipe for the length of the record.
-    name : By default what it is made of.
-
-    Examples
-    --------
-    >>> record = sb.Trajectory(np.sin(0.3 * np.arange(120)), 0.1)
-    >>> short = sb.Settings(window=40, warmup=10, epochs=1)
-    >>> model = sb.Single(sb.GRU(4), short).fit(record, seed=0)
-    >>> prediction = model.predict(20)
-    >>> prediction.y.shape, float(round(prediction.time[0], 1))
-    ((20, 1), 0.1)
-    """
-
-    def __init__(
-        self, cell: Template, settings: Settings | None = None, name: str | None = None
-    ) -> None:
-        super().__init__(settings, name)
-        self.cell = as_template(cell)
-
-    def build(self, record: Trajectory, settings: Settings) -> Model:
-        """See `Network`."""
-        cell = self.cell.sized(record.ny, 2 * record.nu, settings.warmup)
-        return models.Recurrent(cell, record.nu > 0)
-
-    def _derived_name(self) -> str:
-        return label_of(self.cell)
-
-
-class Banded(Network):
-    """A network that has but one of two bands, or is told about the other one."""
-
-    def __init__(
-        self, bands: Bands | None, conditioned: bool, settings: Settings | None, name: str | None
-    ) -> None:
-        super().__init__(settings, name)
-        self.bands, self.conditioned = bands or Bands(), conditioned
-
-    def with_defaults(self, settings: Settings, bands: Bands) -> Self:
-        """See `Forecaster`."""
-        new = super().with_defaults(settings, bands)
-        if not self.bands.complete:
-            new = new.copy()
-            given = {k: v for k, v in vars(self.bands).items() if v is not None}
-            new.bands = replace(bands, **given)
-        return new
-
-    def _decide(self, record: Trajectory, settings: Settings) -> None:
-        self.bands = self._bands_for(record, settings)
-
-    def _bands_for(self, record: Trajectory, settings: Settings) -> Bands:
-        """The bands; what has been left open of them is chosen by the training record."""
-        if self.bands.complete:
-            return self.bands
-        y_sim = self._low_band(record)
-        return self.bands.chosen(record.y, record.sampling_rate, settings.warmup, y_sim)
-
-    def _low_band(self, record: Trajectory) -> Array | None:
-        """What is to hold the low band of a record, `(time, ny)`; None where a network is."""
-        return None
-
-    def _told(self, record: Trajectory) -> int:
-        """Inputs of the network that sees every sample.
-
-        The record's, of this sample and of the next one, and value and slope of what is slower.
-        """
-        return 2 * record.nu + (2 * record.ny if self.conditioned else 0)
-
-
-@final
-class Split(Banded):
-    """Two networks, each on its band (paper, Sec. 4.2): "split GRU" and "split GRU + HP".
-
-    Parameters
-    ----------
-    low, high : The cells of the low band and of the high band.
-    bands : Where one ends and the other begins; by default chosen by the training samples.
-    filter_output : High-pass the fast network's output too, the paper's "+HP".
-    conditioned : Tell the fast network what the slow one predicts. Not in the paper.
-    settings, name : See `Single`.
-
-    Examples
-    --------
-    >>> time = 0.1 * np.arange(120)
-    >>> record = sb.Trajectory(np.sin(time) + 0.2 * np.sin(9 * time), 0.1)
-    >>> short = sb.Settings(window=40, warmup=10, epochs=1)
-    >>> model = sb.Split(sb.GRU(4), sb.GRU(4), sb.Bands(0.5, 1, 2), settings=short)
-    >>> sorted(model.fit(record, seed=0).predict(20).components)
-    ['high band', 'low band']
-    """
-
-    cells = ("low", "high")
-
-    def __init__(
-        self,
-        low: Template,
-        high: Template,
-        bands: Bands | None = None,
-        filter_output: bool = False,
-        conditioned: bool = False,
-        settings: Settings | None = None,
-        name: str | None = None,
-    ) -> None:
-        super().__init__(bands, conditioned, settings, name)
-        self.low, self.high = as_template(low), as_template(high)
-        self.filter_output = filter_output
-
-    def check(self, *records: Trajectory) -> None:
-        """See `Forecaster`."""
-        super().check(*records)
-        check_warmup(self._settings_for(records[0]), 3 * ((self.bands.order or 1) + 1), self.bands)
-
-    def build(self, record: Trajectory, settings: Settings) -> Model:
-        """See `Network`."""
-        bands = self._bands_for(record, settings)
-        assert bands.downsampling is not None
-        # With k = 1 the slow network sees every sample as well, and each input twice.
-        nu = record.nu * (2 if bands.downsampling == 1 else 1)
-        low = self.low.sized(record.ny, nu, settings.warmup)
-        high = self.high.sized(record.ny, self._told(record), settings.warmup)
-        return models.Split(
-            [low, high],
-            bands.pair(record.sampling_rate),
-            bands.downsampling,
-            self.filter_output,
-            self.conditioned,
-            record.nu > 0,
-        )
-
-    def _derived_name(self) -> str:
-        cells = dict.fromkeys([label_of(self.low), label_of(self.high)])
-        return (
-            f"split-{'-'.join(cells)}{'-hp' if self.filter_output else ''}"
-            f"{'-conditioned' if self.conditioned else ''}"
-        )
-
-
 def as_template(cell: Any) -> Template:
     """Check that cells can be made after it; raises TypeError otherwise."""
     if not isinstance(cell, Template):
@@ -418,15 +275,6 @@ def as_template(cell: Any) -> Template:
 def label_of(template: Template) -> str:
     """What names and tables call a cell: its `label`, or its class."""
     return str(getattr(template, "label", type(template).__name__.lower()))
-
-
-def check_warmup(settings: Settings, shortest: int, bands: Bands) -> None:
-    """Raise ValueError for a warm-up of `shortest` samples or fewer: the filters need more."""
-    if settings.warmup <= shortest:
-        raise ValueError(
-            f"warmup must have more than {shortest} samples for filters of order "
-            f"{bands.order or 1}, got {settings.warmup}"
-        )
 
 
 def check_alike(other: Trajectory, record: Trajectory) -> None:
