@@ -12,7 +12,7 @@ import pytest
 
 from splitband.cli import main
 from splitband.cli.comparing import Request, prepared
-from splitband.cli.options import RecordOptions
+from splitband.cli.options.records import RecordOptions
 from splitband.evaluation import search, space, study
 from splitband.evaluation.setup import default_names
 from splitband.evaluation.tuned import Tuned

@@ -12,17 +12,21 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from splitband.cli import given, in_words, options, showing
+from splitband.cli import given, in_words, showing
 from splitband.cli.cases import COLUMNS, OVERALL, Case, read_cases
 from splitband.cli.comparing import Request, arguments, carried_out, prepared, save
 from splitband.cli.crew import Crew, crew
+from splitband.cli.options.groups import with_groups
+from splitband.cli.options.models import Conditioned, ModelOptions, Seeds
+from splitband.cli.options.simulators import Calibrate
+from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.usage import usage
 from splitband.report import benchmark as report
 from splitband.report import page, pictures, results
 from splitband.runtime.files import CHECKPOINTS, output_folder, replacing, write_json
 
 
-@options.with_groups
+@with_groups
 def benchmark(
     context: typer.Context,
     listed: Annotated[
@@ -34,7 +38,7 @@ def benchmark(
             show_default=False,
         ),
     ],
-    model: options.ModelOptions,
+    model: ModelOptions,
     methods: Annotated[
         str | None,
         typer.Option(
@@ -42,14 +46,14 @@ def benchmark(
             show_default="for each case what `compare` takes",
         ),
     ] = None,
-    seeds: options.Seeds = None,
-    jobs: options.Jobs = None,
+    seeds: Seeds = None,
+    jobs: Jobs = None,
     out: Annotated[
         Path, typer.Option(help="Folder for the table, and for a folder for each case.")
     ] = Path("benchmark"),
-    calibrate: options.Calibrate = False,
-    conditioned: options.Conditioned = False,
-    cluster: options.Cluster = None,
+    calibrate: Calibrate = False,
+    conditioned: Conditioned = False,
+    cluster: Cluster = None,
 ) -> None:
     """Compare models of many records, and put them into one table.
 

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any, get_args
 
 from splitband.cli.comparing import Request, arguments
-from splitband.cli.options import FurtherRecords, RecordOptions, SimulatorOptions, TestRecords
+from splitband.cli.options.records import FurtherRecords, RecordOptions, TestRecords
+from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import parts_of
 from splitband.data.gaps import Gaps
 from splitband.forecasters.names import BASES

@@ -7,23 +7,27 @@ from typing import Annotated
 
 import typer
 
-from splitband.cli import options
 from splitband.cli.comparing import Request, arguments, carried_out, prepared, save
 from splitband.cli.crew import crew
+from splitband.cli.options.groups import with_groups
+from splitband.cli.options.models import Conditioned, ModelOptions, Seeds, SettingsFile
+from splitband.cli.options.records import FurtherRecords, Record, RecordOptions, TestRecords, Train
+from splitband.cli.options.simulators import Calibrate, SimulatorOptions
+from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.outcome import show
 from splitband.evaluation.setup import default_names
 
 
-@options.with_groups
+@with_groups
 def compare(
     context: typer.Context,
-    record: options.Record,
-    reading: options.RecordOptions,
-    simulator: options.SimulatorOptions,
-    further: options.FurtherRecords,
-    testing: options.TestRecords,
-    model: options.ModelOptions,
-    train: options.Train = None,
+    record: Record,
+    reading: RecordOptions,
+    simulator: SimulatorOptions,
+    further: FurtherRecords,
+    testing: TestRecords,
+    model: ModelOptions,
+    train: Train = None,
     horizon: Annotated[
         int | None,
         typer.Option(
@@ -40,13 +44,13 @@ def compare(
             f"{','.join(default_names(True))}; with --inputs linear, too",
         ),
     ] = None,
-    seeds: options.Seeds = None,
-    jobs: options.Jobs = None,
+    seeds: Seeds = None,
+    jobs: Jobs = None,
     out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = Path("out"),
-    calibrate: options.Calibrate = False,
-    conditioned: options.Conditioned = False,
-    settings: options.SettingsFile = None,
-    cluster: options.Cluster = None,
+    calibrate: Calibrate = False,
+    conditioned: Conditioned = False,
+    settings: SettingsFile = None,
+    cluster: Cluster = None,
 ) -> None:
     """Compare models of a record with each other and with naive baselines.
 

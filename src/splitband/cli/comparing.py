@@ -8,8 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from splitband.cli import given, options, showing
+from splitband.cli import given, showing
 from splitband.cli.crew import Crew
+from splitband.cli.options.models import AUTO, ModelOptions
+from splitband.cli.options.records import FurtherRecords, RecordOptions, TestRecords
+from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import each_with_simulator, tests_with_simulator, with_simulator
 from splitband.cli.usage import usage
 from splitband.data import Trajectory
@@ -28,11 +31,11 @@ class Request:
     """The options of `splitband compare`, but for where its results go."""
 
     record: str
-    reading: options.RecordOptions = field(default_factory=options.RecordOptions)
-    simulator: options.SimulatorOptions = field(default_factory=options.SimulatorOptions)
-    further: options.FurtherRecords = field(default_factory=options.FurtherRecords)
-    testing: options.TestRecords = field(default_factory=options.TestRecords)
-    model: options.ModelOptions = field(default_factory=options.ModelOptions)
+    reading: RecordOptions = field(default_factory=RecordOptions)
+    simulator: SimulatorOptions = field(default_factory=SimulatorOptions)
+    further: FurtherRecords = field(default_factory=FurtherRecords)
+    testing: TestRecords = field(default_factory=TestRecords)
+    model: ModelOptions = field(default_factory=ModelOptions)
     train: int | None = None
     horizon: int | None = None
     methods: str | None = None
@@ -147,6 +150,6 @@ def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> None:
 def arguments(values: Mapping[str, Any]) -> dict[str, Any]:
     """The values of options as JSON can hold them."""
     return {
-        name: str(value) if isinstance(value, Path) else "auto" if value == options.AUTO else value
+        name: str(value) if isinstance(value, Path) else "auto" if value == AUTO else value
         for name, value in values.items()
     }

@@ -9,9 +9,11 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from splitband.cli import options, showing
+from splitband.cli import showing
 from splitband.cli.comparing import Task, arguments, carried_out, save
 from splitband.cli.crew import crew
+from splitband.cli.options.groups import with_groups
+from splitband.cli.options.workers import Jobs
 from splitband.cli.outcome import show
 from splitband.data.crane import overhead_crane
 from splitband.evaluation.api import Comparison
@@ -30,11 +32,11 @@ STRETCH = 30.0
 """Seconds at either end of the forecast whose errors are set side by side."""
 
 
-@options.with_groups
+@with_groups
 def demo(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = Path("demo"),
-    jobs: options.Jobs = None,
+    jobs: Jobs = None,
 ) -> None:
     """Show what the package does, in under a minute: a crane whose load swings.
 

@@ -10,7 +10,12 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from splitband.cli import given, options, showing
+from splitband.cli import given, showing
+from splitband.cli.options.groups import with_groups
+from splitband.cli.options.models import Conditioned, ModelOptions, SettingsFile
+from splitband.cli.options.records import FurtherRecords, Record, RecordOptions
+from splitband.cli.options.simulators import Calibrate, SimulatorOptions
+from splitband.cli.options.workers import Jobs
 from splitband.cli.simulators import each_with_simulator, with_simulator
 from splitband.data.timing import as_json
 from splitband.evaluation.runs import RunProgress, Work
@@ -30,13 +35,13 @@ FITTED = tuple(name for name in NAMES if not name.startswith("simulator"))
 """Methods whose saved models `simulate` reads: all that learn something of the record."""
 
 
-@options.with_groups
+@with_groups
 def fit(
-    record: options.Record,
-    reading: options.RecordOptions,
-    simulator: options.SimulatorOptions,
-    further: options.FurtherRecords,
-    model: options.ModelOptions,
+    record: Record,
+    reading: RecordOptions,
+    simulator: SimulatorOptions,
+    further: FurtherRecords,
+    model: ModelOptions,
     out: Annotated[
         Path, typer.Option(metavar="MODEL_DIR", help="Folder for the model.", show_default=False)
     ],
@@ -54,10 +59,10 @@ def fit(
     seed: Annotated[
         int, typer.Option(min=0, max=2**32 - 1, help="Of initial weights and order of windows.")
     ] = 0,
-    calibrate: options.Calibrate = False,
-    conditioned: options.Conditioned = False,
-    jobs: options.Jobs = None,
-    settings: options.SettingsFile = None,
+    calibrate: Calibrate = False,
+    conditioned: Conditioned = False,
+    jobs: Jobs = None,
+    settings: SettingsFile = None,
 ) -> None:
     """Fit one method to a record and save it.
 

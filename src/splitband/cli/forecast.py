@@ -9,9 +9,14 @@ from typing import Annotated
 
 import typer
 
-from splitband.cli import given, options, showing
+from splitband.cli import given, showing
 from splitband.cli.comparing import arguments
 from splitband.cli.crew import crew
+from splitband.cli.options.groups import with_groups
+from splitband.cli.options.models import Budget, Device, Epochs, ModelOptions, Seeds, SettingsFile
+from splitband.cli.options.records import FurtherRecords, FutureInputs, Record, RecordOptions
+from splitband.cli.options.simulators import SimulatorOptions
+from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.simulators import each_with_simulator, with_simulator
 from splitband.cli.usage import usage
 from splitband.evaluation.api import Forecast
@@ -25,13 +30,13 @@ from splitband.report import page, pictures, results
 from splitband.runtime.files import CHECKPOINTS, output_folder, replacing, write_json
 
 
-@options.with_groups
+@with_groups
 def forecast(
     context: typer.Context,
-    record: options.Record,
-    reading: options.RecordOptions,
-    simulator: options.SimulatorOptions,
-    further: options.FurtherRecords,
+    record: Record,
+    reading: RecordOptions,
+    simulator: SimulatorOptions,
+    further: FurtherRecords,
     steps: Annotated[int, typer.Option(min=1, help="Samples to forecast.", show_default=False)],
     method: Annotated[
         str | None,
@@ -40,15 +45,15 @@ def forecast(
             show_default="the one that forecasts the record's own last quarter best",
         ),
     ] = None,
-    seeds: options.Seeds = None,
-    jobs: options.Jobs = None,
+    seeds: Seeds = None,
+    jobs: Jobs = None,
     out: Annotated[Path, typer.Option(help="Folder for the forecast.")] = Path("forecast"),
-    future_inputs: options.FutureInputs = None,
-    epochs: options.Epochs = None,
-    budget: options.Budget = None,
-    device: options.Device = "cpu",
-    settings: options.SettingsFile = None,
-    cluster: options.Cluster = None,
+    future_inputs: FutureInputs = None,
+    epochs: Epochs = None,
+    budget: Budget = None,
+    device: Device = "cpu",
+    settings: SettingsFile = None,
+    cluster: Cluster = None,
 ) -> None:
     """Forecast a record beyond its end, with the interval that should hold nine tenths of it.
 
@@ -58,7 +63,7 @@ def forecast(
     then still forecast the same. A simulator must reach --steps samples beyond the record; a
     record with known inputs needs --future-inputs.
     """
-    model = options.ModelOptions(epochs=epochs, budget=budget)
+    model = ModelOptions(epochs=epochs, budget=budget)
     tuned = given.load_settings(settings, model)
     known = given.load_record(record, reading)
     hybrid = simulator.simulator is not None or known.y_sim is not None

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.cli import showing
-from splitband.cli.options import AUTO, ModelOptions, RecordOptions
+from splitband.cli.options.models import AUTO, ModelOptions
+from splitband.cli.options.records import RecordOptions
 from splitband.data import Trajectory, aligned, read, resampled
 from splitband.data.gaps import places
 from splitband.data.reading import ColumnError

@@ -10,8 +10,9 @@ from typing import Annotated
 import typer
 from rich.table import Table as RichTable
 
-from splitband.cli import given, options, showing
+from splitband.cli import given, showing
 from splitband.cli.crew import Crew, crew
+from splitband.cli.options.workers import Cluster, Jobs
 from splitband.forecasters.names import TRAINED
 from splitband.paper.costs import progress
 from splitband.paper.figures import FIGURES, figure, needed
@@ -93,8 +94,8 @@ def make_table(
     methods: Methods = None,
     seeds: Seeds = 5,
     epochs: Epochs = None,
-    jobs: options.Jobs = None,
-    cluster: options.Cluster = None,
+    jobs: Jobs = None,
+    cluster: Cluster = None,
     out: Out = Path("paper"),
     run: Run = True,
 ) -> None:
@@ -130,8 +131,8 @@ def make_figure(
     methods: Methods = None,
     seeds: Seeds = 5,
     epochs: Epochs = None,
-    jobs: options.Jobs = None,
-    cluster: options.Cluster = None,
+    jobs: Jobs = None,
+    cluster: Cluster = None,
     out: Out = Path("paper"),
     run: Run = True,
 ) -> None:

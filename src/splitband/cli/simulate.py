@@ -11,7 +11,11 @@ import numpy as np
 import numpy.typing as npt
 import typer
 
-from splitband.cli import given, options, showing
+from splitband.cli import given, showing
+from splitband.cli.options.groups import with_groups
+from splitband.cli.options.models import Device
+from splitband.cli.options.records import FutureInputs, GapsOption, RecordOptions, TimeColumn
+from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import Trained, opened_simulator, simulated_again
 from splitband.data import Trajectory, read
 from splitband.data.gaps import Gaps, last_before
@@ -28,7 +32,7 @@ from splitband.simulators.calibration import Calibration
 Array = npt.NDArray[np.float64]
 
 
-@options.with_groups
+@with_groups
 def simulate(
     model_dir: Annotated[
         Path, typer.Argument(metavar="MODEL_DIR", help="What `fit` wrote.", show_default=False)
@@ -49,11 +53,11 @@ def simulate(
         Path,
         typer.Option(metavar="FILE.csv", help="Where to write the samples.", show_default=False),
     ],
-    simulator: options.SimulatorOptions,
-    future_inputs: options.FutureInputs = None,
-    gaps: options.GapsOption = "refuse",
-    time_column: options.TimeColumn = None,
-    device: options.Device = "cpu",
+    simulator: SimulatorOptions,
+    future_inputs: FutureInputs = None,
+    gaps: GapsOption = "refuse",
+    time_column: TimeColumn = None,
+    device: Device = "cpu",
 ) -> None:
     """Simulate a saved model beyond a measured history.
 
@@ -68,7 +72,7 @@ def simulate(
     if out.is_dir():
         raise ValueError(f"--out must be a file, got the folder {out}")
     saved, known = _opened(model_dir)
-    reading = options.RecordOptions(inputs=",".join(known.inputs), time_column=time_column)
+    reading = RecordOptions(inputs=",".join(known.inputs), time_column=time_column)
     past = _history(history, known, reading, gaps)
     u = given.inputs_ahead(future_inputs, past, steps, reading)
     with showing.without_warnings():  # warned of below, by the inputs' names
@@ -112,7 +116,7 @@ def _simulated(
     past: Trajectory,
     steps: int,
     u: Array | None,
-    simulator: options.SimulatorOptions,
+    simulator: SimulatorOptions,
     time_column: str | None,
 ) -> Array:
     """What a model says of the samples after a history, `(steps, ny)`."""
@@ -138,7 +142,7 @@ def _simulated(
     return y
 
 
-def _history(file: Path, known: _Facts, reading: options.RecordOptions, gaps: Gaps) -> Trajectory:
+def _history(file: Path, known: _Facts, reading: RecordOptions, gaps: Gaps) -> Trajectory:
     """The measured samples up to now, at the model's sampling time."""
     past = read(
         file,

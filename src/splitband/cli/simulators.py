@@ -14,7 +14,8 @@ import pandas as pd
 
 from splitband.cli import showing
 from splitband.cli.given import names, read_beside
-from splitband.cli.options import FurtherRecords, RecordOptions, SimulatorOptions, TestRecords
+from splitband.cli.options.records import FurtherRecords, RecordOptions, TestRecords
+from splitband.cli.options.simulators import SimulatorOptions
 from splitband.data import Grid, Trajectory
 from splitband.data.alignment import NEAR
 from splitband.data.timing import Stamp, in_words, seconds_between, stamp_after

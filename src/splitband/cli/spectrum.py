@@ -11,8 +11,12 @@ import numpy.typing as npt
 import typer
 from rich.table import Table
 
-from splitband.cli import given, options, showing
+from splitband.cli import given, showing
 from splitband.cli.comparing import arguments
+from splitband.cli.options.groups import with_groups
+from splitband.cli.options.models import Cutoff, ModelOptions, Order
+from splitband.cli.options.records import Record, RecordOptions
+from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import with_simulator
 from splitband.cli.usage import usage
 from splitband.data import Trajectory
@@ -25,12 +29,12 @@ from splitband.runtime.files import output_folder, write_json
 from splitband.training.recipes import Recipe
 
 
-@options.with_groups
+@with_groups
 def spectrum(
     context: typer.Context,
-    record: options.Record,
-    reading: options.RecordOptions,
-    simulator: options.SimulatorOptions,
+    record: Record,
+    reading: RecordOptions,
+    simulator: SimulatorOptions,
     train: Annotated[
         int | None,
         typer.Option(
@@ -39,8 +43,8 @@ def spectrum(
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for results and picture.")] = Path("out"),
-    cutoff: options.Cutoff = None,
-    order: options.Order = None,
+    cutoff: Cutoff = None,
+    order: Order = None,
 ) -> None:
     """Show where the power of a record lies, and what a cut-off would part.
 
@@ -54,7 +58,7 @@ def spectrum(
     trajectory = given.load_record(record, reading)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=True)
     recipe: Recipe = "paper" if record in RECORD_SETTINGS and cutoff is None else "default"
-    model = options.ModelOptions(cutoff=cutoff, order=order, recipe=recipe)
+    model = ModelOptions(cutoff=cutoff, order=order, recipe=recipe)
     setup = given.setup(record, trajectory, train, model, ahead=0)
     trajectory = trajectory[:train]
     rate = trajectory.sampling_rate

@@ -10,9 +10,14 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from splitband.cli import given, options, showing
+from splitband.cli import given, showing
 from splitband.cli.comparing import Request, arguments, prepared
 from splitband.cli.crew import crew
+from splitband.cli.options.groups import with_groups
+from splitband.cli.options.models import Device, ModelOptions, Warmup
+from splitband.cli.options.records import FurtherRecords, Record, RecordOptions, Train
+from splitband.cli.options.simulators import SimulatorOptions
+from splitband.cli.options.workers import Cluster, Jobs
 from splitband.evaluation.trials import Attempt, hidden
 from splitband.evaluation.tuned import FILE
 from splitband.evaluation.tuning import Effort, Tuning
@@ -53,14 +58,14 @@ Storage = Annotated[
 ]
 
 
-@options.with_groups
+@with_groups
 def tune(
     context: typer.Context,
-    record: options.Record,
-    reading: options.RecordOptions,
-    simulator: options.SimulatorOptions,
-    further: options.FurtherRecords,
-    train: options.Train = None,
+    record: Record,
+    reading: RecordOptions,
+    simulator: SimulatorOptions,
+    further: FurtherRecords,
+    train: Train = None,
     methods: Annotated[
         str | None,
         typer.Option(
@@ -72,13 +77,13 @@ def tune(
     budget: TimeBudget = None,
     storage: Storage = None,
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of what is tried.")] = 0,
-    jobs: options.Jobs = None,
+    jobs: Jobs = None,
     out: Annotated[Path, typer.Option(help="Folder for settings, results, pictures.")] = Path(
         "tuned"
     ),
-    warmup: options.Warmup = None,
-    device: options.Device = "cpu",
-    cluster: options.Cluster = None,
+    warmup: Warmup = None,
+    device: Device = "cpu",
+    cluster: Cluster = None,
 ) -> None:
     """Search for the network and the settings that forecast held-out training samples best.
 
@@ -92,7 +97,7 @@ def tune(
     """
     seconds = None if budget is None else given.seconds(budget)
     effort = Effort(trials, seconds, seed, storage)
-    model = options.ModelOptions(warmup=warmup, device=device)
+    model = ModelOptions(warmup=warmup, device=device)
     given.check_model_options(model)
     if cluster is not None and storage is None:
         raise ValueError(

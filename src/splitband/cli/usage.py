@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from splitband.cli import options
 from splitband.cli.fit import FITTED
+from splitband.cli.options.simulators import PATIENCE
 from splitband.paper.systems import RECORDS
 from splitband.report.page.usage import Usage
 
@@ -21,7 +21,7 @@ _FIT = (
 _FORECAST = (*_FIT[:11], "epochs", "budget", "device")
 _SIMULATE = "simulator", "simulator_columns", "simulator_timeout", "simulator_cache", "time_column"
 _USUAL = {"gaps": "refuse", "recipe": "default", "device": "cpu",
-          "simulator_timeout": options.PATIENCE}  # fmt: skip
+          "simulator_timeout": PATIENCE}  # fmt: skip
 STEPS = 100
 """Samples ahead in the examples."""
 

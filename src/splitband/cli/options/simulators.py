@@ -1,0 +1,92 @@
+"""Options that say which simulators there are, and how they are run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from splitband.paper.systems import SIMULATORS
+
+_PANEL = "Simulator"
+
+SimulatorOption = Annotated[
+    str | None,
+    typer.Option(
+        "--simulator",
+        metavar="FILE|NAME",
+        help="A simulator of the record: an exported trajectory (any file a record can be), an "
+        ".fmu, FILE.py:FUNCTION (called with the record's time stamps in s; with seconds from 0 "
+        "where these are dates, or missing), or one of "
+        f"{', '.join(SIMULATORS)}. For compare and forecast also linear (of the known inputs), "
+        "periodic or harmonic: what is fitted to the training samples takes its place.",
+        rich_help_panel=_PANEL,
+        show_default="a named record's own",
+    ),
+]
+SimulatorColumns = Annotated[
+    str | None,
+    typer.Option(
+        help="Columns of the trajectory, or outputs of the FMU, that correspond to --columns.",
+        rich_help_panel=_PANEL,
+        show_default="those of the record's names, or all",
+    ),
+]
+SimulatorTimeout = Annotated[
+    float,
+    typer.Option(
+        min=0.0, help="Seconds after which a simulator is given up on.", rich_help_panel=_PANEL
+    ),
+]
+PATIENCE = 600.0
+"""Of a simulator, in s."""
+SimulatorCache = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Keep what a slow FMU or function computes in this folder, by its content.",
+        rich_help_panel=_PANEL,
+        show_default="not kept",
+    ),
+]
+Calibrate = Annotated[
+    bool,
+    typer.Option(
+        "--calibrate",
+        help="Calibrate the simulator of hybrid methods on the training samples first: gain, "
+        "offset, delay and clock, each kept only where it pays on held-out ones.",
+        rich_help_panel=_PANEL,
+    ),
+]
+MoreSimulators = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--more-simulator",
+        metavar="FILE",
+        help="The simulator of each --more, in their order.",
+        rich_help_panel=_PANEL,
+        show_default=False,
+    ),
+]
+TestSimulators = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--test-simulator",
+        metavar="FILE",
+        help="The simulator of each --test, in their order; without, hybrid models are not tested.",
+        rich_help_panel=_PANEL,
+        show_default=False,
+    ),
+]
+
+
+@dataclass(frozen=True)
+class SimulatorOptions:
+    """Which simulator stands beside the record, and how it is run."""
+
+    simulator: SimulatorOption = None
+    simulator_columns: SimulatorColumns = None
+    simulator_timeout: SimulatorTimeout = PATIENCE
+    simulator_cache: SimulatorCache = None
