@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from splitband.cli.given import seconds
+from splitband.cli.setups import seconds
 from splitband.forecasters.names import BASED, NAMES, named, with_base
 from tests.cli.support import QUICK, assert_fails, call, results
 
@@ -36,7 +36,7 @@ def test_the_budget_decides_what_is_tried(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr("splitband.evaluation.search.LADDER", (3, 6))
     monkeypatch.setattr("splitband.evaluation.search.FIRST_STEPS", 4)
     monkeypatch.setattr("splitband.training.settings.STEPS", 20)
-    monkeypatch.setattr("splitband.cli.given.reference_seconds", lambda wall, cores: wall * cores)
+    monkeypatch.setattr("splitband.cli.setups.reference_seconds", lambda wall, cores: wall * cores)
     line = "compare record.csv --columns a --methods gru,mean --jobs 1 --budget"
     tried = []
     for budget in ("0.3s", "3s"):

@@ -15,9 +15,9 @@ import scipy.signal
 
 from splitband import Trajectory, read
 from splitband.cli import main
-from splitband.cli.given import load_further
 from splitband.cli.options.records import FurtherRecords, RecordOptions
 from splitband.cli.options.simulators import SimulatorOptions
+from splitband.cli.records import load_further
 from splitband.cli.simulators import each_with_simulator, with_simulator
 from splitband.data import Grid, aligned, resampled
 from splitband.data.alignment import reach

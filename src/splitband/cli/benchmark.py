@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from splitband.cli import given, in_words, showing
+from splitband.cli import in_words, naming, setups, showing
 from splitband.cli.cases import COLUMNS, OVERALL, Case, read_cases
 from splitband.cli.comparing import Request, arguments, carried_out, prepared, save
 from splitband.cli.crew import Crew, crew
@@ -77,8 +77,8 @@ def benchmark(
     )  # fmt: skip
     cases = read_cases(listed, request)
     if methods is not None:
-        given.method_names(methods)
-    given.check_model_options(model)
+        naming.method_names(methods)
+    setups.check_model_options(model)
     output_folder(out)
     rows = []
     with crew(jobs, cluster) as workers:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from splitband.cli import given, showing
+from splitband.cli import devices, naming, records, setups, showing
 from splitband.cli.crew import Crew
 from splitband.cli.options.models import AUTO, ModelOptions
 from splitband.cli.options.records import FurtherRecords, RecordOptions, TestRecords
@@ -73,13 +73,13 @@ def prepared(request: Request, cores: int, ahead: int | None = None) -> Task:
     by default one, unless there are tests.
     """
     reading, simulator = request.reading, request.simulator
-    tuned = given.load_settings(request.settings, request.model)
-    trajectory = given.load_record(request.record, reading)
+    tuned = setups.load_settings(request.settings, request.model)
+    trajectory = records.load_record(request.record, reading)
     hybrid = simulator.simulator is not None or trajectory.y_sim is not None
     by_default = default_names(hybrid, trajectory.nu > 0)
     if tuned is not None:
         by_default = [tuned.method, *(name for name in by_default if name not in TRAINED)]
-    asked = by_default if request.methods is None else given.method_names(request.methods)
+    asked = by_default if request.methods is None else naming.method_names(request.methods)
     chosen = with_variants(asked, request.calibrate, request.conditioned)
     based = simulator.simulator in BASES
     if simulator.simulator in BASES:
@@ -88,7 +88,7 @@ def prepared(request: Request, cores: int, ahead: int | None = None) -> Task:
     trajectory = with_simulator(trajectory, simulator, reading, beyond=beyond)
     tested = bool(request.testing.test)
     ahead = 1 - tested if ahead is None else ahead
-    setup = given.setup(
+    setup = setups.setup(
         request.record, trajectory, request.train, request.model, chosen, ahead, tested,
         cores, tuned,
     )  # fmt: skip
@@ -103,9 +103,9 @@ def prepared(request: Request, cores: int, ahead: int | None = None) -> Task:
                 f"samples after the {setup.train} of --train, got {request.horizon}"
             )
         trajectory = trajectory[: setup.train + request.horizon]
-    others = given.load_further(request.further.more, "--more", trajectory, reading)
+    others = records.load_further(request.further.more, "--more", trajectory, reading)
     others = each_with_simulator(others, chosen, request.further, simulator, reading)
-    tests = given.load_further(request.testing.test, "--test", trajectory, reading)
+    tests = records.load_further(request.testing.test, "--test", trajectory, reading)
     tests = tests_with_simulator(tests, request.testing, simulator, reading)
     return Task(trajectory, chosen, setup, others, tests, request.model.device)
 
@@ -118,8 +118,8 @@ def carried_out(
     `label` stands beside the progress bar.
     """
     record, setup, others, tests = task.record, task.setup, task.others, task.tests
-    methods = [given.on_device(setup.forecaster(name), task.device) for name in task.names]
-    given.check_needs(methods, record)
+    methods = [devices.on_device(setup.forecaster(name), task.device) for name in task.names]
+    naming.check_needs(methods, record)
     check(record, methods, setup, others, tests)
     check_trial(record, methods, setup, others)
     output_folder(out)

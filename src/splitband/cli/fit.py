@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
 
-from splitband.cli import given, showing
+from splitband.cli import devices, naming, records, setups, showing
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Conditioned, ModelOptions, SettingsFile
 from splitband.cli.options.records import FurtherRecords, Record, RecordOptions
@@ -25,10 +25,12 @@ from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import CALIBRATED, NAMES, with_variants
 from splitband.forecasters.network import Network
+from splitband.forecasters.simulation import Simulation
 from splitband.metrics import rmse
 from splitband.report import results
 from splitband.runtime.files import CHECKPOINTS, output_folder, write_json
 from splitband.runtime.threads import available_cores
+from splitband.simulators.calibration import Calibration
 from splitband.training import Checkpoint, Progress
 
 FITTED = tuple(name for name in NAMES if not name.startswith("simulator"))
@@ -71,24 +73,24 @@ def fit(
 
     MODEL_DIR gets the weights of networks (safetensors), everything else (JSON) and results.json.
     """
-    tuned = given.load_settings(settings, model)
+    tuned = setups.load_settings(settings, model)
     if method is None:
         method = "split-gru" if tuned is None else tuned.method
     if calibrate or conditioned:
         method = with_variants([method], calibrate, conditioned)[-1]
-    given.check_names("--method", [method], FITTED)
-    trajectory = given.load_record(record, reading)
+    naming.check_names("--method", [method], FITTED)
+    trajectory = records.load_record(record, reading)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=CALIBRATED in method)
     samples = len(trajectory) if train is None else train
     cores = jobs or available_cores()
-    setup = given.setup(
+    setup = setups.setup(
         record, trajectory, samples, model, [method], ahead=0, cores=cores, tuned=tuned
     )
-    others = given.load_further(further.more, "--more", trajectory, reading)
+    others = records.load_further(further.more, "--more", trajectory, reading)
     others = each_with_simulator(others, [method], further, simulator, reading)
-    forecaster: Forecaster = given.on_device(setup.forecaster(method), model.device)
+    forecaster: Forecaster = devices.on_device(setup.forecaster(method), model.device)
     training = trajectory[: setup.train]
-    given.check_needs([forecaster], training)
+    naming.check_needs([forecaster], training)
     forecaster.check(training, *others)
     output_folder(out)
     with showing.progress(f"training {method}") as bar:
@@ -109,6 +111,7 @@ def fit(
         assert forecaster.settings is not None
         setup = replace(setup, settings=forecaster.settings)
         training_in_words = forecaster.training_in_words()
+    calibration = _calibration_of(forecaster)
     facts = {
         "method": method,
         "seed": seed,
@@ -118,10 +121,10 @@ def fit(
         "sampling_time": training.sampling_time,
         "start": as_json(training.start),
         "columns": list(training.columns),
-        "inputs": given.names(reading.inputs or ""),
+        "inputs": naming.names(reading.inputs or ""),
         "setup": setup.as_json(),
         "training": training_in_words,
-        "calibration": given.calibration_facts(forecaster),
+        "calibration": None if calibration is None else asdict(calibration),
     }
     saving.save(forecaster, out, facts)
     within = _training_error(forecaster)
@@ -135,7 +138,6 @@ def fit(
     shutil.rmtree(out / CHECKPOINTS)
     for note in fitted.report.notes:
         showing.warn(note)
-    calibration = given.calibration_of(forecaster)
     said = training_in_words or forecaster.describe()
     showing.console.print(
         f"{method} ({said}) fitted to {len(training)} samples in {fitted.report.seconds:.1f} s; "
@@ -153,3 +155,10 @@ def _training_error(forecaster: Forecaster) -> float:
     with showing.without_warnings():
         y = forecaster.predict(len(record) - start, record[:start]).y
     return rmse(record.seen[start:], np.asarray(y))
+
+
+def _calibration_of(forecaster: Forecaster) -> Calibration | None:
+    """The calibration of a hybrid model's simulator, where it has been calibrated."""
+    base = getattr(forecaster, "base", None)
+    calibrated = isinstance(base, Simulation) and base.calibrated is not False
+    return base.calibration if isinstance(base, Simulation) and calibrated else None

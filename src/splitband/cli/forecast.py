@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from splitband.cli import given, showing
+from splitband.cli import devices, naming, records, setups, showing
 from splitband.cli.comparing import arguments
 from splitband.cli.crew import crew
 from splitband.cli.options.groups import with_groups
@@ -64,28 +64,28 @@ def forecast(
     record with known inputs needs --future-inputs.
     """
     model = ModelOptions(epochs=epochs, budget=budget)
-    tuned = given.load_settings(settings, model)
-    known = given.load_record(record, reading)
+    tuned = setups.load_settings(settings, model)
+    known = records.load_record(record, reading)
     hybrid = simulator.simulator is not None or known.y_sim is not None
     names = default_names(hybrid, known.nu > 0) if method is None else [method]
     if method is None and tuned is not None:
         names = [tuned.method, *(name for name in names if name not in TRAINED)]
-    given.check_names("--method", names, NAMES)
+    naming.check_names("--method", names, NAMES)
     based = simulator.simulator in BASES
     if simulator.simulator in BASES:
         names, hybrid = with_base(names, simulator.simulator), False
     beyond = any(CALIBRATED in name for name in names)
     known = with_simulator(known, simulator, reading, steps if hybrid else 0, beyond)
-    u = given.inputs_ahead(future_inputs, known, steps, reading)
+    u = records.inputs_ahead(future_inputs, known, steps, reading)
     known = replace(known, u_beyond=u)
     with crew(jobs, cluster) as workers:
-        setup = given.setup_ahead(known, steps, names, model, workers.cores, tuned)
+        setup = setups.setup_ahead(known, steps, names, model, workers.cores, tuned)
         if method is None and tuned is None and not based:
             names, setup = usual_names(known, setup), trying_bases(setup)
-        others = given.load_further(further.more, "--more", known, reading)
+        others = records.load_further(further.more, "--more", known, reading)
         others = each_with_simulator(others, names, further, simulator, reading)
-        methods = [given.on_device(setup.forecaster(name), device) for name in names]
-        given.check_needs(methods, known)
+        methods = [devices.on_device(setup.forecaster(name), device) for name in names]
+        naming.check_needs(methods, known)
         check(known, methods, setup, others, beyond=True)
         check_trial(known, methods, setup, others)
         output_folder(out)

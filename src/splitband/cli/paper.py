@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.table import Table as RichTable
 
-from splitband.cli import given, showing
+from splitband.cli import naming, showing
 from splitband.cli.crew import Crew, crew
 from splitband.cli.options.workers import Cluster, Jobs
 from splitband.forecasters.names import TRAINED
@@ -174,7 +174,7 @@ def _chosen(name: str, possible: Iterable[str], what: str) -> list[str]:
 
 
 def _split(text: str | None) -> list[str] | None:
-    return None if text is None else given.names(text)
+    return None if text is None else naming.names(text)
 
 
 def _rich(made: Table) -> RichTable:

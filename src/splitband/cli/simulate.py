@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import typer
 
-from splitband.cli import given, showing
+from splitband.cli import devices, records, showing
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Device
 from splitband.cli.options.records import FutureInputs, GapsOption, RecordOptions, TimeColumn
@@ -74,12 +74,11 @@ def simulate(
     saved, known = _opened(model_dir)
     reading = RecordOptions(inputs=",".join(known.inputs), time_column=time_column)
     past = _history(history, known, reading, gaps)
-    u = given.inputs_ahead(future_inputs, past, steps, reading)
+    u = records.inputs_ahead(future_inputs, past, steps, reading)
     with showing.without_warnings():  # warned of below, by the inputs' names
         if isinstance(saved, Model):
-            y = _simulated(
-                given.model_on_device(saved, device), known, past, steps, u, simulator, time_column
-            )
+            model = devices.model_on_device(saved, device)
+            y = _simulated(model, known, past, steps, u, simulator, time_column)
             beyond = [] if u is None else saved.extrapolations(u)
         else:
             y = saved.predict(steps, past, u).y
@@ -152,12 +151,12 @@ def _history(file: Path, known: _Facts, reading: RecordOptions, gaps: Gaps) -> T
         fallback_sampling_time=known.sampling_time,
         gaps=gaps,
     )
-    if given.differs(past.sampling_time, known.sampling_time):
+    if records.differs(past.sampling_time, known.sampling_time):
         raise ValueError(
             f"--history must be sampled like the training record, every {known.sampling_time:g} s, "
             f"got every {past.sampling_time:g} s in {file}"
         )
-    past = given.like(past, known.sampling_time, str(file))
+    past = records.like(past, known.sampling_time, str(file))
     if len(past) < known.warmup:
         raise ValueError(
             f"--history must have at least the {known.warmup} samples of the model's warm-up, "

@@ -13,9 +13,10 @@ import numpy.typing as npt
 import pandas as pd
 
 from splitband.cli import showing
-from splitband.cli.given import names, read_beside
+from splitband.cli.naming import names
 from splitband.cli.options.records import FurtherRecords, RecordOptions, TestRecords
 from splitband.cli.options.simulators import SimulatorOptions
+from splitband.cli.records import read_beside
 from splitband.data import Grid, Trajectory
 from splitband.data.alignment import NEAR
 from splitband.data.timing import Stamp, in_words, seconds_between, stamp_after

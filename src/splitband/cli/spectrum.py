@@ -11,7 +11,7 @@ import numpy.typing as npt
 import typer
 from rich.table import Table
 
-from splitband.cli import given, showing
+from splitband.cli import records, setups, showing
 from splitband.cli.comparing import arguments
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Cutoff, ModelOptions, Order
@@ -55,11 +55,11 @@ def spectrum(
     The cut-off is the one that `compare` chooses with the same --train, for the paper's records
     that of its tables where --cutoff does not say auto.
     """
-    trajectory = given.load_record(record, reading)
+    trajectory = records.load_record(record, reading)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=True)
     recipe: Recipe = "paper" if record in RECORD_SETTINGS and cutoff is None else "default"
     model = ModelOptions(cutoff=cutoff, order=order, recipe=recipe)
-    setup = given.setup(record, trajectory, train, model, ahead=0)
+    setup = setups.setup(record, trajectory, train, model, ahead=0)
     trajectory = trajectory[:train]
     rate = trajectory.sampling_rate
     measured_spectrum = periodogram(trajectory.y, rate)

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from splitband.cli import given, showing
+from splitband.cli import naming, setups, showing
 from splitband.cli.comparing import Request, arguments, prepared
 from splitband.cli.crew import crew
 from splitband.cli.options.groups import with_groups
@@ -95,18 +95,18 @@ def tune(
     OUT gets settings.json, which `compare`, `fit` and `forecast` take by --settings, results.json
     with all trials, history.png and importances.png.
     """
-    seconds = None if budget is None else given.seconds(budget)
+    seconds = None if budget is None else setups.seconds(budget)
     effort = Effort(trials, seconds, seed, storage)
     model = ModelOptions(warmup=warmup, device=device)
-    given.check_model_options(model)
+    setups.check_model_options(model)
     if cluster is not None and storage is None:
         raise ValueError(
             "--storage must be given with --cluster: an address that its workers reach, too"
         )
     request = Request(record, reading, simulator, further, model=model, train=train)
-    names = None if methods is None else given.names(methods)
+    names = None if methods is None else naming.names(methods)
     if names is not None:
-        given.check_names("--methods", names, TRAINED)
+        naming.check_names("--methods", names, TRAINED)
     with crew(jobs, cluster) as workers:
         task = prepared(request, workers.cores, ahead=0)
         output_folder(out)

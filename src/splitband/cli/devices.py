@@ -1,0 +1,37 @@
+"""What --device asks for: networks that are trained, or models that run, on an accelerator."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.network import Network
+from splitband.models import Model
+
+AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
+
+
+def on_device(forecaster: AnyForecaster, device: str) -> AnyForecaster:
+    """A forecaster whose network, if it has one, is trained on a device."""
+    if isinstance(forecaster, Network) and device != "cpu":
+        check_device(device)
+        return forecaster.to(device)
+    return forecaster
+
+
+def model_on_device(model: Model, device: str) -> Model:
+    """A model that is to be simulated on a device."""
+    if device != "cpu":
+        check_device(device)
+    return model.to(device)
+
+
+def check_device(device: str) -> None:
+    """Raise ValueError, which names the option, for a device that is not there."""
+    import torch  # noqa: PLC0415  it has been loaded by now
+
+    try:
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise ValueError(f"--device must be one that is there, got {device}: {reason}") from None

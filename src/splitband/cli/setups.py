@@ -1,0 +1,204 @@
+"""Setups of comparisons: what options say of models and their training, the rest by a recipe."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+from splitband.cli.devices import check_device
+from splitband.cli.naming import names
+from splitband.cli.options.models import AUTO, ModelOptions
+from splitband.data import Trajectory
+from splitband.evaluation.comparison import check_train
+from splitband.evaluation.costs import reference_seconds
+from splitband.evaluation.search import Search
+from splitband.evaluation.setup import Setup, default_setup
+from splitband.evaluation.tuned import Tuned
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.names import Sizes
+from splitband.paper.settings import RECORD_SETTINGS
+from splitband.training import Settings, default_warmup
+from splitband.training.recipes import recipe_settings
+
+
+def setup(
+    record: str,
+    trajectory: Trajectory,
+    train: int | None,
+    options: ModelOptions,
+    methods: Sequence[str] | None = None,
+    ahead: int = 1,
+    tested: bool = False,
+    cores: int = 1,
+    tuned: Tuned | None = None,
+) -> Setup:
+    """What the options say (`None`: nothing), the rest as `tuned`, or else by the recipe.
+
+    The paper's recipe for its own records is the settings of its tables. `record` is the argument
+    that `trajectory` comes from, `methods` what the setup is for; `ahead` samples at least must be
+    left to predict. What is `tested` on other records is trained on all of this one by default.
+    `cores` are what a budget is spent on.
+    """
+    column = RECORD_SETTINGS.get(record)
+    if train is None:
+        train = column.train if column else int(0.75 * len(trajectory))
+        train = len(trajectory) if tested else train
+    check_train(trajectory, train, ahead)
+    bands = Bands(
+        None if options.cutoff == AUTO else options.cutoff, options.order, options.downsampling
+    )
+    if tuned is not None:
+        return _as_tuned(tuned, trajectory, train, options, bands, methods)
+    if column is None or options.recipe != "paper":
+        settings = _trained(recipe_settings(options.recipe, trajectory[:train]), options)
+        by_recipe = default_setup(trajectory, train, options.recipe, settings, bands, methods)
+        sizes = _with_hidden(by_recipe.sizes, options)
+        return replace(by_recipe, sizes=sizes, search=_search(options, cores))
+    papers = column.setup(trajectory.sampling_rate)
+    settings = _trained(papers.settings, options)
+    if options.cutoff == AUTO:
+        bands = default_setup(trajectory, train, "paper", settings, bands, methods).bands
+    else:
+        given = {name: value for name, value in vars(bands).items() if value is not None}
+        bands = replace(papers.bands, **given)
+    return Setup(
+        train,
+        settings,
+        bands,
+        _with_hidden(papers.sizes, options),
+        {name: _trained(other, options) for name, other in papers.overrides.items()},
+    )
+
+
+def setup_ahead(
+    known: Trajectory,
+    steps: int,
+    methods: Sequence[str],
+    options: ModelOptions,
+    cores: int,
+    tuned: Tuned | None = None,
+) -> Setup:
+    """For a forecast of `steps` samples beyond the end of a record."""
+    if tuned is not None:
+        return _as_tuned(tuned, known, len(known), options, Bands(), methods, steps)
+    settings = _trained(recipe_settings("default", known), options)
+    chosen = default_setup(known, len(known), "default", settings, None, methods, steps)
+    return replace(chosen, search=_search(options, cores))
+
+
+def load_settings(path: Path | None, options: ModelOptions) -> Tuned | None:
+    """What --settings names; raises ValueError for options that it leaves nothing to."""
+    if path is None:
+        return None
+    if not path.is_file():
+        raise FileNotFoundError(f"--settings must be a file that `tune` wrote, got {path}")
+    if options.budget is not None:
+        raise ValueError(
+            f"--budget is for finding out how to train, which --settings decides, got "
+            f"{options.budget}"
+        )
+    if options.recipe != "default":
+        raise ValueError(f"--recipe and --settings exclude each other, got {options.recipe}")
+    return Tuned.read(path)
+
+
+def check_model_options(options: ModelOptions) -> None:
+    """Raise ValueError for what would be wrong with any record."""
+    _search(options, 1)
+    _with_hidden(Sizes(), options)
+    if options.lr_milestones is not None:
+        _milestones(options.lr_milestones)
+    if options.device != "cpu":
+        check_device(options.device)
+
+
+def seconds(duration: str) -> float:
+    """Of a duration such as 90s, 10m or 1h; raises ValueError for another text."""
+    number, unit = duration.strip()[:-1], duration.strip()[-1:].lower()
+    try:
+        length = float(number) * {"s": 1, "m": 60, "h": 3600}[unit]
+    except (KeyError, ValueError):
+        length = 0.0
+    if not 0 < length < float("inf"):
+        raise ValueError(f"--budget must be a time such as 90s, 10m or 1h, got {duration}")
+    return length
+
+
+def _as_tuned(
+    tuned: Tuned,
+    trajectory: Trajectory,
+    train: int,
+    options: ModelOptions,
+    bands: Bands,
+    methods: Sequence[str] | None,
+    ahead: int | None = None,
+) -> Setup:
+    """What the options say, the rest as it has been found before."""
+    said = {name: value for name, value in vars(bands).items() if value is not None}
+    # What was found for one cut-off is not for another one.
+    bands = bands if options.cutoff is not None else replace(tuned.bands, **said)
+    settings = _trained(tuned.settings, options)
+    chosen = default_setup(trajectory, train, "default", settings, bands, methods, ahead)
+    return replace(chosen, sizes=_with_hidden(tuned.sizes, options))
+
+
+def _search(options: ModelOptions, cores: int) -> Search | None:
+    """How much goes into finding out how to train; None where the options say how."""
+    said = {
+        "--window": options.window,
+        "--epochs": options.epochs,
+        "--learning-rate": options.learning_rate,
+        "--lr-milestones": options.lr_milestones,
+        "--recipe": None if options.recipe == "default" else options.recipe,
+    }
+    decided = [option for option, value in said.items() if value is not None]
+    if decided:
+        if options.budget is not None:
+            raise ValueError(
+                f"--budget is for finding out how to train, which {decided[0]} decides, got "
+                f"{options.budget}"
+            )
+        return None
+    search = Search(sizes=options.hidden is None)
+    if options.budget is None:
+        return search
+    return replace(search, core_seconds=reference_seconds(seconds(options.budget), cores))
+
+
+def _trained(settings: Settings, options: ModelOptions) -> Settings:
+    """Settings with what the options say about training."""
+    said: dict[str, Any] = {
+        field.name: getattr(options, field.name)
+        for field in fields(Settings)
+        if getattr(options, field.name, None) is not None
+    }
+    if "window" in said:
+        said.setdefault("warmup", default_warmup(said["window"], settings.warmup))
+    if options.lr_milestones is not None:
+        said |= {"milestones": _milestones(options.lr_milestones), "one_cycle": False}
+    return replace(settings, **said)
+
+
+def _with_hidden(sizes: Sizes, options: ModelOptions) -> Sizes:
+    if options.hidden is None:
+        return sizes
+    high, low = _hidden(options.hidden)
+    return replace(sizes, hidden_high=high, hidden_low=low)
+
+
+def _milestones(text: str) -> tuple[tuple[int, float], ...]:
+    try:
+        pairs = [part.split(":") for part in names(text)]
+        return tuple((int(epoch), float(rate)) for epoch, rate in pairs)
+    except ValueError:
+        raise ValueError(f"--lr-milestones must be EPOCH:RATE,EPOCH:RATE,..., got {text}") from None
+
+
+def _hidden(text: str) -> tuple[int, int]:
+    try:
+        high, low = (int(part) for part in names(text))
+    except ValueError:
+        raise ValueError(f"--hidden must be HIGH,LOW, two whole numbers, got {text}") from None
+    return high, low
