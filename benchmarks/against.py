@@ -5,8 +5,8 @@
 Side by side on this machine, one process of one thread. Both train on the whole training file and
 simulate the test files, whose first 50 samples are left out; nothing is chosen by a test file.
 Minutes are CPU time of the training alone, so that other work on the machine matters little.
-tsfast's rate falls at the end of a training: it has one for each time. L-BFGS has no such plan: ours
-is one training, looked at on its way.
+tsfast lets its rate fall at the end, and is trained anew for each time. L-BFGS has no such plan:
+ours is one training, looked at on its way.
 
 Needs the extra `bench`. What is there already is not computed again, and a library that is not
 installed is left out; `python -m benchmarks.public --no-run` puts the results into its page.
@@ -37,7 +37,9 @@ from splitband.runtime.threads import use_one_thread
 from splitband.training.quasi_newton import ROUND
 
 OURS, TSFAST = "splitband", "tsfast"
-FOUND = {"silverbox": (32, 100, 3, 100_000), "tanks": (16, 400, 12, 100)}
+ENDLESS = 100_000
+"""Iterations of L-BFGS that no training gets to."""
+FOUND = {"silverbox": (32, 100, 3, ENDLESS), "tanks": (16, 400, 12, 100)}
 """Hidden units, window, epochs and the most iterations of L-BFGS after them, as `splitband compare`
 finds them on the last quarter of the training file: on Silverbox the more the better."""
 LEFT_OUT = 50
@@ -51,7 +53,7 @@ Point = dict[str, Any]
 """One training after some time: library, seed, minutes, CPU seconds and errors on the tests."""
 
 
-class _Over(Exception):
+class _OverError(Exception):
     """There is no later moment to look at."""
 
 
@@ -91,15 +93,17 @@ def ours(name: str, seed: int, minutes: list[float], keep: Callable[[Point], Non
                 done = ROUND * max(0, progress.epoch - settings.epochs)
                 keep(_point(OURS, seed, left.pop(0), seconds, errors, iterations=done))
         if not left:
-            raise _Over
+            raise _OverError
 
     try:
         network.fit(record, seed=seed, progress=look)
-    except _Over:
+    except _OverError:
         return
-    errors = [_free_run(network, test) for test in tests]  # it was over before
+    seconds = watch.seconds  # it was over before the last moment
+    errors = [_free_run(network, test) for test in tests]
+    done = ROUND * (len(network.require_fitted().report.losses["network"]) - settings.epochs)
     for each in left:
-        keep(_point(OURS, seed, each, watch.seconds, errors))
+        keep(_point(OURS, seed, each, seconds, errors, iterations=done))
 
 
 def _free_run(network: sb.Forecaster, test: Trajectory) -> float:
