@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import statistics
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -100,8 +101,8 @@ def _side_by_side(points: Points, out: Path) -> list[str]:
     parts = [
         "## Training time, beside tsfast",
         "Error on the test files against CPU time of the training alone, measured side by side on "
-        "one machine that did other work too, one process of one thread each, one seed; `python "
-        "-m benchmarks.against` with the extra `bench`. Both train on the whole training file, "
+        "one machine that did other work too, one process of one thread each; `python -m "
+        "benchmarks.against` with the extra `bench`. Both train on the whole training file, "
         "the first 50 samples of a test file do not count, and nothing is chosen by it.",
         f"- tsfast {said.get('tsfast', '')}: `RNNLearner(dls, n_skip=50).fit_flat_cos(epochs)` "
         "with its own defaults, which are a GRU of 100 units that is told the input alone, and "
@@ -121,12 +122,8 @@ def _side_by_side(points: Points, out: Path) -> list[str]:
 
 
 def _network(name: str) -> str:
-    units, window, epochs, iterations = against.FOUND[name]
-    last = (
-        f"{iterations} iterations"
-        if iterations < against.ENDLESS
-        else "as many as there is time for"
-    )
+    units, window, epochs, most = against.FOUND[name]
+    last = "for as long as there is time" if most == against.ENDLESS else f"{most} iterations"
     return (
         f"on {SETS[name].title} {units} units, windows of {window} samples, {epochs} epochs of "
         f"Adam, then L-BFGS, {last}"
@@ -138,14 +135,15 @@ def _trainings(benchmark: Benchmark, points: Iterable[against.Point]) -> str:
         [
             point["library"],
             f"{point['cpu_seconds'] / 60:.2g}",
-            f"{point['steps']:,} steps"
-            if "steps" in point
-            else f"{point['iterations']:,} iterations",
             *_in_unit(benchmark, point["test_rmse"]),
+            str(point["seeds"]),
+            f"{point[what]:,} {words}",
         ]
         for point in points
+        for what, words in (("steps", "of Adam"), ("iterations", "of L-BFGS"))
+        if what in point
     ]
-    return _lines(["", "CPU minutes", "of Adam; of L-BFGS", *_heads(benchmark)], rows)
+    return _lines(["", "CPU minutes", *_heads(benchmark), "seeds", "steps"], rows)
 
 
 def _pendulum(out: Path) -> list[str]:
@@ -255,15 +253,29 @@ def _found(out: Path) -> Found:
 
 
 def _points(out: Path) -> Points:
-    """By time and library; what was over before a time, once."""
-    paths = {name: against.path_of(out, name) for name in SETS}
-    found = {name: _read(path)["points"] for name, path in paths.items() if path.exists()}
+    """The means over seeds, by time and library; what was over before a time, once."""
     points = {}
-    for name, of_set in found.items():
-        first = [point for point in of_set if point["seed"] == 0]
-        once = {(point["library"], point["cpu_seconds"]): point for point in first}
-        points[name] = sorted(once.values(), key=lambda p: (p["minutes"], p["library"]))
+    for name in SETS:
+        path = against.path_of(out, name)
+        seeds: dict[tuple[str, float], list[against.Point]] = {}
+        for point in _read(path)["points"] if path.exists() else ():
+            seeds.setdefault((point["library"], point["minutes"]), []).append(point)
+        means = {
+            (mean["library"], mean["cpu_seconds"]): mean for mean in map(_mean, seeds.values())
+        }
+        if means:
+            points[name] = sorted(means.values(), key=lambda p: (p["cpu_seconds"], p["library"]))
     return points
+
+
+def _mean(seeds: list[against.Point]) -> against.Point:
+    """Of trainings by one library for one time."""
+    errors = zip(*(point["test_rmse"] for point in seeds), strict=True)
+    return seeds[0] | {
+        "cpu_seconds": statistics.mean(point["cpu_seconds"] for point in seeds),
+        "test_rmse": [statistics.mean(of_test) for of_test in errors],
+        "seeds": len(seeds),
+    }
 
 
 def _read(path: Path) -> Facts:
