@@ -43,13 +43,13 @@ def pendulum(draw: int) -> sb.Trajectory:
 
 
 def measure(draw: int, work: Work) -> dict[str, object]:
-    """What `splitband compare` says, the forecast's NRMSE, and the CPU time of it all."""
+    """What `splitband compare` says, the NRMSE of each forecast, and the CPU time of it all."""
     record, began = pendulum(draw), _cpu_seconds()
     comparison = sb.compare(record, TRAINING, work=work)
-    ahead = comparison.means[comparison.recommended].ahead
+    truth = record.truth[TRAINING:]
     return {
         "draw": draw,
-        "nrmse": sb.nrmse(record.truth[TRAINING:], ahead),
+        "nrmse": {name: sb.nrmse(truth, mean.ahead) for name, mean in comparison.means.items()},
         "cpu_seconds": round(_cpu_seconds() - began, 1),
     } | results(comparison)
 
@@ -80,7 +80,7 @@ def main() -> None:
             facts = measure(draw, Work(arguments.jobs, None, checkpoints))
             write_json(path, facts)
             shutil.rmtree(out / CHECKPOINTS)
-            print(path.stem, facts["recommended"], facts["nrmse"], facts["cpu_seconds"])
+            print(path.stem, facts["recommended"], facts["nrmse"], flush=True)
 
 
 if __name__ == "__main__":
