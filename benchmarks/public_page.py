@@ -203,13 +203,17 @@ def _over_budget(found: Found) -> Figure:
         axis.set(title=benchmark.title, xlabel="budget (minutes of two cores)")
         axis.set_xticks(budgets, [f"{minutes:g}" for minutes in budgets])
         _for_errors(axis, benchmark)
+        axis.legend()
+    figure.tight_layout()
     return figure
 
 
 def _over_time(points: Points, found: Found) -> Figure:
     """Error over CPU time, a panel for each test file."""
     panels = [(name, i) for name in points for i in range(len(SETS[name].tests))]
-    figure, axes = plt.subplots(1, len(panels), figsize=(4 * len(panels), 3.6), squeeze=False)
+    figure, axes = plt.subplots(
+        1, len(panels), figsize=(4 * len(panels), 4), squeeze=False, sharey=len(points) == 1
+    )
     for axis, (name, i) in zip(axes[0], panels, strict=True):
         benchmark = SETS[name]
         for library, label in (("tsfast", "tsfast's GRU"), ("splitband", "our GRU")):
@@ -228,6 +232,8 @@ def _over_time(points: Points, found: Found) -> Figure:
         axis.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         axis.xaxis.set_minor_formatter(NullFormatter())
         _for_errors(axis, benchmark)
+    figure.tight_layout(rect=(0, 0.08, 1, 1))
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="lower center", ncols=3)
     return figure
 
 
@@ -237,11 +243,9 @@ def _for_errors(axis: Axes, benchmark: Benchmark) -> None:
     axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.yaxis.set_minor_formatter(NullFormatter())
     axis.grid(alpha=0.3, which="both")
-    axis.legend()
 
 
 def _save(figure: Figure, path: Path) -> None:
-    figure.tight_layout()
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=120)
     plt.close(figure)
