@@ -137,7 +137,7 @@ def _trainings(benchmark: Benchmark, points: Iterable[against.Point]) -> str:
             f"{point['cpu_seconds'] / 60:.2g}",
             *_in_unit(benchmark, point["test_rmse"]),
             str(point["seeds"]),
-            f"{point[what]:,} {words}",
+            f"{point[what]:,} {words}{', then it settled' if 'settled' in point else ''}",
         ]
         for point in points
         for what, words in (("steps", "of Adam"), ("iterations", "of L-BFGS"))
@@ -264,11 +264,14 @@ def _points(out: Path) -> Points:
         seeds: dict[tuple[str, float], list[against.Point]] = {}
         for point in _read(path)["points"] if path.exists() else ():
             seeds.setdefault((point["library"], point["minutes"]), []).append(point)
-        means = {
-            (mean["library"], mean["cpu_seconds"]): mean for mean in map(_mean, seeds.values())
-        }
-        if means:
-            points[name] = sorted(means.values(), key=lambda p: (p["cpu_seconds"], p["library"]))
+        once: dict[tuple[str, ...], against.Point] = {}
+        for mean in sorted(map(_mean, seeds.values()), key=lambda p: p["minutes"]):
+            errors = (mean["library"], *map(str, mean["test_rmse"]))
+            if errors in once:
+                once[errors]["settled"] = True
+            once.setdefault(errors, mean)
+        if once:
+            points[name] = sorted(once.values(), key=lambda p: (p["minutes"], p["library"]))
     return points
 
 
