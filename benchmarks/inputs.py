@@ -1,13 +1,17 @@
-"""What the default methods reach on records with known inputs: a linear system and two others.
+"""What `splitband compare` reaches on records with known inputs: a linear system and two others.
 
-    python -m benchmarks.inputs [--out docs/benchmarks] [--seeds 3] [--jobs 2]
+    python -m benchmarks.inputs [--out docs/benchmarks] [--jobs 2]
 
-2,000 samples each, of which 1,200 are trained on; every choice is made on those.
+2,000 samples each, of which 1,200 are trained on; every choice is made on those, within the default
+budget. A record whose results are in inputs.json is not computed again, and one that was cut off
+goes on.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,11 +19,11 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from benchmarks.comparing import compared
+import splitband as sb
 from splitband.data import Trajectory
-from splitband.evaluation.setup import default_setup, usual_names
+from splitband.evaluation.runs import Work
 from splitband.report.results import results
-from splitband.runtime.files import write_json
+from splitband.runtime.files import CHECKPOINTS, write_json
 
 Array = npt.NDArray[np.float64]
 SAMPLES, TRAINING = 2000, 1200
@@ -75,23 +79,25 @@ RECORDS: tuple[Callable[[np.random.Generator], Trajectory], ...] = (two_masses, 
 
 
 def main() -> None:
-    """Measure all records, print each method's error and write everything."""
+    """Measure the records that are missing, and print each method's error."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("docs/benchmarks"))
-    parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
-    found = {}
+    out: Path = arguments.out
+    path, checkpoints = out / "inputs.json", out / CHECKPOINTS
+    found = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     for make in RECORDS:
         record = make(np.random.default_rng(0))
-        setup = default_setup(record, TRAINING)
-        methods, seeds = usual_names(record, setup), range(arguments.seeds)
-        facts = results(compared(record, methods, setup, seeds, arguments.jobs))
-        found[record.name] = facts
+        if record.name in found:
+            continue
+        work = Work(arguments.jobs, None, checkpoints / record.name.replace(" ", "-"))
+        found[record.name] = facts = results(sb.compare(record, TRAINING, work=work))
+        write_json(path, found)
+        shutil.rmtree(checkpoints)
         print(f"{record.name}: recommended {facts['recommended']}")
         for method, of_method in facts["methods"].items():
             print(f"  {method:24} {of_method['total_rmse_mean']:.4f}", flush=True)
-    write_json(arguments.out / "inputs.json", found)
 
 
 if __name__ == "__main__":

@@ -1,125 +1,33 @@
 """Public benchmarks of nonlinear system identification: the default command, and longer budgets.
 
     python -m benchmarks.public [--sets tanks,silverbox] [--budgets 0,1,2,5,10] [--jobs 2]
+    python -m benchmarks.public --no-run
 
 Everything is fitted and chosen on the training file alone; each test file is warmed up on its first
 50 samples and simulated to its end. A budget of 0 is that of `splitband compare` without --budget,
 the others are minutes of two cores. Results that are there already are not computed again, and what
 was cut off goes on; the page docs/results/benchmarks.md is made of them.
-
-The files are not part of the project: `SPLITBAND_DATA_DIR`/benchmarks must hold them.
 """
 
 from __future__ import annotations
 
 import argparse
-import hashlib
-import json
-import os
 import shutil
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
 import splitband as sb
-from splitband import Trajectory
-from splitband.data.reading import read
+from benchmarks import public_page
+from benchmarks.public_page import CORES, errors_of
+from benchmarks.sets import SETS, Benchmark, load
 from splitband.evaluation.costs import FOR_TRAINING
 from splitband.evaluation.runs import Work
 from splitband.evaluation.search import Search
 from splitband.evaluation.setup import default_setup
 from splitband.report.results import results
-from splitband.runtime.files import CHECKPOINTS, replacing, write_json
-
-PICTURE = "budget.png"
-CORES = 2
-"""Of the reference machine, which budgets are reckoned for."""
-
-
-@dataclass(frozen=True)
-class Benchmark:
-    """A public benchmark.
-
-    Attributes
-    ----------
-    title, source : What it is, and who published it.
-    training, tests : Files, with the beginning of the SHA-256 of each.
-    unit, scale : Of the errors, and how many of it make one of the files' unit.
-    columns : What the tests are called in the table.
-    published : Errors on the tests, by method.
-    """
-
-    title: str
-    source: str
-    training: tuple[str, str]
-    tests: tuple[tuple[str, str], ...]
-    unit: str
-    scale: float
-    columns: tuple[str, ...]
-    published: dict[str, tuple[str, ...]]
-
-
-SETS = {
-    "tanks": Benchmark(
-        "Cascaded tanks",
-        "measured, 1,024 + 1,024 samples every 4 s; Schoukens and Noël, 2017",
-        ("ct_train", "66617b0c3c764dd2"),
-        (("ct_test", "83aaf392ce4df46e"),),
-        "V",
-        1.0,
-        ("test",),
-        {
-            "linear state space (Champneys et al., 2024)": ("0.588",),
-            "polynomial NARX (the same)": ("0.413",),
-            "GRU, best of 10 restarts of 25 settings (the same)": ("0.396",),
-            "LSTM (the same)": ("0.490",),
-            "DT-SUBNET": ("0.37",),
-            "PNLSS": ("0.45",),
-            "truncated simulation error (Forgione and Piga, 2021)": ("0.33",),
-            "grey box, the physics known": ("0.18 to 0.19",),
-        },
-    ),
-    "silverbox": Benchmark(
-        "Silverbox",
-        "measured, an electronic oscillator whose spring hardens, 65,062 samples to train on at "
-        "610.35 Hz; Wigren and Schoukens, 2013",
-        ("silverbox_train", "1ad2d6094a7792c8"),
-        (
-            ("silverbox_test_multisine", "acaf10ce564df16e"),
-            ("silverbox_test_arrow_full", "fd9f8ad9a6a8e833"),
-            ("silverbox_test_arrow_no_extrap", "a10814b983b5d7ee"),
-        ),
-        "mV",
-        1000.0,
-        ("multisine", "arrow", "arrow without extrapolation"),
-        {
-            "linear state space (Champneys et al., 2024)": ("6.96", "14.4", "6.58"),
-            "polynomial NARX (the same)": ("0.64", "2.25", "0.57"),
-            "GRU (the same)": ("1.49", "2.80", "0.95"),
-            "LSTM (the same)": ("1.50", "2.68", "0.96"),
-            "tsfast's default GRU, 320 s of a sixth of a GPU": (
-                "0.31 to 0.33", "1.31 to 1.65", "0.29 to 0.34",
-            ),
-            "tsfast's default LSTM, the same": ("0.35 to 0.39", "2.07 to 2.27", "0.30 to 0.34"),
-            "DT-SUBNET": ("0.36", "1.4", "0.32"),
-            "PNLSS": ("", "0.26", ""),
-        },
-    ),
-}  # fmt: skip
-
-
-def load(file: tuple[str, str]) -> Trajectory:
-    """A file of the data folder, if it is the published one."""
-    name, digest = file
-    path = Path(os.environ["SPLITBAND_DATA_DIR"]) / "benchmarks" / f"{name}.csv"
-    found = hashlib.sha256(path.read_bytes()).hexdigest()
-    if not found.startswith(digest):
-        raise ValueError(f"{path} must have a SHA-256 of {digest}..., got {found}")
-    return replace(read(path, columns=["y"], inputs=["u"]), name=name)
+from splitband.runtime.files import CHECKPOINTS, write_json
 
 
 def measure(benchmark: Benchmark, minutes: float, jobs: int, checkpoints: Path) -> dict[str, Any]:
@@ -137,80 +45,6 @@ def measure(benchmark: Benchmark, minutes: float, jobs: int, checkpoints: Path) 
     return {"minutes": minutes, "jobs": jobs, "seconds": time.perf_counter() - began} | facts
 
 
-def page(found: dict[str, dict[float, dict[str, Any]]], out: Path) -> str:
-    """The results as Markdown."""
-    parts = [
-        "# Public benchmarks",
-        "Free runs over test files that nothing was fitted to or chosen by: fitted and chosen on "
-        "the training file, warmed up on the first 50 samples of each test file, simulated to its "
-        "end; RMSE of the mean over seeds. `python -m benchmarks.public` makes this page. Other "
-        "scores are those that their authors published.",
-    ]
-    for name, of_budget in found.items():
-        benchmark = SETS[name]
-        heads = [f"{column}, {benchmark.unit}" for column in benchmark.columns]
-        rows = [
-            [
-                "`splitband compare`" + (f" --budget {minutes:g}m" if minutes else ""),
-                facts["recommended"],
-                *_errors(benchmark, facts),
-                str(len(facts["methods"][facts["recommended"]]["seeds"])),
-                f"{facts['seconds']:.0f}{' (disturbed)' if facts.get('disturbed') else ''}",
-            ]
-            for minutes, facts in sorted(of_budget.items())
-        ]
-        rows += [[method, "", *errors, "", ""] for method, errors in benchmark.published.items()]
-        parts += [
-            f"## {benchmark.title}",
-            f"{benchmark.source[0].upper()}{benchmark.source[1:]}.",
-            _table(["", "recommended", *heads, "seeds", "seconds"], rows),
-        ]
-        chosen = [
-            f"- {minutes:g} min: {facts['methods'][facts['recommended']].get('description', '')}"
-            for minutes, facts in sorted(of_budget.items())
-        ]
-        parts += ["What was found (0: the default budget):", "\n".join(chosen)]
-    if (out / PICTURE).exists():
-        parts += [f"![Error over budget]({out.name}/{PICTURE})"]
-    return "\n\n".join(parts) + "\n"
-
-
-def _errors(benchmark: Benchmark, facts: dict[str, Any]) -> list[str]:
-    mean = facts["methods"][facts["recommended"]]["mean_of_seeds"]
-    return [f"{benchmark.scale * error:.3g}" for error in mean["test_rmse"]]
-
-
-def _table(heads: list[str], rows: list[list[str]]) -> str:
-    lines = [heads, ["---"] * len(heads), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def draw(found: dict[str, dict[float, dict[str, Any]]], path: Path) -> None:
-    """Error over budget, a panel for each benchmark."""
-    figure, axes = plt.subplots(1, len(found), figsize=(5 * len(found), 3.6), squeeze=False)
-    for axis, (name, of_budget) in zip(axes[0], found.items(), strict=True):
-        benchmark = SETS[name]
-        budgets = sorted(minutes for minutes in of_budget if minutes)
-        for i, column in enumerate(benchmark.columns):
-            errors = [float(_errors(benchmark, of_budget[minutes])[i]) for minutes in budgets]
-            axis.loglog(budgets, errors, "o-", label=column)
-        axis.set(
-            title=benchmark.title,
-            xlabel="budget (minutes of two cores)",
-            ylabel=f"test RMSE ({benchmark.unit})",
-        )
-        axis.set_xticks(budgets, [f"{minutes:g}" for minutes in budgets])
-        axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axis.yaxis.set_minor_formatter(NullFormatter())
-        axis.grid(alpha=0.3, which="both")
-        axis.legend()
-    figure.tight_layout()
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=120)
-    plt.close(figure)
-
-
 def main() -> None:
     """Measure what is missing, and write the page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -220,11 +54,13 @@ def main() -> None:
     parser.add_argument(
         "--disturbed", action="store_true", help="the machine does other work: say so of seconds"
     )
+    parser.add_argument("--no-run", action="store_true", help="make the page of what is there")
     parser.add_argument("--out", type=Path, default=Path("docs/results/benchmarks"))
     arguments = parser.parse_args()
     out: Path = arguments.out
     out.mkdir(parents=True, exist_ok=True)
-    for minutes in map(float, arguments.budgets.split(",")):
+    missing = [] if arguments.no_run else arguments.budgets.split(",")
+    for minutes in map(float, missing):
         for name in arguments.sets.split(","):
             path = out / f"{name}-{minutes:g}.json"
             if path.exists():
@@ -233,23 +69,8 @@ def main() -> None:
             facts = measure(SETS[name], minutes, arguments.jobs, checkpoints)
             write_json(path, facts | {"disturbed": arguments.disturbed})
             shutil.rmtree(out / CHECKPOINTS)
-            print(f"{path.stem}: {facts['recommended']}", *_errors(SETS[name], facts), flush=True)
-    found = {
-        name: {facts["minutes"]: facts for facts in map(_read, sorted(out.glob(f"{name}-*.json")))}
-        for name in SETS
-    }
-    found = {name: of_budget for name, of_budget in found.items() if of_budget}
-    several = {
-        name: of_budget for name, of_budget in found.items() if sum(map(bool, of_budget)) > 1
-    }
-    if several:
-        draw(several, out / PICTURE)
-    with replacing(out.with_suffix(".md")) as temporary:
-        temporary.write_text(page(found, out), encoding="utf-8")
-
-
-def _read(path: Path) -> dict[str, Any]:
-    return dict(json.loads(path.read_text(encoding="utf-8")))
+            print(f"{path.stem}: {facts['recommended']}", *errors_of(SETS[name], facts), flush=True)
+    public_page.write(out)
 
 
 if __name__ == "__main__":

@@ -88,6 +88,16 @@ def test_the_model_of_a_queue_has_the_times_that_follow(monkeypatch: pytest.Monk
     assert scaling.finished([0.0] * 10, 0.01, 1000, 100) == pytest.approx(0.1 * rounds)
 
 
+def test_the_page_of_public_benchmarks_is_made_of_their_files(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where it is not: `python -m benchmarks.public --no-run`."""
+    monkeypatch.syspath_prepend(str(ROOT))
+    page = importlib.import_module("benchmarks.public_page")
+    folder = ROOT / "docs/results/benchmarks"
+    assert folder.with_suffix(".md").read_text(encoding="utf-8") == page.made(folder)
+
+
 @pytest.fixture(params=["segments", "choices"])
 def study(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, Path]:
     """A study of the paper's settings, and the folder of its runs."""

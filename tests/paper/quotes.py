@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from benchmarks.public import SETS
+from benchmarks.sets import SETS
 from splitband.paper import published
 
 ROOT = Path(__file__).parents[2]

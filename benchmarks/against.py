@@ -1,0 +1,221 @@
+"""Error against training time on the public benchmarks: tsfast's default GRU and ours.
+
+    python -m benchmarks.against [--sets silverbox] [--minutes 0.5,1,2,5,10] [--seeds 1]
+
+Side by side on this machine, one process of one thread. Both train on the whole training file and
+simulate the test files, whose first 50 samples are left out; nothing is chosen by a test file.
+Minutes are CPU time of the training alone, so that other work on the machine matters little.
+tsfast lets its rate fall at the end, and is trained anew for each time. L-BFGS has no such plan:
+ours is one training, looked at on its way.
+
+Needs the extra `bench`. What is there already is not computed again, and a library that is not
+installed is left out; `python -m benchmarks.public --no-run` puts the results into its page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import splitband as sb
+from benchmarks.peers import installed
+from benchmarks.sets import SETS, load
+from splitband import Trajectory
+from splitband.report.results import environment
+from splitband.runtime.files import write_json
+from splitband.runtime.threads import use_one_thread
+from splitband.training.quasi_newton import ROUND
+
+OURS, TSFAST = "splitband", "tsfast"
+ENDLESS = 100_000
+"""Iterations of L-BFGS that no training gets to."""
+FOUND = {"silverbox": (32, 100, 3, ENDLESS), "tanks": (16, 400, 12, 100)}
+"""Hidden units, window, epochs and the most iterations of L-BFGS after them, as `splitband compare`
+finds them on the last quarter of the training file: on Silverbox the more the better."""
+LEFT_OUT = 50
+"""Samples at the beginning of a test file that do not count; ours warms up on them."""
+TABLE = {"silverbox": "BenchmarkSilverbox_Simulation", "tanks": "BenchmarkCascadedTanks_Simulation"}
+"""Where tsfast keeps windows and batches for a benchmark."""
+STEPS, TIMED_STEPS = 300, 40
+"""Of tsfast: of an epoch, its default, and by which it is reckoned how many fit into a time."""
+
+Point = dict[str, Any]
+"""One training after some time: library, seed, minutes, CPU seconds and errors on the tests."""
+
+
+class _OverError(Exception):
+    """There is no later moment to look at."""
+
+
+class _Watch:
+    """CPU time of this process, but for what is done while it is stopped."""
+
+    def __init__(self) -> None:
+        self._began = time.process_time()
+
+    @property
+    def seconds(self) -> float:
+        return time.process_time() - self._began
+
+    @contextmanager
+    def stopped(self) -> Iterator[None]:
+        """Leave out what the block takes."""
+        at = time.process_time()
+        yield
+        self._began += time.process_time() - at
+
+
+def ours(name: str, seed: int, minutes: list[float], keep: Callable[[Point], None]) -> None:
+    """Train our GRU once, and `keep` its errors as it passes each of the times."""
+    benchmark, (units, window, epochs, iterations) = SETS[name], FOUND[name]
+    record, tests = load(benchmark.training), [load(test) for test in benchmark.tests]
+    usual = sb.Settings.of(len(record))
+    settings = replace(usual, window=window, epochs=epochs, quasi_newton=iterations)
+    compiling = replace(settings, epochs=1, most_batches=1, quasi_newton=1)
+    sb.Single(sb.GRU(units), compiling).fit(record[: 3 * window], seed=0)
+    network, left, watch = sb.Single(sb.GRU(units), settings), sorted(minutes), _Watch()
+
+    def look(progress: sb.Progress) -> None:
+        while left and watch.seconds >= 60 * left[0]:
+            seconds = watch.seconds
+            with watch.stopped():
+                errors = [_free_run(network, test) for test in tests]
+                done = ROUND * max(0, progress.epoch - settings.epochs)
+                keep(_point(OURS, seed, left.pop(0), seconds, errors, iterations=done))
+        if not left:
+            raise _OverError
+
+    try:
+        network.fit(record, seed=seed, progress=look)
+    except _OverError:
+        return
+    seconds = watch.seconds  # it was over before the last moment
+    errors = [_free_run(network, test) for test in tests]
+    done = ROUND * (len(network.require_fitted().report.losses["network"]) - settings.epochs)
+    for each in left:
+        keep(_point(OURS, seed, each, seconds, errors, iterations=done))
+
+
+def _free_run(network: sb.Forecaster, test: Trajectory) -> float:
+    steps = len(test) - LEFT_OUT
+    predicted = network.predict(steps, test[:LEFT_OUT], other_record=True)
+    return sb.rmse(test.y[LEFT_OUT:], predicted.y)
+
+
+def tsfasts(name: str, seed: int, minutes: float) -> Point:
+    """Train tsfast's GRU with its own defaults for about so long."""
+    from tsfast.training import RNNLearner  # noqa: PLC0415
+    from tsfast.tsdata import create_dls  # noqa: PLC0415
+    from tsfast.tsdata.benchmark import BENCHMARK_DL_KWARGS  # noqa: PLC0415
+
+    benchmark, sizes = SETS[name], BENCHMARK_DL_KWARGS[TABLE[name]]
+    record = load(benchmark.training)
+    with tempfile.TemporaryDirectory() as folder:
+        # It asks for something to validate on, too, but only shows the error on it.
+        whole, part = Path(folder) / "train.hdf5", Path(folder) / "valid.hdf5"
+        _write(record, whole)
+        _write(record[-(len(record) // 4) :], part)
+        files = {"train": [whole], "valid": [part], "test": []}
+
+        def learner(steps: int) -> Any:
+            torch.manual_seed(seed)
+            dls = create_dls(["u"], ["y"], files, n_batches_train=steps, cache=True, **sizes)
+            return RNNLearner(dls, n_skip=LEFT_OUT, show_bar=False)
+
+        timed = learner(TIMED_STEPS)
+        timed.fit_flat_cos(1)  # the first one is slower
+        watch = _Watch()
+        timed.fit_flat_cos(1)
+        steps = round(60 * minutes * TIMED_STEPS / watch.seconds)
+        epochs = max(1, round(steps / STEPS))
+        training = learner(steps // epochs)
+        watch = _Watch()
+        training.fit_flat_cos(epochs)
+        seconds = watch.seconds
+    errors = []
+    for test in map(load, benchmark.tests):
+        u = torch.tensor(test.u, dtype=torch.float32)[None]
+        with torch.no_grad():
+            said = training.model.eval()(u)[0, LEFT_OUT:].double().numpy()
+        errors.append(sb.rmse(test.y[LEFT_OUT:], said))
+    return _point(TSFAST, seed, minutes, seconds, errors, steps=epochs * (steps // epochs))
+
+
+def _write(record: Trajectory, path: Path) -> None:
+    """As tsfast reads records: a column each."""
+    import h5py  # noqa: PLC0415
+
+    assert record.u is not None
+    with h5py.File(path, "w") as file:
+        file["u"], file["y"] = (x[:, 0].astype("float32") for x in (record.u, record.y))
+
+
+def _point(
+    library: str, seed: int, minutes: float, seconds: float, errors: list[float], **facts: int
+) -> Point:
+    return {"library": library, "version": version(library), "seed": seed, "minutes": minutes,
+            "cpu_seconds": round(seconds, 1), **facts, "test_rmse": errors}  # fmt: skip
+
+
+def complete(name: str, libraries: list[str], seeds: int, minutes: list[float], path: Path) -> None:
+    """Measure what the file lacks, the shorter trainings first, and write each to it."""
+
+    def keep(point: Point) -> None:
+        others = [p for p in _points(path) if _key(p) != _key(point)]
+        write_json(path, {"environment": environment(), "points": [*others, point]})
+        print(name, *point.values(), flush=True)
+
+    for seed in range(seeds):
+        there = {_key(point) for point in _points(path)}
+        left = {
+            library: [each for each in sorted(minutes) if (library, seed, each) not in there]
+            for library in libraries
+        }
+        for each in left.get(TSFAST, ()):
+            keep(tsfasts(name, seed, each))
+        if left.get(OURS):
+            ours(name, seed, left[OURS], keep)
+
+
+def _key(point: Point) -> tuple[str, int, float]:
+    return point["library"], point["seed"], point["minutes"]
+
+
+def path_of(out: Path, name: str) -> Path:
+    """The file of a benchmark's points."""
+    return out / f"against-{name}.json"
+
+
+def _points(path: Path) -> list[Point]:
+    return list(json.loads(path.read_text(encoding="utf-8"))["points"]) if path.exists() else []
+
+
+def main() -> None:
+    """Measure what is missing."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--sets", default="silverbox", help="of silverbox, tanks")
+    parser.add_argument("--minutes", default="0.5,1,2,5,10", help="of CPU time")
+    parser.add_argument("--libraries", default=f"{TSFAST},{OURS}")
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("docs/results/benchmarks"))
+    arguments = parser.parse_args()
+    libraries = [each for each in arguments.libraries.split(",") if installed(each)]
+    use_one_thread()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    minutes = [float(each) for each in arguments.minutes.split(",")]
+    for name in arguments.sets.split(","):
+        complete(name, libraries, arguments.seeds, minutes, path_of(arguments.out, name))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,289 @@
+"""The page and the pictures of `benchmarks.public`, made of the files of results that are there."""
+
+from __future__ import annotations
+
+import json
+import statistics
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+from benchmarks import against, pendulum
+from benchmarks.sets import SETS, Benchmark
+from benchmarks.study import table
+from splitband.runtime.files import replacing
+
+CORES = 2
+"""Of the reference machine, which budgets are reckoned for."""
+BUDGET, AGAINST = "budget.png", "against.png"
+
+Facts = dict[str, Any]
+Found = dict[str, dict[float, Facts]]
+"""Results of the command, by benchmark and budget in minutes."""
+Points = dict[str, list[against.Point]]
+"""Trainings of tsfast's network and of ours, by benchmark."""
+
+
+def write(out: Path) -> None:
+    """Draw the pictures and write the page beside the folder of results."""
+    found, points = _found(out), _points(out)
+    several = {
+        name: of_budget for name, of_budget in found.items() if sum(map(bool, of_budget)) > 1
+    }
+    if several:
+        _save(_over_budget(several), out / BUDGET)
+    if points:
+        _save(_over_time(points, found), out / AGAINST)
+    with replacing(out.with_suffix(".md")) as temporary:
+        temporary.write_text(made(out), encoding="utf-8")
+
+
+def made(out: Path) -> str:
+    """The page as Markdown."""
+    found = _found(out)
+    parts = [
+        "# Public benchmarks",
+        "Free runs over test files that nothing was fitted to or chosen by: fitted and chosen on "
+        "the training file, warmed up on the first 50 samples of each test file, simulated to its "
+        "end; RMSE of the mean over seeds. `python -m benchmarks.public` makes this page. Other "
+        "scores are those that their authors published.",
+    ]
+    for name, of_budget in found.items():
+        parts += _benchmark(SETS[name], of_budget)
+    if (out / BUDGET).exists():
+        parts += [f"![Error over budget]({out.name}/{BUDGET})"]
+    parts += _side_by_side(_points(out), out) + _pendulum(out)
+    return "\n\n".join(parts) + "\n"
+
+
+def errors_of(benchmark: Benchmark, facts: Facts) -> list[str]:
+    """Of the recommended method, on the tests, in the benchmark's unit."""
+    mean = facts["methods"][facts["recommended"]]["mean_of_seeds"]
+    return _in_unit(benchmark, mean["test_rmse"])
+
+
+def _benchmark(benchmark: Benchmark, of_budget: dict[float, Facts]) -> list[str]:
+    """What the command came to, beside what others have published."""
+    rows = [
+        [
+            "`splitband compare`" + (f" --budget {minutes:g}m" if minutes else ""),
+            facts["recommended"],
+            *errors_of(benchmark, facts),
+            str(len(facts["methods"][facts["recommended"]]["seeds"])),
+            f"{facts['seconds']:.0f}{' (disturbed)' if facts.get('disturbed') else ''}",
+        ]
+        for minutes, facts in sorted(of_budget.items())
+    ]
+    rows += [[method, "", *errors, "", ""] for method, errors in benchmark.published.items()]
+    chosen = [
+        f"- {minutes:g} min: {facts['methods'][facts['recommended']].get('description', '')}"
+        for minutes, facts in sorted(of_budget.items())
+    ]
+    return [
+        f"## {benchmark.title}",
+        f"{benchmark.source[0].upper()}{benchmark.source[1:]}.",
+        _lines(["", "recommended", *_heads(benchmark), "seeds", "seconds"], rows),
+        "What was found (0: the default budget):",
+        "\n".join(chosen),
+    ]
+
+
+def _side_by_side(points: Points, out: Path) -> list[str]:
+    """Trainings of tsfast's network and of ours."""
+    if not points:
+        return []
+    said = {point["library"]: point["version"] for of in points.values() for point in of}
+    parts = [
+        "## Training time, beside tsfast",
+        "Error on the test files against CPU time of the training alone, measured side by side on "
+        "one machine that did other work too, one process of one thread each; `python -m "
+        "benchmarks.against` with the extra `bench`. Both train on the whole training file, "
+        "the first 50 samples of a test file do not count, and nothing is chosen by it.",
+        f"- tsfast {said.get('tsfast', '')}: `RNNLearner(dls, n_skip=50).fit_flat_cos(epochs)` "
+        "with its own defaults, which are a GRU of 100 units that is told the input alone, and "
+        "with the windows and batches that it has for the benchmark. Its learning rate falls to 0 "
+        "at the end, so that it is trained anew for each time.\n"
+        f"- splitband {said.get('splitband', '')}: the network that `compare` finds on the last "
+        "quarter of the training file, warmed up on the first 50 samples: "
+        + "; ".join(_network(name) for name in points)
+        + ". One training, looked at on its way.",
+        "What finding our network costs is not in these times, nor is what finding tsfast's "
+        "defaults did. With all of it, the dotted lines of the picture are `splitband compare "
+        f"--budget` from above, its minutes times {CORES} cores.",
+    ]
+    for name, of_set in points.items():
+        parts += [f"{SETS[name].title}:", _trainings(SETS[name], of_set)]
+    return [*parts, f"![Error over CPU time of the training]({out.name}/{AGAINST})"]
+
+
+def _network(name: str) -> str:
+    units, window, epochs, most = against.FOUND[name]
+    last = "for as long as there is time" if most == against.ENDLESS else f"{most} iterations"
+    return (
+        f"on {SETS[name].title} {units} units, windows of {window} samples, {epochs} epochs of "
+        f"Adam, then L-BFGS, {last}"
+    )
+
+
+def _trainings(benchmark: Benchmark, points: Iterable[against.Point]) -> str:
+    rows = [
+        [
+            point["library"],
+            f"{point['cpu_seconds'] / 60:.2g}",
+            *_in_unit(benchmark, point["test_rmse"]),
+            str(point["seeds"]),
+            f"{point[what]:,} {words}{', then it settled' if 'settled' in point else ''}",
+        ]
+        for point in points
+        for what, words in (("steps", "of Adam"), ("iterations", "of L-BFGS"))
+        if what in point
+    ]
+    return _lines(["", "CPU minutes", *_heads(benchmark), "seeds", "steps"], rows)
+
+
+def _pendulum(out: Path) -> list[str]:
+    """The record on which a fixed recipe learns nothing."""
+    draws = [_read(path) for path in sorted(out.glob("pendulum-*.json"))]
+    if not draws:
+        return []
+    rows = []
+    for facts in draws:
+        name, nrmse = facts["recommended"], facts["nrmse"]
+        best = min(nrmse, key=nrmse.__getitem__)
+        rows.append(
+            [
+                str(facts["draw"]),
+                f"{name}, {len(facts['methods'][name]['seeds'])} seeds",
+                f"{nrmse[name]:.2f}",
+                f"{100 * facts['methods'][name]['interval']['covers']:.0f} %",
+                f"{best}, {nrmse[best]:.2f}",
+                f"{facts['cpu_seconds']:.0f}",
+            ]
+        )
+    heads = ["draw", "recommended", "NRMSE", "in the interval", "lowest NRMSE", "CPU seconds"]
+    return [
+        "## A pendulum on which a fixed recipe learns nothing",
+        f"Simulated: θ'' = -{pendulum.STIFFNESS} sin θ - {pendulum.DAMPING} θ', from "
+        f"{pendulum.ANGLE} rad at rest, a sample every {pendulum.STEP} s with noise of "
+        f"{pendulum.NOISE} rad; {pendulum.TRAINING:,} of {pendulum.SAMPLES:,} samples are trained "
+        "on, the others are forecast by `splitband compare` without a hint (`python -m "
+        "benchmarks.pendulum`). With windows of 400 samples and no search, training stays on a "
+        "plateau. It is a development record: the search was made on it. NRMSE is 1 for the mean; "
+        "intervals are for nine tenths of the samples.",
+        _lines(heads, rows),
+    ]
+
+
+def _in_unit(benchmark: Benchmark, errors: Iterable[float]) -> list[str]:
+    return [f"{benchmark.scale * error:.3g}" for error in errors]
+
+
+def _heads(benchmark: Benchmark) -> list[str]:
+    return [f"{column}, {benchmark.unit}" for column in benchmark.columns]
+
+
+def _lines(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    return "\n".join(table(heads, rows))
+
+
+def _over_budget(found: Found) -> Figure:
+    """Error over budget, a panel for each benchmark."""
+    figure, axes = plt.subplots(1, len(found), figsize=(5 * len(found), 3.6), squeeze=False)
+    for axis, (name, of_budget) in zip(axes[0], found.items(), strict=True):
+        benchmark = SETS[name]
+        budgets = sorted(minutes for minutes in of_budget if minutes)
+        for i, column in enumerate(benchmark.columns):
+            errors = [float(errors_of(benchmark, of_budget[minutes])[i]) for minutes in budgets]
+            axis.loglog(budgets, errors, "o-", label=column)
+        axis.set(title=benchmark.title, xlabel="budget (minutes of two cores)")
+        axis.set_xticks(budgets, [f"{minutes:g}" for minutes in budgets])
+        _for_errors(axis, benchmark)
+        axis.legend()
+    figure.tight_layout()
+    return figure
+
+
+def _over_time(points: Points, found: Found) -> Figure:
+    """Error over CPU time, a panel for each test file."""
+    panels = [(name, i) for name in points for i in range(len(SETS[name].tests))]
+    figure, axes = plt.subplots(
+        1, len(panels), figsize=(4 * len(panels), 4), squeeze=False, sharey=len(points) == 1
+    )
+    for axis, (name, i) in zip(axes[0], panels, strict=True):
+        benchmark = SETS[name]
+        for library, label in (("tsfast", "tsfast's GRU"), ("splitband", "our GRU")):
+            of = [point for point in points[name] if point["library"] == library]
+            errors = [benchmark.scale * point["test_rmse"][i] for point in of]
+            axis.loglog([point["cpu_seconds"] / 60 for point in of], errors, "o-", label=label)
+        budgets = sorted(minutes for minutes in found.get(name, {}) if minutes)
+        errors = [float(errors_of(benchmark, found[name][minutes])[i]) for minutes in budgets]
+        whole = [CORES * minutes for minutes in budgets]
+        axis.loglog(whole, errors, ".:", color="grey", label="splitband compare, search included")
+        axis.set(
+            title=f"{benchmark.title}, {benchmark.columns[i]}",
+            xlabel="CPU time (minutes of a core)",
+        )
+        axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis.xaxis.set_minor_formatter(NullFormatter())
+        _for_errors(axis, benchmark)
+    figure.tight_layout(rect=(0, 0.08, 1, 1))
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="lower center", ncols=3)
+    return figure
+
+
+def _for_errors(axis: Axes, benchmark: Benchmark) -> None:
+    axis.set_ylabel(f"test RMSE ({benchmark.unit})")
+    axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.yaxis.set_minor_formatter(NullFormatter())
+    axis.grid(alpha=0.3, which="both")
+
+
+def _save(figure: Figure, path: Path) -> None:
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=120)
+    plt.close(figure)
+
+
+def _found(out: Path) -> Found:
+    found = {name: [_read(path) for path in sorted(out.glob(f"{name}-*.json"))] for name in SETS}
+    return {name: {facts["minutes"]: facts for facts in of} for name, of in found.items() if of}
+
+
+def _points(out: Path) -> Points:
+    """The means over seeds, by time and library; what was over before a time, once."""
+    points = {}
+    for name in SETS:
+        path = against.path_of(out, name)
+        seeds: dict[tuple[str, float], list[against.Point]] = {}
+        for point in _read(path)["points"] if path.exists() else ():
+            seeds.setdefault((point["library"], point["minutes"]), []).append(point)
+        once: dict[tuple[str, ...], against.Point] = {}
+        for mean in sorted(map(_mean, seeds.values()), key=lambda p: p["minutes"]):
+            errors = (mean["library"], *map(str, mean["test_rmse"]))
+            if errors in once:
+                once[errors]["settled"] = True
+            once.setdefault(errors, mean)
+        if once:
+            points[name] = sorted(once.values(), key=lambda p: (p["minutes"], p["library"]))
+    return points
+
+
+def _mean(seeds: list[against.Point]) -> against.Point:
+    """Of trainings by one library for one time."""
+    errors = zip(*(point["test_rmse"] for point in seeds), strict=True)
+    return seeds[0] | {
+        "cpu_seconds": statistics.mean(point["cpu_seconds"] for point in seeds),
+        "test_rmse": [statistics.mean(of_test) for of_test in errors],
+        "seeds": len(seeds),
+    }
+
+
+def _read(path: Path) -> Facts:
+    return dict(json.loads(path.read_text(encoding="utf-8")))
