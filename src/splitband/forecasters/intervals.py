@@ -199,10 +199,10 @@ def _information(errors: Sequence[Array]) -> tuple[Array, float]:
 def _autocorrelation_time(errors: Sequence[Array]) -> float:
     """Samples that count as one: 1 + twice the sum of the autocorrelation, or of its square.
 
-    The first up to its first zero, for errors that keep their sign; the second for those that keep
-    their size while the sign changes, as where a phase is off: the squares of Gaussian errors, which
-    tell their size, are correlated by it. The larger of both counts. About zero, not about the
-    mean: an offset is one error, however many samples show it.
+    The first, up to its first zero, is for errors that keep their sign. The second is for those
+    that keep their size while the sign changes, as where a phase is off: the squares of Gaussian
+    errors, which tell their size, have that autocorrelation. The larger one counts. About zero,
+    not about the mean: an offset is one error, however many samples show it.
     """
     most = max(map(len, errors))
     products = np.zeros(most)
