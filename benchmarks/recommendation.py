@@ -104,7 +104,9 @@ def _measured(job: Job, report: object) -> Facts:
     comparison = compared(record, methods, setup, seeds=[0], jobs=1)
     settled = comparison.require_trial()
     tried = replace(settled, final={})
-    left = {m: record.y[job.train :] - r[0].ahead for m, r in comparison.runs.items()}
+    # A method may fail on the shorter held-out fits alone: it has no interval then.
+    tried_out = {m: r for m, r in comparison.runs.items() if m in settled.intervals}
+    left = {m: record.y[job.train :] - r[0].ahead for m, r in tried_out.items()}
     errors = {m: rmse(e, np.zeros_like(e)) for m, e in left.items()}
     facts = {
         "kind": job.kind,
@@ -145,6 +147,7 @@ def by_kind(found: Sequence[Facts]) -> dict[str, Facts]:
 
 def _summary(found: Sequence[Facts]) -> Facts:
     chosen = [facts["methods"][facts["recommended"]] for facts in found]
+    inside = [of_method["inside"] for of_method in chosen]
     return {
         "records": len(found),
         "mean_log_regret": statistics.mean(math.log(f["regret"]) for f in found),
@@ -152,7 +155,9 @@ def _summary(found: Sequence[Facts]) -> Facts:
             math.log(f["regret_by_held_out_alone"]) for f in found
         ),
         "worst_regret": max(f["regret"] for f in found),
-        "inside": statistics.mean(c["inside"] for c in chosen),
+        "inside": statistics.mean(inside),
+        # Of the mean over the records: they are few, and each is mostly inside or mostly outside.
+        "inside_error": statistics.pstdev(inside) / math.sqrt(max(len(inside) - 1, 1)),
         "width": statistics.median(c["width"] for c in chosen),
         "inside_of_all_methods": statistics.mean(
             m["inside"] for f in found for m in f["methods"].values()
@@ -162,16 +167,18 @@ def _summary(found: Sequence[Facts]) -> Facts:
 
 def table(facts: Facts) -> str:
     """Coverage, width and regret by kind, in Markdown."""
-    first, last = facts["seeds"]
+    (first, last), which = facts["seeds"], facts["seeds_are"]
     lines = [
-        f"{facts['all']['records']} records, seeds {first} to {last}, of {facts['methods']}:\n",
+        f"{facts['all']['records']} records, {which} seeds {first} to {last}, "
+        f"methods: {facts['methods']}\n",
         "| kind | records | inside | width | inside, all methods | regret, mean and worst |",
         "|---|---:|---:|---:|---:|---:|",
     ]
     for kind, of_kind in [*facts["kinds"].items(), ("all", facts["all"])]:
         regret = f"{math.exp(of_kind['mean_log_regret']):.2f}, {of_kind['worst_regret']:.2f}"
+        inside = f"{of_kind['inside']:.0%} ± {of_kind['inside_error']:.0%}"
         lines.append(
-            f"| {kind} | {of_kind['records']} | {of_kind['inside']:.0%} | {of_kind['width']:.2f} "
+            f"| {kind} | {of_kind['records']} | {inside} | {of_kind['width']:.2f} "
             f"| {of_kind['inside_of_all_methods']:.0%} | {regret} |"
         )
     return "\n".join(lines) + "\n"
@@ -195,6 +202,7 @@ def main() -> None:
     found = [done[job.name] for job in todo]
     facts = {
         "seeds": [seeds[0], seeds[-1]],
+        "seeds_are": "development" if arguments.development else "reported",
         "methods": arguments.methods,
         "all": _summary(found),
         "kinds": by_kind(found),

@@ -31,6 +31,7 @@ def test_no_constant_is_judged_by_a_seed_it_was_chosen_by(recommendation: Any) -
     facts = json.loads((ROOT / "docs/benchmarks/recommendation.json").read_text(encoding="utf-8"))
     first, last = facts["seeds"]
     assert {first, last} <= set(recommendation.REPORTED)
+    assert facts["seeds_are"] == "reported"
     assert not set(recommendation.REPORTED) & set(recommendation.DEVELOPMENT)
 
 

@@ -120,6 +120,14 @@ def test_errors_that_are_all_alike_say_less_than_as_many_different_ones() -> Non
     assert different == pytest.approx(NORMAL, rel=0.08)
 
 
+def test_a_tone_says_little_of_how_large_the_next_one_is() -> None:
+    """Its sign changes soon, its size never does: a third of its samples count as one."""
+    tone = np.sin(2 * np.pi * np.arange(200) / 10)[:, None]
+    expected = np.quantile(abs(tone), 0.9) * scipy.stats.t.ppf(0.95, 3) / NORMAL
+    found = Interval.fit([tone], RECORD).half_widths(1)[0, 0]
+    assert found == pytest.approx(expected, rel=0.1)
+
+
 def test_only_what_is_bounded_limits_it() -> None:
     rng = np.random.default_rng(2)
     noise, steps = rng.standard_normal((2, 400))

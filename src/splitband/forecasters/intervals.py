@@ -18,7 +18,7 @@ import scipy
 
 Array = npt.NDArray[np.float64]
 
-PRIOR = {"constant": 0.4, "random walk": 0.2, "drift": 0.2, "saturating": 0.2}
+PRIOR = {"constant": 0.25, "random walk": 0.35, "drift": 0.2, "saturating": 0.2}
 """How probable each growth law is before an error has been seen."""
 ONSETS = 2.0 ** np.arange(-10, 3)
 """Horizons at which an error has grown to twice its first variance, in training records."""
@@ -197,9 +197,12 @@ def _information(errors: Sequence[Array]) -> tuple[Array, float]:
 
 
 def _autocorrelation_time(errors: Sequence[Array]) -> float:
-    """Samples that count as one: 1 + twice the autocorrelation up to its first zero.
+    """Samples that count as one: 1 + twice the sum of the autocorrelation, or of its square.
 
-    About zero, not about the mean: an offset is one error, however many samples show it.
+    The first, up to its first zero, is for errors that keep their sign. The second is for those
+    that keep their size while the sign changes, as where a phase is off: the squares of Gaussian
+    errors, which tell their size, have that autocorrelation. The larger one counts. About zero,
+    not about the mean: an offset is one error, however many samples show it.
     """
     most = max(map(len, errors))
     products = np.zeros(most)
@@ -208,7 +211,7 @@ def _autocorrelation_time(errors: Sequence[Array]) -> float:
         products[: len(of_one)] += correlated[len(of_one) - 1 :]
     correlation = products / products[0]
     until = int(np.argmax(np.append(correlation, -1.0) < 0))
-    return float(1 + 2 * correlation[1:until].sum())
+    return float(1 + 2 * max(correlation[1:until].sum(), (correlation[1:] ** 2).sum()))
 
 
 def _mixture_quantile(posterior: Array, deviation: Array, share: float) -> Array:
