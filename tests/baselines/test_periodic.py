@@ -95,3 +95,16 @@ def test_channels_have_their_own_periods_and_the_description_says_them() -> None
     found = PeriodicRegression.fit(np.stack([wave(50, index), wave(80, index)], axis=1))
     np.testing.assert_allclose(found.periods, [50, 80], rtol=1e-4)
     assert str(found) == "5+5 harmonic(s) of a period of 50, 80 samples"
+
+
+def test_it_is_fitted_where_lapacks_faster_decomposition_does_not_converge(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    y = (wave(57.3, np.arange(300)) + 0.1 * noise(300, 2))[:, None]
+    expected = PeriodicRegression.fit(y).predict(300, 100)
+
+    def failing(*_: Any, **__: Any) -> None:
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr(np.linalg, "svd", failing)
+    np.testing.assert_allclose(PeriodicRegression.fit(y).predict(300, 100), expected, atol=1e-6)

@@ -238,7 +238,7 @@ class _Refinement:
         approximation of variable projection).
         """
         (modes, basis), index = self.at(moved), self.rows
-        left, sizes, _ = np.linalg.svd(basis, full_matrices=False)
+        left, sizes = _singular(basis)
         left = left[:, sizes > RESOLUTION * sizes[0]]
         count = len(modes.frequencies)
         cosine, sine = basis[:, 1 : 1 + count], basis[:, 1 + count : 1 + 2 * count]
@@ -250,3 +250,13 @@ class _Refinement:
             columns.append((modes.coefficients[-1] * modes.shape.by_rate(index))[:, None])
         by_value = np.hstack(columns)
         return np.asarray(left @ (left.T @ by_value) - by_value)
+
+
+def _singular(basis: Array) -> tuple[Array, Array]:
+    """The left singular vectors `(time, n)` of a basis, and its singular values `(n,)`."""
+    try:
+        left, sizes, _ = np.linalg.svd(basis, full_matrices=False)
+    except np.linalg.LinAlgError:
+        # LAPACK's faster algorithm does not converge for every matrix; its slower one does.
+        left, sizes, _ = scipy.linalg.svd(basis, full_matrices=False, lapack_driver="gesvd")
+    return left, sizes
