@@ -71,11 +71,24 @@ def duffing(rng: np.random.Generator) -> Trajectory:
     return Trajectory(_noisy(y, 0.01, rng), step, u=u, y_true=y, name="Duffing")
 
 
+def tanks_and_cycle(rng: np.random.Generator) -> Trajectory:
+    """The two tanks, whose level also follows a cycle of 600 s that the pump knows nothing of."""
+    record = tanks(rng)
+    phase = 2 * np.pi * np.arange(SAMPLES) / 150 + rng.uniform(0, 2 * np.pi)
+    cycle = np.exp(np.sin(phase)) + 0.3 * np.cos(2 * phase)
+    y = record.truth + (record.y.std() * (cycle - cycle.mean()))[:, None]
+    return Trajectory(
+        _noisy(y, 0.02, rng), record.sampling_time, u=record.u, y_true=y, name="tanks and cycle"
+    )
+
+
 def _noisy(y: Array, share: float, rng: np.random.Generator) -> Array:
     return np.asarray(y + share * y.std(axis=0) * rng.standard_normal(y.shape))
 
 
 RECORDS: tuple[Callable[[np.random.Generator], Trajectory], ...] = (two_masses, tanks, duffing)
+MIXED: tuple[Callable[[np.random.Generator], Trajectory], ...] = (tanks_and_cycle,)
+"""With a part that the inputs explain, and one that they do not."""
 
 
 def main() -> None:
@@ -87,7 +100,7 @@ def main() -> None:
     out: Path = arguments.out
     path, checkpoints = out / "inputs.json", out / CHECKPOINTS
     found = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    for make in RECORDS:
+    for make in (*RECORDS, *MIXED):
         record = make(np.random.default_rng(0))
         if record.name in found:
             continue
