@@ -91,10 +91,9 @@ def usual_names(record: Trajectory, setup: Setup) -> list[str]:
 
 
 def trying_bases(setup: Setup) -> Setup:
-    """The setup of a comparison whose methods are up to it, `usual_names` and what they suggest."""
-    return (
-        setup if setup.search is None else replace(setup, search=replace(setup.search, bases=True))
-    )
+    """The setup of a comparison that may add to the `usual_names`: see `evaluation.bases`."""
+    search = setup.search
+    return setup if search is None else replace(setup, search=replace(search, bases=True))
 
 
 def default_setup(

@@ -94,9 +94,8 @@ def save(
     if isinstance(forecaster, Network):
         assert forecaster.model is not None
         models.save(forecaster.model, folder, {**(facts or {}), **description})
-        (folder / FILE).unlink(
-            missing_ok=True
-        )  # of what was there before; `load` looks there first
+        # `load` would prefer the description of what was there before.
+        (folder / FILE).unlink(missing_ok=True)
         return
     if isinstance(forecaster, Ensemble):
         for i, member in enumerate(forecaster.members):
