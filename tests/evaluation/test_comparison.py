@@ -11,7 +11,7 @@ from splitband.evaluation.api import Comparison
 from splitband.evaluation.comparison import Errors, Run, by_channel, mean_run
 from splitband.evaluation.selection import Trial
 from splitband.evaluation.setup import Setup, default_names, default_setup, usual_names
-from splitband.forecasters.backtest import HELD_OUT, Origin, Question, backtest, held_out_origins
+from splitband.forecasters.backtest import Origin, Question, backtest, held_out_origins
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.names import CALIBRATED, HYBRIDS, Sizes
@@ -43,11 +43,6 @@ def test_the_held_out_part_is_the_end_of_the_training_part() -> None:
     part = record()[:TRAIN]
     assert held_out_origins(network, part) == [Origin(90, at) for at in (90, 100, 110)]
     assert held_out_origins(quick, part) == [Origin(n, n) for n in (60, 75, 90, 96, 102, 108)]
-    shorter = network.for_fewer_samples(HELD_OUT)
-    assert isinstance(network, Network)
-    assert isinstance(shorter, Network)
-    assert network.settings == SETUP.settings
-    assert shorter.settings == replace(SETUP.settings, window=30)
 
 
 def test_the_trial_scores_by_what_was_measured() -> None:
@@ -58,11 +53,22 @@ def test_the_trial_scores_by_what_was_measured() -> None:
     assert known.errors == unknown.errors
 
 
-def test_a_window_never_shrinks_below_its_warmup() -> None:
-    tight = replace(SETUP, settings=Settings(11, 10, 1), overrides={"rnn": Settings(24, 10, 1)})
-    shorter = [f.for_fewer_samples(HELD_OUT) for f in forecasters(["gru", "rnn"], tight)]
-    windows = [f.settings.window for f in shorter if isinstance(f, Network) and f.settings]
-    assert windows == [11, 18]
+@pytest.mark.parametrize(
+    ("window", "warmup", "samples", "expected"),
+    [
+        (100, 50, 750, 100),  # short enough: a trial is of what is trained in the end
+        (400, 50, 750, 300),
+        (80, 10, 90, 54),
+        (80, 70, 90, 71),  # never below the warm-up
+    ],
+)
+def test_a_window_shrinks_where_it_is_too_long_for_the_record(
+    window: int, warmup: int, samples: int, expected: int
+) -> None:
+    settings = Settings(window, warmup, 1)
+    network = replace(SETUP, settings=settings).forecaster("gru").for_samples(samples)
+    assert isinstance(network, Network)
+    assert network.settings == replace(settings, window=expected)
 
 
 def test_the_trial_looks_at_nothing_after_the_training_part() -> None:
@@ -172,7 +178,7 @@ def test_what_draws_nothing_runs_once() -> None:
 def test_several_seeds_are_tried_out_by_their_mean() -> None:
     r = record()
     trial = try_out(r, ["gru"], SETUP, seeds=(0, 1))
-    part, shorter = r[:TRAIN], SETUP.forecaster("gru").for_fewer_samples(HELD_OUT)
+    part, shorter = r[:TRAIN], SETUP.forecaster("gru").for_samples(90)
     origins = [Origin(90, at) for at in (90, 100, 110)]
     question = Question(part, origins, TRAIN)
     found = [backtest(shorter, question, seed).predictions for seed in (0, 1)]

@@ -22,6 +22,7 @@ from splitband.forecasters.backtest import (
     Backtest,
     Question,
     held_out_errors,
+    held_out_from,
     held_out_origins,
     mean_forecasts,
     root_mean_square,
@@ -259,9 +260,8 @@ class _Trials:
 
     def run(self, candidates: Sequence[Candidate], seeds: Sequence[int]) -> None:
         """Train each with all seeds, and score the mean of their forecasts."""
-        networks = {
-            c.label: c.network.for_fewer_samples(HELD_OUT).called(c.label) for c in candidates
-        }
+        fitted = held_out_from(len(self._record))
+        networks = {c.label: c.network.for_samples(fitted).called(c.label) for c in candidates}
         questions = {
             label: Question(
                 self._record, held_out_origins(network, self._record), self._end, self._others

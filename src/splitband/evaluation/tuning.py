@@ -24,7 +24,7 @@ from splitband.evaluation.setup import Setup, default_setup
 from splitband.evaluation.space import Space, tunable_names, usual_networks
 from splitband.evaluation.trials import SHARES, Attempt, Job, Limits, beginning
 from splitband.evaluation.tuned import Tuned
-from splitband.forecasters.backtest import HELD_OUT
+from splitband.forecasters.backtest import held_out_from
 from splitband.forecasters.names import TRAINED
 from splitband.forecasters.network import Network
 from splitband.runtime.processes import over
@@ -239,12 +239,12 @@ def _shares(record: Trajectory, space: Space, others: Sequence[Trajectory]) -> t
     shares: list[float] = []
     for share in SHARES:
         part = beginning(record, share)
-        fitted = part[: round((1 - HELD_OUT) * len(part))]
+        fitted = part[: held_out_from(len(part))]
         try:
             for method in usual_networks(record, space.methods):
                 network = space.setup.forecaster(method)
                 assert isinstance(network, Network)
-                network.for_fewer_samples(1 - share * (1 - HELD_OUT)).check(fitted, *others)
+                network.for_samples(len(fitted)).check(fitted, *others)
         except ValueError:
             if not shares:
                 raise

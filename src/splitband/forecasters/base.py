@@ -99,8 +99,8 @@ class Forecaster(ABC):
         """With what a comparison shares, where the forecaster does not say otherwise."""
         return self
 
-    def for_fewer_samples(self, share: float) -> Self:
-        """For a training record that is shorter by a `share`, 0 to 1."""
+    def for_samples(self, samples: int) -> Self:
+        """For a training record of so many samples."""
         return self
 
     def settled(self, record: Trajectory, horizon: int) -> Self:

@@ -81,9 +81,9 @@ class Ensemble(Forecaster):
         """See `Forecaster`."""
         return self._of(self.member.with_defaults(settings, bands))
 
-    def for_fewer_samples(self, share: float) -> Self:
+    def for_samples(self, samples: int) -> Self:
         """See `Forecaster`."""
-        return self._of(self.member.for_fewer_samples(share))
+        return self._of(self.member.for_samples(samples))
 
     def settled(self, record: Trajectory, horizon: int) -> Self:
         """See `Forecaster`."""

@@ -97,10 +97,10 @@ class _Hybrid(Banded):
         new.base = self.base.with_defaults(settings, bands)
         return new
 
-    def for_fewer_samples(self, share: float) -> Self:
+    def for_samples(self, samples: int) -> Self:
         """See `Forecaster`."""
-        new = super().for_fewer_samples(share).copy()
-        new.base = self.base.for_fewer_samples(share)
+        new = super().for_samples(samples).copy()
+        new.base = self.base.for_samples(samples)
         return new
 
     def extrapolate(self, known: Known) -> dict[str, Array]:

@@ -27,6 +27,7 @@ from splitband.networks import Cell
 from splitband.runtime.threads import drawn_from
 from splitband.training import Checkpoint, Progress, Settings, fit
 from splitband.training.recipes import recipe_settings
+from splitband.training.settings import longest_window
 from splitband.training.windows import windows_in
 
 Array = npt.NDArray[np.float64]
@@ -133,14 +134,13 @@ class Network(Forecaster):
         model = self._built(record, self._settings_for(record), seed=0)
         return sum(weight.numel() for weight in model.parameters())
 
-    def for_fewer_samples(self, share: float) -> Self:
-        """See `Forecaster`: windows shrink with the record, but for the warm-up."""
+    def for_samples(self, samples: int) -> Self:
+        """See `Forecaster`: a window that would be too long for them shrinks."""
         if self.settings is None:
             return self
-        window, warmup = self.settings.window, self.settings.warmup
-        shorter = min(max(round(window * (1 - share)), warmup + 1), window)
+        window = min(self.settings.window, longest_window(samples))
         new = self.copy()
-        new.settings = replace(self.settings, window=shorter)
+        new.settings = replace(self.settings, window=max(window, self.settings.warmup + 1))
         return new
 
     def check(self, *records: Trajectory) -> None:

@@ -86,7 +86,7 @@ class Settings:
         `MOST_BATCHES` of them from one pass over the windows to the next. Gaps leave fewer
         `windows` than samples.
         """
-        window = max(2, min(400, max(150, 2 * samples // 5), 3 * samples // 5))
+        window = max(2, min(400, longest_window(samples)))
         batch = 25
         windows = max(samples - window + 1, 1) if windows is None else windows
         batches = min(-(-windows // batch), MOST_BATCHES)
@@ -127,6 +127,11 @@ class Settings:
         """How many of a window's `steps` are simulated when `share` of all batches are done."""
         done = min(1.0, share / self.growth) if self.growth else 1.0
         return max(1, round(steps * (0.1 + 0.9 * done)))
+
+
+def longest_window(samples: int) -> int:
+    """Two fifths of a training record, so that its windows differ; more of it if that is little."""
+    return min(max(150, 2 * samples // 5), 3 * samples // 5)
 
 
 def default_warmup(window: int, most: int = 50) -> int:
