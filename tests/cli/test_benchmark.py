@@ -312,9 +312,10 @@ def test_a_bad_option_is_one_line_before_anything_is_computed(
 def test_a_list_that_is_not_there_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["benchmark", str(tmp_path)]) == 2
-    said = capsys.readouterr().err
-    assert said == f"error: LIST must be a CSV file with a row for each case, got {tmp_path}\n"
+    rule = "LIST must be a CSV file with a row for each case"
+    for path, why in ((tmp_path, "is a folder"), (tmp_path / "none.csv", "does not exist")):
+        assert main(["benchmark", str(path)]) == 2
+        assert capsys.readouterr().err == f"error: {rule}, got {path}, which {why}\n"
 
 
 def test_every_column_of_the_list_is_an_option_of_the_same_name(

@@ -172,14 +172,16 @@ def _table(rows: Sequence[report.Row]) -> Table:
         table.add_column(heading)
     for heading in ("error", "regret", "in interval", "seconds"):
         table.add_column(heading, justify="right")
-    table.add_column("", style="dim")
+    noted = any(row.note for row in rows)
+    if noted:
+        table.add_column("note", style="dim")
     for row in rows:
         table.add_row(
             row.name, row.protocol, row.recommended, row.best,
             _number(row.error), _number(row.regret),
             "-" if row.held is None else f"{row.held:.0%}",
             "-" if row.seconds is None else f"{row.seconds:.0f}",
-            row.note,
+            *([row.note] if noted else []),
         )  # fmt: skip
     return table
 

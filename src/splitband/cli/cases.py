@@ -81,7 +81,10 @@ def read_cases(path: Path, shared: Request) -> list[Case]:
         one name and a list of none; the message names row, column, rule and value.
     """
     if not path.is_file():
-        raise ValueError(f"LIST must be a CSV file with a row for each case, got {path}")
+        what = "is a folder" if path.is_dir() else "does not exist"
+        raise ValueError(
+            f"LIST must be a CSV file with a row for each case, got {path}, which {what}"
+        )
     cases: dict[str, Case] = {}
     rows: dict[str, int] = {}
     for row, cells in _rows(path):
