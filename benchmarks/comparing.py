@@ -37,7 +37,7 @@ def held_out(record: Trajectory, setup: Setup) -> tuple[Trajectory, Setup]:
 
     Training windows shrink with what is left to train on.
     """
-    network = setup.forecaster("gru").for_samples(held_out_from(setup.train))
+    network = setup.forecaster("gru").for_samples(held_out_from(setup.train), setup.train)
     assert isinstance(network, Network)
     assert network.settings is not None
     part = replace(record[: setup.train], y_true=None)

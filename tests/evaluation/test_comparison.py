@@ -56,17 +56,21 @@ def test_the_trial_scores_by_what_was_measured() -> None:
 @pytest.mark.parametrize(
     ("window", "warmup", "samples", "expected"),
     [
-        (100, 50, 750, 100),  # short enough: a trial is of what is trained in the end
-        (400, 50, 750, 300),
-        (80, 10, 90, 54),
-        (80, 70, 90, 71),  # never below the warm-up
+        (400, 50, 1000, 300),  # as the record does
+        (160, 50, 1000, 150),  # a short one stays: what is tried is what is trained in the end
+        (100, 50, 1000, 100),
+        (80, 10, 120, 60),
+        (60, 10, 120, 54),  # but it leaves two fifths of the record
+        (80, 70, 120, 71),  # and is longer than the warm-up
     ],
 )
-def test_a_window_shrinks_where_it_is_too_long_for_the_record(
+def test_long_windows_shrink_with_the_record(
     window: int, warmup: int, samples: int, expected: int
 ) -> None:
     settings = Settings(window, warmup, 1)
-    network = replace(SETUP, settings=settings).forecaster("gru").for_samples(samples)
+    network = (
+        replace(SETUP, settings=settings).forecaster("gru").for_samples(3 * samples // 4, samples)
+    )
     assert isinstance(network, Network)
     assert network.settings == replace(settings, window=expected)
 
@@ -178,7 +182,7 @@ def test_what_draws_nothing_runs_once() -> None:
 def test_several_seeds_are_tried_out_by_their_mean() -> None:
     r = record()
     trial = try_out(r, ["gru"], SETUP, seeds=(0, 1))
-    part, shorter = r[:TRAIN], SETUP.forecaster("gru").for_samples(90)
+    part, shorter = r[:TRAIN], SETUP.forecaster("gru").for_samples(90, 120)
     origins = [Origin(90, at) for at in (90, 100, 110)]
     question = Question(part, origins, TRAIN)
     found = [backtest(shorter, question, seed).predictions for seed in (0, 1)]

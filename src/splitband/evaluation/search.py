@@ -260,8 +260,8 @@ class _Trials:
 
     def run(self, candidates: Sequence[Candidate], seeds: Sequence[int]) -> None:
         """Train each with all seeds, and score the mean of their forecasts."""
-        fitted = held_out_from(len(self._record))
-        networks = {c.label: c.network.for_samples(fitted).called(c.label) for c in candidates}
+        lengths = held_out_from(len(self._record)), len(self._record)
+        networks = {c.label: c.network.for_samples(*lengths).called(c.label) for c in candidates}
         questions = {
             label: Question(
                 self._record, held_out_origins(network, self._record), self._end, self._others

@@ -152,7 +152,7 @@ def try_out(
     need_one : Raise ValueError where nothing could be fitted.
     """
     record, done = replace(record, y_true=None), done or {}
-    shorter = [f.for_samples(held_out_from(len(record))) for f in forecasters]
+    shorter = [f.for_samples(held_out_from(len(record)), len(record)) for f in forecasters]
     todo = [f for f in shorter if not done.get(f.name)]
     end = len(record) + steps
     questions = {f.name: Question(record, held_out_origins(f, record), end, others) for f in todo}
@@ -188,7 +188,7 @@ def check_trial(
     """Find what is wrong with `try_out` before anything is computed."""
     part = replace(record[: setup.train], y_true=None)
     train = held_out_from(setup.train)
-    shorter = [f.for_samples(train) for f in forecasters]
+    shorter = [f.for_samples(train, setup.train) for f in forecasters]
     try:
         check(part, shorter, replace(setup, train=train), others)
     except ValueError as error:

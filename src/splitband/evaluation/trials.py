@@ -101,7 +101,7 @@ def score(
     several origins.
     """
     part = beginning(record, share)
-    shorter = network.for_samples(held_out_from(len(part)))
+    shorter = network.for_samples(held_out_from(len(part)), len(record))
     question = Question(part, held_out_origins(shorter, part), len(part), others)
     return held_out_score(part, [backtest(shorter, question, seed, progress)])
 

@@ -244,7 +244,7 @@ def _shares(record: Trajectory, space: Space, others: Sequence[Trajectory]) -> t
             for method in usual_networks(record, space.methods):
                 network = space.setup.forecaster(method)
                 assert isinstance(network, Network)
-                network.for_samples(len(fitted)).check(fitted, *others)
+                network.for_samples(len(fitted), len(record)).check(fitted, *others)
         except ValueError:
             if not shares:
                 raise

@@ -215,7 +215,7 @@ def interval_of(forecaster: Forecaster, level: float) -> Interval:
             f"level must be one that was asked for before the forecaster was saved, got {level}; "
             "of its training record only the end is left"
         )
-    shorter = forecaster.for_samples(held_out_from(len(record)))
+    shorter = forecaster.for_samples(held_out_from(len(record)), len(record))
     origins = held_out_origins(forecaster, record)
     question = Question(record, origins, len(record), fitted.others)
     done = backtest(shorter, question, fitted.report.seed)

@@ -99,8 +99,8 @@ class Forecaster(ABC):
         """With what a comparison shares, where the forecaster does not say otherwise."""
         return self
 
-    def for_samples(self, samples: int) -> Self:
-        """For a training record of so many samples."""
+    def for_samples(self, samples: int, instead_of: int) -> Self:
+        """For a part of the training record, of so many samples instead of all."""
         return self
 
     def settled(self, record: Trajectory, horizon: int) -> Self:

@@ -81,9 +81,9 @@ class Ensemble(Forecaster):
         """See `Forecaster`."""
         return self._of(self.member.with_defaults(settings, bands))
 
-    def for_samples(self, samples: int) -> Self:
+    def for_samples(self, samples: int, instead_of: int) -> Self:
         """See `Forecaster`."""
-        return self._of(self.member.for_samples(samples))
+        return self._of(self.member.for_samples(samples, instead_of))
 
     def settled(self, record: Trajectory, horizon: int) -> Self:
         """See `Forecaster`."""

@@ -97,10 +97,10 @@ class _Hybrid(Banded):
         new.base = self.base.with_defaults(settings, bands)
         return new
 
-    def for_samples(self, samples: int) -> Self:
+    def for_samples(self, samples: int, instead_of: int) -> Self:
         """See `Forecaster`."""
-        new = super().for_samples(samples).copy()
-        new.base = self.base.for_samples(samples)
+        new = super().for_samples(samples, instead_of).copy()
+        new.base = self.base.for_samples(samples, instead_of)
         return new
 
     def extrapolate(self, known: Known) -> dict[str, Array]:

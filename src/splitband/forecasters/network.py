@@ -27,7 +27,7 @@ from splitband.networks import Cell
 from splitband.runtime.threads import drawn_from
 from splitband.training import Checkpoint, Progress, Settings, fit
 from splitband.training.recipes import recipe_settings
-from splitband.training.settings import longest_window
+from splitband.training.settings import SHORTEST_WINDOW, longest_window
 from splitband.training.windows import windows_in
 
 Array = npt.NDArray[np.float64]
@@ -134,13 +134,15 @@ class Network(Forecaster):
         model = self._built(record, self._settings_for(record), seed=0)
         return sum(weight.numel() for weight in model.parameters())
 
-    def for_samples(self, samples: int) -> Self:
-        """See `Forecaster`: a window that would be too long for them shrinks."""
+    def for_samples(self, samples: int, instead_of: int) -> Self:
+        """See `Forecaster`: long windows shrink with the record."""
         if self.settings is None:
             return self
-        window = min(self.settings.window, longest_window(samples))
+        window = self.settings.window
+        least = max(min(SHORTEST_WINDOW, longest_window(samples)), self.settings.warmup + 1)
+        shorter = max(round(window * samples / instead_of), least)
         new = self.copy()
-        new.settings = replace(self.settings, window=max(window, self.settings.warmup + 1))
+        new.settings = replace(self.settings, window=min(window, shorter))
         return new
 
     def check(self, *records: Trajectory) -> None:

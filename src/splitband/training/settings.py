@@ -9,6 +9,8 @@ from splitband.training.quasi_newton import ROUND
 
 STEPS = 1000
 """Gradient steps of the default recipe, for each network."""
+SHORTEST_WINDOW = 150
+"""Of the default recipe, where the record is long enough."""
 
 
 MOST_BATCHES = 100
@@ -86,7 +88,8 @@ class Settings:
         `MOST_BATCHES` of them from one pass over the windows to the next. Gaps leave fewer
         `windows` than samples.
         """
-        window = max(2, min(400, longest_window(samples)))
+        window = max(SHORTEST_WINDOW, 2 * samples // 5)
+        window = max(2, min(400, window, longest_window(samples)))
         batch = 25
         windows = max(samples - window + 1, 1) if windows is None else windows
         batches = min(-(-windows // batch), MOST_BATCHES)
@@ -130,8 +133,8 @@ class Settings:
 
 
 def longest_window(samples: int) -> int:
-    """Two fifths of a training record, so that its windows differ; more of it if that is little."""
-    return min(max(150, 2 * samples // 5), 3 * samples // 5)
+    """Three fifths of a training record, so that its windows differ."""
+    return 3 * samples // 5
 
 
 def default_warmup(window: int, most: int = 50) -> int:
