@@ -16,6 +16,8 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from benchmarks import against, pendulum
 from benchmarks.sets import SETS, Benchmark
 from benchmarks.study import table
+from splitband.evaluation.costs import FOR_TRAINING
+from splitband.evaluation.search import CORE_SECONDS
 from splitband.runtime.files import replacing
 
 CORES = 2
@@ -52,6 +54,10 @@ def made(out: Path) -> str:
         "the training file, warmed up on the first 50 samples of each test file, simulated to its "
         "end; RMSE of the mean over seeds. `python -m benchmarks.public` makes this page. Other "
         "scores are those that their authors published.",
+        "A budget is reckoned in seconds of a reference core, so that its result does not depend on "
+        f"the machine: {CORE_SECONDS:.0f} without `--budget`, {FOR_TRAINING * 60 * CORES:.0f} for a "
+        "minute of two such cores, of which a fifth is kept for all other work. The column of "
+        "seconds is what it took on this machine, two cores.",
     ]
     for name, of_budget in found.items():
         parts += _benchmark(SETS[name], of_budget)
@@ -154,11 +160,12 @@ def _pendulum(out: Path) -> list[str]:
     rows = []
     for facts in draws:
         name, nrmse = facts["recommended"], facts["nrmse"]
+        seeds = len(facts["methods"][name]["seeds"])
         best = min(nrmse, key=nrmse.__getitem__)
         rows.append(
             [
                 str(facts["draw"]),
-                f"{name}, {len(facts['methods'][name]['seeds'])} seeds",
+                f"{name}, {seeds} seed{'s' if seeds > 1 else ''}",
                 f"{nrmse[name]:.2f}",
                 f"{100 * facts['methods'][name]['interval']['covers']:.0f} %",
                 f"{best}, {nrmse[best]:.2f}",
@@ -193,7 +200,7 @@ def _lines(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def _over_budget(found: Found) -> Figure:
     """Error over budget, a panel for each benchmark."""
-    figure, axes = plt.subplots(1, len(found), figsize=(5 * len(found), 3.6), squeeze=False)
+    figure, axes = plt.subplots(1, len(found), figsize=(5.5 * len(found), 4), squeeze=False)
     for axis, (name, of_budget) in zip(axes[0], found.items(), strict=True):
         benchmark = SETS[name]
         budgets = sorted(minutes for minutes in of_budget if minutes)
@@ -203,7 +210,7 @@ def _over_budget(found: Found) -> Figure:
         axis.set(title=benchmark.title, xlabel="budget (minutes of two cores)")
         axis.set_xticks(budgets, [f"{minutes:g}" for minutes in budgets])
         _for_errors(axis, benchmark)
-        axis.legend()
+        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=len(benchmark.tests))
     figure.tight_layout()
     return figure
 
