@@ -16,8 +16,6 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from benchmarks import against, pendulum
 from benchmarks.sets import SETS, Benchmark
 from benchmarks.study import table
-from splitband.evaluation.costs import FOR_TRAINING
-from splitband.evaluation.search import CORE_SECONDS
 from splitband.runtime.files import replacing
 
 CORES = 2
@@ -54,10 +52,10 @@ def made(out: Path) -> str:
         "the training file, warmed up on the first 50 samples of each test file, simulated to its "
         "end; RMSE of the mean over seeds. `python -m benchmarks.public` makes this page. Other "
         "scores are those that their authors published.",
-        "A budget is reckoned in seconds of a reference core, so that its result does not depend on "
-        f"the machine: {CORE_SECONDS:.0f} without `--budget`, {FOR_TRAINING * 60 * CORES:.0f} for a "
-        "minute of two such cores, of which a fifth is kept for all other work. The column of "
-        "seconds is what it took on this machine, two cores.",
+        "A budget is reckoned in seconds of a reference core, so that its result does not depend "
+        f"on the machine: {', '.join(_reckoned(found))}; in minutes, of two such cores, a fifth is "
+        "kept for other work than networks. The column of seconds is what it took on this machine, "
+        "two cores.",
     ]
     for name, of_budget in found.items():
         parts += _benchmark(SETS[name], of_budget)
@@ -256,6 +254,19 @@ def _save(figure: Figure, path: Path) -> None:
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=120)
     plt.close(figure)
+
+
+def _reckoned(found: Found) -> list[str]:
+    """Seconds of a reference core, by budget."""
+    seconds = {
+        minutes: facts["settings"]["search"]["core_seconds"]
+        for of_budget in found.values()
+        for minutes, facts in sorted(of_budget.items())
+    }
+    return [
+        f"{of:.0f} {f'with `--budget {minutes:g}m`' if minutes else 'by default'}"
+        for minutes, of in seconds.items()
+    ]
 
 
 def _found(out: Path) -> Found:
