@@ -96,6 +96,24 @@ class Page:
         """A table as it stands in its file."""
         return (self.folder / "tables" / f"{name}.md").read_text(encoding="utf-8").strip()
 
+    def whole_runs(self, name: str) -> str:
+        """Total RMSE of the runs of all epochs that are too few for a row of their own."""
+        said = []
+        for row in self.rows_of[name]:
+            if row["epochs"] is None or row["epochs"] == row["paper_epochs"]:
+                continue
+            runs = sorted((self.folder / "runs" / row["system"] / row["method"]).glob("seed*.json"))
+            found = [json.loads(run.read_text(encoding="utf-8"))["total_rmse"] for run in runs]
+            if found:
+                errors = _listed(f"{error:.3f}" for error in found)
+                said.append(f"{row['method']} on ({row['system']}) {errors}")
+        if not said:
+            return ""
+        return (
+            "Rows with fewer epochs than the paper's wait for three whole runs. Those that are there "
+            f"so far have, a value for each seed: {'; '.join(said)}."
+        )
+
     def tally(self, ours: str, theirs: str, *systems: str) -> str:
         """On which systems one method is better than another, and on which it is not."""
         found: dict[str, list[str]] = {"better": [], "level": [], "worse": []}
