@@ -110,8 +110,8 @@ class Page:
         if not said:
             return ""
         return (
-            "Rows with fewer epochs than the paper's wait for three whole runs. Those that are there "
-            f"so far have, a value for each seed: {'; '.join(said)}."
+            "Rows with fewer epochs than the paper's wait for three whole runs. Those that are "
+            f"there so far have, a value for each seed: {'; '.join(said)}."
         )
 
     def tally(self, ours: str, theirs: str, *systems: str) -> str:
