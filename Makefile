@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 # The public records, where a copy lies beside the checkout; without one they are downloaded.
 ifneq ($(wildcard ../shared/data),)
-export SPLITBAND_DATA_DIR := $(abspath $(or $(SPLITBAND_DATA_DIR),../shared/data))
+export SPLITBAND_DATA_DIR ?= $(abspath ../shared/data)
 endif
 
 .PHONY: demo test check kernels format docs bench fuzz soak memory clean

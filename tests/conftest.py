@@ -19,6 +19,10 @@ from hypothesis import settings
 
 import splitband
 
+# Some tests work in a folder of their own, from where a relative path would lead elsewhere.
+if folder := os.environ.get("SPLITBAND_DATA_DIR"):
+    os.environ["SPLITBAND_DATA_DIR"] = os.path.abspath(folder)
+
 # Property tests see the same examples on every run, so that one commit has one verdict. The other
 # profile is for `make fuzz`, whose --hypothesis-profile counts more than what is loaded here.
 settings.register_profile("suite", derandomize=True, deadline=None, max_examples=60)
