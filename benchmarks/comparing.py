@@ -35,7 +35,7 @@ def compared(
 def held_out(record: Trajectory, setup: Setup) -> tuple[Trajectory, Setup]:
     """The training part as a record of its own, the last quarter of it to be predicted.
 
-    Training windows shrink with what is left to train on.
+    Long training windows shrink with what is left to train on.
     """
     network = setup.forecaster("gru").for_samples(held_out_from(setup.train), setup.train)
     assert isinstance(network, Network)

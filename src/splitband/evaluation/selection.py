@@ -145,7 +145,7 @@ def try_out(
     ----------
     record : The training record, and nothing else; what is known of the inputs and the
         simulator's output of the `steps` samples after it (`u_beyond`, `beyond`).
-    forecasters : With settings and bands. Training windows shrink with the record.
+    forecasters : With settings and bands. Long training windows shrink with the record.
     steps : How far beyond the record is to be forecast after all.
     seeds, work, others : See `compare_methods`; errors likewise.
     done : Forecasts that have been made already, by name and seed.
