@@ -23,8 +23,8 @@ import numpy.typing as npt
 
 from benchmarks.comparing import compared, forecasters
 from splitband.data import Trajectory, double_torsion, drill_string
-from splitband.evaluation.api import compare
-from splitband.evaluation.comparison import compare_methods
+from splitband.evaluation.comparison import compare
+from splitband.evaluation.protocols import compare_methods
 from splitband.evaluation.runs import Work
 from splitband.evaluation.setup import Setup, default_names, default_setup
 from splitband.forecasters.names import with_variants

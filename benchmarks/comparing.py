@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from splitband import Comparison, Forecaster, Trajectory
-from splitband.evaluation.comparison import compare_methods
+from splitband.evaluation.protocols import compare_methods
 from splitband.evaluation.runs import Work
 from splitband.evaluation.selection import try_out
 from splitband.evaluation.setup import Setup
-from splitband.forecasters.backtest import held_out_from
+from splitband.forecasters.backtest import for_trial, held_out_from
 from splitband.forecasters.network import Network
 
 
@@ -37,7 +37,7 @@ def held_out(record: Trajectory, setup: Setup) -> tuple[Trajectory, Setup]:
 
     Long training windows shrink with what is left to train on.
     """
-    network = setup.forecaster("gru").for_samples(held_out_from(setup.train), setup.train)
+    network = for_trial(setup.forecaster("gru"), setup.train)
     assert isinstance(network, Network)
     assert network.settings is not None
     part = replace(record[: setup.train], y_true=None)

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from benchmarks.beyond import SYSTEMS
 from benchmarks.comparing import forecasters, held_out
-from splitband.evaluation.comparison import compare_methods
+from splitband.evaluation.protocols import compare_methods
 from splitband.evaluation.runs import Work
 from splitband.evaluation.setup import Setup, default_setup
 from splitband.forecasters.names import CALIBRATED, CONDITIONED

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband import Forecaster, Trajectory
-from splitband.evaluation.comparison import Run, Runs, compare_methods
-from splitband.evaluation.comparison import as_run as run_of
+from splitband.evaluation.protocols import Run, Runs, compare_methods
+from splitband.evaluation.protocols import as_run as run_of
 from splitband.evaluation.runs import RunProgress, Work
 from splitband.evaluation.selection import Trial
 from splitband.evaluation.selection import try_out as try_forecasters_out

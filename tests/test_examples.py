@@ -76,7 +76,7 @@ def test_the_python_of_the_readme_runs_as_it_stands(
     monkeypatch.setattr("splitband.training.settings.STEPS", 10)
     monkeypatch.setattr("splitband.simulators.calibration._SETS", ((), ("gain", "offset")))
     monkeypatch.setattr(
-        "splitband.evaluation.api.usual_names", lambda *_: ["gru", "mean", "persistence"]
+        "splitband.evaluation.choosing.usual_names", lambda *_: ["gru", "mean", "persistence"]
     )
     monkeypatch.chdir(tmp_path)
     shutil.copy(van_der_pol_fmu, "rig.fmu")

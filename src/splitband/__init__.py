@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from splitband.data import Grid, Trajectory, read
-    from splitband.evaluation.api import Comparison, Forecast, compare, forecast
+    from splitband.evaluation.comparison import Comparison, compare
+    from splitband.evaluation.forecast import Forecast, forecast
     from splitband.evaluation.runs import Work
     from splitband.evaluation.search import Search
     from splitband.evaluation.setup import Setup, default_setup
@@ -43,7 +44,8 @@ __version__ = "0.2.0"
 # Loaded on first use: torch and pandas take seconds.
 _MODULES = {
     "data": ("Grid", "Trajectory", "read"),
-    "evaluation.api": ("Comparison", "Forecast", "compare", "forecast"),
+    "evaluation.comparison": ("Comparison", "compare"),
+    "evaluation.forecast": ("Forecast", "forecast"),
     "evaluation.runs": ("Work",),
     "evaluation.search": ("Search",),
     "evaluation.setup": ("Setup", "default_setup"),

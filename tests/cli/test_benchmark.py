@@ -11,7 +11,7 @@ import pytest
 
 from splitband.cli import cases, main
 from splitband.cli.comparing import Request
-from splitband.evaluation.api import compare
+from splitband.evaluation.comparison import compare
 from splitband.report.benchmark import Row, picture, summary
 from splitband.runtime.files import CHECKPOINTS
 from tests.cli.support import (

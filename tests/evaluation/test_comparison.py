@@ -7,11 +7,11 @@ import pytest
 import scipy
 
 from splitband import Settings, Trajectory
-from splitband.evaluation.api import Comparison
-from splitband.evaluation.comparison import Errors, Run, by_channel, mean_run
+from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.protocols import Errors, Run, by_channel, mean_run
 from splitband.evaluation.selection import Trial
 from splitband.evaluation.setup import Setup, default_names, default_setup, usual_names
-from splitband.forecasters.backtest import Origin, Question, backtest, held_out_origins
+from splitband.forecasters.backtest import Origin, Question, backtest, for_trial, held_out_origins
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.names import CALIBRATED, HYBRIDS, Sizes
@@ -68,9 +68,7 @@ def test_long_windows_shrink_with_the_record(
     window: int, warmup: int, samples: int, expected: int
 ) -> None:
     settings = Settings(window, warmup, 1)
-    network = (
-        replace(SETUP, settings=settings).forecaster("gru").for_samples(3 * samples // 4, samples)
-    )
+    network = for_trial(replace(SETUP, settings=settings).forecaster("gru"), samples)
     assert isinstance(network, Network)
     assert network.settings == replace(settings, window=expected)
 

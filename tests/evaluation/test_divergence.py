@@ -14,7 +14,7 @@ import torch
 import splitband.forecasters.network
 from splitband import GRU, Settings, Trajectory
 from splitband.cli import main
-from splitband.evaluation.api import Comparison
+from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.closed_form import Mean

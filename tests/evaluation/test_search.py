@@ -177,7 +177,7 @@ def test_compare_searches_by_default_and_says_what_it_has_tried(
     setup = replace(
         default_setup(record(), TRAIN), settings=QUICK, bands=SETUP.bands, search=Search(2.0)
     )
-    monkeypatch.setattr("splitband.evaluation.api.default_setup", lambda *_, **__: setup)
+    monkeypatch.setattr("splitband.evaluation.comparison.default_setup", lambda *_, **__: setup)
     comparison = sb.compare(record(), TRAIN, [sb.Single(sb.GRU(4)), sb.Mean()])
     assert {attempt.method for attempt in comparison.attempts} == {"gru"}
     assert len(comparison.runs["gru"]) > 1

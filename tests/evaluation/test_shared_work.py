@@ -11,7 +11,7 @@ import torch
 
 import splitband.forecasters.simulation
 from splitband import Settings, Trajectory
-from splitband.evaluation.api import Comparison
+from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes

@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 
 from splitband import Settings, Trajectory
-from splitband.evaluation.api import Comparison, Forecast, compare, forecast
-from splitband.evaluation.comparison import Runs
+from splitband.evaluation.comparison import Comparison, compare
+from splitband.evaluation.forecast import Forecast, forecast
+from splitband.evaluation.protocols import Runs
 from splitband.evaluation.search import Attempt
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from splitband import Trajectory
-from splitband.evaluation.api import Comparison
+from splitband.evaluation.comparison import Comparison
 from splitband.filters.spectrum import periodogram
 from splitband.report import page as report
 from splitband.report.benchmark import Row

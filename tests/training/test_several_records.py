@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from splitband import GRU, Progress, Trajectory
-from splitband.evaluation.comparison import check
+from splitband.evaluation.protocols import check
 from splitband.forecasters.backtest import Origin
 from splitband.models import Recurrent
 from splitband.training import fit

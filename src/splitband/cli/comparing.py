@@ -16,9 +16,9 @@ from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import each_with_simulator, tests_with_simulator, with_simulator
 from splitband.cli.usage import usage
 from splitband.data import Trajectory
-from splitband.evaluation.api import Comparison
-from splitband.evaluation.api import compare as compare_forecasters
-from splitband.evaluation.comparison import check
+from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.comparison import compare as compare_forecasters
+from splitband.evaluation.protocols import check
 from splitband.evaluation.selection import check_trial
 from splitband.evaluation.setup import Setup, default_names, trying_bases, usual_names
 from splitband.forecasters.names import BASES, CALIBRATED, TRAINED, with_base, with_variants
@@ -51,7 +51,7 @@ class Task:
 
     Attributes
     ----------
-    record, setup : See `evaluation.api.compare`.
+    record, setup : See `evaluation.comparison.compare`.
     names : Of the methods.
     others : Further records to train on.
     tests : Records to test on.

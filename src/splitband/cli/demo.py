@@ -16,7 +16,7 @@ from splitband.cli.options.groups import with_groups
 from splitband.cli.options.workers import Jobs
 from splitband.cli.outcome import show
 from splitband.data.crane import overhead_crane
-from splitband.evaluation.api import Comparison
+from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.setup import default_setup
 from splitband.forecasters.names import Sizes
 

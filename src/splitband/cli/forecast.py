@@ -19,9 +19,9 @@ from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.simulators import each_with_simulator, with_simulator
 from splitband.cli.usage import usage
-from splitband.evaluation.api import Forecast
-from splitband.evaluation.api import forecast as forecast_record
-from splitband.evaluation.comparison import check
+from splitband.evaluation.forecast import Forecast
+from splitband.evaluation.forecast import forecast as forecast_record
+from splitband.evaluation.protocols import check
 from splitband.evaluation.selection import check_trial
 from splitband.evaluation.setup import default_names, trying_bases, usual_names
 from splitband.forecasters.names import BASES, CALIBRATED, NAMES, TRAINED, with_base

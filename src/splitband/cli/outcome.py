@@ -6,7 +6,7 @@ from pathlib import Path
 
 from splitband.cli import showing
 from splitband.data import Trajectory
-from splitband.evaluation.api import Comparison
+from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.selection import WORTH_TRAINING
 from splitband.evaluation.setup import Setup
 from splitband.filters.spectrum import periodogram

@@ -11,8 +11,8 @@ from splitband.cli.devices import check_device
 from splitband.cli.naming import names
 from splitband.cli.options.models import AUTO, ModelOptions
 from splitband.data import Trajectory
-from splitband.evaluation.comparison import check_train
 from splitband.evaluation.costs import reference_seconds
+from splitband.evaluation.protocols import check_train
 from splitband.evaluation.search import Search
 from splitband.evaluation.setup import Setup, default_setup
 from splitband.evaluation.tuned import Tuned

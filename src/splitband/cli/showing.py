@@ -15,8 +15,8 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from rich.table import Table
 from rich.text import Text
 
-from splitband.evaluation.api import Comparison
-from splitband.evaluation.comparison import Run, Runs, by_channel
+from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.protocols import Run, Runs, by_channel
 from splitband.evaluation.runs import RunProgress
 from splitband.metrics import Extrapolation, ExtrapolationWarning, leaving, spread
 from splitband.runtime.files import to_json

@@ -1,299 +1,241 @@
-"""Comparing forecasters on a record, under both protocols.
-
-*From the start*: warm up on the first R samples, simulate to the end; the error counts everything
-after the warm-up. *Forecast*: warm up on the last R training samples, simulate beyond them. *Test
-record*: warm up on the first R samples of a record that nothing was fitted to, simulate to its end.
-"""
+"""Comparing with everything decided for the user who does not say otherwise."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
+import pandas as pd
 
 from splitband.data import Trajectory
-from splitband.data.gaps import first_after
-from splitband.evaluation.runs import Failure, Work, run_all
-from splitband.evaluation.setup import Setup
-from splitband.forecasters.backtest import Backtest, Origin, Question, first_origin
+from splitband.evaluation.choosing import FINAL, candidates, choose, seeds_of
+from splitband.evaluation.protocols import (
+    TRAINING_SHARE,
+    Run,
+    Runs,
+    check,
+    check_train,
+    compare_methods,
+    inputs_beyond,
+    mean_run,
+)
+from splitband.evaluation.runs import Work
+from splitband.evaluation.search import Attempt
+from splitband.evaluation.selection import LEVEL, Trial, check_trial
+from splitband.evaluation.setup import Setup, default_setup
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.fitted import FitReport
-from splitband.forecasters.network import check_alike
 from splitband.forecasters.prediction import Prediction
-from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
+from splitband.metrics import Extrapolation
 
-Array = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Errors:
-    """RMSE of predictions, in the record's unit.
-
-    Attributes
-    ----------
-    total : From the start.
-    forecast : Of the forecast; None where the training part is the whole record.
-    tests : Of each test record; none for what has nothing to say about other records.
-    """
-
-    total: float
-    forecast: float | None
-    tests: tuple[float, ...] = ()
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
-    """One forecaster with one seed, under every protocol.
+class Comparison:
+    """What forecasters did on a record, and which of them is recommended.
 
     Attributes
     ----------
-    method : The forecaster's name.
-    errors : Of the predictions.
-    from_start, forecast : To the end of the record; no forecast without samples after the training
-        part.
-    tests : Of the test records, to their ends.
-    leaves : Samples of the forecast before it leaves the range of the training part, see
-        `leaves_range`; None where it does not.
-    fit : What the fit did.
-    description : What it has settled on, and what went wrong.
-    unfiltered : What the filters of a model were fed with, from the start.
+    record : The whole of it.
+    setup : What they shared.
+    runs : Of each method, one for each seed.
+    trial : What they did on held-out training samples; None where none has been made.
+    others : Further records that networks were trained on.
+    tests : Records that nothing was fitted to, simulated from their first samples.
+    attempts : What has been tried to find out how networks are trained.
     """
 
-    method: str
-    errors: Errors
-    from_start: Prediction
-    forecast: Prediction | None
-    tests: tuple[Prediction, ...] = ()
-    leaves: int | None = None
-    fit: FitReport = field(default_factory=FitReport)
-    description: str = ""
-    unfiltered: Mapping[str, Array] = field(default_factory=dict)
+    record: Trajectory
+    setup: Setup
+    runs: Runs
+    trial: Trial | None = None
+    others: tuple[Trajectory, ...] = ()
+    tests: tuple[Trajectory, ...] = ()
+    attempts: tuple[Attempt, ...] = ()
 
     @property
-    def seed(self) -> int:
-        """It was fitted with."""
-        return self.fit.seed
+    def recommended(self) -> str:
+        """The method to use, chosen by training samples alone."""
+        return self.require_trial().recommended
+
+    @cached_property
+    def means(self) -> dict[str, Run]:
+        """The mean over seeds of each method, which is what is handed out."""
+        train = self.setup.train
+        return {
+            name: mean_run(runs, self.record, train, self.tests) for name, runs in self.runs.items()
+        }
 
     @property
-    def total_rmse(self) -> float:
-        """From the start."""
-        return self.errors.total
+    def left_out(self) -> list[str]:
+        """Methods that have nothing to say about the test records."""
+        return [name for name, mean in self.means.items() if self.tests and not mean.tests]
+
+    @cached_property
+    def predictions(self) -> dict[str, Prediction]:
+        """The forecast of each method beyond the training part, with its interval."""
+        intervals = {} if self.trial is None else self.trial.intervals
+        predictions = {}
+        for name, run in self.means.items():
+            if run.forecast is None:
+                continue
+            y, predictions[name] = run.forecast.y, run.forecast
+            if name in intervals:
+                half = intervals[name].half_widths(len(y))
+                predictions[name] = replace(
+                    run.forecast, lower=y - half, upper=y + half, level=LEVEL
+                )
+        return predictions
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """A row for each method: errors, share of samples in the interval, seconds of a fit."""
+        rows = {}
+        for name, runs in self.runs.items():
+            mean = self.means[name]
+            row = {
+                "from start": sum(r.total_rmse for r in runs) / len(runs),
+                "forecast": sum(r.forecast_rmse for r in runs) / len(runs),
+                "mean of seeds, from start": mean.total_rmse,
+                "mean of seeds, forecast": mean.forecast_rmse,
+                **{
+                    f"mean of seeds, test {_named(test, i)}": error
+                    for i, (test, error) in enumerate(
+                        zip(self.tests, mean.errors.tests, strict=False)
+                    )
+                },
+                "fit (s)": sum(r.fit.seconds for r in runs) / len(runs),
+                "note": mean.description or runs[0].description,
+            }
+            if self.trial is not None:
+                row = {
+                    "held out": self.trial.errors[name],
+                    "changed": self.trial.change(name),
+                    **row,
+                    "in interval": self.covers(name),
+                    "recommended": name == self.recommended,
+                }
+            rows[name] = row
+        failed = {} if self.trial is None else self.trial.failed
+        rows |= {name: {"note": f"could not be fitted: {why}"} for name, why in failed.items()}
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("method")
+
+    def covers(self, name: str) -> float:
+        """The share of the measured samples that a method's interval holds, 0 to 1.
+
+        NaN where there is no forecast.
+        """
+        errors = self.record.seen[self.setup.train :] - self.means[name].ahead
+        return self.require_trial().intervals[name].coverage(errors) if len(errors) else np.nan
 
     @property
-    def forecast_rmse(self) -> float:
-        """Of the forecast; NaN where there is none."""
-        return np.nan if self.errors.forecast is None else self.errors.forecast
+    def inputs_beyond_training(self) -> list[Extrapolation]:
+        """Which inputs after the training part go beyond those that were trained on."""
+        train, u = self.setup.train, self.record.u
+        training = [self.record[:train], *self.others]
+        return inputs_beyond(training, None if u is None else u[train:])
 
-    @property
-    def ahead(self) -> Array:
-        """The values of the forecast, `(time, ny)`, none where there is none."""
-        return self.from_start.y[:0] if self.forecast is None else self.forecast.y
+    def require_trial(self) -> Trial:
+        """The trial; raises ValueError where none has been made."""
+        if self.trial is None:
+            raise ValueError("nothing has been tried on held-out samples in this comparison")
+        return self.trial
 
+    def plot(self) -> Figure:
+        """Every method's predictions over the record, with intervals."""
+        # The module of pictures imports this one, so that it is imported only here.
+        return import_module("splitband.report.pictures").rollouts(self)
 
-class Runs(dict[str, list[Run]]):
-    """The runs of each method, in the order of the seeds, without those that failed.
+    def save(self, folder: str | Path) -> None:
+        """Write all files of `splitband compare`: results, predictions, pictures, the page."""
+        import_module("splitband.report.results").save(self, Path(folder))
 
-    A method of which every run failed is not among the keys.
-
-    Attributes
-    ----------
-    failures : The runs that failed.
-    """
-
-    def __init__(
-        self, runs: Mapping[str, list[Run]] | None = None, failures: Sequence[Failure] = ()
-    ) -> None:
-        super().__init__(runs or {})
-        self.failures = tuple(failures)
-
-    @property
-    def failed(self) -> dict[str, str]:
-        """Why, of each method that has no run."""
-        return {f.method: f.reason for f in self.failures[::-1] if f.method not in self}
-
-    def __missing__(self, method: str) -> list[Run]:
-        raise KeyError(f"{method}: {self.failed.get(method, 'not among the methods')}")
+    def report(self, path: str | Path) -> None:
+        """Write one HTML file with summary, table, plots to zoom into and settings, to send on."""
+        import_module("splitband.report.page").write(self, path)
 
 
-def compare_methods(
+def compare(
     record: Trajectory,
-    forecasters: Sequence[Forecaster],
-    setup: Setup,
-    seeds: Sequence[int] | Mapping[str, Sequence[int]] = (0,),
-    work: Work | None = None,
+    train: int | None = None,
+    methods: Sequence[Forecaster] | None = None,
+    *,
     others: Sequence[Trajectory] = (),
     tests: Sequence[Trajectory] = (),
-) -> Runs:
-    """Fit every forecaster with every seed and predict under every protocol.
+    seeds: int | None = None,
+    setup: Setup | None = None,
+    work: Work | None = None,
+) -> Comparison:
+    """Compare forecasters on a record, as `splitband compare` does.
 
-    What diverges, or cannot be fitted for another reason, is among the result's `failures` and
-    does not keep the others from running.
+    Each is fitted to the first `train` samples, and for the recommendation to three quarters of
+    them.
 
     Parameters
     ----------
-    record : Training part and the rest; both protocols end where it ends.
-    forecasters : With settings and bands, see `Setup.forecaster`; their names must differ.
-    setup : How many samples are trained on, and the warm-up of what has none of its own.
-    seeds : Each gives one run of each forecaster that draws something; by name where these differ.
-    work : How it is computed.
-    others : Further records of the same system that networks train on too.
-    tests : Records that nothing is fitted to, to be simulated from their first samples.
+    record : What was measured, and known beside it.
+    train : Samples to train on, by default three quarters; with `tests` all.
+    methods : Forecasters; what they leave open is as in `setup`. By default what is worth comparing
+        on such a record.
+    others : Further records of the same system, to train networks on.
+    tests : Records of the same system that nothing is fitted to: each is simulated to its end by
+        what warms up on its first samples.
+    seeds : Trainings of each network; by default as many as the budget of `setup.search` pays for,
+        and `SEEDS` of what is not searched.
+    setup : Settings, bands and sizes; by default chosen by the training samples, and how networks
+        are trained by trials on the last quarter of them (`Setup.search`).
+    work : Processes, progress and checkpoints.
 
     Raises
     ------
     ValueError
-        Before anything is computed, for what `check` finds; and where every method fails.
+        For what `check` finds, before anything is computed; where no method can be fitted.
+
+    Examples
+    --------
+    >>> record = sb.Trajectory(np.sin(0.3 * np.arange(400)), 0.1)
+    >>> result = sb.compare(record, 300, [sb.Mean(), sb.Persistence(), sb.Harmonic()])
+    >>> result.recommended
+    'harmonic'
+    >>> list(result.table["forecast"].round(1))
+    [0.7, 1.2, 0.0]
     """
-    check(record, forecasters, setup, others, tests)
-    questions = {
-        f.name: Question(
-            record, _origins(f, record, setup), len(record), others, tests, setup.settings.warmup
-        )
-        for f in forecasters
-    }
-    backtests, failures = run_all(forecasters, questions, seeds, work or Work())
-    runs = {
-        name: [as_run(name, questions[name], setup.train, each) for each in done.values()]
-        for name, done in backtests.items()
-        if done
-    }
-    for f in failures:
-        if f.method in runs:
-            one, *rest = runs[f.method]
-            said = "; ".join(filter(None, [one.description, f"seed {f.seed} failed: {f.reason}"]))
-            runs[f.method] = [replace(one, description=said), *rest]
-    return Runs(runs, failures)
-
-
-def _origins(forecaster: Forecaster, record: Trajectory, setup: Setup) -> list[Origin]:
-    """Of the two protocols; there is nothing to forecast where all of the record is trained on."""
-    warmup = forecaster.warmup or setup.settings.warmup
-    first = first_origin(record, setup.train, warmup)
-    return [first, Origin(setup.train, setup.train)][: 1 + (setup.train < len(record))]
-
-
-def as_run(name: str, question: Question, train: int, done: Backtest) -> Run:
-    """What a forecaster has said, with its errors."""
-    first = min(question.origins, key=lambda origin: origin.at)
-    from_start = done.predictions[first]
-    forecast = done.predictions.get(Origin(train, train)) if train < question.end else None
-    run = Run(
-        name,
-        Errors(np.nan, None),
-        from_start,
-        forecast,
-        tuple(done.tests),
-        None if forecast is None else leaves_range(done.y_range, forecast.y),
-        done.report,
-        done.description,
-        done.unfiltered.get(first, {}),
+    if setup is None:
+        usual = len(record) if tests else int(TRAINING_SHARE * len(record))
+        train = usual if train is None else train
+        check_train(record, train, 0 if tests else 1)
+        setup = default_setup(record, train)
+    elif train not in (None, setup.train):
+        raise ValueError(f"train must be that of setup, {setup.train}, got {train}")
+    chosen, setup = candidates(record, setup, methods)
+    check(record, chosen, setup, others, tests)
+    check_trial(record, chosen, setup, others)
+    work, ahead = work or Work(), len(record) - setup.train
+    training = record[: setup.train]
+    trial, searched = choose(training, chosen, ahead, setup, seeds, work, others, bool(tests))
+    fitted = [method for method in searched.forecasters if method.name in trial.errors]
+    runs = compare_methods(
+        record,
+        fitted,
+        setup,
+        seeds_of(searched, trial, seeds),
+        work.for_stage(FINAL),
+        others,
+        tests,
     )
-    return replace(run, errors=errors_of(run, question.record, train, question.tests))
-
-
-def errors_of(run: Run, record: Trajectory, train: int, tests: Sequence[Trajectory] = ()) -> Errors:
-    """The RMSE of a run's predictions against the truth where it is known."""
-    truth, from_start = record.truth, run.from_start.y
-    return Errors(
-        rmse(truth[-len(from_start) :], from_start),
-        None if run.forecast is None else rmse(truth[train:], run.forecast.y),
-        tuple(
-            rmse(test.truth[-len(prediction) :], prediction.y)
-            for test, prediction in zip(tests if run.tests else (), run.tests, strict=True)
-        ),
+    comparison = Comparison(
+        record, setup, runs, None, tuple(others), tuple(tests), searched.attempts
     )
+    final = {name: mean.ahead for name, mean in comparison.means.items()}
+    return replace(comparison, trial=trial.settled(final, runs.failed))
 
 
-def mean_run(
-    runs: Sequence[Run], record: Trajectory, train: int, tests: Sequence[Trajectory] = ()
-) -> Run:
-    """The mean of the predictions of several seeds, with its own errors."""
-    first = runs[0]
-    if len(runs) == 1:
-        return first
-    mean = Run(
-        first.method,
-        first.errors,
-        _mean_of([run.from_start for run in runs]),
-        None if first.forecast is None else _mean_of([run.forecast for run in runs]),
-        tuple(_mean_of(of_test) for of_test in zip(*(run.tests for run in runs), strict=True)),
-        fit=replace(first.fit, seconds=sum(run.fit.seconds for run in runs)),
-    )
-    return replace(mean, errors=errors_of(mean, record, train, tests))
-
-
-def _mean_of(predictions: Sequence[Prediction | None]) -> Prediction:
-    every = [prediction for prediction in predictions if prediction is not None]
-    return replace(every[0], y=np.mean([prediction.y for prediction in every], axis=0))
-
-
-def by_channel(record: Trajectory, predicted: Array) -> list[float]:
-    """The RMSE of each channel by itself, of a prediction `(time, ny)` that ends with the record.
-
-    NaN for a channel that was not measured there.
-    """
-    truth = record.truth[len(record) - len(predicted) :]
-    return [rmse(y, x) for y, x in zip(truth.T, predicted.T, strict=True)]
-
-
-def inputs_beyond(training: Sequence[Trajectory], u: Array | None) -> list[Extrapolation]:
-    """Which inputs `u` `(time, nu)` ahead go beyond those of the training records."""
-    seen = [record.u for record in training if record.u is not None]
-    return [] if u is None or not seen else extrapolations(*input_range(seen), u)
-
-
-def check_train(record: Trajectory, train: int, ahead: int = 1) -> None:
-    """Check that there is something to train on and `ahead` samples to predict."""
-    if not 2 <= train <= len(record) - ahead:
-        raise ValueError(
-            f"train must be between 2 and {len(record) - ahead} for a record of {len(record)} "
-            f"samples, got {train}"
-        )
-
-
-def check(
-    record: Trajectory,
-    forecasters: Sequence[Forecaster],
-    setup: Setup,
-    others: Sequence[Trajectory] = (),
-    tests: Sequence[Trajectory] = (),
-    beyond: bool = False,
-) -> None:
-    """Find what is wrong with a comparison before anything is computed.
-
-    Samples to predict must follow the training part, unless there are test records or what lies
-    `beyond` the record is asked for.
-    """
-    if not forecasters:
-        raise ValueError("methods must be one or several, got none")
-    names = [forecaster.name for forecaster in forecasters]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice:
-        raise ValueError(
-            f"methods must have names that differ, two are {twice}; a forecaster takes another "
-            "one as `name`"
-        )
-    check_train(record, setup.train, 0 if beyond or tests else 1)
-    for test in tests:
-        check_alike(test, record)
-        warmup = max(setup.settings.warmup, *(f.warmup for f in forecasters))
-        if len(test) <= warmup or first_after(test.complete, warmup) in (None, len(test)):
-            raise ValueError(
-                f"warmup must fit into the test record {test.name} of {len(test)} samples, with "
-                f"samples to predict after it, got {warmup}"
-            )
-    if setup.settings.warmup >= setup.train:
-        raise ValueError(
-            f"warmup must be shorter than the {setup.train} training samples, "
-            f"got {setup.settings.warmup}"
-        )
-    for name, part in (("training", slice(setup.train)), ("predicted", slice(setup.train, None))):
-        predicted = record.truth[part]
-        if len(predicted) and np.isnan(predicted).all(axis=0).any():
-            raise ValueError(f"the {name} part must have a measured sample in every channel")
-    if others and not any(forecaster.random for forecaster in forecasters):
-        raise ValueError(f"further records are for networks, got {', '.join(names)}")
-    for forecaster in forecasters:
-        forecaster.check(record[: setup.train], *(others if forecaster.random else ()))
+def _named(test: Trajectory, i: int) -> str:
+    """What a test record is called."""
+    return test.name or str(i + 1)

@@ -21,8 +21,8 @@ from splitband.forecasters.backtest import (
     HELD_OUT,
     Backtest,
     Question,
+    for_trial,
     held_out_errors,
-    held_out_from,
     held_out_origins,
     mean_forecasts,
     root_mean_square,
@@ -187,7 +187,7 @@ def search(
     forecasters : With the default settings and bands.
     steps : How far beyond the record is to be forecast after all.
     budget : How much may be spent.
-    work, others : See `comparison.compare_methods`.
+    work, others : See `protocols.compare_methods`.
     """
     free = [f for f in forecasters if isinstance(f, Network) and f.free]
     if not free:
@@ -260,8 +260,8 @@ class _Trials:
 
     def run(self, candidates: Sequence[Candidate], seeds: Sequence[int]) -> None:
         """Train each with all seeds, and score the mean of their forecasts."""
-        lengths = held_out_from(len(self._record)), len(self._record)
-        networks = {c.label: c.network.for_samples(*lengths).called(c.label) for c in candidates}
+        samples = len(self._record)
+        networks = {c.label: for_trial(c.network, samples).called(c.label) for c in candidates}
         questions = {
             label: Question(
                 self._record, held_out_origins(network, self._record), self._end, self._others

@@ -12,12 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Trajectory
-from splitband.evaluation.comparison import check
+from splitband.evaluation.protocols import check
 from splitband.evaluation.runs import Work, run_all
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import (
     Backtest,
     Question,
+    for_trial,
     held_out_errors,
     held_out_from,
     held_out_origins,
@@ -152,7 +153,7 @@ def try_out(
     need_one : Raise ValueError where nothing could be fitted.
     """
     record, done = replace(record, y_true=None), done or {}
-    shorter = [f.for_samples(held_out_from(len(record)), len(record)) for f in forecasters]
+    shorter = [for_trial(f, len(record)) for f in forecasters]
     todo = [f for f in shorter if not done.get(f.name)]
     end = len(record) + steps
     questions = {f.name: Question(record, held_out_origins(f, record), end, others) for f in todo}
@@ -187,10 +188,9 @@ def check_trial(
 ) -> None:
     """Find what is wrong with `try_out` before anything is computed."""
     part = replace(record[: setup.train], y_true=None)
-    train = held_out_from(setup.train)
-    shorter = [f.for_samples(train, setup.train) for f in forecasters]
+    shorter = [for_trial(f, setup.train) for f in forecasters]
     try:
-        check(part, shorter, replace(setup, train=train), others)
+        check(part, shorter, replace(setup, train=held_out_from(setup.train)), others)
     except ValueError as error:
         raise ValueError(
             f"{error} (a method is chosen on the last quarter of the {setup.train} training "

@@ -11,7 +11,7 @@ from splitband.data import Trajectory
 from splitband.evaluation.search import held_out_score
 from splitband.evaluation.space import Space
 from splitband.evaluation.tuned import Tuned
-from splitband.forecasters.backtest import Question, backtest, held_out_from, held_out_origins
+from splitband.forecasters.backtest import Question, backtest, for_trial, held_out_origins
 from splitband.forecasters.network import Network
 from splitband.training import Progress
 
@@ -101,7 +101,7 @@ def score(
     several origins.
     """
     part = beginning(record, share)
-    shorter = network.for_samples(held_out_from(len(part)), len(record))
+    shorter = for_trial(network, len(part), len(record))
     question = Question(part, held_out_origins(shorter, part), len(part), others)
     return held_out_score(part, [backtest(shorter, question, seed, progress)])
 

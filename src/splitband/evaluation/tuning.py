@@ -17,14 +17,13 @@ import numpy as np
 import pandas as pd
 
 from splitband.data import Trajectory
-from splitband.evaluation.api import TRAINING_SHARE
-from splitband.evaluation.comparison import check_train
+from splitband.evaluation.protocols import TRAINING_SHARE, check_train
 from splitband.evaluation.runs import Work
 from splitband.evaluation.setup import Setup, default_setup
 from splitband.evaluation.space import Space, tunable_names, usual_networks
 from splitband.evaluation.trials import SHARES, Attempt, Job, Limits, beginning
 from splitband.evaluation.tuned import Tuned
-from splitband.forecasters.backtest import held_out_from
+from splitband.forecasters.backtest import for_trial, held_out_from
 from splitband.forecasters.names import TRAINED
 from splitband.forecasters.network import Network
 from splitband.runtime.processes import over
@@ -244,7 +243,7 @@ def _shares(record: Trajectory, space: Space, others: Sequence[Trajectory]) -> t
             for method in usual_networks(record, space.methods):
                 network = space.setup.forecaster(method)
                 assert isinstance(network, Network)
-                network.for_samples(len(fitted), len(record)).check(fitted, *others)
+                for_trial(network, len(part), len(record)).check(fitted, *others)
         except ValueError:
             if not shares:
                 raise

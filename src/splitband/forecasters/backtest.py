@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,7 @@ from splitband.runtime.threads import without_warnings
 from splitband.training import Checkpoint, Progress
 
 Array = npt.NDArray[np.float64]
+AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
 
 HELD_OUT = 0.25
 """Share of the training part that is forecast, for a trial, by what is fitted to the rest."""
@@ -169,6 +171,16 @@ def held_out_from(samples: int) -> int:
     return samples - max(1, round(HELD_OUT * samples))
 
 
+def for_trial(
+    forecaster: AnyForecaster, samples: int, training: int | None = None
+) -> AnyForecaster:
+    """The forecaster as it is fitted to all but the held-out part of so many samples.
+
+    They are the first ones of the `training` samples that its settings are for, by default all.
+    """
+    return forecaster.for_samples(held_out_from(samples), training or samples)
+
+
 def held_out_origins(forecaster: Forecaster, record: Trajectory) -> list[Origin]:
     """From where forecasts of a record's own last quarter are tried.
 
@@ -215,7 +227,7 @@ def interval_of(forecaster: Forecaster, level: float) -> Interval:
             f"level must be one that was asked for before the forecaster was saved, got {level}; "
             "of its training record only the end is left"
         )
-    shorter = forecaster.for_samples(held_out_from(len(record)), len(record))
+    shorter = for_trial(forecaster, len(record))
     origins = held_out_origins(forecaster, record)
     question = Question(record, origins, len(record), fitted.others)
     done = backtest(shorter, question, fitted.report.seed)

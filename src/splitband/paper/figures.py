@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from splitband.evaluation.api import Comparison
-from splitband.evaluation.comparison import Run, Runs
+from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.protocols import Run, Runs
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.names import QUICK
 from splitband.paper.jobs import ORACLE, SYSTEMS, Job

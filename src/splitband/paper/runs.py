@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Trajectory
-from splitband.evaluation.comparison import Errors, Run
-from splitband.evaluation.comparison import as_run as run_of
+from splitband.evaluation.protocols import Errors, Run
+from splitband.evaluation.protocols import as_run as run_of
 from splitband.evaluation.runs import RunProgress
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import Origin, Question, backtest, first_origin

@@ -15,8 +15,9 @@ from matplotlib.figure import Figure
 
 from splitband.data import Trajectory
 from splitband.data.gaps import last_before
-from splitband.evaluation.api import Comparison, Forecast
-from splitband.evaluation.comparison import Run, by_channel
+from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.forecast import Forecast
+from splitband.evaluation.protocols import Run, by_channel
 from splitband.filters.cutoff import LEAST_BELOW, Choice
 from splitband.filters.spectrum import Spectrum, coherence, periodogram
 from splitband.forecasters.intervals import Interval

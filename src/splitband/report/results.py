@@ -17,8 +17,9 @@ import pandas as pd
 
 from splitband.data import Trajectory
 from splitband.data.timing import as_json
-from splitband.evaluation.api import Comparison, Forecast
-from splitband.evaluation.comparison import Run, by_channel
+from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.forecast import Forecast
+from splitband.evaluation.protocols import Run, by_channel
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.prediction import time_header
 from splitband.metrics import rmse

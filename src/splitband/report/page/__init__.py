@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from splitband.evaluation.api import Comparison, Forecast
+from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.forecast import Forecast
 from splitband.report.benchmark import Row
 from splitband.report.page import cases, comparison, forecast, records
 from splitband.report.page.document import write as write_page

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Trajectory
-from splitband.evaluation.api import Comparison
+from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.selection import Trial
 from splitband.report.page import horizon, runs, tables, usage, words
 from splitband.report.page.parts import Cast, Page, Section, View, number, percent

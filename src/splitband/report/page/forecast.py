@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from splitband.evaluation.api import Forecast
+from splitband.evaluation.forecast import Forecast
 from splitband.metrics import leaving
 from splitband.report.page import figures, tables, usage, words
 from splitband.report.page.comparison import cast_of, lead, settings

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from splitband.evaluation.api import Comparison
+from splitband.evaluation.comparison import Comparison
 from splitband.metrics import cumulative_rmse
 from splitband.report.page import figures
 from splitband.report.page.figures import TALL, TimeAxis

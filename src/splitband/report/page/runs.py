@@ -11,8 +11,8 @@ from bokeh.models import ColumnDataSource, Range1d
 from bokeh.plotting import figure
 
 from splitband.data import Trajectory
-from splitband.evaluation.api import Comparison
-from splitband.evaluation.comparison import by_channel
+from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.protocols import by_channel
 from splitband.report.page import figures
 from splitband.report.page.figures import LOW, TALL, TimeAxis
 from splitband.report.page.parts import Cast, Plot, number, percent

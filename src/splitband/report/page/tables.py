@@ -5,8 +5,8 @@ from __future__ import annotations
 import statistics
 from collections.abc import Mapping, Sequence
 
-from splitband.evaluation.api import Comparison
-from splitband.evaluation.comparison import Run
+from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.protocols import Run
 from splitband.evaluation.search import Attempt
 from splitband.evaluation.selection import Trial
 from splitband.report.page.parts import Cell, Table, number, percent

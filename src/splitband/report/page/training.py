@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from splitband.evaluation.comparison import Run
+from splitband.evaluation.protocols import Run
 from splitband.report.page import figures
 from splitband.report.page.parts import Cast, Plot, number
 

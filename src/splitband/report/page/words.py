@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from splitband.data import Trajectory
-from splitband.evaluation.api import Comparison
+from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.selection import WORTH_TRAINING, Trial
 from splitband.forecasters.backtest import HELD_OUT
 from splitband.forecasters.names import CALIBRATED, CONDITIONED, base

@@ -1,0 +1,75 @@
+"""What `compare` and `forecast` have in common: what is tried, how it is trained, with which seeds.
+
+No measured sample after the training part is looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from splitband.data import Trajectory
+from splitband.evaluation.bases import on_baseline
+from splitband.evaluation.runs import Work
+from splitband.evaluation.search import SearchResult, search
+from splitband.evaluation.selection import TRIED, Trial, try_out
+from splitband.evaluation.setup import Setup, trying_bases, usual_names
+from splitband.forecasters.base import Forecaster
+
+TRIAL, FINAL = "three quarters", "whole"
+"""The stages of the work: on how much of the training part the methods are fitted."""
+SEEDS = 3
+"""Trainings of each network, where nothing else decides how many."""
+
+
+def candidates(
+    record: Trajectory, setup: Setup, methods: Sequence[Forecaster] | None
+) -> tuple[list[Forecaster], Setup]:
+    """The methods with what they leave open taken from the setup, and the setup they are for.
+
+    Without methods they are what is worth trying on such a record, and the setup allows for more.
+    """
+    if methods is None:
+        methods = [setup.forecaster(name) for name in usual_names(record, setup)]
+        setup = trying_bases(setup)
+    return [method.with_defaults(setup.settings, setup.bands) for method in methods], setup
+
+
+def choose(
+    record: Trajectory,
+    forecasters: Sequence[Forecaster],
+    ahead: int,
+    setup: Setup,
+    seeds: int | None,
+    work: Work,
+    others: Sequence[Trajectory],
+    tested: bool = False,
+) -> tuple[Trial, SearchResult]:
+    """How networks are to be trained, and what all methods do on held-out samples.
+
+    Parameters
+    ----------
+    record : The training part, and nothing else.
+    forecasters : The `candidates`.
+    ahead : Samples to be forecast after all.
+    setup : Its `search` says how much may go into finding out how to train.
+    seeds : Trainings of each network, if that has been decided.
+    work, others : See `compare`.
+    tested : Whether methods are asked about other records, too.
+    """
+    searched = SearchResult([*forecasters])
+    if setup.search is not None:
+        searched = search(record, forecasters, ahead, setup.search, work, others)
+    tried = range(SEEDS if seeds is None else seeds)[:TRIED]
+    trial = try_out(
+        record, searched.forecasters, ahead, tried, work.for_stage(TRIAL), others, searched.done
+    )
+    if others:  # a baseline is fitted to one record
+        return trial, searched
+    return on_baseline(record, trial, searched, setup, ahead, tried, work, tested)
+
+
+def seeds_of(searched: SearchResult, trial: Trial, seeds: int | None) -> dict[str, range]:
+    """Of each method that could be tried, for the training on all of the training part."""
+    usual = range(SEEDS if seeds is None else seeds)
+    counts = dict.fromkeys(trial.errors, usual)
+    return counts | (searched.seeds(trial.scores) if seeds is None else {})

@@ -1,0 +1,134 @@
+"""Forecasting with everything decided for the user who does not say otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+
+from splitband.data import Trajectory
+from splitband.evaluation.choosing import FINAL, candidates, choose, seeds_of
+from splitband.evaluation.protocols import check, inputs_beyond
+from splitband.evaluation.runs import Work, run_all
+from splitband.evaluation.selection import LEVEL, Trial, check_trial
+from splitband.evaluation.setup import Setup, default_setup
+from splitband.forecasters.backtest import Backtest, Origin, Question
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.prediction import Prediction
+from splitband.metrics import Extrapolation, leaves_range
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """What comes after the end of a record.
+
+    Attributes
+    ----------
+    record : It goes on from.
+    method : Which was recommended.
+    prediction : Its forecast, the mean over seeds, with the interval.
+    trial : What was tried, and how it did.
+    seeds : Of the recommended method.
+    description : What its fit has settled on.
+    leaves : Samples before the forecast leaves the range of the training samples by far.
+    inputs_beyond_training : Which inputs to come go beyond those that were trained on.
+    """
+
+    record: Trajectory
+    method: str
+    prediction: Prediction
+    trial: Trial
+    seeds: tuple[int, ...]
+    description: str
+    leaves: int | None
+    inputs_beyond_training: list[Extrapolation]
+
+    def report(self, path: str | Path) -> None:
+        """Write one HTML file with the forecast, what was tried and settings, to send on."""
+        import_module("splitband.report.page").write(self, path)
+
+
+def forecast(
+    record: Trajectory,
+    steps: int,
+    methods: Sequence[Forecaster] | None = None,
+    *,
+    others: Sequence[Trajectory] = (),
+    seeds: int | None = None,
+    setup: Setup | None = None,
+    work: Work | None = None,
+) -> Forecast:
+    """What comes after the end of a record, by the method that its own last quarter recommends.
+
+    Parameters
+    ----------
+    record : All of it is trained on. Its known inputs, and its simulator's output, must reach
+        `steps` samples beyond it (`u_beyond`, `beyond`).
+    steps : How many samples.
+    methods, others, seeds, setup, work : See `compare`.
+
+    Raises
+    ------
+    ValueError
+        As `compare`, and where inputs or simulator do not reach so far.
+
+    Examples
+    --------
+    >>> record = sb.Trajectory(np.sin(0.3 * np.arange(400)), 0.1)
+    >>> found = sb.forecast(record, 50, [sb.Mean(), sb.Harmonic()])
+    >>> found.method, found.prediction.y.shape, found.prediction.lower.shape
+    ('harmonic', (50, 1), (50, 1))
+    """
+    _check_ahead(record, steps)
+    setup = setup or default_setup(record, len(record), ahead=steps)
+    chosen, setup = candidates(record, setup, methods)
+    check(record, chosen, setup, others, beyond=True)
+    check_trial(record, chosen, setup, others)
+    work = work or Work()
+    trial, searched = choose(record, chosen, steps, setup, seeds, work, others)
+    # Training is slow: of the networks, only the best one is trained on all of the record.
+    fitted = [m for m in searched.forecasters if m.name in trial.errors]
+    fitted = [m for m in fitted if not m.random or m.name == trial.best_network]
+    origin = Origin(len(record), len(record))
+    question = Question(record, [origin], len(record) + steps, others)
+    questions = {method.name: question for method in fitted}
+    all_seeds = seeds_of(searched, trial, seeds)
+    backtests, failures = run_all(fitted, questions, all_seeds, work.for_stage(FINAL))
+    means = {name: _mean(of_method, origin) for name, of_method in backtests.items() if of_method}
+    failed = {f.method: f.reason for f in failures[::-1] if f.method not in means}
+    trial = trial.settled({name: mean.y for name, mean in means.items()}, failed)
+    best = trial.recommended
+    half, mean, done = trial.intervals[best].half_widths(steps), means[best], backtests[best]
+    left = [leaves_range(each.y_range, each.predictions[origin].y) for each in done.values()]
+    u = record.u_beyond
+    return Forecast(
+        record,
+        best,
+        replace(mean, lower=mean.y - half, upper=mean.y + half, level=LEVEL),
+        trial,
+        tuple(done),
+        next(iter(done.values())).description,
+        min((samples for samples in left if samples is not None), default=None),
+        inputs_beyond([record, *others], None if u is None else u[:steps]),
+    )
+
+
+def _mean(done: Mapping[int, Backtest], origin: Origin) -> Prediction:
+    """The mean over the seeds of the predictions from an origin."""
+    each = [backtest.predictions[origin] for backtest in done.values()]
+    return replace(each[0], y=np.mean([p.y for p in each], axis=0))
+
+
+def _check_ahead(record: Trajectory, steps: int) -> None:
+    if steps < 1:
+        raise ValueError(f"steps must be at least 1, got {steps}")
+    for what, known, ahead in (
+        ("known inputs", record.u, record.u_beyond),
+        ("the simulator", record.y_sim, record.beyond),
+    ):
+        reach = 0 if ahead is None else len(ahead)
+        if known is not None and reach < steps:
+            raise ValueError(f"{what} must reach {steps} samples beyond the record, got {reach}")
