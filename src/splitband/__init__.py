@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from splitband.evaluation.tuned import Tuned
     from splitband.evaluation.tuning import Effort, Tuning, tune
     from splitband.filters import ComplementaryPair
-    from splitband.forecasters.backtest import Origin, backtest
+    from splitband.forecasters.backtest import Origin, Question, backtest
     from splitband.forecasters.bands import Bands
     from splitband.forecasters.base import Forecaster
     from splitband.forecasters.closed_form import (
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from splitband.forecasters.ensemble import Ensemble
     from splitband.forecasters.hybrids import Filtered, Residual
     from splitband.forecasters.known import Known
-    from splitband.forecasters.names import named
+    from splitband.forecasters.names import Sizes, named
     from splitband.forecasters.prediction import Prediction
     from splitband.forecasters.saving import load
     from splitband.forecasters.simulation import Simulation
@@ -52,7 +52,7 @@ _MODULES = {
     "evaluation.tuned": ("Tuned",),
     "evaluation.tuning": ("Effort", "Tuning", "tune"),
     "filters": ("ComplementaryPair",),
-    "forecasters.backtest": ("Origin", "backtest"),
+    "forecasters.backtest": ("Origin", "Question", "backtest"),
     "forecasters.bands": ("Bands",),
     "forecasters.base": ("Forecaster",),
     "forecasters.closed_form": (
@@ -66,7 +66,7 @@ _MODULES = {
     "forecasters.ensemble": ("Ensemble",),
     "forecasters.hybrids": ("Filtered", "Residual"),
     "forecasters.known": ("Known",),
-    "forecasters.names": ("named",),
+    "forecasters.names": ("Sizes", "named"),
     "forecasters.prediction": ("Prediction",),
     "forecasters.saving": ("load",),
     "forecasters.simulation": ("Simulation",),
@@ -105,6 +105,7 @@ __all__ = [
     "Persistence",
     "Prediction",
     "Progress",
+    "Question",
     "Recorded",
     "Residual",
     "Search",
@@ -114,6 +115,7 @@ __all__ = [
     "Simulation",
     "Simulator",
     "Single",
+    "Sizes",
     "Split",
     "Trajectory",
     "Tuned",

@@ -119,8 +119,8 @@ def test_a_record_with_inputs_is_compared_with_a_linear_model_too() -> None:
 
 def test_methods_without_a_simulator_get_the_pair_they_would_get_without_one() -> None:
     alone = default_setup(replace(record(), y_sim=None), TRAIN)
-    assert default_setup(record(), TRAIN, names=["split-gru", "mean"]) == alone
-    assert default_setup(record(), TRAIN, names=["filtered-gru"]) != alone
+    assert default_setup(record(), TRAIN, methods=["split-gru", "mean"]) == alone
+    assert default_setup(record(), TRAIN, methods=["filtered-gru"]) != alone
 
 
 def test_what_forecasts_the_held_out_part_best_is_recommended() -> None:

@@ -253,7 +253,7 @@ def test_an_effort_that_cannot_be_is_refused(options: dict[str, Any], says: str)
 
 
 def test_a_method_that_is_no_network_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"methods must be networks out of gru, .*, got mean"):
+    with pytest.raises(ValueError, match=r"names of networks out of gru, .*, got mean"):
         tuned(1, methods=["gru", "mean"])
 
 

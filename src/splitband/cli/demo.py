@@ -52,7 +52,7 @@ def demo(
         f"{record.name}: {len(record)} samples of the position of a swinging load, "
         f"{TRAIN} of them to learn from"
     )
-    setup = default_setup(record, TRAIN, names=METHODS)
+    setup = default_setup(record, TRAIN, methods=METHODS)
     setup = replace(setup, settings=replace(setup.settings, **RECIPE), sizes=SIZES, search=None)
     with crew(jobs, None) as workers:
         result = carried_out(Task(record, METHODS, setup, [], [], "cpu"), 1, workers, out)

@@ -199,9 +199,9 @@ def each_with_simulator(
             f"--more-simulator must be given once for each --more, got {len(simulators)} for "
             f"{len(records)}"
         )
-    if not hybrid:
+    if not simulators:
         return [*records]
-    beyond = any(CALIBRATED in method for method in methods)
+    beyond = not hybrid or any(CALIBRATED in method for method in methods)
     return [
         with_simulator(record, replace(options, simulator=simulator), reading, beyond=beyond)
         for record, simulator in zip(records, simulators, strict=True)

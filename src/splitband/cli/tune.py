@@ -103,7 +103,9 @@ def tune(
         raise ValueError(
             "--storage must be given with --cluster: an address that its workers reach, too"
         )
-    request = Request(record, reading, simulator, further, model=model, train=train)
+    request = Request(
+        record, reading, simulator, further, model=model, train=train, methods=methods
+    )
     names = None if methods is None else naming.names(methods)
     if names is not None:
         naming.check_names("--methods", names, TRAINED)

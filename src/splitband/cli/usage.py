@@ -16,9 +16,9 @@ _FIT = (
     "columns", "inputs", "time_column", "sampling_time", "gaps", "simulator", "simulator_columns",
     "simulator_timeout", "simulator_cache", "more", "more_simulator", "cutoff", "order",
     "downsampling", "warmup", "window", "epochs", "recipe", "learning_rate", "lr_milestones",
-    "hidden", "budget", "device",
+    "hidden", "budget", "settings", "device",
 )  # fmt: skip
-_FORECAST = (*_FIT[:11], "epochs", "budget", "device")
+_FORECAST = (*_FIT[:11], "epochs", "budget", "settings", "device")
 _SIMULATE = "simulator", "simulator_columns", "simulator_timeout", "simulator_cache", "time_column"
 _USUAL = {"gaps": "refuse", "recipe": "default", "device": "cpu",
           "simulator_timeout": PATIENCE}  # fmt: skip

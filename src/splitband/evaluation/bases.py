@@ -18,6 +18,7 @@ from splitband.evaluation.search import Attempt, SearchResult
 from splitband.evaluation.selection import WORTH_TRAINING, Trial, try_out
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import HELD_OUT
+from splitband.forecasters.closed_form import Harmonic, Linear, Periodic
 from splitband.forecasters.names import BASES
 from splitband.forecasters.network import Network
 
@@ -52,12 +53,15 @@ def on_baseline(
     able = [
         f.name
         for f in searched.forecasters
-        if f.name in BASES and f.name in trial.scores and not (tested and f.anchored)
+        if isinstance(f, Periodic | Harmonic | Linear)
+        and f.name in BASES
+        and f.name in trial.scores
+        and not (tested and f.anchored)
     ]
-    if setup.search is None or not setup.search.bases or best is None or not able:
+    if setup.search is None or not setup.search.bases or best not in networks or not able:
         return trial, searched
     base = min(able, key=lambda name: trial.scores[name])
-    if trial.scores[base] >= trial.scores[best]:
+    if best is None or trial.scores[base] >= trial.scores[best]:
         return trial, searched
     network = setup.forecaster(f"residual-{base}-gru-conditioned")
     assert isinstance(network, Network)

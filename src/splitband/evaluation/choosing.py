@@ -5,7 +5,7 @@ No measured sample after the training part is looked at.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from splitband.data import Trajectory
 from splitband.evaluation.bases import on_baseline
@@ -14,6 +14,7 @@ from splitband.evaluation.search import SearchResult, search
 from splitband.evaluation.selection import TRIED, Trial, try_out
 from splitband.evaluation.setup import Setup, trying_bases, usual_names
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.ensemble import Ensemble
 
 TRIAL, FINAL = "three quarters", "whole"
 """The stages of the work: on how much of the training part the methods are fitted."""
@@ -22,16 +23,17 @@ SEEDS = 3
 
 
 def candidates(
-    record: Trajectory, setup: Setup, methods: Sequence[Forecaster] | None
+    record: Trajectory, setup: Setup, methods: Sequence[Forecaster | str] | None
 ) -> tuple[list[Forecaster], Setup]:
     """The methods with what they leave open taken from the setup, and the setup they are for.
 
-    Without methods they are what is worth trying on such a record, and the setup allows for more.
+    A method may be given by its name. Without methods they are what is worth trying on such a
+    record, and the setup allows for more.
     """
     if methods is None:
-        methods = [setup.forecaster(name) for name in usual_names(record, setup)]
-        setup = trying_bases(setup)
-    return [method.with_defaults(setup.settings, setup.bands) for method in methods], setup
+        methods, setup = usual_names(record, setup), trying_bases(setup)
+    made = [setup.forecaster(each) if isinstance(each, str) else each for each in methods]
+    return [method.with_defaults(setup.settings, setup.bands) for method in made], setup
 
 
 def choose(
@@ -56,6 +58,8 @@ def choose(
     work, others : See `compare`.
     tested : Whether methods are asked about other records, too.
     """
+    if seeds is not None and seeds < 1:
+        raise ValueError(f"seeds must be at least 1, got {seeds}")
     searched = SearchResult([*forecasters])
     if setup.search is not None:
         searched = search(record, forecasters, ahead, setup.search, work, others)
@@ -68,8 +72,15 @@ def choose(
     return on_baseline(record, trial, searched, setup, ahead, tried, work, tested)
 
 
-def seeds_of(searched: SearchResult, trial: Trial, seeds: int | None) -> dict[str, range]:
-    """Of each method that could be tried, for the training on all of the training part."""
+def seeds_of(
+    searched: SearchResult, scores: Mapping[str, float], seeds: int | None
+) -> dict[str, range]:
+    """Of each method that has a held-out score, for the training on all of the training part."""
     usual = range(SEEDS if seeds is None else seeds)
-    counts = dict.fromkeys(trial.errors, usual)
-    return counts | (searched.seeds(trial.scores) if seeds is None else {})
+    return dict.fromkeys(scores, usual) | (searched.seeds(scores) if seeds is None else {})
+
+
+def as_trained(forecaster: Forecaster, seeds: int) -> Forecaster:
+    """The forecaster of so many seeds, not fitted: what is random is the mean over them."""
+    several = forecaster.random and seeds > 1
+    return Ensemble(forecaster.copy(), seeds) if several else forecaster.copy()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from splitband.data import Trajectory
-from splitband.evaluation.choosing import FINAL, candidates, choose, seeds_of
+from splitband.evaluation.choosing import FINAL, as_trained, candidates, choose, seeds_of
 from splitband.evaluation.protocols import (
     TRAINING_SHARE,
     Run,
@@ -49,6 +49,7 @@ class Comparison:
     others : Further records that networks were trained on.
     tests : Records that nothing was fitted to, simulated from their first samples.
     attempts : What has been tried to find out how networks are trained.
+    forecasters : The methods with all that has been chosen for them, by name, not fitted.
     """
 
     record: Trajectory
@@ -58,11 +59,32 @@ class Comparison:
     others: tuple[Trajectory, ...] = ()
     tests: tuple[Trajectory, ...] = ()
     attempts: tuple[Attempt, ...] = ()
+    forecasters: Mapping[str, Forecaster] = field(default_factory=dict)
 
     @property
     def recommended(self) -> str:
         """The method to use, chosen by training samples alone."""
         return self.require_trial().recommended
+
+    def forecaster(self, name: str | None = None) -> Forecaster:
+        """A method as it has been trained here, not fitted: to be fitted to a record and saved.
+
+        Of what is random it is the mean of as many seeds. Fitted with seed 0 to the training part,
+        it says what it has said here.
+
+        Parameters
+        ----------
+        name : By default that of the recommended method.
+
+        Raises
+        ------
+        ValueError
+            For a method that is not among those compared, or could not be fitted.
+        """
+        name = self.recommended if name is None else name
+        if name not in self.forecasters:
+            raise ValueError(f"name must be one of {', '.join(self.forecasters)}, got {name}")
+        return as_trained(self.forecasters[name], len(self.runs[name]))
 
     @cached_property
     def means(self) -> dict[str, Run]:
@@ -164,7 +186,7 @@ class Comparison:
 def compare(
     record: Trajectory,
     train: int | None = None,
-    methods: Sequence[Forecaster] | None = None,
+    methods: Sequence[Forecaster | str] | None = None,
     *,
     others: Sequence[Trajectory] = (),
     tests: Sequence[Trajectory] = (),
@@ -181,8 +203,9 @@ def compare(
     ----------
     record : What was measured, and known beside it.
     train : Samples to train on, by default three quarters; with `tests` all.
-    methods : Forecasters; what they leave open is as in `setup`. By default what is worth comparing
-        on such a record.
+    methods : Forecasters, or names of those that have one (`splitband methods`); what they leave
+        open is as in `setup`. By default what is worth comparing on such a record. How the first
+        network is trained is searched most thoroughly.
     others : Further records of the same system, to train networks on.
     tests : Records of the same system that nothing is fitted to: each is simulated to its end by
         what warms up on its first samples.
@@ -210,7 +233,7 @@ def compare(
         usual = len(record) if tests else int(TRAINING_SHARE * len(record))
         train = usual if train is None else train
         check_train(record, train, 0 if tests else 1)
-        setup = default_setup(record, train)
+        setup = default_setup(record, train, methods=methods)
     elif train not in (None, setup.train):
         raise ValueError(f"train must be that of setup, {setup.train}, got {train}")
     chosen, setup = candidates(record, setup, methods)
@@ -224,13 +247,19 @@ def compare(
         record,
         fitted,
         setup,
-        seeds_of(searched, trial, seeds),
+        seeds_of(searched, trial.scores, seeds),
         work.for_stage(FINAL),
         others,
         tests,
     )
     comparison = Comparison(
-        record, setup, runs, None, tuple(others), tuple(tests), searched.attempts
+        record,
+        setup,
+        runs,
+        others=tuple(others),
+        tests=tuple(tests),
+        attempts=searched.attempts,
+        forecasters={method.name: method for method in fitted if method.name in runs},
     )
     final = {name: mean.ahead for name, mean in comparison.means.items()}
     return replace(comparison, trial=trial.settled(final, runs.failed))

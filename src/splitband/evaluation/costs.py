@@ -51,8 +51,7 @@ def training_cost(network: Network, record: Trajectory, others: Sequence[Traject
     settings = network.settings
     assert settings is not None
     samples = len(record) + sum(map(len, others))
-    places = max(samples - settings.window + 1, 1)
-    batches = min(-(-places // settings.batch_size), settings.most_batches or places)
+    batches = settings.batches_of(samples)
     adam = settings.epochs * batches * settings.batch_size * settings.window
     gradients = EVALUATIONS * (settings.quasi_newton or 0)
     in_all = gradients * samples_in_a_step(samples, settings.window, settings.warmup)

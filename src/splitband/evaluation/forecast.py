@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 
-import numpy as np
-
 from splitband.data import Trajectory
-from splitband.evaluation.choosing import FINAL, candidates, choose, seeds_of
+from splitband.evaluation.choosing import FINAL, as_trained, candidates, choose, seeds_of
 from splitband.evaluation.protocols import check, inputs_beyond
 from splitband.evaluation.runs import Work, run_all
 from splitband.evaluation.selection import LEVEL, Trial, check_trial
 from splitband.evaluation.setup import Setup, default_setup
-from splitband.forecasters.backtest import Backtest, Origin, Question
+from splitband.forecasters.backtest import Origin, Question
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.prediction import Prediction
+from splitband.forecasters.prediction import Prediction, mean_of
 from splitband.metrics import Extrapolation, leaves_range
 
 
@@ -29,6 +27,7 @@ class Forecast:
     ----------
     record : It goes on from.
     method : Which was recommended.
+    forecaster : The same, not fitted: to be fitted again, and saved.
     prediction : Its forecast, the mean over seeds, with the interval.
     trial : What was tried, and how it did.
     seeds : Of the recommended method.
@@ -39,6 +38,7 @@ class Forecast:
 
     record: Trajectory
     method: str
+    forecaster: Forecaster
     prediction: Prediction
     trial: Trial
     seeds: tuple[int, ...]
@@ -54,7 +54,7 @@ class Forecast:
 def forecast(
     record: Trajectory,
     steps: int,
-    methods: Sequence[Forecaster] | None = None,
+    methods: Sequence[Forecaster | str] | None = None,
     *,
     others: Sequence[Trajectory] = (),
     seeds: int | None = None,
@@ -83,7 +83,12 @@ def forecast(
     ('harmonic', (50, 1), (50, 1))
     """
     _check_ahead(record, steps)
-    setup = setup or default_setup(record, len(record), ahead=steps)
+    if setup is None:
+        setup = default_setup(record, len(record), methods=methods, ahead=steps)
+    elif setup.train != len(record):
+        raise ValueError(
+            f"train of setup must be all {len(record)} samples of the record, got {setup.train}"
+        )
     chosen, setup = candidates(record, setup, methods)
     check(record, chosen, setup, others, beyond=True)
     check_trial(record, chosen, setup, others)
@@ -95,9 +100,14 @@ def forecast(
     origin = Origin(len(record), len(record))
     question = Question(record, [origin], len(record) + steps, others)
     questions = {method.name: question for method in fitted}
-    all_seeds = seeds_of(searched, trial, seeds)
+    scores = {method.name: trial.scores[method.name] for method in fitted}
+    all_seeds = seeds_of(searched, scores, seeds)
     backtests, failures = run_all(fitted, questions, all_seeds, work.for_stage(FINAL))
-    means = {name: _mean(of_method, origin) for name, of_method in backtests.items() if of_method}
+    means = {
+        name: mean_of([backtest.predictions[origin] for backtest in of_method.values()])
+        for name, of_method in backtests.items()
+        if of_method
+    }
     failed = {f.method: f.reason for f in failures[::-1] if f.method not in means}
     trial = trial.settled({name: mean.y for name, mean in means.items()}, failed)
     best = trial.recommended
@@ -107,6 +117,7 @@ def forecast(
     return Forecast(
         record,
         best,
+        as_trained(next(f for f in fitted if f.name == best), len(done)),
         replace(mean, lower=mean.y - half, upper=mean.y + half, level=LEVEL),
         trial,
         tuple(done),
@@ -114,12 +125,6 @@ def forecast(
         min((samples for samples in left if samples is not None), default=None),
         inputs_beyond([record, *others], None if u is None else u[:steps]),
     )
-
-
-def _mean(done: Mapping[int, Backtest], origin: Origin) -> Prediction:
-    """The mean over the seeds of the predictions from an origin."""
-    each = [backtest.predictions[origin] for backtest in done.values()]
-    return replace(each[0], y=np.mean([p.y for p in each], axis=0))
 
 
 def _check_ahead(record: Trajectory, steps: int) -> None:

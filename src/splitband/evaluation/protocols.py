@@ -21,7 +21,7 @@ from splitband.forecasters.backtest import Backtest, Origin, Question, first_ori
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.network import check_alike
-from splitband.forecasters.prediction import Prediction
+from splitband.forecasters.prediction import Prediction, mean_of
 from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
 
 Array = npt.NDArray[np.float64]
@@ -179,9 +179,11 @@ def _origins(forecaster: Forecaster, record: Trajectory, setup: Setup) -> list[O
 
 def as_run(name: str, question: Question, train: int, done: Backtest) -> Run:
     """What a forecaster has said, with its errors."""
-    first = min(question.origins, key=lambda origin: origin.at)
+    ahead = Origin(train, train)
+    # The first warm-up without a gap may lie after the training part.
+    first = next((origin for origin in question.origins if origin != ahead), ahead)
     from_start = done.predictions[first]
-    forecast = done.predictions.get(Origin(train, train)) if train < question.end else None
+    forecast = done.predictions.get(ahead) if train < question.end else None
     run = Run(
         name,
         Errors(np.nan, None),
@@ -216,20 +218,16 @@ def mean_run(
     first = runs[0]
     if len(runs) == 1:
         return first
+    forecasts = [run.forecast for run in runs if run.forecast is not None]
     mean = Run(
         first.method,
         first.errors,
-        _mean_of([run.from_start for run in runs]),
-        None if first.forecast is None else _mean_of([run.forecast for run in runs]),
-        tuple(_mean_of(of_test) for of_test in zip(*(run.tests for run in runs), strict=True)),
+        mean_of([run.from_start for run in runs]),
+        mean_of(forecasts) if forecasts else None,
+        tuple(mean_of(of_test) for of_test in zip(*(run.tests for run in runs), strict=True)),
         fit=replace(first.fit, seconds=sum(run.fit.seconds for run in runs)),
     )
     return replace(mean, errors=errors_of(mean, record, train, tests))
-
-
-def _mean_of(predictions: Sequence[Prediction | None]) -> Prediction:
-    every = [prediction for prediction in predictions if prediction is not None]
-    return replace(every[0], y=np.mean([prediction.y for prediction in every], axis=0))
 
 
 def by_channel(record: Trajectory, predicted: Array) -> list[float]:

@@ -23,7 +23,9 @@ from splitband.training import Checkpoint, Progress
 class RunProgress:
     """An epoch of one run is over; `share` of the run's training is done.
 
-    `stage` is "three quarters" where a method is tried out, "whole" where it is fitted after all.
+    `stage` is "search" and a number where ways to train are tried, "three quarters" where methods
+    are, "on a baseline" where a network is put on one of them, "trials" in `tune`, and "whole"
+    where a method is fitted to the whole training part after all.
     """
 
     method: str
@@ -52,13 +54,13 @@ class Work:
 
     jobs: int = 1
     progress: Callable[[RunProgress], None] | None = None
-    checkpoints: Path | None = None
+    checkpoints: str | Path | None = None
     stage: str = "whole"
     executor: Executor | None = None
 
     def for_stage(self, stage: str) -> Work:
         """For one of several parts of the work, with a folder of its own for checkpoints."""
-        below = None if self.checkpoints is None else self.checkpoints / stage
+        below = None if self.checkpoints is None else Path(self.checkpoints) / stage
         return replace(self, checkpoints=below, stage=stage)
 
 
@@ -112,7 +114,7 @@ def _place(work: Work) -> AbstractContextManager[Place | None]:
     """Where checkpoints are, while jobs are carried out."""
     if work.checkpoints is None:
         return nullcontext()
-    return Place.opened(work.checkpoints, anywhere=work.executor is not None)
+    return Place.opened(Path(work.checkpoints), anywhere=work.executor is not None)
 
 
 def _sorted_out(
@@ -145,7 +147,8 @@ def _prepared(forecaster: Forecaster, asked: Question) -> Forecaster:
     fits = sorted({origin.fitted for origin in asked.origins})
     # Errors are not lost: the job that needs the result computes it again and reports the failure.
     with suppress(ValueError):
-        forecaster = forecaster.settled(asked.record[: fits[-1]], asked.end - fits[-1])
+        others = *asked.others, *asked.tests
+        forecaster = forecaster.simulated(asked.record[: fits[-1]], asked.end - fits[-1], *others)
         for samples in fits:
             forecaster.prepare(asked.record[:samples], asked.end - samples)
     return forecaster

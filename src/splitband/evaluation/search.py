@@ -21,6 +21,7 @@ from splitband.forecasters.backtest import (
     HELD_OUT,
     Backtest,
     Question,
+    check_held_out,
     for_trial,
     held_out_errors,
     held_out_origins,
@@ -216,7 +217,7 @@ def search(
             ]
 
     first, *rest = free
-    of_first = [makes[first.name](*way) for way in ways(first)]
+    of_first = [makes[first.name](*way) for way in ways(first, len(record))]
     climb(of_first, (OF_FIRST if rest else 1.0) * for_search)
     best = _ranked(tried, trials.scores)[:TRANSFERRED]
     climb([makes[f.name](c.settings, c.size) for c in best for f in rest], for_search)
@@ -281,11 +282,14 @@ class _Trials:
             self.attempts.append(Attempt(c.method, training, len(results[c.label]), score))
 
 
-def ways(forecaster: Network) -> list[tuple[Settings, float]]:
-    """The usual training, and shorter ones with L-BFGS, of windows and sizes that differ."""
+def ways(forecaster: Network, samples: int) -> list[tuple[Settings, float]]:
+    """The usual training, and shorter ones with L-BFGS, of windows and sizes that differ.
+
+    It is for a training part of so many samples.
+    """
     usual = forecaster.settings
     assert usual is not None
-    epochs = max(1, round(FIRST_STEPS / (usual.most_batches or 1)))
+    epochs = max(1, round(FIRST_STEPS / usual.batches_of(samples)))
     short = [min(usual.warmup + free, usual.window) for free in FREE_RUNS]
     sizes = SIZES if forecaster.resizable else (1.0,)
     return [(usual, 1.0)] + [
@@ -347,6 +351,7 @@ def _promoted(
 
 def held_out_score(record: Trajectory, done: Sequence[Backtest]) -> float:
     """RMSE of the seeds' mean forecasts of a training record's last quarter, channels scaled."""
+    check_held_out(record)
     mean = mean_forecasts(done)
     scale = spread(record.seen)
     return root_mean_square([error / scale for error in held_out_errors(record, mean)])

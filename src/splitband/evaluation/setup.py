@@ -10,7 +10,9 @@ from splitband.data import Trajectory
 from splitband.evaluation.search import Search
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.names import HYBRIDS, Sizes, base, named
+from splitband.forecasters.ensemble import Ensemble
+from splitband.forecasters.hybrids import Filtered, Residual
+from splitband.forecasters.names import Sizes, base, named
 from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import Simulation
 from splitband.training import Settings
@@ -102,7 +104,7 @@ def default_setup(
     recipe: Recipe = "default",
     settings: Settings | None = None,
     bands: Bands | None = None,
-    names: Sequence[str] | None = None,
+    methods: Sequence[Forecaster | str] | None = None,
     ahead: int | None = None,
 ) -> Setup:
     """A setup for a record of which nothing is known but its first `train` samples.
@@ -113,19 +115,19 @@ def default_setup(
     recipe, settings : How to train; by default as the recipe says.
     bands : What is decided of them already; the rest is chosen, see `Bands.chosen`: for hybrid
         models, if there are any and the simulator helps, otherwise for networks alone.
-    names : What the setup is for; by default `default_names`.
+    methods : What the setup is for, or names of it; by default `default_names`.
     ahead : Samples after the training part that are going to be asked for; by default the rest.
     """
     search = None
     if settings is None:
         settings = recipe_settings(recipe, record[:train])
         search = Search() if recipe == "default" else None
-    if names is None:
-        names = default_names(record.y_sim is not None)
+    if methods is None:
+        methods = default_names(record.y_sim is not None)
+    beside = [f for f in _simulations(methods) if f.needs]
     y_sim = None
-    if record.y_sim is not None and any(name in HYBRIDS for name in names):
-        calibrated = any("calibrated" in name for name in names)
-        simulation = Simulation(calibrated=calibrated)
+    if record.y_sim is not None and beside:
+        simulation = next((f for f in beside if f.calibrated), beside[0]).copy()
         simulation.fit(record[:train], horizon=len(record) - train if ahead is None else ahead)
         y_sim = simulation.on(record[:train]).y_sim
     bands = (bands or Bands()).chosen(
@@ -133,3 +135,11 @@ def default_setup(
     )
     sizes = Sizes() if recipe == "paper" else Sizes(hidden_high=32, hidden_low=16)
     return Setup(train, settings, bands, sizes, search=search)
+
+
+def _simulations(methods: Sequence[Forecaster | str]) -> list[Simulation]:
+    """The simulators that networks among the methods stand beside."""
+    made = [named(each) if isinstance(each, str) else each for each in methods]
+    members = [each.member if isinstance(each, Ensemble) else each for each in made]
+    bases = [each.base for each in members if isinstance(each, Filtered | Residual)]
+    return [base for base in bases if isinstance(base, Simulation)]

@@ -18,7 +18,6 @@ from splitband.forecasters.names import BASED, HYBRIDS, TRAINED, Sizes, named
 from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import Simulation
 from splitband.forecasters.split import Split
-from splitband.training import Settings
 
 HIDDEN = 6, 96
 """Hidden units of all networks of a method together."""
@@ -96,7 +95,7 @@ class Space:
         rates = _with(RATES, usual.learning_rate)
         settings = replace(
             settings,
-            epochs=max(1, round(steps / self._batches(usual))),
+            epochs=max(1, round(steps / usual.batches_of(self.setup.train))),
             learning_rate=draw.suggest_float("learning_rate", *rates, log=True),
             quasi_newton=draw.suggest_int("lbfgs_iterations", *ITERATIONS, log=True)
             if draw.suggest_categorical("lbfgs", (False, True))
@@ -138,7 +137,8 @@ class Space:
         network = self.setup.forecaster(method)
         assert isinstance(network, Network)
         network.resizable = True
-        usual, batches = self.usual(method), self._batches(self.setup.settings_of(method))
+        usual = self.usual(method)
+        batches = self.setup.settings_of(method).batches_of(self.setup.train)
         return [
             usual
             | {
@@ -148,7 +148,7 @@ class Space:
                 "lbfgs": True,
                 "lbfgs_iterations": max(ITERATIONS[0], settings.quasi_newton or 0),
             }
-            for settings, size in ways(network)[1:]
+            for settings, size in ways(network, self.setup.train)[1:]
         ]
 
     def _windows(self, method: str) -> tuple[int, int]:
@@ -160,12 +160,7 @@ class Space:
     def _steps(self, method: str) -> int:
         """Of Adam, in the default recipe."""
         usual = self.setup.settings_of(method)
-        return usual.epochs * self._batches(usual)
-
-    def _batches(self, usual: Settings) -> int:
-        """Steps of an epoch."""
-        windows = max(self.setup.train - usual.window + 1, 1)
-        return usual.most_batches or -(-windows // usual.batch_size)
+        return usual.epochs * usual.batches_of(self.setup.train)
 
     def _hidden(self) -> tuple[int, float]:
         """Usual units of all networks, and the share of the low band's."""

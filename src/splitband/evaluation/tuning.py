@@ -23,7 +23,7 @@ from splitband.evaluation.setup import Setup, default_setup
 from splitband.evaluation.space import Space, tunable_names, usual_networks
 from splitband.evaluation.trials import SHARES, Attempt, Job, Limits, beginning
 from splitband.evaluation.tuned import Tuned
-from splitband.forecasters.backtest import for_trial, held_out_from
+from splitband.forecasters.backtest import check_held_out, for_trial, held_out_from
 from splitband.forecasters.names import TRAINED
 from splitband.forecasters.network import Network
 from splitband.runtime.processes import over
@@ -215,7 +215,8 @@ def tune(
         )  # fmt: skip
         study.begin(job)
         workers = work.executor or work.jobs
-        for _ in over(partial(study.run, job), range(work.jobs), workers, work.progress):
+        at_once = max(work.jobs, getattr(work.executor, "cores", 1))
+        for _ in over(partial(study.run, job), range(at_once), workers, work.progress):
             pass
         found, importances = study.outcome(job)
     if all(each.value is None for each in found):
@@ -226,9 +227,10 @@ def tune(
 def _methods(record: Trajectory, methods: Sequence[str] | None) -> tuple[str, ...]:
     if methods is None:
         return tuple(tunable_names(record))
-    unknown = [name for name in methods if name not in TRAINED]
+    methods = [methods] if isinstance(methods, str) else methods
+    unknown = [str(name) for name in methods if name not in TRAINED]
     if unknown or not methods:
-        raise ValueError(f"methods must be networks out of {', '.join(TRAINED)}, got "
+        raise ValueError(f"methods must be names of networks out of {', '.join(TRAINED)}, got "
                          f"{', '.join(unknown) or 'none'}")  # fmt: skip
     return tuple(dict.fromkeys(methods))
 
@@ -240,6 +242,7 @@ def _shares(record: Trajectory, space: Space, others: Sequence[Trajectory]) -> t
         part = beginning(record, share)
         fitted = part[: held_out_from(len(part))]
         try:
+            check_held_out(part)
             for method in usual_networks(record, space.methods):
                 network = space.setup.forecaster(method)
                 assert isinstance(network, Network)
@@ -277,8 +280,9 @@ def _storage(effort: Effort, work: Work) -> Iterator[str]:
     if effort.storage is not None:
         yield effort.storage
     elif work.checkpoints is not None:
-        work.checkpoints.mkdir(parents=True, exist_ok=True)
-        yield f"sqlite:///{(work.checkpoints / STUDY).resolve()}"
+        below = Path(work.checkpoints)
+        below.mkdir(parents=True, exist_ok=True)
+        yield f"sqlite:///{(below / STUDY).resolve()}"
     else:
         with tempfile.TemporaryDirectory(prefix="splitband-tune-") as folder:
             yield f"sqlite:///{folder}/{STUDY}"

@@ -171,6 +171,17 @@ def held_out_from(samples: int) -> int:
     return samples - max(1, round(HELD_OUT * samples))
 
 
+def check_held_out(record: Trajectory) -> None:
+    """Check that something was measured in each channel of a record's last quarter."""
+    held_out = record.seen[held_out_from(len(record)) :]
+    for column, channel in zip(record.columns, held_out.T, strict=True):
+        if np.isnan(channel).all():
+            raise ValueError(
+                f"{column} must have a measured sample among the last {len(channel)} training "
+                "samples, on which methods are tried out"
+            )
+
+
 def for_trial(
     forecaster: AnyForecaster, samples: int, training: int | None = None
 ) -> AnyForecaster:

@@ -103,8 +103,11 @@ class Forecaster(ABC):
         """For a part of the training record, of so many samples instead of all."""
         return self
 
-    def settled(self, record: Trajectory, horizon: int) -> Self:
-        """With what is the same in every process, such as a simulator's output, computed."""
+    def simulated(self, record: Trajectory, horizon: int, *others: Trajectory) -> Self:
+        """With the output of a simulator of its own computed, which is the same in every process.
+
+        That is over the training record and `horizon` samples more, and over other records.
+        """
         return self
 
     def prepare(self, record: Trajectory, horizon: int) -> None:
@@ -150,7 +153,7 @@ class Forecaster(ABC):
             When a training diverges.
         """
         self.check(*records)
-        self.interval = None
+        self.forget()
         self.fitted = Fitted.of(records, seed)
         began = time.perf_counter()
         # Closed forms work on small matrices, where the threads of BLAS wait for each other.
@@ -185,7 +188,8 @@ class Forecaster(ABC):
         u : Known inputs of the samples to come, `(steps, nu)`; by default what the history says of
             them (`u_beyond`), as a slice of a longer record does.
         y_sim : A simulator's output of the samples to come, `(steps or more, ny)`, likewise
-            (`beyond`); a calibrated delay or clock may need it beyond the last of them.
+            (`beyond`); a calibrated delay or clock may need it beyond the last of them. What needs
+            none, or has a simulator of its own, does not look at it.
         level : Of the interval, 0 to 1: the share of samples that should lie in it. The first time
             it is asked for, the forecaster is fitted again to three quarters of its training
             record, to see how well it forecasts the rest.
@@ -255,8 +259,12 @@ class Forecaster(ABC):
     def copy(self) -> Self:
         """An independent forecaster with the same options, not fitted."""
         new = copy.copy(self)
-        new.fitted = new.interval = None
+        new.forget()
         return copy.deepcopy(new)
+
+    def forget(self) -> None:
+        """Keep the options alone, and nothing of a fit."""
+        self.fitted = self.interval = None
 
     def require_fitted(self) -> Fitted:
         """What is remembered of the training records; raises ValueError before `fit`."""
@@ -293,7 +301,7 @@ class Forecaster(ABC):
                 raise ValueError(f"history must bring a simulator's output (y_sim) for {self.name}")
             ahead = past.beyond if y_sim is None else y_sim
             simulated = continued("y_sim", past.y_sim, ahead, steps, more=True)
-        return Known(past.seen, steps, begin, inputs, simulated), past
+        return Known(past.seen, steps, begin, inputs, simulated, past.grid), past
 
     def _interval_at(self, level: float) -> Interval:
         """The interval of a level, from held-out forecasts where none has been fitted yet."""

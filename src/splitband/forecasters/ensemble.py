@@ -27,7 +27,8 @@ class Ensemble(Forecaster):
     Parameters
     ----------
     member : What each of them is.
-    count : How many; they are fitted with the seeds `seed`, `seed + 1`, ...
+    count : How many; with the seed s they are fitted with the seeds `s * count`, `s * count + 1`,
+        ..., so that the ensembles of two seeds share no member.
     name : By default that of the member.
 
     Examples
@@ -85,9 +86,14 @@ class Ensemble(Forecaster):
         """See `Forecaster`."""
         return self._of(self.member.for_samples(samples, instead_of))
 
-    def settled(self, record: Trajectory, horizon: int) -> Self:
+    def simulated(self, record: Trajectory, horizon: int, *others: Trajectory) -> Self:
         """See `Forecaster`."""
-        return self._of(self.member.settled(record, horizon))
+        return self._of(self.member.simulated(record, horizon, *others))
+
+    def forget(self) -> None:
+        """See `Forecaster`."""
+        super().forget()
+        self.members = []
 
     def prepare(self, record: Trajectory, horizon: int) -> None:
         """See `Forecaster`."""
@@ -107,14 +113,12 @@ class Ensemble(Forecaster):
         checkpoint: Checkpoint | None,
     ) -> None:
         """See `Forecaster`; each member has a checkpoint of its own, beside the one given."""
-        self.members = []
         for i in range(self.count):
             of_member = None if checkpoint is None else checkpoint.numbered(i)
             watch = None if progress is None else _shifted(progress, i, self.count)
             member = self.member.copy()
-            member.fit(
-                *records, seed=seed + i, horizon=horizon, progress=watch, checkpoint=of_member
-            )
+            own = seed * self.count + i
+            member.fit(*records, seed=own, horizon=horizon, progress=watch, checkpoint=of_member)
             self.members.append(member)
         reports = [member.require_fitted().report for member in self.members]
         notes = tuple(f"seed {r.seed}: {note}" for r in reports for note in r.notes)

@@ -69,16 +69,23 @@ class _Hybrid(Banded):
         """See `Forecaster`."""
         super().check(*records)
         self.base.check(*records)
+        if len(records) > 1 and not isinstance(self.base, Simulation):
+            raise ValueError(f"several records need a simulator, the base is {self.base.name}")
 
     def prepare(self, record: Trajectory, horizon: int) -> None:
         """See `Forecaster`."""
         self.base.prepare(record, horizon)
 
-    def settled(self, record: Trajectory, horizon: int) -> Self:
+    def simulated(self, record: Trajectory, horizon: int, *others: Trajectory) -> Self:
         """See `Forecaster`."""
         new = self.copy()
-        new.base = self.base.settled(record, horizon)
+        new.base = self.base.simulated(record, horizon, *others)
         return new
+
+    def forget(self) -> None:
+        """See `Forecaster`."""
+        super().forget()
+        self.base = self.base.copy()
 
     def describe(self) -> str:
         """See `Forecaster`."""
@@ -90,9 +97,9 @@ class _Hybrid(Banded):
 
     def with_defaults(self, settings: Settings, bands: Bands) -> Self:
         """See `Forecaster`."""
-        # Up to which frequency a fitted base is right is only known once it is fitted. Its bands
-        # are chosen then.
-        usual = bands if isinstance(self.base, Simulation) else Bands()
+        # The usual bands are for the simulator whose output the record brings. Up to which
+        # frequency another base is right is only known once it is fitted; they are chosen then.
+        usual = bands if "simulator" in self.base.needs else Bands()
         new = super().with_defaults(settings, usual).copy()
         new.base = self.base.with_defaults(settings, bands)
         return new
@@ -124,14 +131,10 @@ class _Hybrid(Banded):
         """The records with the slow part as their simulator's output."""
         self.base.fit(*records, seed=seed, horizon=horizon)
         if isinstance(self.base, Simulation):
-            seen = [self.base.on(record) for record in records]
-        elif len(records) > 1:
-            raise ValueError(f"several records need a simulator, the base is {self.base.name}")
-        else:
-            record = records[0]
-            known = Known(record.seen, 0, 0.0, record.u, record.y_sim)
-            seen = [replace(record, y_sim=self._slow(known), beyond=None)]
-        return seen
+            return [self.base.on(record) for record in records]
+        (record,) = records
+        known = Known(record.seen, 0, 0.0, record.u, record.y_sim, record.grid)
+        return [replace(record, y_sim=self._slow(known), beyond=None)]
 
     def _slow(self, known: Known) -> Array:
         base: Any = self.base  # the constructor has checked that it has a `trajectory`
@@ -200,7 +203,7 @@ class Filtered(_Hybrid):
 
     def _remarks(self, record: Trajectory) -> list[str]:
         """See `Network`: whether the training samples reward a network that adds nothing."""
-        bands = self.bands
+        bands = self._bands_for(record, self._settings_for(record))
         assert bands.cutoff is not None
         assert bands.order is not None
         assert record.y_sim is not None

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from splitband.data import Grid
+
 Array = npt.NDArray[np.float64]
 
 
@@ -22,6 +24,7 @@ class Known:
         another record, whose time has nothing to do with that.
     u : The inputs over both, `(time + steps, nu)`, where there are any.
     y_sim : A simulator's output over both, `(time + steps or more, ny)`, where there is one.
+    grid : When `y` was measured, by the clock of its record.
     """
 
     y: Array
@@ -29,6 +32,7 @@ class Known:
     begin: float | None = 0.0
     u: Array | None = None
     y_sim: Array | None = None
+    grid: Grid | None = None
 
 
 def continued(

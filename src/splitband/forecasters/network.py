@@ -56,6 +56,10 @@ class Network(Forecaster):
 
     cells: ClassVar[tuple[str, ...]] = ("cell",)
     """Attributes that hold the templates of its cells."""
+    model: Model | None = None
+    """What has been trained."""
+    trained_by: Settings | None = None
+    """How: the settings, or what has been chosen where they were left open."""
 
     def __init__(self, settings: Settings | None = None, name: str | None = None) -> None:
         self.settings = settings
@@ -64,7 +68,6 @@ class Network(Forecaster):
         self.resizable = False
         """Whether the sizes of its cells are, too."""
         self.device = torch.device("cpu")
-        self.model: Model | None = None
         self._name = name
 
     @property
@@ -80,7 +83,8 @@ class Network(Forecaster):
     @property
     def warmup(self) -> int:
         """See `Forecaster`; 0 where it is not decided before `fit`."""
-        return 0 if self.settings is None else self.settings.warmup
+        settings = self.trained_by or self.settings
+        return 0 if settings is None else settings.warmup
 
     @abstractmethod
     def _derived_name(self) -> str:
@@ -125,8 +129,9 @@ class Network(Forecaster):
         """Sizes, window and steps, for tables."""
         sizes = [getattr(getattr(self, cell), "hidden_size", None) for cell in self.cells]
         said = [f"{' and '.join(map(str, sizes))} hidden units"] if None not in sizes else []
-        if self.settings is not None:
-            said += [f"windows of {self.settings.window}", self.settings.steps_in_words()]
+        settings = self.trained_by or self.settings
+        if settings is not None:
+            said += [f"windows of {settings.window}", settings.steps_in_words()]
         return ", ".join(said)
 
     def weights(self, record: Trajectory) -> int:
@@ -162,7 +167,12 @@ class Network(Forecaster):
         for other in records[1:]:
             check_alike(other, first)
         windows_in(records, settings.window, settings.warmup)
-        self._built(first, settings, seed=0)
+        self.copy()._built(first, settings, seed=0)
+
+    def forget(self) -> None:
+        """See `Forecaster`."""
+        super().forget()
+        self.model = self.trained_by = None
 
     def learn(
         self,
@@ -174,7 +184,7 @@ class Network(Forecaster):
         checkpoint: Checkpoint | None,
     ) -> None:
         """See `Forecaster`."""
-        settings = self.settings = self._settings_for(records[0])
+        settings = self.trained_by = self._settings_for(records[0])
         seen = self._seen(records, seed, horizon)
         self._decide(seen[0], settings)
         self.model = self._built(seen[0], settings, seed).to(self.device)
@@ -214,7 +224,7 @@ class Network(Forecaster):
                 f"history must begin with {self.warmup} measured samples for {self.name}"
             )
         steps = len(known.y) + known.steps - start
-        begun = Known(known.y[:start], steps, known.begin, known.u, known.y_sim)
+        begun = replace(known, y=known.y[:start], steps=steps)
         return np.concatenate([known.y[:start], total([*self.extrapolate(begun).values()])])
 
     def _seen(self, records: Sequence[Trajectory], seed: int, horizon: int) -> list[Trajectory]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -69,6 +69,26 @@ class Prediction:
         """A picture of it."""
         # The module of pictures imports this one, so that it is imported only here.
         return import_module("splitband.report.pictures").prediction(self)
+
+
+def mean_of(predictions: Sequence[Prediction]) -> Prediction:
+    """The mean of several predictions of the same samples, such as those of several seeds.
+
+    Parts that they all have are averaged, too; what is a reason to doubt one of them stays one.
+    """
+    first = predictions[0]
+    parts = [name for name in first.components if all(name in p.components for p in predictions)]
+    return replace(
+        first,
+        y=np.mean([p.y for p in predictions], axis=0),
+        components={
+            name: np.mean([p.components[name] for p in predictions], axis=0) for name in parts
+        },
+        lower=None,
+        upper=None,
+        level=None,
+        warnings=tuple(dict.fromkeys(said for p in predictions for said in p.warnings)),
+    )
 
 
 def time_header(columns: tuple[str, ...]) -> str:

@@ -186,8 +186,9 @@ def _end(forecaster: Forecaster) -> Fitted:
         start = last_before(record.complete, warmup, len(record))
         first = min(first, (warmup if start is None else start) - warmup)
     first = max(0, min(first, len(record) - 2))
-    if "simulator" in forecaster.needs:
-        # A calibrated delay or clock uses earlier output of the simulator, a seventh of it at most.
+    if "simulator" in forecaster.needs or _network_below(forecaster) is not None:
+        # A calibrated delay or clock uses earlier output of the simulator, a seventh of it at most;
+        # a network in the low band runs freely from the beginning of the record on.
         first = 0 if len(record) <= SHORT else min(first, len(record) - len(record) // 5)
     end = replace(record[first:], beyond=None, u_beyond=None)
     # The run time is left out, so that the same fit is saved as the same file, byte by byte.

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Self, final
 
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Grid, Trajectory
+from splitband.data import Grid, Stamp, Trajectory
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.fitted import NEAR_ROW
 from splitband.forecasters.known import Known
 from splitband.forecasters.remembering import Remembered
 from splitband.simulators import Recorded, Simulator, run
@@ -22,6 +23,44 @@ Array = npt.NDArray[np.float64]
 CALIBRATIONS = Remembered(calibrate)
 """Several forecasters, seeds and trials ask for the same calibration, which takes seconds."""
 AFFINE: tuple[Term, ...] = ("gain", "offset")
+
+
+@dataclass(frozen=True, eq=False)
+class _Runs:
+    """What a simulator has said, once for all processes.
+
+    Attributes
+    ----------
+    outputs : `(time, ny)`, by the time stamp of the first sample and the time between two in s.
+    """
+
+    outputs: Mapping[tuple[Stamp | None, float], Array]
+
+    def reach(self, grid: Grid) -> int:
+        """How many times, counted on from the first of the grid, are covered."""
+        return len(self._beginning(grid))
+
+    def on(self, grid: Grid) -> Array:
+        """The output at these times; raises ValueError where they are not covered."""
+        y = self._beginning(grid)
+        if len(y) < grid.samples:
+            raise ValueError(f"the simulator has not been run for {grid}")
+        return y[: grid.samples]
+
+    def _beginning(self, grid: Grid) -> Array:
+        """What begins with the grid, at a time between samples that is equal but for rounding."""
+        return next(
+            (
+                y
+                for (start, step), y in self.outputs.items()
+                if start == grid.start and abs(step - grid.step) < NEAR_ROW * step / max(len(y), 1)
+            ),
+            np.empty((0, 0)),
+        )
+
+    def simulate(self, time: Array) -> npt.ArrayLike:
+        """Not asked: `on` is, which knows dates, too."""
+        raise NotImplementedError
 
 
 @final
@@ -77,13 +116,22 @@ class Simulation(Forecaster):
         if self.calibrated is not False:
             self._calibration(record, horizon)
 
-    def settled(self, record: Trajectory, horizon: int) -> Self:
-        """See `Forecaster`: with its output for the record and `horizon` samples more."""
-        if self.simulator is None or isinstance(self.simulator, Recorded):
+    def simulated(self, record: Trajectory, horizon: int, *others: Trajectory) -> Self:
+        """See `Forecaster`."""
+        if self.simulator is None or isinstance(self.simulator, Recorded | _Runs):
             return self
-        y = self._output(record, len(record) + horizon)
+        samples: dict[tuple[Stamp | None, float], int] = {}
+        for each, ahead in ((record, horizon), *((other, 0) for other in others)):
+            needed = self._needed(len(each) + ahead, max(len(record), len(each)))
+            place = each.start, each.sampling_time
+            samples[place] = max(needed, samples.get(place, 0))
         new = self.copy()
-        new.simulator = Recorded(y, record.sampling_time, record.start)
+        new.simulator = _Runs(
+            {
+                (start, step): run(self.simulator, needed, step, record.ny, start=start)
+                for (start, step), needed in samples.items()
+            }
+        )
         return new
 
     def extrapolate(self, known: Known) -> Array:
@@ -98,8 +146,11 @@ class Simulation(Forecaster):
         y_sim, begin_sim = known.y_sim, begin
         if self.simulator is not None:
             places = self.calibration.places(samples, record.sampling_time, begin)
-            start = replace(record, start=self.require_fitted().start)
-            y_sim, begin_sim = self._run(start, int(np.ceil(places[-1] - 1e-6)) + 1), 0.0
+            times = replace(record.grid, start=self.require_fitted().start)
+            if known.begin is None and known.grid is not None:  # another record has its own clock
+                times = known.grid
+            needed = int(np.ceil(places[-1] - 1e-6)) + 1
+            y_sim, begin_sim = self._run(replace(times, samples=needed), record.ny), 0.0
         if y_sim is None:
             raise ValueError(f"{self.name} needs a simulator's output (y_sim)")
         return self.calibration.apply(y_sim, samples, record.sampling_time, begin, begin_sim)
@@ -126,19 +177,25 @@ class Simulation(Forecaster):
     def _output(self, record: Trajectory, samples: int) -> Array:
         """Over a record and what is known beyond, of a simulator of its own what is needed."""
         if self.simulator is not None:
-            more = samples_needed(samples, len(record)) if self.calibrated else samples
-            if isinstance(self.simulator, Recorded):
+            more = self._needed(samples, len(record))
+            if isinstance(self.simulator, Recorded | _Runs):
                 more = min(more, max(samples, self.simulator.reach(record.grid)))
-            return self._run(record, more)
+            return self._run(replace(record.grid, samples=more), record.ny)
         if record.y_sim is None:
             raise ValueError(f"{self.name} needs a simulator, the record has none")
         return (
             record.y_sim if record.beyond is None else np.concatenate([record.y_sim, record.beyond])
         )
 
-    def _run(self, record: Trajectory, samples: int) -> Array:
-        """The simulator's own output from the record's first sample on."""
+    def _needed(self, samples: int, train: int) -> int:
+        """How many samples of a simulator of its own are asked for, to cover so many."""
+        return samples_needed(samples, train) if self.calibrated else samples
+
+    def _run(self, grid: Grid, ny: int) -> Array:
+        """The simulator's own output at these times."""
         assert self.simulator is not None
         if isinstance(self.simulator, Recorded):
-            return self.simulator.on(Grid(record.start, record.sampling_time, samples)).values
-        return run(self.simulator, samples, record.sampling_time, record.ny, start=record.start)
+            return self.simulator.on(grid).values
+        if isinstance(self.simulator, _Runs):
+            return self.simulator.on(grid)
+        return run(self.simulator, grid.samples, grid.step, ny, start=grid.start)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Self, final
 
 import numpy as np
@@ -21,6 +20,9 @@ Array = npt.NDArray[np.float64]
 class Banded(Network):
     """A network that has but one of two bands, or is told about the other one."""
 
+    trained_in: Bands | None = None
+    """The bands, or what has been chosen where they were left open."""
+
     def __init__(
         self, bands: Bands | None, conditioned: bool, settings: Settings | None, name: str | None
     ) -> None:
@@ -30,17 +32,24 @@ class Banded(Network):
     def with_defaults(self, settings: Settings, bands: Bands) -> Self:
         """See `Forecaster`."""
         new = super().with_defaults(settings, bands)
-        if not self.bands.complete:
+        # What is left open beside a cut-off or an order that is given has to be chosen to suit it.
+        if self.bands == Bands():
             new = new.copy()
-            given = {k: v for k, v in vars(self.bands).items() if v is not None}
-            new.bands = replace(bands, **given)
+            new.bands = bands
         return new
 
+    def forget(self) -> None:
+        """See `Forecaster`."""
+        super().forget()
+        self.trained_in = None
+
     def _decide(self, record: Trajectory, settings: Settings) -> None:
-        self.bands = self._bands_for(record, settings)
+        self.trained_in = self._bands_for(record, settings)
 
     def _bands_for(self, record: Trajectory, settings: Settings) -> Bands:
         """The bands; what has been left open of them is chosen by the training record."""
+        if self.trained_in is not None:
+            return self.trained_in
         if self.bands.complete:
             return self.bands
         y_sim = self._low_band(record)

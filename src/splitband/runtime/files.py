@@ -67,7 +67,7 @@ def output_folder(path: str | Path) -> Path:
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise ValueError(
-            f"--out must be a folder that can be written, got {path}: {reason}"
+            f"results need a folder that can be written, got {path}: {reason}"
         ) from None
     return path
 

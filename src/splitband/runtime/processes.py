@@ -75,7 +75,6 @@ class Processes(Workers):
 
     def __init__(self, count: int) -> None:
         context = multiprocessing.get_context("spawn")
-        self._others = multiprocessing.active_children()
         self._queue: SimpleQueue[Any] = context.SimpleQueue()
         self._pool = ProcessPoolExecutor(count, context, _start_worker, (self._queue,))
 
@@ -103,9 +102,8 @@ class Processes(Workers):
 
     def abandon(self, jobs: Sequence[Future[Any]]) -> None:
         """See `Workers`; the processes are ended."""
-        for worker in multiprocessing.active_children():
-            if worker not in self._others:
-                worker.terminate()
+        for worker in [*(self._pool._processes or {}).values()]:
+            worker.terminate()
 
     def explained(self, error: BaseException) -> BaseException:
         """See `Workers`."""

@@ -24,7 +24,7 @@ class Ode:
     observe : Maps the states `(time, nx)` to the measured channels; the first state by default.
     rtol, atol : Tolerances of the solver.
     method : Its name for SciPy.
-    key : As for `Function`.
+    key : As for `Function`; it stands for `derivative` and `observe`.
     """
 
     derivative: Callable[[float, Array], Any]
@@ -51,5 +51,8 @@ class Ode:
         return self.observe(solution.y.T)
 
     def fingerprint(self) -> str | None:
-        """The key and the solver's settings."""
-        return None if self.key is None else f"{self.key} {self.method} {self.rtol} {self.atol}"
+        """The key, the initial state and the solver's settings."""
+        if self.key is None:
+            return None
+        state = np.asarray(self.initial_state, float).tolist()
+        return f"{self.key} {state} {self.method} {self.rtol} {self.atol}"

@@ -200,11 +200,8 @@ class _Training:
 
     def steps(self) -> int:
         """Gradient steps so far, an iteration of L-BFGS counted as one."""
-        windows, settings = len(self.starts), self.settings
-        batches = -(-windows // settings.batch_size)
-        if settings.most_batches is not None:
-            batches = min(batches, settings.most_batches)
-        rounds = max(0, len(self.losses) - settings.epochs)
+        rounds = max(0, len(self.losses) - self.settings.epochs)
+        batches = self.settings.batches(len(self.starts))
         return batches * (len(self.losses) - rounds) + quasi_newton.ROUND * rounds
 
     def state(self) -> State:

@@ -144,4 +144,9 @@ class QuasiNewton:
         of_torch |= {name: float(state[name]) for name in _NUMBERS[1:]}
         for name in _TENSORS:
             saved = state[name].clone().to(device) if name in state else None
-            of_torch[name] = [*([] if saved is None else saved)] if name in _LISTS else saved
+            if name in _LISTS:
+                # Sums are rounded otherwise where the memory of a vector begins at another place
+                # of a cache line, as the rows of one array do.
+                of_torch[name] = [row.clone() for row in ([] if saved is None else saved)]
+            else:
+                of_torch[name] = saved

@@ -105,6 +105,15 @@ class Settings:
             most_batches=batches,
         )
 
+    def batches(self, windows: int) -> int:
+        """Steps of an epoch over so many windows."""
+        batches = -(-windows // self.batch_size)
+        return batches if self.most_batches is None else min(batches, self.most_batches)
+
+    def batches_of(self, samples: int) -> int:
+        """Steps of an epoch over a record of so many samples without a gap."""
+        return self.batches(max(samples - self.window + 1, 1))
+
     @property
     def rounds(self) -> int:
         """Rounds of `quasi_newton.ROUND` iterations after the epochs."""

@@ -35,7 +35,7 @@ def page(comparison: Comparison, used: Usage) -> Page:
         *_over_time(comparison, frame, most),
         _bands(comparison),
         *_trained(comparison, cast),
-        usage.section(comparison.recommended, record, used, max(len(record) // 4, 1)),
+        usage.section(comparison.forecaster(), record, used, max(len(record) // 4, 1)),
         _settings(comparison, used),
     ]
     name = record.name or "a record"

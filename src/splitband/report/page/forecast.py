@@ -34,7 +34,7 @@ def page(result: Forecast, used: Usage) -> Page:
         Section("forecast", "Forecast", _thinning(end + steps), plots=plots),
         Section("methods", "What was tried", tables=[tables.tried(result.trial)]),
         Section("spectrum", "Spectrum of the record", plots=spectrum(record, None, None, {})),
-        usage.section(result.method, record, used, steps),
+        usage.section(result.forecaster, record, used, steps),
         settings([("seeds", ", ".join(map(str, result.seeds)))], used),
     ]
     title = f"{record.name or 'a record'}: {steps:,} samples ahead"

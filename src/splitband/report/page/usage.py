@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from splitband.data import Trajectory
-from splitband.forecasters.names import NAMES, named
+from splitband.forecasters.base import Forecaster
 from splitband.report.page.parts import Code, Section
+from splitband.report.page.python import making
 
 
 @dataclass(frozen=True)
@@ -26,10 +27,10 @@ class Usage:
     asked: str = ""
 
 
-def section(method: str, record: Trajectory, usage: Usage, steps: int) -> Section:
-    """The commands, if any, and the lines of Python."""
+def section(forecaster: Forecaster, record: Trajectory, usage: Usage, steps: int) -> Section:
+    """The commands, if any, and the lines of Python that fit the forecaster to all of a record."""
     code = [Code(caption, text) for caption, text in usage.commands]
-    code.append(Code("In Python", python(method, record, usage.reading, steps)))
+    code.append(Code("In Python", python(forecaster, record, usage.reading, steps)))
     return Section(
         "use",
         "How to use this model",
@@ -38,9 +39,8 @@ def section(method: str, record: Trajectory, usage: Usage, steps: int) -> Sectio
     )
 
 
-def python(method: str, record: Trajectory, reading: str, steps: int) -> str:
-    """Fit a method to the whole record, predict, save."""
-    made = f'setup.forecaster("{method}")' if method in NAMES else f"...  # your {method}"
+def python(forecaster: Forecaster, record: Trajectory, reading: str, steps: int) -> str:
+    """Fit it to the whole record, predict, save."""
     lines = ["import splitband as sb", ""]
     lines.append(reading or "record = ...  # the one of this page, an sb.Trajectory")
     if record.y_sim is not None and reading:
@@ -48,18 +48,14 @@ def python(method: str, record: Trajectory, reading: str, steps: int) -> str:
             "# dataclasses.replace(record, y_sim=...) puts the simulator's output beside it"
         )
     more = ", u=inputs_to_come" if record.nu else ""
-    if record.y_sim is not None and "simulator" in _needs(method):
+    if "simulator" in forecaster.needs:
         more += ", y_sim=simulated"
     lines += [
-        "setup = sb.default_setup(record, len(record))",
-        f"model = {made}.fit(record)",
+        *making(forecaster),
+        "model.fit(record)",
         f"prediction = model.predict({steps}{more}, level=0.9)",
         "prediction.to_frame()  # values and interval, with their times",
         'model.save("model")',
         f'sb.load("model").predict({steps}, history=later_record{more})',
     ]
     return "\n".join(lines)
-
-
-def _needs(method: str) -> frozenset[str]:
-    return named(method).needs if method in NAMES else frozenset()

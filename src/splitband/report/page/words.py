@@ -9,8 +9,9 @@ from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.selection import WORTH_TRAINING, Trial
 from splitband.forecasters.backtest import HELD_OUT
 from splitband.forecasters.names import CALIBRATED, CONDITIONED, base
-from splitband.metrics import Extrapolation, leaving, spread
+from splitband.metrics import Extrapolation, leaving
 from splitband.report.page.parts import number, percent
+from splitband.report.results import deviation
 
 _KINDS = {
     "gru": "a recurrent network (GRU) that learns the whole signal",
@@ -102,8 +103,8 @@ def afterwards(comparison: Comparison) -> list[str]:
 
 
 def _relative(error: float, record: Trajectory) -> str:
-    deviation = float(np.linalg.norm(spread(record.seen)))
-    return f", {percent(error / deviation)} of the record's standard deviation"
+    usual = deviation(record)
+    return f", {percent(error / usual)} of the record's standard deviation" if usual else ""
 
 
 def _hindsight(comparison: Comparison) -> list[str]:

@@ -1,0 +1,107 @@
+"""A forecaster as the lines of Python that make it."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.closed_form import (
+    Harmonic,
+    Linear,
+    Mean,
+    Periodic,
+    Persistence,
+    SeasonalNaive,
+)
+from splitband.forecasters.ensemble import Ensemble
+from splitband.forecasters.hybrids import Filtered, Residual
+from splitband.forecasters.network import Network
+from splitband.forecasters.simulation import Simulation
+from splitband.forecasters.single import Single
+from splitband.forecasters.split import Split
+from splitband.networks import GRU, EulerMLP
+from splitband.training import Settings
+
+_CLOSED_FORMS = Harmonic, Linear, Mean, Periodic, Persistence, SeasonalNaive
+_UNKNOWN = "..."
+
+
+def making(forecaster: Forecaster) -> list[str]:
+    """The lines that make it, the last of which assigns it to `model`.
+
+    An ellipsis stands for what only its user can make: a simulator, a cell or a class of their own.
+    """
+    member = forecaster.member if isinstance(forecaster, Ensemble) else forecaster
+    made = _made(member)
+    if made == _UNKNOWN:
+        return [f"model = ...  # {forecaster.name}"]
+    if isinstance(forecaster, Ensemble):
+        made = f"sb.Ensemble({made}, {forecaster.count})"
+    lines = [f"model = {made}"]
+    if isinstance(member, Network) and member.settings is not None:
+        lines.insert(0, f"settings = {_call('Settings', **_changed(member.settings))}")
+    return lines
+
+
+def _made(forecaster: Forecaster) -> str:
+    if isinstance(forecaster, _CLOSED_FORMS):
+        return _call(type(forecaster).__name__)
+    if isinstance(forecaster, Simulation):
+        simulator = [] if forecaster.simulator is None else [_UNKNOWN]
+        return _call("Simulation", *simulator, **_options(calibrated=forecaster.calibrated))
+    if isinstance(forecaster, Single):
+        return _call("Single", _cell(forecaster.cell), **_trained(forecaster))
+    if isinstance(forecaster, Split):
+        cells = _cell(forecaster.low), _cell(forecaster.high)
+        options = _options(
+            filter_output=forecaster.filter_output, conditioned=forecaster.conditioned
+        )
+        return _call("Split", *cells, *_bands(forecaster.bands), **options, **_trained(forecaster))
+    if isinstance(forecaster, Filtered | Residual):
+        base, calibrated = _made(forecaster.base), False
+        if isinstance(forecaster.base, Simulation):
+            base = "None" if forecaster.base.simulator is None else _UNKNOWN
+            calibrated = forecaster.base.calibrated is True
+        bands = _bands(forecaster.bands) if isinstance(forecaster, Filtered) else []
+        options = _options(calibrated=calibrated, conditioned=forecaster.conditioned)
+        name, cell = type(forecaster).__name__, _cell(forecaster.cell)
+        return _call(name, base, cell, *bands, **options, **_trained(forecaster))
+    return _UNKNOWN
+
+
+def _cell(cell: Any) -> str:
+    if type(cell) is GRU:
+        return _call("GRU", str(cell.hidden_size))
+    if type(cell) is EulerMLP:
+        names = "state_size", "hidden_size", "recognition_size", "step_size"
+        return _call("EulerMLP", **{name: repr(getattr(cell, name)) for name in names})
+    return _UNKNOWN
+
+
+def _bands(bands: Bands) -> list[str]:
+    """As an argument; none where they are left open."""
+    given = {k: repr(getattr(bands, k)) for k in ("cutoff", "order", "downsampling")}
+    given = {name: value for name, value in given.items() if value != "None"}
+    return [_call("Bands", **given)] if given else []
+
+
+def _trained(network: Network) -> dict[str, str]:
+    return {} if network.settings is None else {"settings": "settings"}
+
+
+def _changed(settings: Settings) -> dict[str, str]:
+    """What differs from the defaults."""
+    usual = Settings()
+    values = {field.name: getattr(settings, field.name) for field in fields(Settings)}
+    return {name: repr(v) for name, v in values.items() if v != getattr(usual, name)}
+
+
+def _options(**options: Any) -> dict[str, str]:
+    """Those that are not left as they are by default."""
+    return {name: repr(value) for name, value in options.items() if value is not False}
+
+
+def _call(name: str, *values: str, **named: str) -> str:
+    return f"sb.{name}({', '.join([*values, *(f'{k}={v}' for k, v in named.items())])})"

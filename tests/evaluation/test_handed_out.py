@@ -1,0 +1,119 @@
+"""What a comparison hands out: methods as they were trained, means with their parts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import splitband as sb
+from splitband import GRU, Bands, Settings, Setup, Trajectory
+from splitband.evaluation.setup import default_setup
+from splitband.forecasters.prediction import mean_of
+
+DT, TRAIN, WARMUP = 0.1, 160, 12
+SETTINGS = Settings(40, WARMUP, 1, 16)
+SETUP = Setup(TRAIN, SETTINGS, Bands(0.6, 1, 2), sb.Sizes(hidden_high=4, hidden_low=3))
+
+
+def record(samples: int = 200) -> Trajectory:
+    t = DT * np.arange(samples)
+    return Trajectory(np.sin(1.3 * t) + 0.2 * np.sin(8 * t), DT)
+
+
+@cache
+def compared() -> sb.Comparison:
+    return sb.compare(record(), methods=["split-gru", "gru", "mean"], seeds=2, setup=SETUP)
+
+
+@pytest.mark.parametrize("name", ["split-gru", "gru", "mean"])
+def test_a_method_can_be_fitted_again_and_says_the_same(name: str, tmp_path: Path) -> None:
+    model = compared().forecaster(name)
+    assert model.fitted is None
+    model.fit(record()[:TRAIN], seed=0, horizon=40)
+    np.testing.assert_allclose(model.predict(40).y, compared().means[name].ahead, atol=1e-12)
+    model.save(tmp_path / "model")
+    np.testing.assert_array_equal(sb.load(tmp_path / "model").predict(40).y, model.predict(40).y)
+
+
+def test_it_is_trained_as_the_search_has_found() -> None:
+    setup = replace(default_setup(record(), TRAIN), settings=SETTINGS, search=sb.Search(2.0))
+    result = sb.compare(record(), methods=[sb.Single(GRU(4))], setup=setup)
+    model = result.forecaster()
+    member = model.member if isinstance(model, sb.Ensemble) else model
+    assert isinstance(member, sb.Single)
+    said = [each.training for each in result.attempts]
+    assert member.training_in_words() in said
+    assert len(said) > 1
+
+
+def test_what_was_not_compared_is_not_handed_out() -> None:
+    with pytest.raises(ValueError, match="name must be one of split-gru, gru, mean, got linear"):
+        compared().forecaster("linear")
+
+
+def test_the_parts_of_a_mean_over_seeds_add_up_to_it() -> None:
+    mean, runs = compared().means["split-gru"], compared().runs["split-gru"]
+    assert len(runs) == 2
+    assert mean.forecast is not None
+    for each in (mean.from_start, mean.forecast):
+        assert sorted(each.components) == ["high band", "low band"]
+        np.testing.assert_allclose(sum(each.components.values()), each.y, atol=1e-12)
+
+
+def test_reasons_to_doubt_one_seed_are_reasons_to_doubt_the_mean() -> None:
+    first, second = (run.from_start for run in compared().runs["gru"])
+    mean = mean_of([replace(first, warnings=("a", "b")), replace(second, warnings=("b", "c"))])
+    assert mean.warnings == ("a", "b", "c")
+
+
+def test_a_forecast_hands_out_what_it_was_made_with() -> None:
+    setup = replace(SETUP, train=200)
+    result = sb.forecast(record(), 30, ["gru"], seeds=2, setup=setup)
+    model = result.forecaster.fit(record(), seed=0, horizon=30)
+    np.testing.assert_allclose(model.predict(30).y, result.prediction.y, atol=1e-12)
+
+
+def test_the_setup_of_a_forecast_is_for_all_of_the_record() -> None:
+    with pytest.raises(ValueError, match="train of setup must be all 200 samples of the record"):
+        sb.forecast(record(), 30, ["mean"], setup=SETUP)
+
+
+@pytest.mark.parametrize("seeds", [0, -1])
+def test_there_is_a_seed_at_least(seeds: int) -> None:
+    with pytest.raises(ValueError, match=f"seeds must be at least 1, got {seeds}"):
+        sb.compare(record(), methods=["mean"], seeds=seeds, setup=SETUP)
+
+
+def test_the_bands_suit_the_methods_that_are_compared() -> None:
+    """Two networks part a record by its own spectrum, whatever simulator comes with it."""
+    simulated = replace(record(), y_sim=np.sin(1.3 * DT * np.arange(200))[:, None])
+    split = sb.Split(GRU(3), GRU(3), settings=SETTINGS)
+    result = sb.compare(simulated, TRAIN, [split], seeds=1)
+    alone = sb.compare(record(), TRAIN, [split.copy()], seeds=1)
+    assert result.setup.bands == alone.setup.bands
+
+
+def test_a_first_warm_up_after_the_training_part_does_not_hide_the_forecast() -> None:
+    y = record().y.copy()
+    y[5:TRAIN:10] = np.nan
+    measured = ~np.isnan(y)
+    gaps = Trajectory(np.nan_to_num(y), DT, measured=measured)
+    setup = replace(SETUP, settings=replace(SETTINGS, warmup=20))
+    result = sb.compare(gaps, methods=["mean"], setup=setup)
+    (run,) = result.runs["mean"]
+    assert run.forecast is not None
+    assert len(run.forecast) == 40
+    assert len(run.from_start) < 40
+
+
+def test_a_channel_that_ends_before_the_held_out_part_is_named() -> None:
+    y = np.concatenate([record().y, record().y], axis=1)
+    measured = np.ones(y.shape, bool)
+    measured[110:, 1] = False
+    broken = Trajectory(y, DT, columns=("a", "b"), measured=measured)
+    with pytest.raises(ValueError, match="b must have a measured sample among the last 40"):
+        sb.tune(broken, TRAIN, ["gru"], effort=sb.Effort(trials=1), setup=SETUP)

@@ -1,0 +1,93 @@
+"""Forecasters that bring a simulator of their own, on further records and on test records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import splitband as sb
+from splitband import GRU, Bands, Settings, Trajectory
+
+DT, WARMUP = 0.1, 12
+SETTINGS = Settings(40, WARMUP, 1, 16)
+SETUP = sb.Setup(160, SETTINGS, Bands(0.6, 1, 2))
+pytestmark = pytest.mark.filterwarnings("error")
+
+
+def slow(time: np.ndarray) -> np.ndarray:
+    """By the clock of the record, whatever it shows at its first sample."""
+    return np.sin(0.7 * time)
+
+
+def rig(samples: int, begin: float) -> Trajectory:
+    time = begin + DT * np.arange(samples)
+    y = slow(time) + 0.2 * np.sin(8 * time)
+    return Trajectory(y, DT, start=begin, name=f"from {begin:g}")
+
+
+def known(record: Trajectory) -> Trajectory:
+    """The record with the output of its simulator."""
+    assert isinstance(record.start, float)
+    return replace(record, y_sim=slow(record.start + DT * np.arange(len(record)))[:, None])
+
+
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_a_test_record_is_simulated_by_its_own_clock(calibrated: bool) -> None:
+    """As if each record had brought its simulator's output."""
+    record, tests = rig(160, 3.0), [rig(90, 50.0), rig(300, 3.0)]
+    own = [
+        sb.Simulation(sb.Function(slow), calibrated),
+        sb.Residual(sb.Function(slow), GRU(3), calibrated, settings=SETTINGS),
+    ]
+    brought = [
+        sb.Simulation(calibrated=calibrated),
+        sb.Residual(None, GRU(3), calibrated, settings=SETTINGS),
+    ]
+    found = sb.compare(record, methods=own, tests=tests, seeds=1, setup=SETUP)
+    expected = sb.compare(
+        known(record), methods=brought, tests=[*map(known, tests)], seeds=1, setup=SETUP
+    )
+    for mine, theirs in zip(own, brought, strict=True):
+        for one, other in zip(
+            found.runs[mine.name][0].tests, expected.runs[theirs.name][0].tests, strict=True
+        ):
+            if not calibrated:
+                np.testing.assert_allclose(one.y, other.y, atol=1e-6)
+            assert one.y.shape == other.y.shape
+    (simulated,) = found.runs[own[0].name]
+    assert simulated.errors.tests == pytest.approx([0.2 / np.sqrt(2)] * 2, rel=0.1)
+
+
+def test_further_records_have_the_simulator_at_their_own_times() -> None:
+    record, others = rig(160, 0.0), [rig(230, 0.0), rig(120, 77.0)]
+    model = sb.Residual(sb.Function(slow), GRU(3), settings=SETTINGS)
+    found = sb.compare(record, methods=[model], others=others, tests=[rig(90, 5.0)], seeds=1,
+                       setup=SETUP)  # fmt: skip
+    alone = model.copy().fit(record, *others)
+    test = rig(90, 5.0)
+    expected = alone.predict(len(test) - WARMUP, test[:WARMUP], other_record=True).y
+    np.testing.assert_allclose(found.runs[model.name][0].tests[0].y, expected, atol=1e-6)
+
+
+def test_an_export_that_covers_both_days_says_each_of_them() -> None:
+    first, second = pd.Timestamp("2024-05-01"), pd.Timestamp("2024-05-02")
+    days = np.arange(2 * 86400 // 60) / 60.0
+    model = sb.Simulation(sb.Recorded(np.sin(days), 60.0, first))
+    record = Trajectory(np.sin(days[:200]), 60.0, start=first)
+    test = Trajectory(np.sin(days[1440:1540]), 60.0, start=second)
+    found = model.fit(record).predict(88, test[:12], other_record=True)
+    np.testing.assert_allclose(found.y[:, 0], np.sin(days[1452:1540]), atol=1e-9)
+
+
+def test_the_bands_of_a_simulator_of_ones_own_are_chosen_beside_it() -> None:
+    """Not those for two networks, which a setup holds where the record brings no simulator."""
+    record = rig(200, 0.0)
+    model = sb.Filtered(sb.Function(slow), GRU(3), settings=SETTINGS)
+    chosen = sb.compare(record, 160, [model], seeds=1).forecaster().fit(record[:160])
+    alone = model.copy().fit(record[:160])
+    assert isinstance(chosen, sb.Filtered)
+    assert isinstance(alone, sb.Filtered)
+    assert chosen.trained_in == alone.trained_in
