@@ -40,7 +40,7 @@ def test_a_method_can_be_fitted_again_and_says_the_same(name: str, tmp_path: Pat
 
 
 def test_it_is_trained_as_the_search_has_found() -> None:
-    setup = replace(default_setup(record(), TRAIN), settings=SETTINGS, search=sb.Search(2.0))
+    setup = replace(default_setup(record(), TRAIN), settings=SETTINGS, search=sb.Search(8.0))
     result = sb.compare(record(), methods=[sb.Single(GRU(4))], setup=setup)
     model = result.forecaster()
     member = model.member if isinstance(model, sb.Ensemble) else model
