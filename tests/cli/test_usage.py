@@ -1,6 +1,7 @@
 """The commands that the page shows are those of the options given, and can be pasted."""
 
 import shlex
+from pathlib import Path
 
 import pytest
 
@@ -25,6 +26,16 @@ def test_a_network_is_fitted_and_simulated_with_what_was_given() -> None:
     assert found.reading == "record = sb.read('my rig.csv', inputs=['force'], gaps='mask')"
     assert "--calibrate" in found.asked
     assert "--test later.csv" in found.asked
+
+
+def test_a_network_is_trained_again_as_it_was_found() -> None:
+    """What decides how to train is in the file; the record and the device are not."""
+    given = GIVEN | {"budget": "1m", "hidden": 8, "device": "cuda"}
+    (_, fit), _ = usage("compare", given, "gru", driven=True, found=Path("out/found.json")).commands
+    assert shlex.split(fit) == shlex.split(
+        "splitband fit 'my rig.csv' --inputs force --gaps mask --more a.csv --more b.csv "
+        "--settings out/found.json --device cuda --method gru --out model"
+    )
 
 
 def test_a_simulator_is_forecast_with() -> None:

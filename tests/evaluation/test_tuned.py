@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from splitband import GRU, Ensemble, Forecaster, Mean, Single
 from splitband.evaluation.tuned import Tuned
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import TRAINED, Sizes
@@ -47,6 +48,28 @@ def test_what_is_read_is_what_was_written(method: str, tmp_path: Path) -> None:
     assert forecaster.name == method
     assert forecaster.settings == tuned.settings
     assert not forecaster.free  # a comparison does not search for other settings
+
+
+@pytest.mark.parametrize("method", TRAINED)
+def test_a_network_says_how_it_is_trained(method: str) -> None:
+    """Whatever its cells have come to, as those of a search have."""
+    network = replace(TUNED, method=method).forecaster().trained_as(TUNED.settings, 2 / 3)
+    for forecaster in (network, Ensemble(network, 3)):
+        found = Tuned.of_forecaster(forecaster)
+        assert found is not None
+        assert found.method == method
+        assert found.settings == TUNED.settings
+        assert found.forecaster().training_in_words() == network.training_in_words()
+        assert getattr(found.forecaster(), "bands", None) == getattr(network, "bands", None)
+
+
+@pytest.mark.parametrize(
+    "forecaster",
+    [Mean(), Single(GRU(4)), Single(GRU(4), TUNED.settings, name="mine"),
+     Ensemble(Mean(), 2), Single(GRU(1), TUNED.settings)],
+)  # fmt: skip
+def test_what_has_no_settings_or_another_name_says_nothing(forecaster: Forecaster) -> None:
+    assert Tuned.of_forecaster(forecaster) is None
 
 
 @pytest.mark.parametrize(

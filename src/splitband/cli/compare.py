@@ -69,6 +69,10 @@ def compare(
     With --test every method is fitted to all of RECORD and warmed up on the first samples of the
     test record, to simulate it to its end; the table shows the RMSE of the seeds' mean there.
 
+    OUT gets results.json, predictions.csv, pictures, report.html, and where a network is
+    recommended recommended.json, with which `fit` and `forecast` train it as it was trained here
+    (--settings).
+
     --calibrate and --conditioned add rows: each method that can be is also run that way.
 
     With --settings the networks are trained as `splitband tune` has found; without --methods they

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from splitband.cli import devices, naming, records, setups, showing
-from splitband.cli.comparing import arguments
+from splitband.cli.comparing import arguments, save_found
 from splitband.cli.crew import crew
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Budget, Device, Epochs, ModelOptions, Seeds, SettingsFile
@@ -100,7 +100,9 @@ def forecast(
         out / "results.json", results.forecast_facts(result, [other.name for other in others])
     )
     pictures.save(pictures.forecast(result), out / "forecast.png")
-    used = usage("forecast", arguments(context.params), result.method, known.nu > 0)
+    found = save_found(result.forecaster, out)
+    given = arguments(context.params)
+    used = usage("forecast", given, result.method, known.nu > 0, found=found)
     page.write(result, out / page.NAME, used)
     shutil.rmtree(out / CHECKPOINTS)
     _say(result, steps, out)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from splitband.cli import showing
+from splitband.cli.comparing import FOUND
 from splitband.data import Trajectory
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.selection import WORTH_TRAINING
@@ -54,6 +55,11 @@ def show(result: Comparison, names: list[str], out: Path) -> None:
     for test, prediction in zip(result.tests, result.means[best].tests, strict=False):
         for message in prediction.warnings:
             showing.warn(f"{test.name}: {message}")
+    if (out / FOUND).is_file():
+        showing.console.print(
+            f"how {best} was trained: {out / FOUND}; to train it so again: splitband fit "
+            f"{record.name} ... --settings {out / FOUND}"
+        )
     showing.console.print(f"results and pictures: {out}/\npage: {out / 'report.html'}")
     showing.results_file(out / "results.json")
 

@@ -20,6 +20,11 @@ _FIT = (
 )  # fmt: skip
 _FORECAST = (*_FIT[:11], "epochs", "budget", "settings", "device")
 _SIMULATE = "simulator", "simulator_columns", "simulator_timeout", "simulator_cache", "time_column"
+_FOUND = (
+    "cutoff", "order", "downsampling", "warmup", "window", "epochs", "recipe", "learning_rate",
+    "lr_milestones", "hidden", "budget",
+)  # fmt: skip
+"""What a file of settings says."""
 _USUAL = {"gaps": "refuse", "recipe": "default", "device": "cpu",
           "simulator_timeout": PATIENCE}  # fmt: skip
 STEPS = 100
@@ -27,12 +32,17 @@ STEPS = 100
 
 
 def usage(
-    command: str, given: Mapping[str, Any], method: str = "", driven: bool = False, named: str = ""
+    command: str,
+    given: Mapping[str, Any],
+    method: str = "",
+    driven: bool = False,
+    named: str = "",
+    found: Path | None = None,
 ) -> Usage:
     """How to use a method, from the options (as in results.json) of the command that recommends it.
 
     `driven` is a record with known inputs; `named` is what the record is called, where a command
-    without one has made it.
+    without one has made it; `found` is the file that says how the method is to be trained.
     """
     record = str(given.get("record", ""))
     of_case = command == "benchmark" and record  # one of its cases is a comparison of its own
@@ -41,6 +51,8 @@ def usage(
     if not method or not record:
         return Usage(asked=asked)
     given = {**given, "record": record}
+    if found is not None:
+        given = {k: v for k, v in given.items() if k not in _FOUND} | {"settings": str(found)}
     ahead = " --future-inputs FILE" if driven else ""
     commands = []
     if method in FITTED:

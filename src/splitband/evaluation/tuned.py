@@ -1,17 +1,20 @@
-"""What `tune` has found, as a file that people read and other commands take."""
+"""How a network is to be trained, as a file that people read and commands write and take."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.ensemble import Ensemble
 from splitband.forecasters.names import TRAINED, Sizes, named
 from splitband.forecasters.network import Network
+from splitband.forecasters.split import Split
+from splitband.networks import EulerMLP
 from splitband.runtime.files import write_json
 from splitband.training import Settings
 
@@ -85,6 +88,23 @@ class Tuned:
         write_json(path, self.as_json())
 
     @classmethod
+    def of_forecaster(cls, forecaster: Forecaster) -> Tuned | None:
+        """How a network of a known name is trained; None for everything else.
+
+        Of a mean over seeds it is that of each member.
+        """
+        network = forecaster.member if isinstance(forecaster, Ensemble) else forecaster
+        if not isinstance(network, Network) or network.settings is None:
+            return None
+        if network.name not in TRAINED:
+            return None
+        bands = getattr(network, "bands", Bands())
+        sizes = _sizes(network)
+        tuned = cls(network.name, network.settings, replace(bands, choice=None), sizes)
+        same = tuned.forecaster().training_in_words() == network.training_in_words()
+        return tuned if same else None
+
+    @classmethod
     def of(cls, facts: Any) -> Tuned:
         """From what `as_json` returns; raises ValueError that names the key that is wrong."""
         _check_keys("", facts, {"format", "version", "method", "sizes", "bands", "training"})
@@ -125,6 +145,17 @@ class Tuned:
             raise ValueError(f"settings must be a JSON file, got {path}: {error}") from None
         except ValueError as error:
             raise ValueError(f"settings {path}: {error}") from None
+
+
+def _sizes(network: Network) -> Sizes:
+    """Of its cells; a network of one cell has the sum of what the two of a split model have."""
+    cells = [getattr(network, name) for name in network.cells]
+    hidden = [getattr(cell, "hidden_size", 0) for cell in cells]
+    if isinstance(cells[0], EulerMLP):
+        return Sizes(state_size=cells[0].state_size, step_size=cells[0].step_size)
+    low = hidden[0] if isinstance(network, Split) else max(hidden[0] // 3, 1)
+    high = hidden[1] if isinstance(network, Split) else max(hidden[0] - low, 1)
+    return Sizes(hidden_high=high, hidden_low=low)
 
 
 def _refused(constant: str) -> float:
