@@ -24,7 +24,7 @@ def forecasters(names: Sequence[str], setup: Setup) -> list[Forecaster]:
 def compared(
     record: Trajectory, names: Sequence[str], setup: Setup, seeds: Sequence[int], jobs: int
 ) -> Comparison:
-    """What `splitband.compare` finds; but every seed is tried out, where that takes two."""
+    """Like `splitband.compare`, without its search, and with all seeds tried out instead of two."""
     methods, work = forecasters(names, setup), Work(jobs)
     trial = try_out(record[: setup.train], methods, len(record) - setup.train, seeds, work)
     runs = compare_methods(record, methods, setup, seeds, work)

@@ -5,7 +5,8 @@
 Regret is the forecast error of the recommended method over that of the best one, known afterwards.
 An interval's width is compared with what would just have held nine tenths of the samples, had that
 been known. By default the baselines are compared, which take no training: what they are worth
-differs as much as it does for networks (`--methods usual`: what `compare` runs).
+differs as much as it does for networks (`--methods usual`: those of `compare`, each trained by the
+default recipe).
 
 Constants are chosen on `--development` seeds; without it, other seeds are drawn, and the paper's
 records are added, on which nothing is chosen. Each record is a file in `--parts` that is made once:

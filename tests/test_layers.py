@@ -1,6 +1,7 @@
 """Imports point downwards only, as the layout says."""
 
 import ast
+import re
 from functools import cache
 from pathlib import Path
 
@@ -100,6 +101,24 @@ def test_imports_point_downwards() -> None:
         if LAYERS.index(name) < LAYERS.index(module_of(path))
     ]
     assert not upward
+
+
+def test_only_results_reach_up_to_be_shown() -> None:
+    """By their methods `plot`, `save` and `report`, when these are called."""
+    upward = {
+        (str(path.relative_to(SOURCE)), called.split(".")[1])
+        for path in FILES
+        for called in re.findall(
+            r'import_module\("(splitband\.\w+)', path.read_text(encoding="utf-8")
+        )
+        if LAYERS.index(called.split(".")[1]) < LAYERS.index(module_of(path))
+    }
+    assert upward == {
+        ("evaluation/comparison.py", "report"),
+        ("evaluation/forecast.py", "report"),
+        ("evaluation/tuning.py", "report"),
+        ("forecasters/prediction.py", "report"),
+    }
 
 
 def test_leaves_import_nothing_else_from_the_package() -> None:

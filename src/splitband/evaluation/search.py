@@ -50,7 +50,7 @@ TRIED = 0, 1
 SEVERAL = 0.6
 """Share of what is left for the search that several seeds of each candidate may take."""
 OF_FIRST = 0.8
-"""Share of the search that may go into the first network."""
+"""Share of the search that may go into the network that stands first among the methods."""
 TRANSFERRED = 2
 """How many of the first network's best candidates the other networks take settings from."""
 LADDER = 100, 400, 1600, 6400

@@ -39,13 +39,15 @@ TRIED = 2
 WORTH_TRAINING = 0.1
 """By how much a network's score must be lower than that of what needs no training."""
 CHANGE_COUNTS = 0.5
-"""How much of a forecast's squared change is an error: two forecasts that are equally far from the
-truth, in ways of their own, differ by twice the square of that."""
+"""How much of a forecast's mean squared change is taken as its error: two forecasts that have
+independent errors of the same size differ by twice the mean square of either."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """What the methods did on the held-out part of the training samples; several seeds' mean did.
+    """How each method did on the held-out last quarter of the training samples.
+
+    Of a network that is trained with several seeds, the mean of their forecasts counts.
 
     Attributes
     ----------

@@ -69,7 +69,8 @@ class Question:
     others : Further training records.
     tests : Other records, each to be simulated to its end from its first samples, by what has been
         fitted to the most samples.
-    warmup : How many samples these are, for what needs no number of its own.
+    warmup : Samples at the beginning of a test record that are the history of what has no warm-up
+        of its own (`Forecaster.warmup` is 0).
     """
 
     record: Trajectory
