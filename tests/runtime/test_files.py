@@ -149,7 +149,7 @@ def test_an_output_folder_at_or_below_a_regular_file_is_named(tmp_path: Path, be
     file = tmp_path / "file.txt"
     file.write_text(OLD)
     wanted = file / below
-    with pytest.raises(ValueError, match="results need a folder that can be written") as caught:
+    with pytest.raises(ValueError, match="folder must be a folder that can be written") as caught:
         output_folder(wanted)
     assert f"got {wanted}: " in str(caught.value)
     assert "\n" not in str(caught.value)

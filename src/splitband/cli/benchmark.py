@@ -79,7 +79,7 @@ def benchmark(
     if methods is not None:
         naming.method_names(methods)
     setups.check_model_options(model)
-    output_folder(out)
+    output_folder(out, "--out")
     rows = []
     with crew(jobs, cluster) as workers:
         for number, case in enumerate(cases, 1):

@@ -127,7 +127,7 @@ def carried_out(
     naming.check_needs(methods, record)
     check(record, methods, setup, others, tests)
     check_trial(record, methods, setup, others)
-    output_folder(out)
+    output_folder(out, "--out")
     with showing.progress(label) as progress:
         return compare_forecasters(
             record,

@@ -92,7 +92,7 @@ def fit(
     training = trajectory[: setup.train]
     naming.check_needs([forecaster], training)
     forecaster.check(training, *others)
-    output_folder(out)
+    output_folder(out, "--out")
     with showing.progress(f"training {method}") as bar:
 
         def update(at: Progress) -> None:

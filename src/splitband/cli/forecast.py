@@ -88,7 +88,7 @@ def forecast(
         naming.check_needs(methods, known)
         check(known, methods, setup, others, beyond=True)
         check_trial(known, methods, setup, others)
-        output_folder(out)
+        output_folder(out, "--out")
         with showing.progress() as progress:
             result = forecast_record(
                 known, steps, methods,

@@ -112,7 +112,7 @@ def make_table(
     _run_missing((line for rows in of.values() for line in rows), out, crew(jobs, cluster), run)
     for each, rows in of.items():
         made = table(each, rows, out / "runs")
-        output_folder(out / "tables")
+        output_folder(out / "tables", "--out")
         with replacing(out / "tables" / f"{each}.md") as temporary:
             temporary.write_text(made.markdown(), encoding="utf-8")
         asked = {"systems": systems, "methods": methods, "seeds": seeds, "epochs": epochs}
@@ -141,7 +141,7 @@ def make_figure(
     of = {each: needed(each, _split(systems), _split(methods), seeds, epochs) for each in chosen}
     every = (line for by_system in of.values() for rows in by_system.values() for line in rows)
     _run_missing(every, out, crew(jobs, cluster), run)
-    output_folder(out / "figures")
+    output_folder(out / "figures", "--out")
     for each, by_system in of.items():
         for system, rows in by_system.items():
             path = out / "figures" / f"{system}-{each}.png"
@@ -158,7 +158,7 @@ def _duration(seconds: float) -> str:
 def _run_missing(
     of: Iterable[Line], out: Path, workers: AbstractContextManager[Crew], run: bool
 ) -> None:
-    output_folder(out / "runs")
+    output_folder(out / "runs", "--out")
     if not run:
         return
     todo = missing((job for line in of for job in line.jobs), out / "runs")

@@ -84,7 +84,7 @@ def simulate(
             y = saved.predict(steps, past, u).y
             beyond = saved.require_fitted().inputs_beyond(u)
     prediction = Prediction(y, past.grid.after(steps), tuple(known.columns))
-    output_folder(out.parent)
+    output_folder(out.parent, "--out")
     with replacing(out) as temporary:
         prediction.to_frame().to_csv(temporary, index=False)
     showing.console.print(f"{steps} samples after {history}: {out}")

@@ -66,7 +66,7 @@ def spectrum(
     pair = setup.bands.pair(rate)
     chosen, choice = float(setup.bands.cutoff or 0.0), setup.bands.choice
     low, high = pair.split(trajectory.y)
-    output_folder(out)
+    output_folder(out, "--out")
     facts: dict[str, Any] = {
         "record": trajectory.name,
         "sampling_rate": rate,

@@ -111,7 +111,7 @@ def tune(
         naming.check_names("--methods", names, TRAINED)
     with crew(jobs, cluster) as workers:
         task = prepared(request, workers.cores, ahead=0)
-        output_folder(out)
+        output_folder(out, "--out")
         with showing.progress("tuning") as progress:
             result = search_settings(
                 task.record,

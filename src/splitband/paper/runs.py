@@ -171,16 +171,22 @@ def final_losses(facts: dict[str, Any]) -> dict[str, float]:
     }
 
 
-def disturbed(facts: dict[str, Any]) -> bool | None:
-    """Whether a run's seconds are longer, or shorter, than the training took.
+def training_seconds(facts: dict[str, Any]) -> float | None:
+    """How long a run's training took, or would have taken on a core of its own.
 
-    It waited for its core, or went on from a checkpoint; None is for older files, which do not say.
+    Of one that waited for its core it is the time that the processor worked on it. None for one
+    that went on from a checkpoint, of which the time before is not known. Older files do not say
+    whether they waited (`load_known`).
     """
     if "resumed" in facts:
-        return True
-    if "cpu_seconds" not in facts:
         return None
-    return bool(facts["seconds"] > _WAITED * facts["cpu_seconds"])
+    waited = load_known(facts) and facts["seconds"] > _WAITED * facts["cpu_seconds"]
+    return float(facts["cpu_seconds" if waited else "seconds"])
+
+
+def load_known(facts: dict[str, Any]) -> bool:
+    """Whether a run's file says how long the processor worked on it."""
+    return "cpu_seconds" in facts
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,11 +14,12 @@ from splitband.forecasters.names import QUICK
 from splitband.paper.jobs import ORACLE, SYSTEMS, Job
 from splitband.paper.runs import (
     FEWEST_SEEDS,
-    disturbed,
     final_losses,
     finished,
     load,
+    load_known,
     parts_rmse,
+    training_seconds,
     whole_rmse,
 )
 from splitband.paper.specs import SPECS, Line, Spec
@@ -95,7 +96,7 @@ def _facts(spec: Spec, line: Line, folder: Path) -> dict[str, Any]:
     first = (jobs or line.jobs)[0]
     runs = [load(job, folder) for job in jobs]
     good = [(job, run) for job, run in zip(jobs, runs, strict=True) if "diverged" not in run]
-    timed = [(run["seconds"], disturbed(run)) for _, run in good]
+    timed = [(training_seconds(run), load_known(run)) for _, run in good]
     known = spec.published.get(line.system if line.value is None else line.value, {}).get(
         line.method
     )
@@ -111,8 +112,8 @@ def _facts(spec: Spec, line: Line, folder: Path) -> dict[str, Any]:
         "whole_rmse": [whole_rmse(run, job) for job, run in good] if not spec.varied else [],
         "parts_rmse": parts_rmse(runs[0], jobs[0]) if good and not spec.varied else {},
         "losses": {name: [each[name] for each in losses] for name in (losses or [{}])[0]},
-        "seconds": [seconds for seconds, waited in timed if not waited],
-        "seconds_unsure": any(waited is None for _, waited in timed),
+        "seconds": [seconds for seconds, _ in timed if seconds is not None],
+        "seconds_unsure": not all(known for seconds, known in timed if seconds is not None),
         "runs": len(runs),
         "asked": len(line.jobs),
         "diverged": len(runs) - len(good),
@@ -185,7 +186,7 @@ _COLUMNS: dict[str, tuple[tuple[str, ...], _Cells]] = {
 
 
 def full_seconds(facts: Mapping[str, Any]) -> float:
-    """The median over the undisturbed runs of a row, of as many epochs as the paper's."""
+    """The median over the runs of a row, of as many epochs as the paper's."""
     return statistics.median(facts["seconds"]) * facts["paper_epochs"] / facts["epochs"]
 
 

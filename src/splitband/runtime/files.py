@@ -51,8 +51,8 @@ def to_json(value: Any) -> str:
     return json.dumps(value, indent=2, allow_nan=False) + "\n"
 
 
-def output_folder(path: str | Path) -> Path:
-    """Create the folder `path` if need be and check that files can be written there.
+def output_folder(path: str | Path, argument: str = "folder") -> Path:
+    """Create the folder `path`, which errors call `argument`, and check that it can be written to.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def output_folder(path: str | Path) -> Path:
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise ValueError(
-            f"results need a folder that can be written, got {path}: {reason}"
+            f"{argument} must be a folder that can be written, got {path}: {reason}"
         ) from None
     return path
 
