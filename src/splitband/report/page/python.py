@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import fields
 from typing import Any
 
@@ -26,6 +27,9 @@ from splitband.training import Settings
 
 _CLOSED_FORMS = Harmonic, Linear, Mean, Periodic, Persistence, SeasonalNaive
 _UNKNOWN = "..."
+WIDTH = 88
+"""Characters in a line of settings."""
+_INDENTED: Any = {"initial_indent": "    ", "subsequent_indent": "    "}
 
 
 def making(forecaster: Forecaster) -> list[str]:
@@ -41,7 +45,8 @@ def making(forecaster: Forecaster) -> list[str]:
         made = f"sb.Ensemble({made}, {forecaster.count})"
     lines = [f"model = {made}"]
     if isinstance(member, Network) and member.settings is not None:
-        lines.insert(0, f"settings = {_call('Settings', **_changed(member.settings))}")
+        changed = ", ".join(f"{k}={v}" for k, v in _changed(member.settings).items())
+        lines = ["settings = sb.Settings(", *textwrap.wrap(changed, WIDTH, **_INDENTED), ")", *lines]
     return lines
 
 
