@@ -46,7 +46,8 @@ def making(forecaster: Forecaster) -> list[str]:
     lines = [f"model = {made}"]
     if isinstance(member, Network) and member.settings is not None:
         changed = ", ".join(f"{k}={v}" for k, v in _changed(member.settings).items())
-        lines = ["settings = sb.Settings(", *textwrap.wrap(changed, WIDTH, **_INDENTED), ")", *lines]
+        inner = textwrap.wrap(changed, WIDTH, **_INDENTED)
+        lines = ["settings = sb.Settings(", *inner, ")", *lines]
     return lines
 
 
