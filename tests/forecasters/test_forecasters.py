@@ -1,6 +1,7 @@
 """What every forecaster promises, whatever it is made of."""
 
 import copy
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -18,6 +19,7 @@ from splitband import GRU, Bands, Forecaster, Known, Recorded, Settings, Traject
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.names import NAMES, TRAINED, Sizes
 from splitband.forecasters.network import Network
+from splitband.metrics import ExtrapolationWarning
 from tests.support import with_other_samples
 
 Array = npt.NDArray[np.float64]
@@ -338,3 +340,23 @@ def test_a_linear_model_begins_anew_where_inputs_in_between_are_not_known() -> N
     linear = fitted("linear")
     expected = linear.predict(5, later, other_record=True).y
     np.testing.assert_array_equal(linear.predict(5, later).y, expected)
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_a_simulation_that_ends_too_early_for_its_clock_is_said_to(several: bool) -> None:
+    """Its clock is a twentieth too slow, and nothing is known beyond the record."""
+    t = DT * np.arange(300)
+    y, y_sim = np.sin(1.04 * t), np.sin(t)
+    whole = Trajectory(y, DT, y_sim=y_sim)
+    model: Forecaster = sb.Filtered(
+        sb.Simulation(calibrated=["clock"]), GRU(3), BANDS, settings=SETTINGS
+    )
+    if several:
+        model = sb.Ensemble(model, 2)
+    model.fit(whole[:200])
+    with pytest.warns(ExtrapolationWarning, match="output ends too early for its calibration"):
+        found = model.predict(100)
+    (said,) = [text for text in found.warnings if "too early" in text]
+    assert "clock 1.04" in said
+    assert re.search(r"the last 1[0-3] of 100 samples", said)
+    assert not [text for text in model.predict(50).warnings if "too early" in text]

@@ -95,6 +95,10 @@ class Forecaster(ABC):
         """What the fit has settled on, in a few words for a table."""
         return ""
 
+    def doubts(self, known: Known) -> list[str]:
+        """Reasons to doubt what it extrapolates, in sentences, beside those that hold for all."""
+        return []
+
     def with_defaults(self, settings: Settings, bands: Bands) -> Self:
         """With what a comparison shares, where the forecaster does not say otherwise."""
         return self
@@ -206,8 +210,8 @@ class Forecaster(ABC):
         Warns
         -----
         ExtrapolationWarning
-            For inputs beyond their range in training, and for a prediction that leaves the range of
-            the training samples by far.
+            For inputs beyond their range in training, for a simulator's output that ends too early,
+            and for a prediction that leaves the range of the training samples by far.
         """
         fitted = self.require_fitted()
         if steps < 1:
@@ -236,6 +240,7 @@ class Forecaster(ABC):
             prediction = replace(prediction, lower=y - half, upper=y + half, level=level)
         beyond = fitted.inputs_beyond(None if known.u is None else known.u[len(known.y) :])
         messages = [each.describe(past.inputs[each.channel]) for each in beyond]
+        messages += self.doubts(known)
         left = leaves_range(fitted.y_range, y)
         if left is not None:
             messages.append(

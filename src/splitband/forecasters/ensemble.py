@@ -133,6 +133,11 @@ class Ensemble(Forecaster):
         ]
         return {name: np.mean([p[name] for p in parts], axis=0) for name in parts[0]}
 
+    def doubts(self, known: Known) -> list[str]:
+        """See `Forecaster`: those of every member."""
+        said = [doubt for member in self.members for doubt in member.doubts(known)]
+        return [*dict.fromkeys(said)]
+
     def describe(self) -> str:
         """See `Forecaster`."""
         return self.members[0].describe() if self.members else ""

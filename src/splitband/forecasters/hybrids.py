@@ -87,6 +87,10 @@ class _Hybrid(Banded):
         super().forget()
         self.base = self.base.copy()
 
+    def doubts(self, known: Known) -> list[str]:
+        """See `Forecaster`: those of the base."""
+        return self.base.doubts(known)
+
     def describe(self) -> str:
         """See `Forecaster`."""
         if not isinstance(self.base, Simulation):

@@ -161,6 +161,21 @@ class Simulation(Forecaster):
         y_sim = self.calibration.apply(y_sim, len(record), record.sampling_time)
         return replace(record, y_sim=y_sim, beyond=None)
 
+    def doubts(self, known: Known) -> list[str]:
+        """See `Forecaster`: a calibrated clock or delay may ask for more output than there is."""
+        if self.simulator is not None or known.y_sim is None:
+            return []
+        begin, samples = known.begin or 0.0, len(known.y) + known.steps
+        step = self.require_fitted().record.sampling_time
+        asked = self.calibration.places(samples, step, begin) - begin
+        missing = int(np.sum(asked > len(known.y_sim) - 0.5))
+        if not missing:
+            return []
+        return [
+            f"the simulator's output ends too early for its calibration ({self.calibration}): for "
+            f"the last {missing} of {known.steps} samples its last value is held"
+        ]
+
     def describe(self) -> str:
         """See `Forecaster`."""
         return "; ".join(filter(None, [str(self.calibration), self.calibration.untried]))
