@@ -165,10 +165,24 @@ def test_good_methods_get_more_seeds_as_long_as_the_budget_lasts() -> None:
     assert SearchResult([], costs=costs, left=1000).seeds(scores) == {
         "good": range(8), "near": range(3), "far": range(1)
     }  # fmt: skip
+    more = SearchResult([], costs=costs, left=1000, most_seeds=16)
+    assert more.seeds(scores)["good"] == range(16)
     assert SearchResult([], costs=costs, left=45).seeds(scores) == {
         "good": range(2), "near": range(1), "far": range(1)
     }  # fmt: skip
     assert SearchResult([], costs=costs, left=-1).seeds(scores) == dict.fromkeys(costs, range(1))
+
+
+@pytest.mark.parametrize(("budget", "most"), [(2.0, 8), (240.0, 8), (480.0, 16), (960.0, 32)])
+def test_a_larger_budget_allows_for_more_seeds(
+    budget: float, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def diverge(*_: object, **__: object) -> None:
+        raise FloatingPointError("diverged")
+
+    monkeypatch.setattr("splitband.forecasters.network.fit", diverge)
+    monkeypatch.setattr(searching, "CORE_SECONDS", 240.0)
+    assert searched_by(record()[:TRAIN], ["gru"], Search(budget)).most_seeds == most
 
 
 def test_compare_searches_by_default_and_says_what_it_has_tried(

@@ -64,7 +64,8 @@ GOOD = 1.5
 """A method whose error is at most this multiple of the lowest one gets more than one seed, as far
 as the budget allows."""
 USUAL_SEEDS, MOST_SEEDS = 3, 8
-"""Seeds of a good method, and of the best one."""
+"""Seeds of a good method, and of the best one with the default budget; a larger one allows for as
+many more."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +146,7 @@ class SearchResult:
     done : Of the chosen networks, the forecasts of held-out samples, by name and seed.
     costs : Of the chosen networks, seconds of a reference core for one more training.
     left : Of the budget.
+    most_seeds : Of the best network.
     """
 
     forecasters: list[Forecaster]
@@ -152,6 +154,7 @@ class SearchResult:
     done: Mapping[str, Mapping[int, Backtest]] = field(default_factory=dict)
     costs: Mapping[str, float] = field(default_factory=dict)
     left: float = 0.0
+    most_seeds: int = MOST_SEEDS
 
     def seeds(self, scores: Mapping[str, float]) -> dict[str, range]:
         """How many seeds of each method are worth their training, by held-out `scores`.
@@ -163,7 +166,7 @@ class SearchResult:
         counts = dict.fromkeys(ranked, 1)
         left = self.left - sum(self.costs[name] for name in ranked)
         good = [name for name in ranked if scores[name] <= GOOD * scores[ranked[0]]]
-        for names, most in ((good, USUAL_SEEDS), (ranked[:1], MOST_SEEDS)):
+        for names, most in ((good, USUAL_SEEDS), (ranked[:1], self.most_seeds)):
             for name in names:
                 more = min(most - counts[name], int(max(left, 0) / self.costs[name]))
                 counts[name] += max(more, 0)
@@ -240,6 +243,7 @@ def search(
         {name: trials.done[candidate.label] for name, candidate in chosen.items()},
         {name: candidate.cost for name, candidate in chosen.items()},
         budget.core_seconds - trials.spent,
+        max(MOST_SEEDS, round(MOST_SEEDS * budget.core_seconds / CORE_SECONDS)),
     )
 
 
