@@ -21,6 +21,8 @@ from splitband.runtime.files import replacing
 CORES = 2
 """Of the reference machine, which budgets are reckoned for."""
 BUDGET, AGAINST = "budget.png", "against.png"
+NARROW = 2.0
+"""Highest to lowest error that an axis shows at least."""
 
 Facts = dict[str, Any]
 Found = dict[str, dict[float, Facts]]
@@ -208,6 +210,9 @@ def _over_budget(found: Found) -> Figure:
             axis.loglog(budgets, errors, "o-", label=column)
         axis.set(title=benchmark.title, xlabel="budget (minutes of two cores)")
         axis.set_xticks(budgets, [f"{minutes:g}" for minutes in budgets])
+        low, high = axis.get_ylim()
+        if high < NARROW * low:  # a change of a hundredth is not to look like a fall
+            axis.set_ylim((low * high / NARROW) ** 0.5, (low * high * NARROW) ** 0.5)
         _for_errors(axis, benchmark)
         axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=len(benchmark.tests))
     figure.tight_layout()
