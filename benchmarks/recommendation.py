@@ -1,16 +1,18 @@
 """How good the recommendation and its intervals are, over records of many kinds.
 
     python -m benchmarks.recommendation [--seeds 4] [--jobs 2] [--methods ...] [--development]
+    python -m benchmarks.recommendation --methods default --seeds 1
 
 Regret is the forecast error of the recommended method over that of the best one, known afterwards.
 An interval's width is compared with what would just have held nine tenths of the samples, had that
 been known. By default the baselines are compared, which take no training: what they are worth
-differs as much as it does for networks (`--methods usual`: those of `compare`, each trained by the
-default recipe).
+differs as much as it does for networks. `--methods default` does all that `splitband compare` does:
+networks, whose training is searched, and baselines together; `usual` trains each network by the
+default recipe instead.
 
 Constants are chosen on `--development` seeds; without it, other seeds are drawn, and the paper's
 records are added, on which nothing is chosen. Each record is a file in `--parts` that is made once:
-stop it, go on. The table goes to docs/reliability.md.
+stop it, go on. The tables of baselines and of `default` go to docs/reliability.md.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ import numpy.typing as npt
 from benchmarks import inputs
 from benchmarks.comparing import compared
 from benchmarks.kinds import DEVELOPMENT, KINDS, REPORTED, WITH_INPUTS, drawn, driven
+from splitband import Comparison, compare
 from splitband.data import Trajectory, double_torsion, drill_string
 from splitband.evaluation.selection import Trial
 from splitband.evaluation.setup import default_setup, usual_names
@@ -45,8 +48,13 @@ Array = npt.NDArray[Any]
 Facts = dict[str, Any]
 SIZES = ((1000, 400), (2000, 1000))
 """Samples of a record, and how many of them are trained on."""
-USUAL, BASELINES = "usual", "baselines"
-BEGIN, END = "<!-- intervals -->\n", "<!-- end of intervals -->"
+USUAL, BASELINES, DEFAULT = "usual", "baselines", "default"
+FILES = {
+    BASELINES: Path("docs/benchmarks/recommendation.json"),
+    DEFAULT: Path("docs/benchmarks/recommendation-default.json"),
+}
+"""Of which methods there is a table in docs/reliability.md, and where its facts are."""
+PAGE = Path("docs/reliability.md")
 
 
 @dataclass(frozen=True)
@@ -97,17 +105,12 @@ def _measured(job: Job, report: object) -> Facts:
         facts: Facts = json.loads(job.path.read_text(encoding="utf-8"))
         return facts
     record = replace(job.record(), y_sim=None, beyond=None, y_true=None)
-    setup = default_setup(record, job.train)
-    methods = job.methods.split(",")
-    if job.methods in (USUAL, BASELINES):
-        usual = usual_names(record, setup)
-        methods = [name for name in usual if job.methods == USUAL or name in QUICK]
-    comparison = compared(record, methods, setup, seeds=[0], jobs=1)
+    comparison = _comparison(record, job)
     settled = comparison.require_trial()
     tried = replace(settled, final={})
     # A method may fail on the shorter held-out fits alone: it has no interval then.
-    tried_out = {m: r for m, r in comparison.runs.items() if m in settled.intervals}
-    left = {m: record.y[job.train :] - r[0].ahead for m, r in tried_out.items()}
+    tried_out = {m: mean for m, mean in comparison.means.items() if m in settled.intervals}
+    left = {m: record.y[job.train :] - mean.ahead for m, mean in tried_out.items()}
     errors = {m: rmse(e, np.zeros_like(e)) for m, e in left.items()}
     facts = {
         "kind": job.kind,
@@ -116,10 +119,27 @@ def _measured(job: Job, report: object) -> Facts:
         "recommended": settled.recommended,
         "regret": errors[settled.recommended] / min(errors.values()),
         "regret_by_held_out_alone": errors[tried.recommended] / min(errors.values()),
+        "over_baselines": errors[settled.recommended] / errors[_of_baselines(settled)],
         "methods": {m: _method(settled, m, e) | {"error": errors[m]} for m, e in left.items()},
     }
     write_json(job.path, facts)
     return facts
+
+
+def _comparison(record: Trajectory, job: Job) -> Comparison:
+    if job.methods == DEFAULT:
+        return compare(record, job.train)
+    setup = default_setup(record, job.train)
+    methods = job.methods.split(",")
+    if job.methods in (USUAL, BASELINES):
+        usual = usual_names(record, setup)
+        methods = [name for name in usual if job.methods == USUAL or name in QUICK]
+    return compared(record, methods, setup, seeds=[0], jobs=1)
+
+
+def _of_baselines(trial: Trial) -> str:
+    """What would be recommended without networks."""
+    return replace(trial, final={m: y for m, y in trial.final.items() if m in QUICK}).recommended
 
 
 def _method(trial: Trial, method: str, errors: Array) -> Facts:
@@ -163,37 +183,63 @@ def _summary(found: Sequence[Facts]) -> Facts:
         "inside_of_all_methods": statistics.mean(
             m["inside"] for f in found for m in f["methods"].values()
         ),
+        "networks": sum(facts["recommended"] not in QUICK for facts in found),
+        "mean_log_over_baselines": statistics.mean(
+            math.log(f.get("over_baselines", 1.0)) for f in found
+        ),
     }
 
 
 def table(facts: Facts) -> str:
-    """Coverage, width and regret by kind, in Markdown."""
+    """Coverage, width and regret by kind, in Markdown; where networks were tried, what they add."""
     (first, last), which = facts["seeds"], facts["seeds_are"]
+    with_networks = facts["methods"] != BASELINES
+    heads = ["kind", "records", "inside", "width", "inside, all methods", "regret, mean and worst"]
+    if with_networks:
+        heads += ["network recommended", "error over that without networks"]
     lines = [
         f"{facts['all']['records']} records, {which} seeds {first} to {last}, "
         f"methods: {facts['methods']}\n",
-        "| kind | records | inside | width | inside, all methods | regret, mean and worst |",
-        "|---|---:|---:|---:|---:|---:|",
+        f"| {' | '.join(heads)} |",
+        "|---|" + "---:|" * (len(heads) - 1),
     ]
     for kind, of_kind in [*facts["kinds"].items(), ("all", facts["all"])]:
-        regret = f"{math.exp(of_kind['mean_log_regret']):.2f}, {of_kind['worst_regret']:.2f}"
-        inside = f"{of_kind['inside']:.0%} ± {of_kind['inside_error']:.0%}"
-        lines.append(
-            f"| {kind} | {of_kind['records']} | {inside} | {of_kind['width']:.2f} "
-            f"| {of_kind['inside_of_all_methods']:.0%} | {regret} |"
-        )
+        cells = [
+            kind,
+            str(of_kind["records"]),
+            f"{of_kind['inside']:.0%} ± {of_kind['inside_error']:.0%}",
+            f"{of_kind['width']:.2f}",
+            f"{of_kind['inside_of_all_methods']:.0%}",
+            f"{math.exp(of_kind['mean_log_regret']):.2f}, {of_kind['worst_regret']:.2f}",
+        ]
+        if with_networks:
+            of_baselines = math.exp(of_kind["mean_log_over_baselines"])
+            cells += [str(of_kind["networks"]), f"{of_baselines:.2f}"]
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
+
+
+def on_page(text: str, facts: Facts) -> str:
+    """The page with the table of these methods made again."""
+    begin, end = marks(facts["methods"])
+    before, rest = text.split(begin)
+    return before + begin + table(facts) + end + rest.split(end)[1]
+
+
+def marks(methods: str) -> tuple[str, str]:
+    """Between which the table of such methods stands on the page."""
+    return f"<!-- intervals, {methods} -->\n", f"<!-- end of intervals, {methods} -->"
 
 
 def main() -> None:
     """Measure all records and write what was found."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("docs/benchmarks/recommendation.json"))
-    parser.add_argument("--page", type=Path, default=Path("docs/reliability.md"))
     parser.add_argument("--parts", type=Path, default=Path("out/recommendation"))
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--methods", default=BASELINES, help=f"{BASELINES}, {USUAL} or names")
+    parser.add_argument(
+        "--methods", default=BASELINES, help=f"{BASELINES}, {DEFAULT}, {USUAL} or names"
+    )
     parser.add_argument("--development", action="store_true", help="print, and write nothing else")
     arguments = parser.parse_args()
     arguments.parts.mkdir(parents=True, exist_ok=True)
@@ -210,12 +256,9 @@ def main() -> None:
         "found": found,
     }
     print(table(facts))
-    if not arguments.development:
-        write_json(arguments.out, facts)
-        text = arguments.page.read_text(encoding="utf-8")
-        before, rest = text.split(BEGIN)
-        page = before + BEGIN + table(facts) + END + rest.split(END)[1]
-        arguments.page.write_text(page, encoding="utf-8")
+    if arguments.methods in FILES and not arguments.development:
+        write_json(FILES[arguments.methods], facts)
+        PAGE.write_text(on_page(PAGE.read_text(encoding="utf-8"), facts), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -18,17 +18,20 @@ def recommendation(monkeypatch: pytest.MonkeyPatch) -> Any:
     return importlib.import_module("benchmarks.recommendation")
 
 
-def test_the_table_of_intervals_is_that_of_its_file(recommendation: Any) -> None:
-    text = (ROOT / "docs/benchmarks/recommendation.json").read_text(encoding="utf-8")
-    facts = json.loads(text)
-    page = (ROOT / "docs/reliability.md").read_text(encoding="utf-8")
-    shown = page.split(recommendation.BEGIN)[1].split(recommendation.END)[0]
-    assert shown == recommendation.table(facts)
+@pytest.mark.parametrize("methods", ["baselines", "default"])
+def test_the_table_of_intervals_is_that_of_its_file(recommendation: Any, methods: str) -> None:
+    facts = json.loads((ROOT / recommendation.FILES[methods]).read_text(encoding="utf-8"))
+    page = (ROOT / recommendation.PAGE).read_text(encoding="utf-8")
+    assert recommendation.on_page(page, facts) == page
+    assert facts["methods"] == methods
     assert facts["kinds"] == recommendation.by_kind(facts["found"])
 
 
-def test_no_constant_is_judged_by_a_seed_it_was_chosen_by(recommendation: Any) -> None:
-    facts = json.loads((ROOT / "docs/benchmarks/recommendation.json").read_text(encoding="utf-8"))
+@pytest.mark.parametrize("methods", ["baselines", "default"])
+def test_no_constant_is_judged_by_a_seed_it_was_chosen_by(
+    recommendation: Any, methods: str
+) -> None:
+    facts = json.loads((ROOT / recommendation.FILES[methods]).read_text(encoding="utf-8"))
     first, last = facts["seeds"]
     assert {first, last} <= set(recommendation.REPORTED)
     assert facts["seeds_are"] == "reported"
@@ -53,6 +56,7 @@ def test_the_facts_of_a_record_are_made_once(recommendation: Any, tmp_path: Path
     assert facts["regret"] == pytest.approx(
         of_methods[facts["recommended"]] / min(of_methods.values())
     )
+    assert facts["over_baselines"] == 1.0
     job.path.write_text(json.dumps(facts | {"regret": 7.0}), encoding="utf-8")
     assert recommendation._measured(job, None)["regret"] == 7.0
 

@@ -7,6 +7,7 @@ import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from splitband.baselines import linear
 from splitband.baselines.linear import OutputError, _stable
 
 Array = npt.NDArray[np.float64]
@@ -54,11 +55,23 @@ def test_units_and_offsets_do_not_matter() -> None:
     np.testing.assert_allclose(moved, 1e6 + 1e-3 * plain, atol=1e-6)
 
 
-def test_noise_is_averaged_out() -> None:
+@pytest.mark.parametrize("deviation", [0.1, 0.3])
+def test_noise_is_averaged_out(deviation: float) -> None:
     u, noise = inputs(), np.random.default_rng(1).standard_normal((LENGTH, 2))
     y = oscillators(u, 1.0)
-    found = OutputError.fit((y + 0.1 * noise)[:TRAIN], u[:TRAIN]).simulate(u)[TRAIN:]
-    assert np.sqrt(np.mean((found - y[TRAIN:]) ** 2)) < 0.03
+    found = OutputError.fit((y + deviation * noise)[:TRAIN], u[:TRAIN]).simulate(u)[TRAIN:]
+    assert np.sqrt(np.mean((found - y[TRAIN:]) ** 2)) < deviation / 3
+
+
+@pytest.mark.parametrize(("of_two", "poles"), [(1.09, 2), (1.11, 3)])
+def test_more_poles_are_taken_only_where_they_forecast_a_tenth_better(
+    monkeypatch: pytest.MonkeyPatch, of_two: float, poles: int
+) -> None:
+    errors = {1: 4.0, 2: of_two, 3: 1.0}
+    monkeypatch.setattr(linear, "_held_out", lambda y, u, order: errors.get(order, 1.05) ** 2)
+    u = inputs()
+    found = OutputError.fit(oscillators(u)[:TRAIN, :1], u[:TRAIN])
+    assert len(found.channels[0].a) - 1 == poles
 
 
 def test_what_was_not_measured_is_gone_around() -> None:

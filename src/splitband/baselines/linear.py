@@ -23,6 +23,9 @@ Array = npt.NDArray[np.float64]
 
 ORDERS = (1, 2, 3, 4, 6, 8)
 """Numbers of poles that are tried."""
+WORTH_POLES = 0.1
+"""By how much the held-out error of more poles must be lower: what a few samples prefer by less
+is chance, and more poles than a system has may drift far away beyond the record."""
 ROUNDS = 20
 """Iterations that look for a denominator, at most; the search goes on from the best one."""
 CONVERGED = 1e-9
@@ -60,9 +63,9 @@ class OutputError:
     def fit(cls, y: Array, u: Array) -> OutputError:
         """Fit to the first samples of a record, by least squares of the simulation error.
 
-        Each channel has a model of its own. Its poles are stable, and as many as forecast held-out
-        samples best, over several cuts of `y`. Of a long record the last samples are fitted, see
-        `naive.recent`.
+        Each channel has a model of its own. Its poles are stable, and as few as forecast held-out
+        samples about as well as any number of them, over several cuts of `y`. Of a long record the
+        last samples are fitted, see `naive.recent`.
 
         Parameters
         ----------
@@ -128,11 +131,12 @@ def _fit_channel(y: Array, u: Array) -> Channel:
 
 
 def _denominator(y: Array, u: Array) -> Array:
-    """The denominator A, of the order that forecasts held-out samples best."""
+    """The denominator A, of the lowest order that forecasts held-out samples well."""
     most = max((len(known(y)) // 3 - u.shape[1] - 1) // (2 + u.shape[1]), 1)
-    orders = [order for order in ORDERS if order <= most]
-    errors = {order: _held_out(y, u, order) for order in orders}
-    return _refined(_of_order(y, u, min(orders, key=lambda order: errors[order])), y, u)
+    errors = {order: _held_out(y, u, order) for order in ORDERS if order <= most}
+    enough = (1 + WORTH_POLES) ** 2 * min(errors.values())
+    order = next(order for order, error in errors.items() if error <= enough)
+    return _refined(_of_order(y, u, order), y, u)
 
 
 def _held_out(y: Array, u: Array, order: int) -> float:

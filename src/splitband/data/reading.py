@@ -159,7 +159,7 @@ def _lines(raw: bytes, mark_inside: bool) -> list[str]:
     if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
         text = raw.decode("utf-16")
     elif b"\0" in raw:
-        raise ValueError("it is a binary file")
+        raise ValueError("it is a binary file; save a spreadsheet as CSV")
     else:
         try:
             text = raw.decode("utf-8-sig")

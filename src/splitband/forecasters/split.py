@@ -140,5 +140,6 @@ def check_warmup(settings: Settings, shortest: int, bands: Bands) -> None:
     if settings.warmup <= shortest:
         raise ValueError(
             f"warmup must have more than {shortest} samples for filters of order "
-            f"{bands.order or 1}, got {settings.warmup}"
+            f"{bands.order or 1}, got {settings.warmup}; a record too short for that is one for "
+            "methods without filters"
         )
