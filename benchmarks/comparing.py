@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from splitband import Comparison, Forecaster, Trajectory
 from splitband.evaluation.protocols import compare_methods
 from splitband.evaluation.runs import Work
@@ -28,7 +26,7 @@ def compared(
     methods, work = forecasters(names, setup), Work(jobs)
     trial = try_out(record[: setup.train], methods, len(record) - setup.train, seeds, work)
     runs = compare_methods(record, methods, setup, seeds, work)
-    final = {name: np.mean([run.ahead for run in of], axis=0) for name, of in runs.items()}
+    final = {name: [run.ahead for run in of_seeds] for name, of_seeds in runs.items()}
     return Comparison(record, setup, runs, trial.settled(final, runs.failed))
 
 

@@ -109,8 +109,8 @@ def try_out(
 
 
 def settled(trial: Trial, runs: Runs) -> Trial:
-    """The trial with what the methods forecast after all, the mean of their seeds."""
-    final = {name: np.mean([r.ahead for r in of], axis=0) for name, of in runs.items()}
+    """The trial with what each seed of the methods forecast after all."""
+    final = {name: [run.ahead for run in of_seeds] for name, of_seeds in runs.items()}
     return trial.settled(final, runs.failed)
 
 

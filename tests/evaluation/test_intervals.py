@@ -11,6 +11,7 @@ import pytest
 import scipy
 
 from splitband.data import Trajectory
+from splitband.evaluation.selection import Trial
 from splitband.evaluation.setup import default_setup
 from splitband.forecasters.intervals import FARTHEST, Interval
 from tests.support import compare, settled, try_out
@@ -200,6 +201,21 @@ def test_a_forecast_that_changed_by_more_than_its_errors_has_a_wider_interval() 
     expected = [[NORMAL, NORMAL * 3], [30.0, NORMAL * of_all]]
     np.testing.assert_allclose(wider.half_width, expected)
     assert interval.widened(np.zeros((0, 2))) == interval
+
+
+@pytest.mark.parametrize(("networks", "counts"), [({"gru"}, 1.0), (set(), 0.5)])
+def test_change_and_disagreement_of_seeds_add_up_in_the_interval(
+    networks: set[str], counts: float
+) -> None:
+    interval = Interval((0, 100), ((0.1,), (0.1,)), (None,))
+    early = {"gru": [np.zeros((20, 1))]}
+    trial = Trial(
+        {"gru": 1.0}, {"gru": 1.0}, {"gru": interval}, early, np.ones(1), frozenset(networks)
+    )
+    seeds = [np.full((20, 1), 3.0), np.full((20, 1), 5.0)]
+    for of_seeds, variance in ((seeds[:1], counts * 9), (seeds, counts * 16 + 2)):
+        found = trial.settled({"gru": of_seeds}, {}).intervals["gru"]
+        np.testing.assert_allclose(found.half_width, NORMAL * np.sqrt(variance))
 
 
 def test_noise_that_a_forecast_repeats_is_counted_once() -> None:

@@ -261,7 +261,7 @@ def compare(
         attempts=searched.attempts,
         forecasters={method.name: method for method in fitted if method.name in runs},
     )
-    final = {name: mean.ahead for name, mean in comparison.means.items()}
+    final = {name: [run.ahead for run in of_seeds] for name, of_seeds in runs.items()}
     return replace(comparison, trial=trial.settled(final, runs.failed))
 
 

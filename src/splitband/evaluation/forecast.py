@@ -109,7 +109,11 @@ def forecast(
         if of_method
     }
     failed = {f.method: f.reason for f in failures[::-1] if f.method not in means}
-    trial = trial.settled({name: mean.y for name, mean in means.items()}, failed)
+    final = {
+        name: [backtest.predictions[origin].y for backtest in backtests[name].values()]
+        for name in means
+    }
+    trial = trial.settled(final, failed)
     best = trial.recommended
     half, mean, done = trial.intervals[best].half_widths(steps), means[best], backtests[best]
     left = [leaves_range(each.y_range, each.predictions[origin].y) for each in done.values()]

@@ -38,9 +38,10 @@ TRIED = 2
 """Seeds of each network that are tried out, where more are asked for in the end."""
 WORTH_TRAINING = 0.1
 """By how much a network's score must be lower than that of what needs no training."""
-CHANGE_COUNTS = 0.5
+CHANGE_COUNTS, NETWORK_CHANGE_COUNTS = 0.5, 1.0
 """How much of a forecast's mean squared change is taken as its error: two forecasts that have
-independent errors of the same size differ by twice the mean square of either."""
+independent errors of the same size differ by twice the mean square of either. Errors of networks
+are not independent: what the first one misses, the second one partly misses, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,36 +57,46 @@ class Trial:
     scores : The same of channels scaled to a deviation of 1.
     intervals : Around each method's forecast of the record; from those forecasts and, for what
         needs no training, longer ones.
-    early : What each method forecast of the samples after the training part, `(time, ny)`, fitted
-        on all but the last quarter of it.
+    early : What each method forecast of the samples after the training part, `(time, ny)` from
+        each beginning that counts in its score, fitted on what comes before.
     scale : By which the channels are scaled, `(ny,)`.
     trained : Which methods are.
-    final : What they forecast fitted on the whole training part; see `settled`.
+    final : What they forecast fitted on the whole training part, the mean of the seeds; see
+        `settled`.
     failed : Why methods could not be fitted, now or, after `settled`, on the whole training part.
     """
 
     errors: Mapping[str, float]
     scores: Mapping[str, float]
     intervals: Mapping[str, Interval]
-    early: Mapping[str, Array]
+    early: Mapping[str, Sequence[Array]]
     scale: Array
     trained: frozenset[str]
     final: Mapping[str, Array] = field(default_factory=dict)
     failed: Mapping[str, str] = field(default_factory=dict)
 
-    def settled(self, final: Mapping[str, Array], failed: Mapping[str, str]) -> Trial:
+    def settled(self, final: Mapping[str, Sequence[Array]], failed: Mapping[str, str]) -> Trial:
         """With what the methods forecast after all, out of which one is recommended.
 
         The held-out part is short: a method may forecast it well and still be wrong much later.
         Then its forecast changes by more than its held-out errors explain once it is fitted to all
-        of the training part, and its interval is widened. A smaller change is explained by those
-        errors and does not widen the interval.
+        of the training part, or its seeds disagree by more, and its interval is widened. What is
+        smaller is explained by those errors and does not widen the interval.
+
+        Parameters
+        ----------
+        final : The forecast `(time, ny)` of each seed of each method.
+        failed : Why methods could not be fitted.
         """
-        final = {name: y for name, y in final.items() if name in self.early}
-        part = float(np.sqrt(CHANGE_COUNTS))
-        changes = {name: part * (final[name] - self.early[name]) for name in final}
-        intervals = {name: self.intervals[name].widened(by) for name, by in changes.items()}
-        return replace(self, final=final, intervals=intervals, failed={**self.failed, **failed})
+        final = {name: of_seeds for name, of_seeds in final.items() if name in self.early}
+        means = {name: np.mean(of_seeds, axis=0) for name, of_seeds in final.items()}
+        intervals = {}
+        for name, of_seeds in final.items():
+            change = np.mean([(means[name] - y) ** 2 for y in self.early[name]], axis=0)
+            apart = np.var(of_seeds, axis=0, ddof=1) if len(of_seeds) > 1 else 0.0
+            doubt = np.sqrt(self._counts(name) * change + apart)
+            intervals[name] = self.intervals[name].widened(doubt)
+        return replace(self, final=means, intervals=intervals, failed={**self.failed, **failed})
 
     def joined(self, other: Trial) -> Trial:
         """With the methods of another trial of the same record."""
@@ -100,18 +111,19 @@ class Trial:
         )
 
     def change(self, method: str) -> float:
-        """RMSE between a method's early and final forecast, in the record's unit."""
-        moved = self.final[method] - self.early[method]
-        return root_mean_square([moved]) if len(moved) else 0.0
+        """RMSE between a method's early forecasts and its final one, in the record's unit."""
+        final = self.final[method]
+        return root_mean_square([final - y for y in self.early[method]]) if len(final) else 0.0
 
     @property
     def recommended(self) -> str:
-        """The method whose early forecast was least wrong; a network's by `WORTH_TRAINING`.
+        """The method whose early forecasts were least wrong; a network's by `WORTH_TRAINING`.
 
         The score is the error on the held-out part. For later samples the error is not known, only
         how much the forecast changed when the held-out part was learned from, too. A change no
-        larger than the score is to be expected; a larger one shows that the early forecast was
-        worse there. So the larger of the two counts, the change weighted by `CHANGE_COUNTS`.
+        larger than the score is to be expected; a larger one shows that early forecasts were worse
+        there. So the larger of the two counts, the change weighted by `CHANGE_COUNTS` or
+        `NETWORK_CHANGE_COUNTS`.
 
         A network must be better by `WORTH_TRAINING`: of two methods that do equally well on a short
         held-out part, the simpler one is less likely to fail later.
@@ -126,10 +138,14 @@ class Trial:
 
     def _worth(self, method: str) -> float:
         change = 0.0
-        if len(self.final.get(method, ())):
-            change = root_mean_square([(self.final[method] - self.early[method]) / self.scale])
+        if len(final := self.final.get(method, ())):
+            change = root_mean_square([(final - y) / self.scale for y in self.early[method]])
         needed = 1 + WORTH_TRAINING if method in self.trained else 1.0
-        return max(self.scores[method], float(np.sqrt(CHANGE_COUNTS)) * change) * needed
+        return max(self.scores[method], float(np.sqrt(self._counts(method))) * change) * needed
+
+    def _counts(self, method: str) -> float:
+        """How much of a method's mean squared change is taken as its error."""
+        return NETWORK_CHANGE_COUNTS if method in self.trained else CHANGE_COUNTS
 
 
 def try_out(
@@ -168,7 +184,7 @@ def try_out(
     scored = {name: held_out_errors(record, y) for name, y in forecasts.items()}
     first = held_out_from(len(record))
     early = {
-        name: next(y for at, y in of_method.items() if at.at == first)[len(record) - first :]
+        name: [y[len(record) - at.at :] for at, y in sorted(of_method.items()) if at.at >= first]
         for name, of_method in forecasts.items()
     }
     return Trial(
