@@ -204,10 +204,11 @@ def table(facts: Facts) -> str:
         "|---|" + "---:|" * (len(heads) - 1),
     ]
     for kind, of_kind in [*facts["kinds"].items(), ("all", facts["all"])]:
+        error = f" ± {of_kind['inside_error']:.0%}" if of_kind["records"] > 1 else ""
         cells = [
             kind,
             str(of_kind["records"]),
-            f"{of_kind['inside']:.0%} ± {of_kind['inside_error']:.0%}",
+            f"{of_kind['inside']:.0%}{error}",
             f"{of_kind['width']:.2f}",
             f"{of_kind['inside_of_all_methods']:.0%}",
             f"{math.exp(of_kind['mean_log_regret']):.2f}, {of_kind['worst_regret']:.2f}",

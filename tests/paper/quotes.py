@@ -15,12 +15,14 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.sets import SETS
+from splitband.forecasters.names import QUICK
 from splitband.paper import published
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 RESULTS = DOCS / "results"
 README, DEVIATIONS, WHY = "README.md", "docs/deviations.md", "docs/why.md"
+RELIABILITY = "docs/reliability.md"
 SIMULATORS, SPEED, PAPER = "docs/theory/simulators.md", "docs/speed.md", "docs/reproducing.md"
 
 WHOLE = (README, WHY, SIMULATORS, SPEED, PAPER)
@@ -79,7 +81,28 @@ def one_line(text: str) -> str:
 
 @cache
 def quotes() -> tuple[Quote, ...]:
-    return (*_compared(), *_beyond(), *_why(), *_speed(), *_paper(), *_deviations())
+    return (
+        *_compared(), *_beyond(), *_why(), *_speed(), *_paper(), *_deviations(), *_reliability()
+    )  # fmt: skip
+
+
+def _reliability() -> Iterator[Quote]:
+    """What stands below the table of recommendations with networks."""
+    found = _at("benchmarks/recommendation-default.json", "found")
+    others = [facts for facts in found if facts["kind"] not in ("trend", "decay")]
+    yield Quote(RELIABILITY, "Without these two records the mean regret is {:.2f}",
+                (statistics.geometric_mean(facts["regret"] for facts in others),))  # fmt: skip
+    networks = [
+        [facts for name, facts in of["methods"].items() if name not in QUICK] for of in found
+    ]
+    every = [facts["inside"] for of_record in networks for facts in of_record]
+    best = [min(of, key=lambda facts: float(facts["held_out"]))["inside"] for of in networks]
+    yield Quote(
+        RELIABILITY,
+        "The intervals of all {} networks hold {:.0f} % of the samples, those of the network with "
+        "the lowest held-out error {:.0f} %.",
+        (len(every), 100 * statistics.mean(every), 100 * statistics.mean(best)),
+    )
 
 
 def _compared() -> Iterator[Quote]:
