@@ -184,9 +184,7 @@ def _summary(found: Sequence[Facts]) -> Facts:
             m["inside"] for f in found for m in f["methods"].values()
         ),
         "networks": sum(facts["recommended"] not in QUICK for facts in found),
-        "mean_log_over_baselines": statistics.mean(
-            math.log(f.get("over_baselines", 1.0)) for f in found
-        ),
+        "mean_log_over_baselines": statistics.mean(math.log(f["over_baselines"]) for f in found),
     }
 
 
