@@ -26,8 +26,7 @@ def compared(
     methods, work = forecasters(names, setup), Work(jobs)
     trial = try_out(record[: setup.train], methods, len(record) - setup.train, seeds, work)
     runs = compare_methods(record, methods, setup, seeds, work)
-    final = {name: [run.ahead for run in of_seeds] for name, of_seeds in runs.items()}
-    return Comparison(record, setup, runs, trial.settled(final, runs.failed))
+    return Comparison(record, setup, runs, trial.settled(runs.ahead, runs.failed))
 
 
 def held_out(record: Trajectory, setup: Setup) -> tuple[Trajectory, Setup]:

@@ -110,8 +110,7 @@ def try_out(
 
 def settled(trial: Trial, runs: Runs) -> Trial:
     """The trial with what each seed of the methods forecast after all."""
-    final = {name: [run.ahead for run in of_seeds] for name, of_seeds in runs.items()}
-    return trial.settled(final, runs.failed)
+    return trial.settled(runs.ahead, runs.failed)
 
 
 def with_other_samples(record: Trajectory, start: int, stop: int | None = None) -> Trajectory:

@@ -261,8 +261,7 @@ def compare(
         attempts=searched.attempts,
         forecasters={method.name: method for method in fitted if method.name in runs},
     )
-    final = {name: [run.ahead for run in of_seeds] for name, of_seeds in runs.items()}
-    return replace(comparison, trial=trial.settled(final, runs.failed))
+    return replace(comparison, trial=trial.settled(runs.ahead, runs.failed))
 
 
 def _named(test: Trajectory, i: int) -> str:

@@ -112,6 +112,11 @@ class Runs(dict[str, list[Run]]):
         self.failures = tuple(failures)
 
     @property
+    def ahead(self) -> dict[str, list[Array]]:
+        """What each seed of the methods forecast, see `Run.ahead`."""
+        return {method: [run.ahead for run in runs] for method, runs in self.items()}
+
+    @property
     def failed(self) -> dict[str, str]:
         """Why, of each method that has no run."""
         return {f.method: f.reason for f in self.failures[::-1] if f.method not in self}

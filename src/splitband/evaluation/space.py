@@ -14,10 +14,11 @@ from splitband.filters.cutoff import LEAST_WARMUP, MOST_DOWNSAMPLING
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.hybrids import Filtered
-from splitband.forecasters.names import BASED, HYBRIDS, TRAINED, Sizes, named
+from splitband.forecasters.names import TRAINED, Sizes, named
 from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import Simulation
 from splitband.forecasters.split import Split
+from splitband.networks import GRU
 
 HIDDEN = 6, 96
 """Hidden units of all networks of a method together."""
@@ -54,13 +55,14 @@ class Draw(Protocol):
 
 def tunable_names(record: Trajectory) -> list[str]:
     """The networks that are worth searching for such a record: of the GRU, all kinds that apply."""
-    able = []
-    for name in TRAINED:
-        lacks_inputs = "-linear-" in name and record.u is None
-        lacks_simulator = name in HYBRIDS and name not in BASED and record.y_sim is None
-        if "rnn" not in name and not lacks_inputs and not lacks_simulator:
-            able.append(name)
-    return able
+    brings = {"inputs": record.u is not None, "simulator": record.y_sim is not None}
+    return [
+        name
+        for name in TRAINED
+        if isinstance(network := named(name), Network)
+        and all(isinstance(getattr(network, cell), GRU) for cell in network.cells)
+        and all(brings[need] for need in network.needs)
+    ]
 
 
 def usual_networks(record: Trajectory, methods: Sequence[str]) -> list[str]:
