@@ -185,7 +185,7 @@ def segment(first: int, samples: int = SAMPLES) -> dict[str, float]:
     counted = record.y.copy()
     counted[: setup.settings.warmup] = np.nan
     simulation = Simulation(calibrated=True)
-    simulation.fit(record, horizon=0)
+    simulation.fit(record)
     found = {}
     for name, of in (("", record), ("calibrated ", simulation.on(record))):
         assert of.y_sim is not None

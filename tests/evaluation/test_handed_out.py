@@ -33,7 +33,7 @@ def compared() -> sb.Comparison:
 def test_a_method_can_be_fitted_again_and_says_the_same(name: str, tmp_path: Path) -> None:
     model = compared().forecaster(name)
     assert model.fitted is None
-    model.fit(record()[:TRAIN], seed=0, horizon=40)
+    model.fit(record()[:TRAIN], seed=0)
     np.testing.assert_allclose(model.predict(40).y, compared().means[name].ahead, atol=1e-12)
     model.save(tmp_path / "model")
     np.testing.assert_array_equal(sb.load(tmp_path / "model").predict(40).y, model.predict(40).y)
@@ -73,7 +73,7 @@ def test_reasons_to_doubt_one_seed_are_reasons_to_doubt_the_mean() -> None:
 def test_a_forecast_hands_out_what_it_was_made_with() -> None:
     setup = replace(SETUP, train=200)
     result = sb.forecast(record(), 30, ["gru"], seeds=2, setup=setup)
-    model = result.forecaster.fit(record(), seed=0, horizon=30)
+    model = result.forecaster.fit(record(), seed=0)
     np.testing.assert_allclose(model.predict(30).y, result.prediction.y, atol=1e-12)
 
 

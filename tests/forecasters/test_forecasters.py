@@ -74,7 +74,7 @@ MADE: dict[str, Callable[[], Forecaster]] = {
 @cache
 def fitted(name: str) -> Forecaster:
     """Once in a process; its interval too, which takes more fits."""
-    return MADE[name]().fit(record()[:TRAIN], seed=1, horizon=LENGTH - TRAIN)
+    return MADE[name]().fit(record()[:TRAIN], seed=1)
 
 
 @pytest.mark.parametrize("name", MADE)
@@ -173,7 +173,7 @@ def test_saved_and_loaded_it_says_the_same(name: str, tmp_path: Path) -> None:
 
 def test_a_simulation_that_is_late_is_loaded_with_what_it_needs_of_the_past(tmp_path: Path) -> None:
     """A forecast begins with what the simulator said before the end of the training record."""
-    simulation = sb.Simulation(calibrated=("delay",)).fit(record()[:TRAIN], horizon=STEPS)
+    simulation = sb.Simulation(calibrated=("delay",)).fit(record()[:TRAIN])
     assert simulation.calibration.delay is not None
     r = record()[:TRAIN]
     assert r.u_beyond is not None
@@ -186,7 +186,7 @@ def test_a_simulation_that_is_late_is_loaded_with_what_it_needs_of_the_past(tmp_
 def test_no_forecast_depends_on_a_measured_sample_after_its_origin(name: str) -> None:
     """The names are asked the same in tests/models."""
     other = with_other_samples(record(), TRAIN)
-    found = MADE[name]().fit(other[:TRAIN], seed=1, horizon=LENGTH - TRAIN)
+    found = MADE[name]().fit(other[:TRAIN], seed=1)
     np.testing.assert_array_equal(found.predict(STEPS).y, fitted(name).predict(STEPS).y)
     at = TRAIN + 5
     expected = fitted(name).predict(STEPS, record()[:at]).y
@@ -200,9 +200,9 @@ def test_a_seed_says_what_the_first_weights_are(name: str) -> None:
     untrained = MADE[name]()
     torch.manual_seed(123)
     before = torch.get_rng_state()
-    again = untrained.fit(record()[:TRAIN], seed=1, horizon=LENGTH - TRAIN)
+    again = untrained.fit(record()[:TRAIN], seed=1)
     assert torch.equal(torch.get_rng_state(), before)
-    other = MADE[name]().fit(record()[:TRAIN], seed=5, horizon=LENGTH - TRAIN)
+    other = MADE[name]().fit(record()[:TRAIN], seed=5)
     expected = fitted(name).predict(STEPS).y
     np.testing.assert_array_equal(again.predict(STEPS).y, expected)
     assert not np.array_equal(other.predict(STEPS).y, expected)
@@ -229,7 +229,7 @@ def test_a_copy_is_not_fitted_and_leaves_the_original_as_it_is(name: str) -> Non
     expected = fitted(name).predict(STEPS).y
     other = fitted(name).copy()
     assert other.fitted is None
-    other.fit(record()[:40], seed=3, horizon=STEPS)
+    other.fit(record()[:40], seed=3)
     np.testing.assert_array_equal(fitted(name).predict(STEPS).y, expected)
 
 

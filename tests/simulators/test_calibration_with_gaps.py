@@ -35,7 +35,7 @@ def test_delay_and_clock_are_found_around_gaps() -> None:
     n: Array = np.arange(1000, dtype=np.float64)
     y_sim = signal(n)[:, None]
     y = 2 * signal(1.01 * n[:600] - 7.3)[:, None] + 0.5
-    found = calibrate(y_sim, holed(y, slice(100, 180), slice(400, 450)), DT, 600)
+    found = calibrate(y_sim, holed(y, slice(100, 180), slice(400, 450)), DT)
     assert found.gain == pytest.approx((2.0,), rel=1e-3)
     assert found.offset == pytest.approx((0.5,), abs=1e-3)
     assert found.delay == pytest.approx(7.3 * DT, rel=1e-2)

@@ -79,7 +79,7 @@ def forecast(
     u = records.inputs_ahead(future_inputs, known, steps, reading)
     known = replace(known, u_beyond=u)
     with crew(jobs, cluster) as workers:
-        setup = setups.setup_ahead(known, steps, names, model, workers.cores, tuned)
+        setup = setups.setup_ahead(known, names, model, workers.cores, tuned)
         if method is None and tuned is None and not based:
             names, setup = usual_names(known, setup), trying_bases(setup)
         others = records.load_further(further.more, "--more", known, reading)

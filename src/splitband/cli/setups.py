@@ -74,17 +74,16 @@ def setup(
 
 def setup_ahead(
     known: Trajectory,
-    steps: int,
     methods: Sequence[str],
     options: ModelOptions,
     cores: int,
     tuned: Tuned | None = None,
 ) -> Setup:
-    """For a forecast of `steps` samples beyond the end of a record."""
+    """For a forecast beyond the end of a record."""
     if tuned is not None:
-        return _as_tuned(tuned, known, len(known), options, Bands(), methods, steps)
+        return _as_tuned(tuned, known, len(known), options, Bands(), methods)
     settings = _trained(recipe_settings("default", known), options)
-    chosen = default_setup(known, len(known), "default", settings, None, methods, steps)
+    chosen = default_setup(known, len(known), "default", settings, None, methods)
     return replace(chosen, search=_search(options, cores))
 
 
@@ -133,14 +132,13 @@ def _as_tuned(
     options: ModelOptions,
     bands: Bands,
     methods: Sequence[str] | None,
-    ahead: int | None = None,
 ) -> Setup:
     """What the options say, the rest as it has been found before."""
     said = {name: value for name, value in vars(bands).items() if value is not None}
     # What was found for one cut-off is not for another one.
     bands = bands if options.cutoff is not None else replace(tuned.bands, **said)
     settings = _trained(tuned.settings, options)
-    chosen = default_setup(trajectory, train, "default", settings, bands, methods, ahead)
+    chosen = default_setup(trajectory, train, "default", settings, bands, methods)
     return replace(chosen, sizes=_with_hidden(tuned.sizes, options))
 
 

@@ -180,7 +180,7 @@ class _Facts:
             self.start = from_json(facts.get("start"))
             nothing = [[0.0] * ny] * 2
             self.range = np.array(facts.get("range", nothing), dtype=np.float64)
-            self.calibration = Calibration(**(facts["calibration"] or {}))
+            self.calibration = Calibration.from_fields(**(facts["calibration"] or {}))
             self.calibration.check(ny)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{folder} was not written by `splitband fit`: {error!r}") from None

@@ -144,7 +144,14 @@ def simulated_again(
     samples = math.ceil(places[-1] - first - 1e-6) + 1
     if start is not None:
         start = stamp_after(start, first * step)
-    y_sim = simulated(opened, options, Grid(start, step, samples), past.ny)
+    grid = Grid(start, step, samples)
+    if isinstance(opened, Recorded):
+        least = math.ceil(begin + warm + count - first - 1e-6)
+        grid = replace(grid, samples=min(samples, max(least, opened.reach(grid))))
+        held = calibration.held(steps, step, begin + warm, count, first + grid.samples)
+        if held:
+            showing.warn(held)
+    y_sim = simulated(opened, options, grid, past.ny)
     return calibration.apply(y_sim, count, step, begin + warm, first)
 
 

@@ -106,7 +106,7 @@ def _warn_of_nothing_to_learn(record: Trajectory, cutoff: float, order: int) -> 
     if not found.nothing_to_learn:
         return facts
     simulation = Simulation(calibrated=True)
-    simulation.fit(record, horizon=0)
+    simulation.fit(record)
     y_sim = simulation.on(record).y_sim
     assert y_sim is not None
     mended = oracle(record.y, y_sim, rate, cutoff, order, record.seen)

@@ -84,7 +84,7 @@ def forecast(
     """
     _check_ahead(record, steps)
     if setup is None:
-        setup = default_setup(record, len(record), methods=methods, ahead=steps)
+        setup = default_setup(record, len(record), methods=methods)
     elif setup.train != len(record):
         raise ValueError(
             f"train of setup must be all {len(record)} samples of the record, got {setup.train}"

@@ -150,7 +150,7 @@ def _prepared(forecaster: Forecaster, asked: Question) -> Forecaster:
         others = *asked.others, *asked.tests
         forecaster = forecaster.simulated(asked.record[: fits[-1]], asked.end - fits[-1], *others)
         for samples in fits:
-            forecaster.prepare(asked.record[:samples], asked.end - samples)
+            forecaster.prepare(asked.record[:samples])
     return forecaster
 
 

@@ -105,7 +105,6 @@ def default_setup(
     settings: Settings | None = None,
     bands: Bands | None = None,
     methods: Sequence[Forecaster | str] | None = None,
-    ahead: int | None = None,
 ) -> Setup:
     """A setup for a record of which nothing is known but its first `train` samples.
 
@@ -116,7 +115,6 @@ def default_setup(
     bands : What is decided of them already; the rest is chosen, see `Bands.chosen`: for hybrid
         models, if there are any and the simulator helps, otherwise for networks alone.
     methods : What the setup is for, or names of it; by default `default_names`.
-    ahead : Samples after the training part that are going to be asked for; by default the rest.
     """
     search = None
     if settings is None:
@@ -128,7 +126,7 @@ def default_setup(
     y_sim = None
     if record.y_sim is not None and beside:
         simulation = next((f for f in beside if f.calibrated), beside[0]).copy()
-        simulation.fit(record[:train], horizon=len(record) - train if ahead is None else ahead)
+        simulation.fit(record[:train])
         y_sim = simulation.on(record[:train]).y_sim
     bands = (bands or Bands()).chosen(
         record[:train].y, record.sampling_rate, settings.warmup, y_sim

@@ -122,7 +122,6 @@ def backtest(
             record[:samples],
             *question.others,
             seed=seed,
-            horizon=end - samples,
             progress=progress,
             checkpoint=checkpoint,
         )

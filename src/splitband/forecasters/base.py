@@ -84,7 +84,6 @@ class Forecaster(ABC):
         records: Sequence[Trajectory],
         *,
         seed: int,
-        horizon: int,
         progress: Callable[[Progress], None] | None,
         checkpoint: Checkpoint | None,
     ) -> None:
@@ -114,7 +113,7 @@ class Forecaster(ABC):
         """
         return self
 
-    def prepare(self, record: Trajectory, horizon: int) -> None:
+    def prepare(self, record: Trajectory) -> None:
         """Compute once what the fits of several forecasters and seeds to a record share."""
         return
 
@@ -133,7 +132,6 @@ class Forecaster(ABC):
         self,
         *records: Trajectory,
         seed: int = 0,
-        horizon: int = 0,
         progress: Callable[[Progress], None] | None = None,
         checkpoint: Checkpoint | None = None,
     ) -> Self:
@@ -144,8 +142,6 @@ class Forecaster(ABC):
         records : The training records, and nothing else: cut them before. Forecasts go on from
             the end of the first one where no other history is given.
         seed : For all that is random, initial weights included: the same seed, the same result.
-        horizon : How many samples beyond the first record are going to be asked for, as far as
-            that is known: a calibrated simulator's clock must not run out before.
         progress : Called after each epoch of a training.
         checkpoint : Where a training that was cut off goes on, with the same numbers to the bit.
 
@@ -162,9 +158,7 @@ class Forecaster(ABC):
         began = time.perf_counter()
         # Closed forms work on small matrices, where the threads of BLAS wait for each other.
         with contextlib.nullcontext() if self.random else one_thread():
-            self.learn(
-                records, seed=seed, horizon=horizon, progress=progress, checkpoint=checkpoint
-            )
+            self.learn(records, seed=seed, progress=progress, checkpoint=checkpoint)
         report = self.fitted.report
         if not report.seconds:  # the training of a network has set its own time
             report = replace(report, seconds=time.perf_counter() - began)

@@ -95,9 +95,9 @@ class Ensemble(Forecaster):
         super().forget()
         self.members = []
 
-    def prepare(self, record: Trajectory, horizon: int) -> None:
+    def prepare(self, record: Trajectory) -> None:
         """See `Forecaster`."""
-        self.member.prepare(record, horizon)
+        self.member.prepare(record)
 
     def check(self, *records: Trajectory) -> None:
         """See `Forecaster`."""
@@ -108,7 +108,6 @@ class Ensemble(Forecaster):
         records: Sequence[Trajectory],
         *,
         seed: int,
-        horizon: int,
         progress: Callable[[Progress], None] | None,
         checkpoint: Checkpoint | None,
     ) -> None:
@@ -118,7 +117,7 @@ class Ensemble(Forecaster):
             watch = None if progress is None else _shifted(progress, i, self.count)
             member = self.member.copy()
             own = seed * self.count + i
-            member.fit(*records, seed=own, horizon=horizon, progress=watch, checkpoint=of_member)
+            member.fit(*records, seed=own, progress=watch, checkpoint=of_member)
             self.members.append(member)
         reports = [member.require_fitted().report for member in self.members]
         notes = tuple(f"seed {r.seed}: {note}" for r in reports for note in r.notes)

@@ -72,9 +72,9 @@ class _Hybrid(Banded):
         if len(records) > 1 and not isinstance(self.base, Simulation):
             raise ValueError(f"several records need a simulator, the base is {self.base.name}")
 
-    def prepare(self, record: Trajectory, horizon: int) -> None:
+    def prepare(self, record: Trajectory) -> None:
         """See `Forecaster`."""
-        self.base.prepare(record, horizon)
+        self.base.prepare(record)
 
     def simulated(self, record: Trajectory, horizon: int, *others: Trajectory) -> Self:
         """See `Forecaster`."""
@@ -131,9 +131,9 @@ class _Hybrid(Banded):
         return {label.replace(SLOW, slow, 1) if label.startswith(SLOW) else label: part
                 for label, part in parts.items()}  # fmt: skip
 
-    def _seen(self, records: Sequence[Trajectory], seed: int, horizon: int) -> list[Trajectory]:
+    def _seen(self, records: Sequence[Trajectory], seed: int) -> list[Trajectory]:
         """The records with the slow part as their simulator's output."""
-        self.base.fit(*records, seed=seed, horizon=horizon)
+        self.base.fit(*records, seed=seed)
         if isinstance(self.base, Simulation):
             return [self.base.on(record) for record in records]
         (record,) = records

@@ -179,13 +179,12 @@ class Network(Forecaster):
         records: Sequence[Trajectory],
         *,
         seed: int,
-        horizon: int,
         progress: Callable[[Progress], None] | None,
         checkpoint: Checkpoint | None,
     ) -> None:
         """See `Forecaster`."""
         settings = self.trained_by = self._settings_for(records[0])
-        seen = self._seen(records, seed, horizon)
+        seen = self._seen(records, seed)
         self._decide(seen[0], settings)
         self.model = self._built(seen[0], settings, seed).to(self.device)
         history = fit(self.model, seen, settings, seed, progress, checkpoint)
@@ -227,7 +226,7 @@ class Network(Forecaster):
         begun = replace(known, y=known.y[:start], steps=steps)
         return np.concatenate([known.y[:start], total([*self.extrapolate(begun).values()])])
 
-    def _seen(self, records: Sequence[Trajectory], seed: int, horizon: int) -> list[Trajectory]:
+    def _seen(self, records: Sequence[Trajectory], seed: int) -> list[Trajectory]:
         """The records as the model learns from them."""
         return [*records]
 

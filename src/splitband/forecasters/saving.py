@@ -64,7 +64,10 @@ _FORECASTERS = (
     closed_form.Persistence, closed_form.SeasonalNaive,
 )  # fmt: skip
 # By themselves: a baseline and the forecaster made of it may have one name.
-_BY_FIELDS: dict[str, Callable[..., Any]] = {each.__name__: each for each in _PLAIN}
+_BY_FIELDS: dict[str, Callable[..., Any]] = {
+    **{each.__name__: each for each in _PLAIN},
+    "Calibration": Calibration.from_fields,
+}
 _KNOWN = {each.__name__: each for each in (*_PLAIN, *_FORECASTERS, GRU, EulerMLP, Fmu)}
 
 

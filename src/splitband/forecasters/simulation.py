@@ -107,14 +107,14 @@ class Simulation(Forecaster):
         """A simulator's output on the record, where it brings no simulator of its own."""
         return frozenset({"simulator"} if self.simulator is None else ())
 
-    def learn(self, records: Sequence[Trajectory], *, horizon: int = 0, **_: Any) -> None:
+    def learn(self, records: Sequence[Trajectory], **_: Any) -> None:
         """See `Forecaster`; the calibration is fitted to the first record."""
-        self.calibration = self._calibration(records[0], horizon)
+        self.calibration = self._calibration(records[0])
 
-    def prepare(self, record: Trajectory, horizon: int) -> None:
+    def prepare(self, record: Trajectory) -> None:
         """See `Forecaster`."""
         if self.calibrated is not False:
-            self._calibration(record, horizon)
+            self._calibration(record)
 
     def simulated(self, record: Trajectory, horizon: int, *others: Trajectory) -> Self:
         """See `Forecaster`."""
@@ -146,10 +146,10 @@ class Simulation(Forecaster):
         y_sim, begin_sim = known.y_sim, begin
         if self.simulator is not None:
             places = self.calibration.places(samples, record.sampling_time, begin)
-            times = replace(record.grid, start=self.require_fitted().start)
-            if known.begin is None and known.grid is not None:  # another record has its own clock
-                times = known.grid
-            needed = int(np.ceil(places[-1] - 1e-6)) + 1
+            times, needed = self._times(known), int(np.ceil(places[-1] - 1e-6)) + 1
+            if isinstance(self.simulator, Recorded):  # its end is held, see `doubts`
+                least = int(np.ceil(begin - 1e-6)) + samples
+                needed = min(needed, max(least, self.simulator.reach(times)))
             y_sim, begin_sim = self._run(replace(times, samples=needed), record.ny), 0.0
         if y_sim is None:
             raise ValueError(f"{self.name} needs a simulator's output (y_sim)")
@@ -157,45 +157,48 @@ class Simulation(Forecaster):
 
     def on(self, record: Trajectory) -> Trajectory:
         """A record that begins with the simulator, with its calibrated output as `y_sim`."""
-        y_sim = self._output(record, len(record))
+        y_sim = self._output(record)
         y_sim = self.calibration.apply(y_sim, len(record), record.sampling_time)
         return replace(record, y_sim=y_sim, beyond=None)
 
     def doubts(self, known: Known) -> list[str]:
         """See `Forecaster`: a calibrated clock or delay may ask for more output than there is."""
-        if self.simulator is not None or known.y_sim is None:
-            return []
         begin, samples = known.begin or 0.0, len(known.y) + known.steps
-        step = self.require_fitted().record.sampling_time
-        asked = self.calibration.places(samples, step, begin) - begin
-        missing = int(np.sum(asked > len(known.y_sim) - 0.5))
-        if not missing:
+        if isinstance(self.simulator, Recorded):
+            end = float(self.simulator.reach(self._times(known)))
+        elif self.simulator is None and known.y_sim is not None:
+            end = begin + len(known.y_sim)
+        else:
             return []
-        return [
-            f"the simulator's output ends too early for its calibration ({self.calibration}): for "
-            f"the last {missing} of {known.steps} samples its last value is held"
-        ]
+        step = self.require_fitted().record.sampling_time
+        said = self.calibration.held(known.steps, step, begin, samples, end)
+        return [said] if said else []
 
     def describe(self) -> str:
         """See `Forecaster`."""
-        return "; ".join(filter(None, [str(self.calibration), self.calibration.untried]))
+        return str(self.calibration)
 
-    def _calibration(self, record: Trajectory, horizon: int) -> Calibration:
-        """Of the simulator to a training record, to reach `horizon` samples beyond it."""
+    def _calibration(self, record: Trajectory) -> Calibration:
+        """Of the simulator to a training record."""
         if self.calibrated is False:
             return Calibration()
-        samples = len(record) + horizon
-        y_sim = self._output(record, samples)
         terms = () if self.calibrated is True else (self.calibrated,)
-        return CALIBRATIONS(y_sim, record.seen, record.sampling_time, samples, *terms)
+        return CALIBRATIONS(self._output(record), record.seen, record.sampling_time, *terms)
 
-    def _output(self, record: Trajectory, samples: int) -> Array:
+    def _times(self, known: Known) -> Grid:
+        """On which a simulator of its own is run: from the training record's first sample on."""
+        fitted = self.require_fitted()
+        if known.begin is None and known.grid is not None:  # another record has its own clock
+            return known.grid
+        return replace(fitted.record.grid, start=fitted.start)
+
+    def _output(self, record: Trajectory) -> Array:
         """Over a record and what is known beyond, of a simulator of its own what is needed."""
         if self.simulator is not None:
-            more = self._needed(samples, len(record))
+            samples = self._needed(len(record), len(record))
             if isinstance(self.simulator, Recorded | _Runs):
-                more = min(more, max(samples, self.simulator.reach(record.grid)))
-            return self._run(replace(record.grid, samples=more), record.ny)
+                samples = min(samples, max(len(record), self.simulator.reach(record.grid)))
+            return self._run(replace(record.grid, samples=samples), record.ny)
         if record.y_sim is None:
             raise ValueError(f"{self.name} needs a simulator, the record has none")
         return (

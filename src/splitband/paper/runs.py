@@ -148,7 +148,7 @@ def whole_rmse(facts: dict[str, Any], job: Job) -> float:
         simulator = named(job.method)
         assert isinstance(simulator, Simulation)
         train = facts["settings"]["train"]
-        simulator.fit(record[:train], horizon=len(record) - train)
+        simulator.fit(record[:train])
         y_sim = simulator.on(record).y_sim
         assert y_sim is not None
         return rmse(record.truth, y_sim)

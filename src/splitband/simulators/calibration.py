@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -49,7 +49,6 @@ class Calibration:
     clock : How much faster the simulator's time must run.
     errors : What each set of terms left on held-out training samples: RMSE by set of terms, of
         channels scaled to a deviation of 1.
-    untried : Terms that were left out, and why.
     """
 
     gain: tuple[float, ...] = ()
@@ -57,7 +56,12 @@ class Calibration:
     delay: float = 0.0
     clock: float = 1.0
     errors: dict[str, float] = field(default_factory=dict)
-    untried: str = ""
+
+    @classmethod
+    def from_fields(cls, **fields: Any) -> Calibration:
+        """As it was saved, also by a version that kept `untried` besides."""
+        fields.pop("untried", None)
+        return cls(**fields)
 
     def apply(
         self,
@@ -110,6 +114,20 @@ class Calibration:
             return index
         return np.maximum(self.clock * index - self.delay / sampling_time, 0.0)
 
+    def held(self, steps: int, sampling_time: float, begin: float, samples: int, end: float) -> str:
+        """A sentence on a simulation that ends too early; empty where it does not.
+
+        Of `samples` from `begin` on, the last `steps` are those of a forecast; `end` is where the
+        simulation's next sample would lie. Both are counted in samples after the origin.
+        """
+        missing = int(np.sum(self.places(samples, sampling_time, begin) > end - 0.5))
+        if not missing:
+            return ""
+        return (
+            f"the simulator's output ends too early for its calibration ({self}): for the last "
+            f"{missing} of {steps} samples its last value is held; a longer output would do better"
+        )
+
     def __str__(self) -> str:
         """The terms that were kept, with their units."""
         parts = []
@@ -138,19 +156,16 @@ def calibrate(
     y_sim: Array,
     y: Array,
     sampling_time: float,
-    samples: int | None = None,
     terms: Iterable[Term] | None = None,
 ) -> Calibration:
     """Fit a simulator to the training part of a record.
 
     Parameters
     ----------
-    y_sim : `(time, ny)`, aligned with the record; what reaches beyond it allows for a clock that
-        is too slow and for a simulator that comes too late.
+    y_sim : `(time, ny)`, aligned with the record, and as long at least. What reaches beyond it is
+        used by a simulator whose clock is too slow, or which comes too late.
     y : The training part, `(train, ny)`; NaN is what was not measured.
     sampling_time : In s, of both.
-    samples : Length of the record that the calibrated trajectory will have to cover; by default
-        that of `y`.
     terms : Fit just these. By default sets of terms are fitted on the beginning of `y` and compared
         on what follows it, over several cuts; a larger set has to pay for itself.
 
@@ -159,14 +174,12 @@ def calibrate(
     ValueError
         For an unknown term, or too few samples.
     """
-    samples = len(y) if samples is None else samples
     measured = int((~np.isnan(y)).any(axis=1).sum())
-    if len(y_sim) < samples or measured < 2 or y_sim.shape[1] != y.shape[1]:
+    if len(y_sim) < len(y) or measured < 2 or y_sim.shape[1] != y.shape[1]:
         raise ValueError(
-            f"y_sim must cover the record's {samples} samples in y's channels, and y have 2 "
+            f"y_sim must cover the record's {len(y)} samples in y's channels, and y have 2 "
             f"samples at least, got {y_sim.shape} and {y.shape}, of which {measured} were measured"
         )
-    spare = len(y_sim) - samples
     # Channels are scaled to deviation 1, so that each counts the same whatever its unit.
     scale = spread(y)
     y, y_sim = y / scale, y_sim / scale
@@ -175,11 +188,8 @@ def calibrate(
         unknown = [term for term in wanted if term not in TERMS]
         if unknown:
             raise ValueError(f"terms must be out of {', '.join(TERMS)}, got {', '.join(unknown)}")
-        return _fit(y_sim, y, sampling_time, wanted, samples, scale)
-    untried = ""
-    if spare < samples_needed(samples, len(y)) - samples:
-        untried = "no faster clock tried: the simulation ends with the record"
-    errors = {kept: _held_out(y_sim, y, sampling_time, kept, samples) for kept in _SETS}
+        return _fit(y_sim, y, sampling_time, wanted, scale)
+    errors = {kept: _held_out(y_sim, y, sampling_time, kept) for kept in _SETS}
     best = _SETS[0]
     for kept in _SETS[1:]:
         pays = errors[kept].mean() < _WORTH * errors[best].mean()
@@ -187,9 +197,9 @@ def calibrate(
         moves = set(kept) & set(_STILL)
         if pays and (not moves or (errors[kept] < errors[best]).all()):
             best = kept
-    calibration = _fit(y_sim, y, sampling_time, best, samples, scale)
+    calibration = _fit(y_sim, y, sampling_time, best, scale)
     means = {_name(kept): float(left.mean()) for kept, left in errors.items()}
-    return replace(calibration, errors=means, untried=untried)
+    return replace(calibration, errors=means)
 
 
 def affine_fit(y_sim: Array, y: Array) -> tuple[Array, Array]:
@@ -221,15 +231,13 @@ def _name(terms: Sequence[Term]) -> str:
     return " + ".join(terms) or "none"
 
 
-def _held_out(
-    y_sim: Array, y: Array, sampling_time: float, terms: tuple[Term, ...], samples: int
-) -> Array:
+def _held_out(y_sim: Array, y: Array, sampling_time: float, terms: tuple[Term, ...]) -> Array:
     """RMSE over what follows the samples that were fitted, for several cuts of `y`."""
     errors, measured = [], ~np.isnan(y)
     rows = np.flatnonzero(measured.any(axis=1))
     for share in (0.5, 0.6, 0.7, 0.8):
         cut = rows[max(int(share * len(rows)), 1)]
-        calibration = _fit(y_sim, y[:cut], sampling_time, terms, samples)
+        calibration = _fit(y_sim, y[:cut], sampling_time, terms)
         left = y[cut:] - calibration.apply(y_sim, len(y), sampling_time)[cut:]
         # A channel counts if it was measured both before the cut, to fit it, and after, to compare.
         told = measured[:cut].any(axis=0) & measured[cut:].any(axis=0)
@@ -243,7 +251,6 @@ def _fit(
     y: Array,
     sampling_time: float,
     terms: tuple[Term, ...],
-    samples: int,
     scale: Array | float = 1.0,
 ) -> Calibration:
     """Least squares; gain and offset are eliminated, delay and clock searched for."""
@@ -255,21 +262,22 @@ def _fit(
         delay, clock = _warp(warp, moving)
         return spline(clock * index - delay) if moving else y_sim[: len(y)]
 
-    def begun(warp: Array) -> npt.NDArray[np.bool_]:
-        """Where the simulator has samples to say something from."""
+    def within(warp: Array) -> npt.NDArray[np.bool_]:
+        """Where the simulator says something: after its first and before its last sample."""
         delay, clock = _warp(warp, moving)
-        started = clock * index >= delay
-        return started if started.any() else np.ones_like(started)
+        places = clock * index - delay
+        inside = (places >= 0) & (places <= len(y_sim) - 1)
+        return inside if inside.any() else np.ones_like(inside)
 
     def residual(warp: Array) -> Array:
-        x, seen = moved(warp), begun(warp)
+        x, seen = moved(warp), within(warp)
         gain, offset = _affine(x[seen], y[seen], terms)
         error = (gain * x + offset - y) * seen[:, None] / np.sqrt(seen.mean())
         return np.nan_to_num(error).ravel()
 
     warp = np.empty(0)
     if moving:
-        low, high = _bounds(len(y_sim), len(y), samples, moving)
+        low, high = _bounds(len(y), moving)
         begin = [*_guesses(y, lambda clock: spline(clock * index), moving, low, high)]
         minima = [
             scipy.optimize.least_squares(
@@ -279,7 +287,7 @@ def _fit(
         ]
         warp = np.asarray(min(minima, key=lambda result: result.cost).x)
     delay, clock = _warp(warp, moving)
-    seen = begun(warp)
+    seen = within(warp)
     gain, offset = _affine(moved(warp)[seen], y[seen], terms)
     return Calibration(
         tuple(map(float, gain)) if "gain" in terms else (),
@@ -304,13 +312,11 @@ def _warp(warp: Array, moving: Sequence[str]) -> tuple[float, float]:
     return values["delay"], values["clock"]
 
 
-def _bounds(simulated: int, train: int, samples: int, moving: Sequence[str]) -> tuple[Array, Array]:
-    """Of what moves, as far as the simulation reaches beyond the record."""
-    spare = (simulated - samples) / len(moving)
-    low = {"delay": -min(MOST_DELAY * train, spare), "clock": 1 - MOST_CLOCK}
-    high = {"delay": MOST_DELAY * train, "clock": 1 + min(MOST_CLOCK, spare / samples)}
-    room = 1e-9  # the solver refuses equal bounds
-    return np.array([low[m] - room for m in moving]), np.array([high[m] + room for m in moving])
+def _bounds(train: int, moving: Sequence[str]) -> tuple[Array, Array]:
+    """Of what moves; delays are in samples."""
+    still = np.array([_STILL[m] for m in moving])
+    most = np.array([{"delay": MOST_DELAY * train, "clock": MOST_CLOCK}[m] for m in moving])
+    return still - most, still + most
 
 
 def _guesses(
