@@ -8,9 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from splitband.data import (
-    read,
-)
+from splitband.data import Trajectory, read
 from tests.data.support import U, iso, message, stamped, text_file
 
 
@@ -164,3 +162,36 @@ def test_without_any_time(tmp_path: Path) -> None:
     text = message(text_file(tmp_path, "y\n1\n2\n"))
     assert "sampling_time (--sampling-time)" in text
     assert "time_column (--time-column)" in text
+
+
+@pytest.mark.parametrize(
+    ("written", "start", "step"),
+    [
+        ("%d.%m.%Y %H:%M:%S", "2024-02-03 10:00", "1s"),
+        ("%d.%m.%Y %H:%M:%S", "2024-02-03 23:59:50", "1s"),
+        ("%d.%m.%Y", "2024-02-03", "1D"),
+        ("%d/%m/%Y %H:%M", "2024-02-03 23:55", "1min"),
+        ("%d/%m/%Y %H:%M", "2024-02-25 23:55", "1min"),
+        ("%d/%m/%Y", "2024-02-03", "1D"),
+        ("%m/%d/%Y %H:%M", "2024-02-03 23:55", "1min"),
+        ("%m/%d/%Y %H:%M", "2024-02-03 10:00", "1min"),
+        ("%m/%d/%Y", "2024-02-03", "1D"),
+        ("%Y-%m-%d", "2024-02-03", "1D"),
+    ],
+)
+def test_days_and_months_are_not_mistaken_for_each_other(
+    tmp_path: Path, written: str, start: str, step: str
+) -> None:
+    """The order in which the steps are even; for a single day the custom of how it is written."""
+    dates = pd.date_range(start, periods=12, freq=step)
+    frame = pd.DataFrame({"time": dates.strftime(written), "y": np.arange(12.0)})
+    frame.to_csv(tmp_path / "dates.csv", index=False)
+    found = read(tmp_path / "dates.csv")
+    assert found.start == pd.Timestamp(start)
+    assert found.sampling_time == pd.Timedelta(step).total_seconds()
+
+
+def test_a_date_of_numpy_is_a_time_stamp() -> None:
+    start = np.datetime64("2024-01-01T10:00", "ns")
+    found: Any = Trajectory(np.arange(3.0), 0.1, start=start)  # type: ignore[arg-type]
+    assert found.start == pd.Timestamp("2024-01-01 10:00")

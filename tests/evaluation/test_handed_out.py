@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import splitband as sb
-from splitband import GRU, Bands, Settings, Setup, Trajectory
+from splitband import GRU, Bands, Forecaster, Known, Settings, Setup, Trajectory
 from splitband.evaluation.setup import default_setup
 from splitband.forecasters.prediction import mean_of
+from splitband.metrics import ExtrapolationWarning
 
 DT, TRAIN, WARMUP = 0.1, 160, 12
 SETTINGS = Settings(40, WARMUP, 1, 16)
@@ -117,3 +120,43 @@ def test_a_channel_that_ends_before_the_held_out_part_is_named() -> None:
     broken = Trajectory(y, DT, columns=("a", "b"), measured=measured)
     with pytest.raises(ValueError, match="b must have a measured sample among the last 40"):
         sb.tune(broken, TRAIN, ["gru"], effort=sb.Effort(trials=1), setup=SETUP)
+
+
+class _Diverging(Forecaster):
+    """Says its seed, but for the seed 1, with which it diverges."""
+
+    name, random = "diverging", True
+
+    def learn(self, records: Sequence[Trajectory], *, seed: int, **_: Any) -> None:
+        if seed == 1:
+            raise FloatingPointError("it diverged")
+        self.value = float(seed)
+
+    def extrapolate(self, known: Known) -> np.ndarray:
+        return np.full((known.steps, 1), self.value)
+
+
+def test_the_seeds_that_did_not_diverge_are_handed_out() -> None:
+    result = sb.compare(record(), methods=[_Diverging()], seeds=3, setup=SETUP)
+    assert [run.seed for run in result.runs["diverging"]] == [0, 2]
+    again = result.forecaster("diverging").fit(record()[:TRAIN], seed=0)
+    np.testing.assert_array_equal(again.predict(40).y, result.means["diverging"].ahead)
+    forecast = sb.forecast(record(), 30, [_Diverging()], seeds=3, setup=replace(SETUP, train=200))
+    again = forecast.forecaster.fit(record(), seed=0)
+    np.testing.assert_array_equal(again.predict(30).y, forecast.prediction.y)
+
+
+def test_a_calibration_is_the_same_wherever_it_is_fitted() -> None:
+    """Of a simulator whose output ends with the record."""
+    t = DT * np.arange(400)
+    simulated = Trajectory(np.sin(1.03 * t), DT, y_sim=np.sin(t))
+    setup = replace(SETUP, train=300)
+    result = sb.compare(simulated, methods=[sb.Simulation(calibrated=True)], setup=setup)
+    with pytest.warns(ExtrapolationWarning, match="output ends too early"):
+        found = result.forecaster().fit(simulated[:300]).predict(100)
+    np.testing.assert_array_equal(found.y, result.means["simulator-calibrated"].ahead)
+
+
+def test_a_method_goes_by_its_name_alone() -> None:
+    assert [*sb.compare(record(), methods="mean", setup=SETUP).runs] == ["mean"]
+    assert sb.forecast(record(), 30, "mean").method == "mean"

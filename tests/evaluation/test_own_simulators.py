@@ -91,3 +91,12 @@ def test_the_bands_of_a_simulator_of_ones_own_are_chosen_beside_it() -> None:
     assert isinstance(chosen, sb.Filtered)
     assert isinstance(alone, sb.Filtered)
     assert chosen.trained_in == alone.trained_in
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_simulator_that_fails_is_a_row_that_says_why(jobs: int) -> None:
+    """Whatever it is: a lambda could not be sent to another process."""
+    broken = sb.Simulation(sb.Function(lambda time: 1 / np.zeros(0)[0] + time))
+    result = sb.compare(rig(200, 3.0), methods=[broken, sb.Mean()], setup=SETUP, work=sb.Work(jobs))
+    assert result.recommended == "mean"
+    assert "index 0 is out of bounds" in result.require_trial().failed["simulator"]

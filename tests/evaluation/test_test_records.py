@@ -128,5 +128,47 @@ def test_errors_name_the_test_record() -> None:
     with pytest.raises(ValueError, match="warmup must fit into the test record rig 1 of 12"):
         sb.compare(driven(TRAIN, 0), methods=methods, tests=[short], setup=SETUP)
     other = replace(TESTS[0], u=None, inputs=())
-    with pytest.raises(ValueError, match="rig 1 must have the record's 1 channel"):
+    with pytest.raises(ValueError, match="rig 1 must have the training record's 1 channel"):
         sb.compare(driven(TRAIN, 0), methods=methods, tests=[other], setup=SETUP)
+
+
+def test_a_test_record_that_a_method_cannot_warm_up_on_costs_no_other_result() -> None:
+    """The network below runs freely from the first sample on, which was not measured here."""
+    y = TESTS[0].y.copy()
+    y[:5] = np.nan
+    gap = Trajectory.with_gaps(y, DT, TESTS[0].u, name="gap", inputs=("force",))
+    below = sb.Residual(sb.Single(sb.GRU(3), QUICK), sb.GRU(3), settings=QUICK, name="below")
+    record = driven(TRAIN + 40, 0)
+    result = sb.compare(record, TRAIN, [below, sb.Mean()], tests=[gap], seeds=1, setup=SETUP)
+    (run,) = result.runs["below"]
+    assert run.tests == ()
+    assert "not tested on gap: history must begin with 12 measured samples" in run.description
+    assert run.forecast is not None
+    assert result.left_out == ["below"]
+
+
+def test_a_channel_that_is_not_measured_after_the_warm_up_is_refused_at_once() -> None:
+    y = TESTS[0].y.copy()
+    y[40:] = np.nan
+    empty = Trajectory.with_gaps(y, DT, TESTS[0].u, name="empty", inputs=("force",))
+    lost = replace(empty, measured=np.arange(len(y))[:, None] < WARMUP)
+    with pytest.raises(ValueError, match="every channel of the test record empty must be measured"):
+        sb.compare(driven(TRAIN, 0), methods=[sb.Mean()], tests=[lost], setup=SETUP)
+
+
+def test_test_records_of_one_name_are_told_apart() -> None:
+    tests = [replace(test, name="run") for test in TESTS]
+    result = sb.compare(driven(TRAIN, 0), methods=[sb.Mean()], tests=tests, setup=SETUP)
+    assert [test.name for test in result.tests] == ["run", "run (2)"]
+    (run,) = result.runs["mean"]
+    columns = [f"mean of seeds, test {name}" for name in ("run", "run (2)")]
+    assert [*result.table.loc["mean", columns]] == [*run.errors.tests]
+
+
+def test_what_can_be_tested_is_recommended() -> None:
+    """Of a sine, harmonic regression knows more, but nothing of another record."""
+    t = DT * np.arange(200)
+    record, test = (Trajectory(np.sin(1.3 * t + phase), DT) for phase in (0.0, 2.0))
+    result = sb.compare(record, 160, [sb.Harmonic(), sb.Mean()], tests=[test], setup=SETUP)
+    assert result.require_trial().errors["harmonic"] < result.require_trial().errors["mean"]
+    assert result.recommended == "mean"

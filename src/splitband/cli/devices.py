@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TypeVar
 
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.ensemble import Ensemble
 from splitband.forecasters.network import Network
 from splitband.models import Model
 
@@ -12,10 +13,10 @@ AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
 
 
 def on_device(forecaster: AnyForecaster, device: str) -> AnyForecaster:
-    """A forecaster whose network, if it has one, is trained on a device."""
-    if isinstance(forecaster, Network) and device != "cpu":
+    """A forecaster whose network, if it has one, is trained and runs on a device."""
+    if isinstance(forecaster, Network | Ensemble) and device != "cpu":
         check_device(device)
-        return forecaster.to(device)
+        forecaster.to(device)
     return forecaster
 
 
@@ -31,7 +32,7 @@ def check_device(device: str) -> None:
     import torch  # noqa: PLC0415  it has been loaded by now
 
     try:
-        torch.empty(0, device=device)
-    except (RuntimeError, AssertionError) as error:
+        torch.zeros(1, device=device).item()
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
         reason = str(error).splitlines()[0]
         raise ValueError(f"--device must be one that is there, got {device}: {reason}") from None

@@ -23,7 +23,7 @@ from splitband.evaluation.search import search
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.names import CALIBRATED, NAMES, with_variants
+from splitband.forecasters.names import BASES, CALIBRATED, NAMES, with_base, with_variants
 from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import Simulation
 from splitband.metrics import rmse
@@ -78,6 +78,8 @@ def fit(
         method = "split-gru" if tuned is None else tuned.method
     if calibrate or conditioned:
         method = with_variants([method], calibrate, conditioned)[-1]
+    if simulator.simulator in BASES:
+        (method,) = with_base([method], simulator.simulator)
     naming.check_names("--method", [method], FITTED)
     trajectory = records.load_record(record, reading)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=CALIBRATED in method)
@@ -121,13 +123,18 @@ def fit(
         "sampling_time": training.sampling_time,
         "start": as_json(training.start),
         "columns": list(training.columns),
-        "inputs": naming.names(reading.inputs or ""),
+        "inputs": list(training.inputs),
         "setup": setup.as_json(),
         "training": training_in_words,
         "calibration": None if calibration is None else asdict(calibration),
     }
     saving.save(forecaster, out, facts)
     within = _training_error(forecaster)
+    free_run = (
+        ""
+        if within is None
+        else (f"; free run over them from the first {max(forecaster.warmup, 2)}: RMSE {within:.4g}")
+    )
     outcome = {
         "final_loss": {name: losses[-1] for name, losses in fitted.report.losses.items()},
         "seconds": fitted.report.seconds,
@@ -140,18 +147,20 @@ def fit(
         showing.warn(note)
     said = training_in_words or forecaster.describe()
     showing.console.print(
-        f"{method} ({said}) fitted to {len(training)} samples in {fitted.report.seconds:.1f} s; "
-        f"free run over them from the first {max(forecaster.warmup, 2)}: RMSE {within:.4g}\n"
+        f"{method} ({said}) fitted to {len(training)} samples in {fitted.report.seconds:.1f} s"
+        f"{free_run}\n"
         + ("" if calibration is None else f"simulator calibrated: {calibration}\n")
         + f"model: {out}/",
     )
     showing.results_file(out / "results.json")
 
 
-def _training_error(forecaster: Forecaster) -> float:
-    """RMSE of a free run over the training record from its first samples."""
+def _training_error(forecaster: Forecaster) -> float | None:
+    """RMSE of a free run over the training record from its first samples, if there are more."""
     record = forecaster.require_fitted().record
     start = first_origin(record, len(record), forecaster.warmup).at
+    if start == len(record):
+        return None
     with showing.without_warnings():
         y = forecaster.predict(len(record) - start, record[:start]).y
     return rmse(record.seen[start:], np.asarray(y))

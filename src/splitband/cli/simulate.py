@@ -81,7 +81,11 @@ def simulate(
             y = _simulated(model, known, past, steps, u, simulator, time_column)
             beyond = [] if u is None else saved.extrapolations(u)
         else:
-            y = saved.predict(steps, past, u).y
+            if simulator.simulator is not None:
+                raise ValueError(
+                    f"--simulator must be left out for {known.method}, which asks for none"
+                )
+            y = devices.on_device(saved, device).predict(steps, past, u).y
             beyond = saved.require_fitted().inputs_beyond(u)
     prediction = Prediction(y, past.grid.after(steps), tuple(known.columns))
     output_folder(out.parent, "--out")

@@ -4,7 +4,7 @@ from splitband.data.alignment import Aligned, aligned, resampled
 from splitband.data.public import PUBLIC, PublicFile, double_torsion, drill_string, fetch
 from splitband.data.reading import read
 from splitband.data.timing import Grid, Stamp
-from splitband.data.trajectory import Trajectory
+from splitband.data.trajectory import Trajectory, check_alike
 
 __all__ = [
     "PUBLIC",
@@ -14,6 +14,7 @@ __all__ = [
     "Stamp",
     "Trajectory",
     "aligned",
+    "check_alike",
     "double_torsion",
     "drill_string",
     "fetch",

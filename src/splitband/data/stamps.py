@@ -23,6 +23,7 @@ _UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "min": 60.0, "h": 3600.0}
 _UNITS |= {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
 _UNIT = re.compile(rf"[\s_/(\[]+({'|'.join(_UNITS)})[)\]]?$")
 _TIME_OF_DAY = re.compile(r"\s*\d{1,2}:\d\d")
+_DOTTED = re.compile(r"\s*\d{1,2}\.\d{1,2}\.\d")
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +80,7 @@ def _seconds(what: str, name: str, column: Column) -> tuple[FloatArray, float, p
         kind = np.float32 if column.dtype == np.float32 else np.float64
         grain = 2 * float(np.spacing(kind(np.abs(values).max())))
         return values * unit, grain * unit, None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        formats = ("ISO8601", None)  # None: pandas takes the format of the first row
-        tries = [pd.to_datetime(column, format=f, utc=True, errors="coerce") for f in formats]
-    dates = min(tries, key=lambda parsed: int(parsed.isna().sum()))
+    dates = _dates(column)
     if (bad := np.flatnonzero(dates.isna())).size:
         cell = str(column.iloc[bad[0]])[:40]
         raise ValueError(f"{what} must hold numbers or dates: row {bad[0]} holds {cell!r}")
@@ -93,6 +90,31 @@ def _seconds(what: str, name: str, column: Column) -> tuple[FloatArray, float, p
     since = dates - (first.normalize() if of_day else first)
     seconds = np.asarray(since / pd.Timedelta(1, unit="s"), dtype=np.float64)
     return seconds, 0.0, None if of_day else _in_its_zone(first, column)
+
+
+def _dates(column: Column) -> pd.Series:
+    """Dates in UTC, NaT where there is none: day or month first, as most of them can be read.
+
+    Where both can be, as on the first days of a month, an even step decides; where that does not
+    tell either, days come first in what is written with dots, and months otherwise.
+    """
+    dotted = _DOTTED.match(str(column.iloc[0])) is not None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        tries = [pd.to_datetime(column, format="ISO8601", utc=True, errors="coerce")]
+        tries += [
+            pd.to_datetime(column, dayfirst=day_first, utc=True, errors="coerce")
+            for day_first in (dotted, not dotted)
+        ]
+
+    def doubt(parsed: pd.Series) -> tuple[int, float]:
+        """How many are missing, and by how much the steps differ, as a share of the usual one."""
+        steps = parsed.dropna().diff().dropna().dt.total_seconds()
+        usual = abs(steps.median()) or 1.0
+        uneven = round(float((steps - usual).abs().max() / usual), 2) if len(steps) else 0.0
+        return int(parsed.isna().sum()), uneven
+
+    return min(tries, key=doubt)
 
 
 def _in_its_zone(date: pd.Timestamp, column: Column) -> pd.Timestamp:

@@ -19,7 +19,7 @@ Stamp: TypeAlias = float | pd.Timestamp
 
 def as_stamp(value: Any) -> Stamp:
     """Check a time stamp; raises ValueError for what is neither a finite number nor a date."""
-    if isinstance(value, datetime) and not pd.isna(value):
+    if isinstance(value, datetime | np.datetime64) and not pd.isna(value):
         return pd.Timestamp(value).as_unit("ns")
     try:
         seconds = math.nan if isinstance(value, bool) else float(value)

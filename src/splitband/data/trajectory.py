@@ -79,8 +79,10 @@ class Trajectory:
         if length < 2:
             raise ValueError(f"y must have at least 2 samples: it has {length}")
         columns = tuple(self.columns) or _numbered("y", ny)
-        if len(columns) != ny:
-            raise ValueError(f"columns must name each of the {ny} channels of y: got {columns}")
+        if len(columns) != ny or len(set(columns)) < ny:
+            raise ValueError(
+                f"columns must name each of the {ny} channels of y, differently: got {columns}"
+            )
         require_finite("y", y, columns)
         object.__setattr__(self, "y", y)
         object.__setattr__(self, "columns", columns)
@@ -94,8 +96,10 @@ class Trajectory:
             require_finite(field, signal, names)
             object.__setattr__(self, field, signal)
         inputs = tuple(self.inputs) or (_numbered("u", self.nu) if self.nu else ())
-        if len(inputs) != self.nu:
-            raise ValueError(f"inputs must name each of the {self.nu} columns of u: got {inputs}")
+        if len(inputs) != self.nu or len(set(inputs)) < self.nu:
+            raise ValueError(
+                f"inputs must name each of the {self.nu} columns of u, differently: got {inputs}"
+            )
         object.__setattr__(self, "inputs", inputs)
         for field, before, names in (("beyond", "y_sim", columns), ("u_beyond", "u", inputs)):
             if (value := getattr(self, field)) is None:
@@ -292,3 +296,28 @@ def require_finite(what: str, values: FloatArray, columns: Sequence[str] = ()) -
 def one_line(error: BaseException) -> str:
     """The message of another library's error, on one line."""
     return " ".join(str(error).split())[:300] or type(error).__name__
+
+
+def check_alike(other: Trajectory, record: Trajectory, name: str) -> None:
+    """Check that another record, called `name`, can be of the same system.
+
+    Raises ValueError for other channels or inputs, also in another order, and for a sampling time
+    that is off by more than a hundredth.
+    """
+    if (other.ny, other.nu) != (record.ny, record.nu):
+        raise ValueError(
+            f"{name} must have the training record's {record.ny} channel(s) and {record.nu} "
+            f"input(s), got {other.ny} and {other.nu}"
+        )
+    for what in ("columns", "inputs"):
+        names, known = getattr(other, what), getattr(record, what)
+        if names != known and sorted(names) == sorted(known):
+            raise ValueError(
+                f"{what} of {name} must be in the order of the training record, "
+                f"{', '.join(known)}, got {', '.join(names)}"
+            )
+    if abs(other.sampling_time - record.sampling_time) > 0.01 * record.sampling_time:
+        raise ValueError(
+            f"{name} must be sampled like the training record, every {record.sampling_time:g} s, "
+            f"got every {other.sampling_time:g} s"
+        )

@@ -80,7 +80,9 @@ def seeds_of(
     return dict.fromkeys(scores, usual) | (searched.seeds(scores) if seeds is None else {})
 
 
-def as_trained(forecaster: Forecaster, seeds: int) -> Forecaster:
-    """The forecaster of so many seeds, not fitted: what is random is the mean over them."""
-    several = forecaster.random and seeds > 1
-    return Ensemble(forecaster.copy(), seeds) if several else forecaster.copy()
+def as_trained(forecaster: Forecaster, seeds: Sequence[int]) -> Forecaster:
+    """The forecaster of these seeds, not fitted: what is random is the mean over them."""
+    if not forecaster.random or [*seeds] == [0]:
+        return forecaster.copy()
+    usual = [*seeds] == [*range(len(seeds))]
+    return Ensemble(forecaster.copy(), len(seeds), seeds=None if usual else seeds)

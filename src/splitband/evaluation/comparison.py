@@ -69,7 +69,7 @@ class Comparison:
     def forecaster(self, name: str | None = None) -> Forecaster:
         """A method as it has been trained here, not fitted: to be fitted to a record and saved.
 
-        Of what is random it is the mean of as many seeds. Fitted with seed 0 to the training part,
+        Of what is random it is the mean of the same seeds. Fitted with seed 0 to the training part,
         it says what it has said here.
 
         Parameters
@@ -84,7 +84,7 @@ class Comparison:
         name = self.recommended if name is None else name
         if name not in self.forecasters:
             raise ValueError(f"name must be one of {', '.join(self.forecasters)}, got {name}")
-        return as_trained(self.forecasters[name], len(self.runs[name]))
+        return as_trained(self.forecasters[name], [run.seed for run in self.runs[name]])
 
     @cached_property
     def means(self) -> dict[str, Run]:
@@ -127,10 +127,8 @@ class Comparison:
                 "mean of seeds, from start": mean.total_rmse,
                 "mean of seeds, forecast": mean.forecast_rmse,
                 **{
-                    f"mean of seeds, test {_named(test, i)}": error
-                    for i, (test, error) in enumerate(
-                        zip(self.tests, mean.errors.tests, strict=False)
-                    )
+                    f"mean of seeds, test {test.name}": error
+                    for test, error in zip(self.tests, mean.errors.tests, strict=False)
                 },
                 "fit (s)": sum(r.fit.seconds for r in runs) / len(runs),
                 "note": mean.description or runs[0].description,
@@ -229,6 +227,7 @@ def compare(
     >>> list(result.table["forecast"].round(1))
     [0.7, 1.2, 0.0]
     """
+    methods = [methods] if isinstance(methods, str) else methods
     if setup is None:
         usual = len(record) if tests else int(TRAINING_SHARE * len(record))
         train = usual if train is None else train
@@ -239,6 +238,7 @@ def compare(
     chosen, setup = candidates(record, setup, methods)
     check(record, chosen, setup, others, tests)
     check_trial(record, chosen, setup, others)
+    tests = _called_apart(tests)
     work, ahead = work or Work(), len(record) - setup.train
     training = record[: setup.train]
     trial, searched = choose(training, chosen, ahead, setup, seeds, work, others, bool(tests))
@@ -261,9 +261,17 @@ def compare(
         attempts=searched.attempts,
         forecasters={method.name: method for method in fitted if method.name in runs},
     )
+    trial = replace(trial, left_out=frozenset(comparison.left_out))
     return replace(comparison, trial=trial.settled(runs.ahead, runs.failed))
 
 
-def _named(test: Trajectory, i: int) -> str:
-    """What a test record is called."""
-    return test.name or str(i + 1)
+def _called_apart(tests: Sequence[Trajectory]) -> list[Trajectory]:
+    """The test records, each with a name of its own: those that share one are counted."""
+    names: list[str] = []
+    for i, test in enumerate(tests):
+        name, count = test.name or str(i + 1), 1
+        while name in names:
+            count += 1
+            name = f"{test.name} ({count})"
+        names.append(name)
+    return [replace(test, name=name) for test, name in zip(tests, names, strict=True)]

@@ -47,7 +47,9 @@ def reference_seconds(wall: float, cores: int) -> float:
 
 
 def training_cost(network: Network, record: Trajectory, others: Sequence[Trajectory]) -> float:
-    """Seconds of a reference core that a training takes, roughly."""
+    """Seconds of a reference core that a training takes, roughly; with that of a network below."""
+    base = getattr(network, "base", None)
+    below = training_cost(base, record, others) if isinstance(base, Network) else 0.0
     settings = network.settings
     assert settings is not None
     samples = len(record) + sum(map(len, others))
@@ -56,4 +58,6 @@ def training_cost(network: Network, record: Trajectory, others: Sequence[Traject
     gradients = EVALUATIONS * (settings.quasi_newton or 0)
     in_all = gradients * samples_in_a_step(samples, settings.window, settings.warmup)
     of_samples = (SAMPLE + WEIGHT * network.weights(record)) * (adam + in_all)
-    return of_samples + GRADIENT * (settings.epochs * batches + gradients) * len(network.cells)
+    return (
+        below + of_samples + GRADIENT * (settings.epochs * batches + gradients) * len(network.cells)
+    )

@@ -83,6 +83,7 @@ def forecast(
     ('harmonic', (50, 1), (50, 1))
     """
     _check_ahead(record, steps)
+    methods = [methods] if isinstance(methods, str) else methods
     if setup is None:
         setup = default_setup(record, len(record), methods=methods)
     elif setup.train != len(record):
@@ -121,7 +122,7 @@ def forecast(
     return Forecast(
         record,
         best,
-        as_trained(next(f for f in fitted if f.name == best), len(done)),
+        as_trained(next(f for f in fitted if f.name == best), [*done]),
         replace(mean, lower=mean.y - half, upper=mean.y + half, level=LEVEL),
         trial,
         tuple(done),

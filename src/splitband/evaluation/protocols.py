@@ -13,14 +13,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Trajectory
+from splitband.data import Trajectory, check_alike
 from splitband.data.gaps import first_after
 from splitband.evaluation.runs import Failure, Work, run_all
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import Backtest, Origin, Question, first_origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
-from splitband.forecasters.network import check_alike
 from splitband.forecasters.prediction import Prediction, mean_of
 from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
 
@@ -283,12 +282,18 @@ def check(
         )
     check_train(record, setup.train, 0 if beyond or tests else 1)
     for test in tests:
-        check_alike(test, record)
+        check_alike(test, record, test.name or "a test record")
         warmup = max(setup.settings.warmup, *(f.warmup for f in forecasters))
-        if len(test) <= warmup or first_after(test.complete, warmup) in (None, len(test)):
+        begin = first_after(test.complete, warmup)
+        if begin in (None, len(test)):
             raise ValueError(
                 f"warmup must fit into the test record {test.name} of {len(test)} samples, with "
                 f"samples to predict after it, got {warmup}"
+            )
+        if np.isnan(test.truth[begin:]).all(axis=0).any():
+            raise ValueError(
+                f"every channel of the test record {test.name} must be measured somewhere after "
+                f"its first {begin} samples, on which methods warm up"
             )
     if setup.settings.warmup >= setup.train:
         raise ValueError(

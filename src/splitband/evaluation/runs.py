@@ -86,16 +86,22 @@ def run_all(
     is not random is fitted once, and to the first record alone. With `need_one`, ValueError is
     raised when nothing could be fitted at all.
     """
-    ready = {f.name: _prepared(f, questions[f.name]) for f in forecasters}
     seeds_of = {f.name: _seeds_of(f, seeds) for f in forecasters}
     stage = None if work.progress is None else work.stage
-    done = {}
+    ready: dict[str, Forecaster] = {}
+    done: dict[tuple[str, int], Backtest | Failure] = {}
+    for f in forecasters:
+        try:
+            ready[f.name] = _prepared(f, questions[f.name])
+        except ValueError as error:
+            done |= {(f.name, s): Failure(f.name, s, str(error)) for s in seeds_of[f.name]}
     with _place(work) as place:
         # The longest first, so that no process is left with one of them at the end.
         todo = [
             _Job(f.name, seed, place.files(_file(f.name, seed)) if place and f.random else {})
             for f in sorted(forecasters, key=lambda f: not f.random)
             for seed in seeds_of[f.name]
+            if f.name in ready
         ]
         job = partial(_work, ready, questions, stage, place, dict(CALIBRATIONS.results))
         workers = work.executor or work.jobs
@@ -143,12 +149,18 @@ def _seeds_of(
 
 
 def _prepared(forecaster: Forecaster, asked: Question) -> Forecaster:
-    """With what all of its jobs share computed here, once for all processes."""
+    """With what all of its jobs share computed here, once for all processes.
+
+    Raises ValueError where a simulator of its own fails.
+    """
     fits = sorted({origin.fitted for origin in asked.origins})
-    # Errors are not lost: the job that needs the result computes it again and reports the failure.
+    record, ahead = asked.record[: fits[-1]], asked.end - fits[-1]
+    try:
+        forecaster = forecaster.simulated(record, ahead, *asked.others, *asked.tests)
+    except ValueError:  # it may only fail for test records, about which it is not asked then
+        forecaster = forecaster.simulated(record, ahead, *asked.others)
+    # These errors are not lost: the job that needs the result computes it again and reports them.
     with suppress(ValueError):
-        others = *asked.others, *asked.tests
-        forecaster = forecaster.simulated(asked.record[: fits[-1]], asked.end - fits[-1], *others)
         for samples in fits:
             forecaster.prepare(asked.record[:samples])
     return forecaster

@@ -64,6 +64,8 @@ class Trial:
     final : What they forecast fitted on the whole training part, the mean of the seeds; see
         `settled`.
     failed : Why methods could not be fitted, now or, after `settled`, on the whole training part.
+    left_out : Methods that are not recommended if there is another one: they have nothing to say
+        about the test records.
     """
 
     errors: Mapping[str, float]
@@ -74,6 +76,7 @@ class Trial:
     trained: frozenset[str]
     final: Mapping[str, Array] = field(default_factory=dict)
     failed: Mapping[str, str] = field(default_factory=dict)
+    left_out: frozenset[str] = frozenset()
 
     def settled(self, final: Mapping[str, Sequence[Array]], failed: Mapping[str, str]) -> Trial:
         """With what the methods forecast after all, out of which one is recommended.
@@ -128,7 +131,9 @@ class Trial:
         A network must be better by `WORTH_TRAINING`: of two methods that do equally well on a short
         held-out part, the simpler one is less likely to fail later.
         """
-        return min(self.final or self.scores, key=self._worth)
+        names = [*(self.final or self.scores)]
+        able = [name for name in names if name not in self.left_out]
+        return min(able or names, key=self._worth)
 
     @property
     def best_network(self) -> str | None:

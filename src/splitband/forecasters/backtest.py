@@ -131,9 +131,10 @@ def backtest(
                 predictions[origin] = fitted.predict(end - origin.at, history)
             if isinstance(fitted, Network):
                 unfiltered[origin] = fitted.unfiltered(end - origin.at, history)
-    tests = _tested(fitted, question)
-    known = fitted.require_fitted()
-    return Backtest(predictions, tests, known.report, known.y_range, fitted.describe(), unfiltered)
+    tests, untested = _tested(fitted, question)
+    known, said = fitted.require_fitted(), [fitted.describe(), untested]
+    description = "; ".join(filter(None, said))
+    return Backtest(predictions, tests, known.report, known.y_range, description, unfiltered)
 
 
 def tested_by(forecaster: Forecaster, test: Trajectory) -> bool:
@@ -142,17 +143,20 @@ def tested_by(forecaster: Forecaster, test: Trajectory) -> bool:
     return simulated and not forecaster.anchored
 
 
-def _tested(fitted: Forecaster, question: Question) -> list[Prediction]:
-    """Each test record, simulated to its end from its first samples."""
+def _tested(fitted: Forecaster, question: Question) -> tuple[list[Prediction], str]:
+    """Each test record, simulated to its end from its first samples; or none, and why."""
     predictions: list[Prediction] = []
     if not all(tested_by(fitted, test) for test in question.tests):
-        return predictions
+        return predictions, ""
     for test in question.tests:
-        at = first_origin(test, 0, fitted.warmup or question.warmup).at
-        with without_warnings(ExtrapolationWarning):
-            history = test[:at]
-            predictions.append(fitted.predict(len(test) - at, history, other_record=True))
-    return predictions
+        try:
+            at = first_origin(test, 0, fitted.warmup or question.warmup).at
+            with without_warnings(ExtrapolationWarning):
+                history = test[:at]
+                predictions.append(fitted.predict(len(test) - at, history, other_record=True))
+        except ValueError as error:
+            return [], f"not tested on {test.name or 'a test record'}: {error}"
+    return predictions, ""
 
 
 def first_origin(record: Trajectory, train: int, warmup: int) -> Origin:

@@ -15,7 +15,8 @@ from typing import Self, final
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Trajectory
+from splitband.data import Trajectory, check_alike
+from splitband.data.timing import same_sampling
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import Fitted
 from splitband.forecasters.intervals import Interval
@@ -121,6 +122,8 @@ class Forecaster(ABC):
         """Raise ValueError for what is wrong with the training records, before anything runs."""
         if not records:
             raise ValueError("records must be one or several, got none")
+        for other in records[1:]:
+            check_alike(other, records[0], other.name or "another record")
         for record in records:
             if "inputs" in self.needs and record.u is None:
                 raise ValueError(f"{self.name} needs known inputs, {_named(record)} has none")
@@ -212,14 +215,12 @@ class Forecaster(ABC):
             raise ValueError(f"steps must be at least 1, got {steps}")
         if level is not None and not 0 < level < 1:
             raise ValueError(f"level must be between 0 and 1, got {level}")
-        known, past = self._known(steps, history, u, y_sim)
-        if other_record:
-            if self.anchored:
-                raise ValueError(
-                    f"history must go on from the training record for {self.name}, which depends "
-                    "on the time since then"
-                )
-            known = replace(known, begin=None)
+        if other_record and self.anchored:
+            raise ValueError(
+                f"history must go on from the training record for {self.name}, which depends "
+                "on the time since then"
+            )
+        known, past = self._known(steps, history, u, y_sim, other_record)
         extrapolated = self.extrapolate(known)
         y = total([*extrapolated.values()] if isinstance(extrapolated, dict) else [extrapolated])
         parts = extrapolated if isinstance(extrapolated, dict) and len(extrapolated) > 1 else {}
@@ -277,19 +278,23 @@ class Forecaster(ABC):
         history: Trajectory | None,
         u: npt.ArrayLike | None,
         y_sim: npt.ArrayLike | None,
+        other_record: bool = False,
     ) -> tuple[Known, Trajectory]:
         """What may be known of `steps` samples, and the history."""
         fitted = self.require_fitted()
-        past, begin = fitted.record, float(fitted.begin)
+        past, begin = fitted.record, None if other_record else float(fitted.begin)
         if history is not None:
-            past, begin = history, fitted.begins(history)
-        training = fitted.record
-        if (past.ny, past.nu) != (training.ny, training.nu):
-            raise ValueError(
-                f"history must have the training record's {training.ny} channel(s) and "
-                f"{training.nu} input(s), got {past.ny} and {past.nu}"
-            )
+            check_alike(history, fitted.record, "history")
+            step, own = fitted.record.sampling_time, history.sampling_time
+            if self.anchored and not same_sampling(step, own, len(history)):
+                raise ValueError(
+                    f"history must be sampled like the training record for {self.name}, which "
+                    f"depends on the time since then: every {step:.7g} s, got every {own:.7g} s"
+                )
+            past, begin = history, None if other_record else fitted.begins(history)
         inputs = None
+        if u is not None and not np.isfinite(np.asarray(u, dtype=np.float64)).all():
+            raise ValueError("u must hold finite numbers, got some that are not")
         if past.u is not None:
             inputs = continued("u", past.u, past.u_beyond if u is None else u, steps)
         elif u is not None:

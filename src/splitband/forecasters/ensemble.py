@@ -30,6 +30,7 @@ class Ensemble(Forecaster):
     count : How many; with the seed s they are fitted with the seeds `s * count`, `s * count + 1`,
         ..., so that the ensembles of two seeds share no member.
     name : By default that of the member.
+    seeds : In place of `count`: the seeds with which the members are fitted, for the seed 0.
 
     Examples
     --------
@@ -40,11 +41,30 @@ class Ensemble(Forecaster):
     ('gru', (20, 1))
     """
 
-    def __init__(self, member: Forecaster, count: int = 3, name: str | None = None) -> None:
+    _seeds: tuple[int, ...] | None = None
+    """None: 0, 1, ...; models that were saved by 0.1.0 have nothing else."""
+
+    def __init__(
+        self,
+        member: Forecaster,
+        count: int = 3,
+        name: str | None = None,
+        seeds: Sequence[int] | None = None,
+    ) -> None:
+        if seeds is not None:
+            count = len(seeds)
+            if count < 1 or min(seeds) < 0 or len(set(seeds)) < count:
+                raise ValueError(f"seeds must be different numbers from 0 on, got {[*seeds]}")
         if count < 1:
             raise ValueError(f"count must be at least 1, got {count}")
         self.member, self.count, self._name = member, count, name
+        self._seeds = None if seeds is None else tuple(seeds)
         self.members: list[Forecaster] = []
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """Of the members, when the ensemble is fitted with the seed 0."""
+        return tuple(range(self.count)) if self._seeds is None else self._seeds
 
     @property
     def name(self) -> str:
@@ -112,11 +132,11 @@ class Ensemble(Forecaster):
         checkpoint: Checkpoint | None,
     ) -> None:
         """See `Forecaster`; each member has a checkpoint of its own, beside the one given."""
-        for i in range(self.count):
+        for i, of_first in enumerate(self.seeds):
             of_member = None if checkpoint is None else checkpoint.numbered(i)
             watch = None if progress is None else _shifted(progress, i, self.count)
             member = self.member.copy()
-            own = seed * self.count + i
+            own = seed * (max(self.seeds) + 1) + of_first
             member.fit(*records, seed=own, progress=watch, checkpoint=of_member)
             self.members.append(member)
         reports = [member.require_fitted().report for member in self.members]

@@ -75,16 +75,8 @@ class Fitted:
         )
 
     def begins(self, history: Trajectory) -> float:
-        """How many samples after the training record's first one a history begins.
-
-        Raises ValueError for one that is not sampled like it.
-        """
+        """How many samples after the training record's first one a history begins."""
         step = self.record.sampling_time
-        if abs(history.sampling_time - step) > 0.01 * step:
-            raise ValueError(
-                f"history must be sampled like the training record, every {step:g} s, "
-                f"got every {history.sampling_time:g} s"
-            )
         if self.start is None or history.start is None:
             return 0.0
         begin = seconds_between(self.start, history.start) / step

@@ -164,8 +164,6 @@ class Network(Forecaster):
             raise ValueError(
                 f"window must fit into the {len(first)} training samples, got {settings.window}"
             )
-        for other in records[1:]:
-            check_alike(other, first)
         windows_in(records, settings.window, settings.warmup)
         self.copy()._built(first, settings, seed=0)
 
@@ -286,17 +284,3 @@ def as_template(cell: Any) -> Template:
 def label_of(template: Template) -> str:
     """What names and tables call a cell: its `label`, or its class."""
     return str(getattr(template, "label", type(template).__name__.lower()))
-
-
-def check_alike(other: Trajectory, record: Trajectory) -> None:
-    """Check that another record can be of the same system; raises ValueError otherwise."""
-    if (other.ny, other.nu) != (record.ny, record.nu):
-        raise ValueError(
-            f"{other.name} must have the record's {record.ny} channel(s) and {record.nu} "
-            f"input(s), got {other.ny} and {other.nu}"
-        )
-    if abs(other.sampling_time - record.sampling_time) > 0.01 * record.sampling_time:
-        raise ValueError(
-            f"{other.name} must be sampled like the record, every {record.sampling_time:g} s, "
-            f"got every {other.sampling_time:g} s"
-        )

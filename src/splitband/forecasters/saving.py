@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
@@ -48,8 +49,11 @@ from splitband.training import Settings
 
 FORMAT = 1
 FILE = "forecaster.json"
-BASE = "base"
-"""Folder of a network that holds the slow part of another one."""
+PARTS = "parts-0", "parts-1"
+"""Folders for what a forecaster is made of and has weights of its own: the members of an ensemble,
+a network that holds the slow part of another one. The description names the one that counts, so
+that an interrupted `save` leaves the parts of the forecaster that was there before."""
+BASE, MEMBER = "base", "member-{}"
 SHORT = 20_000
 """Samples of a training record with a simulator that is saved as a whole."""
 _PLAIN = (
@@ -91,20 +95,21 @@ def save(
     forecaster.require_fitted()
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    description = {"format": FORMAT, "forecaster": _encode(forecaster)}
-    if (base := _network_below(forecaster)) is not None:
-        save(base, folder / BASE)
+    description = {**(facts or {}), "format": FORMAT, "forecaster": _encode(forecaster)}
+    place = _save_parts(forecaster, folder)
+    if place is not None:
+        description["parts"] = place
     if isinstance(forecaster, Network):
         assert forecaster.model is not None
-        models.save(forecaster.model, folder, {**(facts or {}), **description})
+        models.save(forecaster.model, folder, description)
         # `load` would prefer the description of what was there before.
         (folder / FILE).unlink(missing_ok=True)
-        return
-    if isinstance(forecaster, Ensemble):
-        for i, member in enumerate(forecaster.members):
-            save(member, folder / f"member-{i}")
-    write_json(folder / FILE, {**(facts or {}), **description})
-    models.remove(folder)
+    else:
+        write_json(folder / FILE, description)
+        models.remove(folder)
+    for other in PARTS:
+        if other != place:
+            shutil.rmtree(folder / other, ignore_errors=True)
 
 
 def load(
@@ -166,13 +171,45 @@ def load_with_facts(
         raise ValueError(f"{folder} holds no forecaster, but {type(loaded).__name__}")
     if isinstance(loaded, Network):
         loaded.model = model
+    parts = folder / _place_of(facts)
     if isinstance(loaded, Filtered | Residual) and not hasattr(loaded, "base"):
-        loaded.base = load(folder / BASE, simulator, classes)
+        loaded.base = load(parts / BASE, simulator, classes)
     if isinstance(loaded, Ensemble):
         loaded.members = [
-            load(folder / f"member-{i}", simulator, classes) for i in range(loaded.count)
+            load(parts / MEMBER.format(i), simulator, classes) for i in range(loaded.count)
         ]
     return loaded, facts
+
+
+def _save_parts(forecaster: Forecaster, folder: Path) -> str | None:
+    """Save what a forecaster is made of into the free one of `PARTS`; None where it is whole."""
+    parts: dict[str, Forecaster] = {}
+    if isinstance(forecaster, Ensemble):
+        parts = {MEMBER.format(i): member for i, member in enumerate(forecaster.members)}
+    elif (base := _network_below(forecaster)) is not None:
+        parts = {BASE: base}
+    if not parts:
+        return None
+    place = PARTS[0] if _described(folder).get("parts") != PARTS[0] else PARTS[1]
+    shutil.rmtree(folder / place, ignore_errors=True)
+    for name, part in parts.items():
+        save(part, folder / place / name)
+    return place
+
+
+def _described(folder: Path) -> dict[str, Any]:
+    """What describes the forecaster that is there; empty for none that can be read."""
+    try:
+        if (folder / FILE).is_file():
+            return dict(json.loads((folder / FILE).read_text(encoding="utf-8")))
+        return models.facts_of(folder)
+    except (OSError, ValueError, TypeError, RecursionError):
+        return {}
+
+
+def _place_of(facts: Mapping[str, Any]) -> str:
+    """The folder of the parts; 0.1.0 kept them beside the description."""
+    return PARTS[PARTS.index(facts["parts"])] if facts.get("parts") in PARTS else "."
 
 
 def _is_forecaster(value: Any) -> bool:
@@ -189,9 +226,10 @@ def _end(forecaster: Forecaster) -> Fitted:
         start = last_before(record.complete, warmup, len(record))
         first = min(first, (warmup if start is None else start) - warmup)
     first = max(0, min(first, len(record) - 2))
-    if "simulator" in forecaster.needs or _network_below(forecaster) is not None:
-        # A calibrated delay or clock uses earlier output of the simulator, a seventh of it at most;
-        # a network in the low band runs freely from the beginning of the record on.
+    if _network_below(forecaster) is not None:
+        first = 0  # it runs freely from the beginning of the record on
+    elif "simulator" in forecaster.needs:
+        # A calibrated delay or clock uses earlier output of the simulator, a seventh of it at most.
         first = 0 if len(record) <= SHORT else min(first, len(record) - len(record) // 5)
     end = replace(record[first:], beyond=None, u_beyond=None)
     # The run time is left out, so that the same fit is saved as the same file, byte by byte.
@@ -201,8 +239,10 @@ def _end(forecaster: Forecaster) -> Fitted:
 
 def _network_below(forecaster: Forecaster) -> Forecaster | None:
     """What holds the slow part of a network, where it has weights of its own."""
+    if isinstance(forecaster, Ensemble):
+        return _network_below(forecaster.member)
     base = getattr(forecaster, "base", None)
-    return base if isinstance(base, Network | Ensemble) else None
+    return base if isinstance(base, Network) else None
 
 
 def _apart(forecaster: Forecaster) -> set[str]:
@@ -210,7 +250,8 @@ def _apart(forecaster: Forecaster) -> set[str]:
     left = {"fitted"}
     if isinstance(forecaster, Network):
         left.add("model")
-    if _network_below(forecaster) is not None:
+    fitted = forecaster.fitted is not None  # otherwise it has no weights, and is saved in place
+    if fitted and not isinstance(forecaster, Ensemble) and _network_below(forecaster) is not None:
         left.add("base")
     return left | {"members"} if isinstance(forecaster, Ensemble) else left
 

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Grid, Stamp, Trajectory
+from splitband.data.timing import stamp_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import NEAR_ROW
 from splitband.forecasters.known import Known
@@ -143,6 +144,11 @@ class Simulation(Forecaster):
         samples = len(known.y) + known.steps
         record = self.require_fitted().record
         begin = known.begin or 0.0  # a simulator of another record begins with it
+        if begin < 0 and not self.calibration.stays:
+            raise ValueError(
+                f"history must not begin before the training record for {self.name}, as the time "
+                f"of its calibration ({self.calibration}) counts from there"
+            )
         y_sim, begin_sim = known.y_sim, begin
         if self.simulator is not None:
             places = self.calibration.places(samples, record.sampling_time, begin)
@@ -150,7 +156,11 @@ class Simulation(Forecaster):
             if isinstance(self.simulator, Recorded):  # its end is held, see `doubts`
                 least = int(np.ceil(begin - 1e-6)) + samples
                 needed = min(needed, max(least, self.simulator.reach(times)))
-            y_sim, begin_sim = self._run(replace(times, samples=needed), record.ny), 0.0
+            begin_sim = min(begin, 0.0)  # before the training record it begins with the history
+            if begin_sim and times.start is not None:
+                earlier = stamp_after(times.start, begin_sim * record.sampling_time)
+                times, needed = replace(times, start=earlier), samples
+            y_sim = self._run(replace(times, samples=needed), record.ny)
         if y_sim is None:
             raise ValueError(f"{self.name} needs a simulator's output (y_sim)")
         return self.calibration.apply(y_sim, samples, record.sampling_time, begin, begin_sim)

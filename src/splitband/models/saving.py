@@ -200,6 +200,12 @@ def load(
     return model, facts
 
 
+def facts_of(folder: Path) -> dict[str, Any]:
+    """The facts that were saved with a model; raises OSError or ValueError where there is none."""
+    text = (folder / _DESCRIPTION).read_text(encoding="utf-8")
+    return dict(json.loads(text).get("facts") or {})
+
+
 def _tied(model: Model) -> list[list[str]]:
     """Names of parameters that are one and the same, for each that has several."""
     names: dict[int, list[str]] = {}

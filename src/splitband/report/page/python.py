@@ -29,6 +29,8 @@ _CLOSED_FORMS = Harmonic, Linear, Mean, Periodic, Persistence, SeasonalNaive
 _UNKNOWN = "..."
 WIDTH = 88
 """Characters in a line of settings."""
+OWN, BASE = "settings", "base_settings"
+"""What the settings of a network are called, and those of one that holds its slow part."""
 _INDENTED: Any = {"initial_indent": "    ", "subsequent_indent": "    "}
 
 
@@ -43,37 +45,43 @@ def making(forecaster: Forecaster) -> list[str]:
         return [f"model = ...  # {forecaster.name}"]
     if isinstance(forecaster, Ensemble):
         made = f"sb.Ensemble({made}, {forecaster.count})"
-    lines = [f"model = {made}"]
-    if isinstance(member, Network) and member.settings is not None:
-        changed = ", ".join(f"{k}={v}" for k, v in _changed(member.settings).items())
-        inner = textwrap.wrap(changed, WIDTH, **_INDENTED)
-        lines = ["settings = sb.Settings(", *inner, ")", *lines]
-    return lines
+    base = getattr(member, "base", None)
+    return [*_settings(base, BASE), *_settings(member, OWN), f"model = {made}"]
 
 
-def _made(forecaster: Forecaster) -> str:
+def _settings(forecaster: Forecaster | None, name: str) -> list[str]:
+    """The lines that assign a network's settings to a name."""
+    if not isinstance(forecaster, Network) or forecaster.settings is None:
+        return []
+    changed = ", ".join(f"{k}={v}" for k, v in _changed(forecaster.settings).items())
+    return [f"{name} = sb.Settings(", *textwrap.wrap(changed, WIDTH, **_INDENTED), ")"]
+
+
+def _made(forecaster: Forecaster, settings: str = OWN) -> str:
     if isinstance(forecaster, _CLOSED_FORMS):
         return _call(type(forecaster).__name__)
     if isinstance(forecaster, Simulation):
         simulator = [] if forecaster.simulator is None else [_UNKNOWN]
         return _call("Simulation", *simulator, **_options(calibrated=forecaster.calibrated))
     if isinstance(forecaster, Single):
-        return _call("Single", _cell(forecaster.cell), **_trained(forecaster))
+        return _call("Single", _cell(forecaster.cell), **_trained(forecaster, settings))
     if isinstance(forecaster, Split):
         cells = _cell(forecaster.low), _cell(forecaster.high)
         options = _options(
             filter_output=forecaster.filter_output, conditioned=forecaster.conditioned
         )
-        return _call("Split", *cells, *_bands(forecaster.bands), **options, **_trained(forecaster))
+        return _call(
+            "Split", *cells, *_bands(forecaster.bands), **options, **_trained(forecaster, settings)
+        )
     if isinstance(forecaster, Filtered | Residual):
-        base, calibrated = _made(forecaster.base), False
-        if isinstance(forecaster.base, Simulation):
+        base, calibrated = _made(forecaster.base, BASE), False
+        if isinstance(forecaster.base, Simulation) and isinstance(forecaster.base.calibrated, bool):
             base = "None" if forecaster.base.simulator is None else _UNKNOWN
-            calibrated = forecaster.base.calibrated is True
+            calibrated = forecaster.base.calibrated
         bands = _bands(forecaster.bands) if isinstance(forecaster, Filtered) else []
         options = _options(calibrated=calibrated, conditioned=forecaster.conditioned)
         name, cell = type(forecaster).__name__, _cell(forecaster.cell)
-        return _call(name, base, cell, *bands, **options, **_trained(forecaster))
+        return _call(name, base, cell, *bands, **options, **_trained(forecaster, settings))
     return _UNKNOWN
 
 
@@ -93,8 +101,8 @@ def _bands(bands: Bands) -> list[str]:
     return [_call("Bands", **given)] if given else []
 
 
-def _trained(network: Network) -> dict[str, str]:
-    return {} if network.settings is None else {"settings": "settings"}
+def _trained(network: Network, name: str) -> dict[str, str]:
+    return {} if network.settings is None else {"settings": name}
 
 
 def _changed(settings: Settings) -> dict[str, str]:
