@@ -14,7 +14,7 @@ from splitband.data import drill_string
 from splitband.forecasters.hybrids import Filtered, Residual
 from splitband.forecasters.names import named
 from splitband.forecasters.simulation import Simulation
-from splitband.metrics import rmse
+from splitband.metrics import ExtrapolationWarning, rmse
 from splitband.paper.systems import van_der_pol, van_der_pol_simulator
 from splitband.simulators import Recorded, run
 from splitband.simulators.calibration import (
@@ -150,6 +150,15 @@ def test_calibration_brings_the_simulator_of_system_v_closer() -> None:
     found = calibrate(y_sim, r.y[:600], 0.05)
     assert rmse(r.y, y_sim[:2000]) == pytest.approx(0.405, abs=1e-3)
     assert rmse(r.y, found.apply(y_sim, 2000, 0.05)) < 0.27
+
+
+def test_so_does_one_that_ends_with_the_record() -> None:
+    """The figures of docs/theory/simulators.md and the changelog."""
+    r = van_der_pol()
+    model = Simulation(calibrated=True).fit(r[:600])
+    with pytest.warns(ExtrapolationWarning, match="for the last 4 of 1400 samples"):
+        found = model.predict(1400)
+    assert rmse(r.y[600:], found.y) == pytest.approx(0.264, abs=5e-4)
 
 
 @pytest.mark.usefixtures("public_data")
