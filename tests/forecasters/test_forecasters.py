@@ -502,3 +502,19 @@ def test_further_training_records_are_of_the_same_system() -> None:
     one, two = Trajectory(np.ones(9), DT), Trajectory(np.ones((9, 2)), DT, name="other")
     with pytest.raises(ValueError, match=r"other must have the training record's 1 channel\(s\)"):
         sb.Mean().fit(one, two)
+
+
+def test_a_saved_model_of_several_records_has_the_interval_that_was_asked_for(
+    tmp_path: Path,
+) -> None:
+    """Another one would be of the first record alone."""
+    parts = record()[:TRAIN], replace(record()[TRAIN:], start=None)
+    model = sb.Residual(None, GRU(3), settings=SETTINGS).fit(*parts, seed=0)
+    expected = model.predict(STEPS, level=0.8)
+    model.save(tmp_path / "model")
+    loaded, given = sb.load(tmp_path / "model"), record()[:TRAIN]
+    y_sim, u = given.beyond, given.u_beyond
+    found = loaded.predict(STEPS, level=0.8, u=u, y_sim=y_sim)
+    np.testing.assert_array_equal(found.upper, expected.upper)
+    with pytest.raises(ValueError, match="level must be one that was asked for before"):
+        loaded.predict(STEPS, level=0.5, u=u, y_sim=y_sim)

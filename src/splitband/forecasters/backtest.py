@@ -237,10 +237,10 @@ def interval_of(forecaster: Forecaster, level: float) -> Interval:
     """The interval of a fitted forecaster: copies of it are tried on its training record's end."""
     fitted = forecaster.require_fitted()
     record = fitted.record
-    if fitted.begin:
+    if fitted.begin or not fitted.whole:
         raise ValueError(
             f"level must be one that was asked for before the forecaster was saved, got {level}; "
-            "of its training record only the end is left"
+            "not all of its training records are left"
         )
     shorter = for_trial(forecaster, len(record))
     origins = held_out_origins(forecaster, record)

@@ -47,8 +47,9 @@ class Fitted:
     start : Time stamp of its first sample.
     y_range : Lowest and highest measured value of each channel in all records, `(2, ny)`.
     u_range : The same of the inputs, `(2, nu)`.
-    others : The other training records, as long as the first one is whole.
+    others : The other training records, which are not saved.
     report : What the fit did.
+    whole : Whether `others` are all that there were.
     """
 
     record: Trajectory
@@ -58,6 +59,7 @@ class Fitted:
     u_range: Array | None
     others: tuple[Trajectory, ...] = ()
     report: FitReport = field(default_factory=FitReport)
+    whole: bool = True
 
     @classmethod
     def of(cls, records: Sequence[Trajectory], seed: int) -> Fitted:

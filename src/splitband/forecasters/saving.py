@@ -234,7 +234,9 @@ def _end(forecaster: Forecaster) -> Fitted:
     end = replace(record[first:], beyond=None, u_beyond=None)
     # The run time is left out, so that the same fit is saved as the same file, byte by byte.
     report = replace(fitted.report, seconds=0.0)
-    return replace(fitted, record=end, begin=fitted.begin + first, others=(), report=report)
+    whole = fitted.whole and not fitted.others
+    begin = fitted.begin + first
+    return replace(fitted, record=end, begin=begin, others=(), report=report, whole=whole)
 
 
 def _network_below(forecaster: Forecaster) -> Forecaster | None:
