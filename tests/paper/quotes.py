@@ -82,7 +82,8 @@ def one_line(text: str) -> str:
 @cache
 def quotes() -> tuple[Quote, ...]:
     return (
-        *_compared(), *_beyond(), *_why(), *_filter_or_not(), *_how_sure(), *_speed(), *_paper(), *_deviations(), *_reliability()
+        *_compared(), *_beyond(), *_why(), *_filter_or_not(), *_how_sure(), *_speed(), *_paper(),
+        *_deviations(), *_reliability(),
     )  # fmt: skip
 
 
@@ -92,6 +93,40 @@ def _reliability() -> Iterator[Quote]:
     others = [facts for facts in found if facts["kind"] not in ("trend", "decay")]
     yield Quote(RELIABILITY, "Without these two records the mean regret is {:.2f}",
                 (statistics.geometric_mean(facts["regret"] for facts in others),))  # fmt: skip
+    over = {facts["kind"]: facts["over_baselines"] for facts in found}
+    assert [k for k, of in _at("benchmarks/recommendation-default.json", "kinds").items()
+            if of["networks"]] == ["Lorenz", "Mackey-Glass", "trend", "tanks, driven"]  # fmt: skip
+    yield Quote(
+        RELIABILITY,
+        "Over the {} records that neither gains nor loses: the error over that without networks is "
+        "{:.2f} on geometric average, {:.2f} on the tanks and {:.2f} on the trend",
+        (len(found), statistics.geometric_mean(over.values()), over["tanks, driven"],
+         over["trend"]),
+    )  # fmt: skip
+    baselines = _at("benchmarks/recommendation.json", "found")
+    (with_networks, alone), (of_baselines, of_baselines_alone) = (
+        [statistics.geometric_mean(facts[key] for facts in of)
+         for key in ("regret", "regret_by_held_out_alone")]
+        for of in (found, baselines)
+    )  # fmt: skip
+    yield Quote(
+        RELIABILITY,
+        "the mean regret on these {} records would have been {:.2f} instead of {:.2f}, as the "
+        "trend would have been right; on the {} records above it would have been {:.2f} instead of "
+        "{:.2f}",
+        (len(found), alone, with_networks, len(baselines), of_baselines_alone, of_baselines),
+    )
+    yield Quote(
+        DEVIATIONS,
+        "to {:.2f}; by the held-out error alone it would be {:.2f}. With networks there is none: "
+        "on {} records it is {:.2f}, by the held-out error alone {:.2f}",
+        (of_baselines, of_baselines_alone, len(found), with_networks, alone),
+    )
+    worst = max(baselines, key=lambda facts: float(facts["regret"]))
+    errors = {name: of["error"] for name, of in worst["methods"].items()}
+    assert (worst["recommended"], min(errors, key=errors.__getitem__)) == ("mean", "harmonic")
+    yield Quote(RELIABILITY, "The worst regret, {:.2f}, is that of a {}",
+                (worst["regret"], worst["kind"]))  # fmt: skip
     networks = [
         [facts for name, facts in of["methods"].items() if name not in QUICK] for of in found
     ]

@@ -12,9 +12,18 @@ from functools import cache
 
 import pytest
 
-from tests.paper.quotes import DEVIATIONS, NO_RESULT, RESULTS, ROOT, WHOLE, one_line, quotes
+from tests.paper.quotes import (
+    DEVIATIONS,
+    NO_RESULT,
+    RELIABILITY,
+    RESULTS,
+    ROOT,
+    WHOLE,
+    one_line,
+    quotes,
+)  # fmt: skip
 
-DOCUMENTS = (*WHOLE, DEVIATIONS)
+DOCUMENTS = (*WHOLE, DEVIATIONS, RELIABILITY)
 
 
 @cache
