@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.sets import SETS
+from splitband.evaluation.costs import FOR_TRAINING
+from splitband.evaluation.search import CORE_SECONDS
 from splitband.forecasters.names import QUICK
 from splitband.paper import published
 
@@ -22,7 +24,7 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 RESULTS = DOCS / "results"
 README, DEVIATIONS, WHY = "README.md", "docs/deviations.md", "docs/why.md"
-RELIABILITY = "docs/reliability.md"
+RELIABILITY, TUNING = "docs/reliability.md", "docs/results/tuning.md"
 SIMULATORS, SPEED, PAPER = "docs/theory/simulators.md", "docs/speed.md", "docs/reproducing.md"
 
 WHOLE = (README, WHY, SIMULATORS, SPEED, PAPER)
@@ -83,7 +85,7 @@ def one_line(text: str) -> str:
 def quotes() -> tuple[Quote, ...]:
     return (
         *_compared(), *_beyond(), *_why(), *_filter_or_not(), *_how_sure(), *_speed(), *_paper(),
-        *_deviations(), *_reliability(),
+        *_deviations(), *_reliability(), *_tuned(),
     )  # fmt: skip
 
 
@@ -142,6 +144,8 @@ def _reliability() -> Iterator[Quote]:
 
 def _compared() -> Iterator[Quote]:
     """The table of README.md and what stands beside it, by `splitband compare`."""
+    minutes = CORE_SECONDS / FOR_TRAINING / 2 / 60
+    yield Quote(README, "minutes of two cores, as much as `--budget {:.1f}m`;", (minutes,))
     shown = _at("results/demo.json", "methods")
     yield Quote(
         README,
@@ -184,6 +188,19 @@ def _compared() -> Iterator[Quote]:
         (of["periodic"]["total_rmse_mean"], of["seasonal-naive"]["total_rmse_mean"],
          of["gru"]["total_rmse_mean"], of["gru"]["total_rmse_std"]),
     )  # fmt: skip
+
+
+def _tuned() -> Iterator[Quote]:
+    """What `compare` has without tuning, on the torsion record."""
+    of = _at("results/double-torsion.json", "methods")
+    networks = [name for name, facts in of.items() if facts.get("mean_of_seeds")]
+    name = min(networks, key=lambda name: float(of[name]["held_out_rmse"]))
+    mean = of[name]["mean_of_seeds"]
+    yield Quote(
+        TUNING,
+        "| {}, the network with the lowest held-out error | {:.3f} | {:.3f} | {:.3f} |",
+        (name, of[name]["held_out_rmse"], mean["total_rmse"], mean["forecast_rmse"]),
+    )
 
 
 def _beyond() -> Iterator[Quote]:

@@ -18,12 +18,13 @@ from tests.paper.quotes import (
     RELIABILITY,
     RESULTS,
     ROOT,
+    TUNING,
     WHOLE,
     one_line,
     quotes,
-)  # fmt: skip
+)
 
-DOCUMENTS = (*WHOLE, DEVIATIONS, RELIABILITY)
+DOCUMENTS = (*WHOLE, DEVIATIONS, RELIABILITY, TUNING)
 
 
 @cache

@@ -12,7 +12,7 @@ from splitband.cli.crew import crew
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Conditioned, ModelOptions, Seeds, SettingsFile
 from splitband.cli.options.records import FurtherRecords, Record, RecordOptions, TestRecords, Train
-from splitband.cli.options.simulators import Calibrate, SimulatorOptions
+from splitband.cli.options.simulators import Calibrate, ComparedSimulatorOptions
 from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.outcome import show
 from splitband.evaluation.setup import default_names
@@ -23,7 +23,7 @@ def compare(
     context: typer.Context,
     record: Record,
     reading: RecordOptions,
-    simulator: SimulatorOptions,
+    simulator: ComparedSimulatorOptions,
     further: FurtherRecords,
     testing: TestRecords,
     model: ModelOptions,
@@ -40,8 +40,9 @@ def compare(
         str | None,
         typer.Option(
             help="What to compare, separated by commas; `splitband methods` lists what there is.",
-            show_default=f"{','.join(default_names(False))}; with a simulator "
-            f"{','.join(default_names(True))}; with --inputs linear, too",
+            # With spaces, so that it is wrapped and not cut off.
+            show_default=f"{', '.join(default_names(False))}; with a simulator "
+            f"{', '.join(default_names(True))}; with --inputs linear, too",
         ),
     ] = None,
     seeds: Seeds = None,
