@@ -25,6 +25,7 @@ DOCS = ROOT / "docs"
 RESULTS = DOCS / "results"
 README, DEVIATIONS, WHY = "README.md", "docs/deviations.md", "docs/why.md"
 RELIABILITY, TUNING = "docs/reliability.md", "docs/results/tuning.md"
+RULES = "docs/theory/rules.md"
 SIMULATORS, SPEED, PAPER = "docs/theory/simulators.md", "docs/speed.md", "docs/reproducing.md"
 
 WHOLE = (README, WHY, SIMULATORS, SPEED, PAPER)
@@ -119,7 +120,7 @@ def _reliability() -> Iterator[Quote]:
         (len(found), alone, with_networks, len(baselines), of_baselines_alone, of_baselines),
     )
     yield Quote(
-        DEVIATIONS,
+        RULES,
         "to {:.2f}; by the held-out error alone it would be {:.2f}. With networks there is none: "
         "on {} records it is {:.2f}, by the held-out error alone {:.2f}",
         (of_baselines, of_baselines_alone, len(found), with_networks, alone),
@@ -255,6 +256,13 @@ def _why() -> Iterator[Quote]:
                 tuple(of[ahead] for of in masses))  # fmt: skip
     yield Quote(WHY, "Two tanks: the forecast's error is {:.3f} with a GRU, {:.2f} with the linear",
                 tuple(of[ahead] for of in tanks))  # fmt: skip
+    yield Quote(
+        RULES,
+        "errors of the forecast: two masses on springs, linear, {:.4f} where a GRU has {:.4f}; two "
+        "tanks {:.2f} and {:.3f}; a Duffing oscillator {:.2f} and {:.2f}, where the recommended "
+        "split GRU has {:.3f}",
+        tuple(of[ahead] for of in (*masses, *tanks[::-1], *duffing[1:3], duffing[0])),
+    )
     yield Quote(
         WHY,
         "error is {:.3f} with the recommended split GRU and {:.2f} with the linear model, "

@@ -18,13 +18,14 @@ from tests.paper.quotes import (
     RELIABILITY,
     RESULTS,
     ROOT,
+    RULES,
     TUNING,
     WHOLE,
     one_line,
     quotes,
 )
 
-DOCUMENTS = (*WHOLE, DEVIATIONS, RELIABILITY, TUNING)
+DOCUMENTS = (*WHOLE, DEVIATIONS, RELIABILITY, RULES, TUNING)
 
 
 @cache
