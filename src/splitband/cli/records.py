@@ -124,10 +124,7 @@ def inputs_ahead(
             )
         return None
     if not inputs:
-        raise ValueError(
-            "this record has no known inputs, so that --future-inputs must be left out; "
-            "--inputs names them"
-        )
+        raise ValueError("this record has no known inputs: leave out --future-inputs")
     ahead = known.grid.after(steps)
     coming = read_beside(file, ahead.step, reading.time_column, columns=inputs)
     # Straight lines, as inputs may jump.
