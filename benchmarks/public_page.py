@@ -59,9 +59,10 @@ def made(out: Path) -> str:
         "scores are those that their authors published.",
         "A budget is reckoned in seconds of a reference core: "
         f"{', '.join(_reckoned(found))}. In minutes, of two cores, a fifth is kept for other work "
-        "than networks. The command times a gradient first, and reckons with more seconds on a "
-        "faster machine; here that is left out, so that the errors do not depend on the machine. "
-        "The column of seconds is what it took on this one, two cores.",
+        f"than networks{_default_in_minutes(found)}. The command times a gradient first, and "
+        "reckons with more seconds on a faster machine; here that is left out, so that the errors "
+        "do not depend on the machine. The column of seconds is what it took on this one, two "
+        "cores.",
     ]
     for name, of_budget in found.items():
         parts += _benchmark(SETS[name], of_budget)
@@ -247,8 +248,12 @@ def _over_budget(found: Found) -> Figure:
         budgets = sorted(minutes for minutes in of_budget if minutes)
         for i, column in enumerate(benchmark.columns):
             errors = [float(errors_of(benchmark, of_budget[minutes])[i]) for minutes in budgets]
-            axis.loglog(budgets, errors, "o-", label=column)
-        axis.set(title=benchmark.title, xlabel="budget (minutes of two cores)")
+            (line,) = axis.loglog(budgets, errors, "o-", label=column)
+            if 0 in of_budget:
+                default = float(errors_of(benchmark, of_budget[0])[i])
+                at, color = _minutes(of_budget[0]), line.get_color()
+                axis.loglog([at], [default], "*", ms=12, mfc="white", color=color, zorder=3)
+        axis.set(title=benchmark.title, xlabel="budget (minutes of two cores; star: the default)")
         axis.set_xticks(budgets, [f"{minutes:g}" for minutes in budgets])
         low, high = axis.get_ylim()
         if high < NARROW * low:  # a change of a hundredth is not to look like a fall
@@ -257,6 +262,12 @@ def _over_budget(found: Found) -> Figure:
         axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=len(benchmark.tests))
     figure.tight_layout()
     return figure
+
+
+def _minutes(facts: Facts) -> float:
+    """Of two cores of the reference machine, for what a command reckons with."""
+    seconds: float = facts["settings"]["search"]["core_seconds"]
+    return seconds / (60 * CORES * FOR_TRAINING)
 
 
 def _over_time(points: Points, found: Found) -> Figure:
@@ -313,6 +324,14 @@ def _reckoned(found: Found) -> list[str]:
         f"{of:.0f} {f'with `--budget {minutes:g}m`' if minutes else 'by default'}"
         for minutes, of in seconds.items()
     ]
+
+
+def _default_in_minutes(found: Found) -> str:
+    """Which budget is worth as much as the default."""
+    defaults = [of_budget[0] for of_budget in found.values() if 0 in of_budget]
+    if not defaults:
+        return ""
+    return f", so that the default is worth `--budget {_minutes(defaults[0]):g}m`"
 
 
 def _found(out: Path) -> Found:

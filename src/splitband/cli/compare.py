@@ -61,11 +61,11 @@ def compare(
     RMSE of the free run over everything after the warm-up, in the record's unit.
 
     The recommended method is chosen on training samples only. Fitted on three quarters of them, it
-    forecasts the rest best, from several beginnings (the table shows that error as "held out"); and
-    what it forecast then of the time after the training part has not changed by more than that
-    error once it is fitted on all of them (the table shows by how much it "changed"). The held-out
-    errors also give each forecast an interval in which nine tenths of the measured samples should
-    lie; the table says how many do.
+    forecasts the rest best, from several beginnings (the table shows that error as "held out").
+    Where what it forecast then of the time after the training part changes by more than that error
+    explains once it is fitted on all of them, the change counts in the error's place (the table
+    shows by how much it "changed"). The held-out errors also give each forecast an interval in
+    which nine tenths of the measured samples should lie; the table says how many do.
 
     With --test every method is fitted to all of RECORD and warmed up on the first samples of the
     test record, to simulate it to its end; the table shows the RMSE of the seeds' mean there.
