@@ -192,7 +192,8 @@ def table(facts: Facts) -> str:
     """Coverage, width and regret by kind, in Markdown; where networks were tried, what they add."""
     (first, last), which = facts["seeds"], facts["seeds_are"]
     with_networks = facts["methods"] != BASELINES
-    heads = ["kind", "records", "inside", "width", "inside, all methods", "regret, mean and worst"]
+    heads = ["kind", "records", "inside", "width", "inside, all methods"]
+    heads.append("regret, geometric mean and worst")
     if with_networks:
         heads += ["network recommended", "error over that without networks"]
     lines = [

@@ -35,26 +35,29 @@ def _panels(count: int, height: float = 3.0, **options: Any) -> tuple[Figure, li
 
 def pair() -> Figure:
     """What the two filters let through, and what they add up to."""
-    figure, (left, right) = _panels(2)
+    figure, (left, right) = _panels(2, height=3.6)
     freqs = np.geomspace(1e-3, 10, 400)
     shared = sb.ComplementaryPair.butterworth(0.25, 20)
     low, high = shared.response(freqs)
     left.semilogx(freqs, low, label="L")
     left.semilogx(freqs, high, label="H")
     left.semilogx(freqs, low + high, "k--", lw=1, label="L + H")
+    left.set_ylim(0, 1.1)
     left.set(title="order 1, both directions", xlabel="frequency (Hz)", ylabel="gain")
     for order in (1, 2, 3):
         one_way = sb.ComplementaryPair.butterworth(0.25, 20, order=order, zero_phase=False)
         wrong = abs(np.sum(one_way.response(freqs), axis=0) - 1)
-        right.semilogx(freqs, wrong, label=f"Butterworth pair, order {order}")
+        # The first order's is zero and lies below that of the perfect pair.
+        style: dict[str, Any] = {"lw": 5, "alpha": 0.5} if order == 1 else {}
+        right.semilogx(freqs, wrong, label=f"Butterworth pair, order {order}", **style)
     two = sb.ComplementaryPair.butterworth(0.25, 20, order=2)
     perfect = sb.ComplementaryPair.perfect(two.b_low, two.a, 20).response(freqs)
     wrong = abs(np.sum(perfect, axis=0) - 1)
     right.semilogx(freqs, wrong, "k--", lw=1, label="perfect pair, order 2")
     right.set(title="one way: |L + H - 1|", xlabel="frequency (Hz)")
     for axes in (left, right):
-        axes.axvline(0.25, color="0.7", lw=1)
-        axes.legend()
+        axes.axvline(0.25, color="0.7", lw=1, zorder=0)
+        axes.legend(ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.2), frameon=False)
     return figure
 
 
@@ -72,7 +75,7 @@ def bands() -> Figure:
     kept = slice(100, 300, 5)
     axes.plot(record.time[kept], low[kept], "C0o", ms=4, label="every fifth sample of it")
     axes.plot(record.time[shown], high[shown], "C1", lw=1, label="H(y)")
-    axes.set(xlabel="time (s)")
+    axes.set(xlabel="time (s)", ylabel="y")
     axes.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return figure
 
@@ -116,6 +119,7 @@ def calibration() -> Figure:
         axes.plot(record.time[shown], record.y_sim[shown, 0], "C0--", label="simulator")
         axes.plot(record.time[shown], calibrated[shown, 0], "C2", label="calibrated")
         axes.set(title=title, xlabel="time (s)")
+    panels[0].set_ylabel("y")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
@@ -132,7 +136,7 @@ def trap() -> Figure:
             heights = [of[prefix + name] for of in segments.values()]
             axes.bar(at + shift, heights, 0.4, label=name)
         axes.set_xticks(at, [*segments], rotation=20)
-        axes.set(title=title)
+        axes.set(title=title, xlabel="samples that are trained on")
     panels[0].set(ylabel="training loss (RMSE)")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure

@@ -169,14 +169,18 @@ MODELS = [
     bad(AHEAD + "history_slow.csv", "history_slow.csv", "0.1 s", "0.2 s"),
     bad(AHEAD + "history_holed.csv", "history_holed.csv", "'a'", "row 7", "nan"),
     bad(AHEAD + "history.csv --steps 0", "--steps"),
-    bad(AHEAD + "history.csv --future-inputs future.csv", "--future-inputs", "none"),
+    bad(AHEAD + "history.csv --future-inputs future.csv", "--future-inputs", "no known inputs"),
     bad("forecast record.csv --columns a --out out", "--steps"),
     bad("forecast record.csv --columns a --out out --steps 0", "--steps", "got 0"),
     bad(
         "forecast record.csv --columns a --out out --steps 5 --method best", "--method", "got best"
     ),
     bad("forecast record.csv --columns a --out out --steps 5 --method simulator", "simulator"),
-    bad("forecast record.csv --columns a --inputs force --out out --steps 5", "--future-inputs"),
+    bad(
+        "forecast record.csv --columns a --inputs force --out out --steps 5",
+        "(force)",
+        "--future-inputs FILE",
+    ),
     bad(
         "forecast record.csv --columns a --out out --steps 5 --method linear", "linear", "--inputs"
     ),

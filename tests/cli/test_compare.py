@@ -212,3 +212,14 @@ def test_the_seasonal_baseline_finds_the_period_of_the_double_torsion_record(
     assert "160 training samples" in facts["description"]
     assert facts["forecast_rmse"] == [pytest.approx(0.068, abs=5e-4)]
     assert facts["total_rmse"] == [pytest.approx(0.062, abs=1e-3)]
+
+
+def test_the_recommendation_says_what_it_was_chosen_by(capsys: pytest.CaptureFixture[str]) -> None:
+    call(f"compare record.csv --columns a --train {TRAIN} --methods mean,persistence --out said")
+    said = " ".join(capsys.readouterr().out.split())
+    best = results(Path("said"))["recommended"]
+    facts = results(Path("said"))["methods"][best]
+    assert f"recommended: {best}, chosen by the error of its forecast" in said
+    assert f"(held out: RMSE {facts['held_out_rmse']:.3g})" in said
+    assert f"once these are known, too ({facts['change']:.3g})" in said
+    assert "a network has to be" not in said

@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.sets import SETS
+from splitband.evaluation.costs import FOR_TRAINING
+from splitband.evaluation.search import CORE_SECONDS
 from splitband.forecasters.names import QUICK
 from splitband.paper import published
 
@@ -22,7 +24,8 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 RESULTS = DOCS / "results"
 README, DEVIATIONS, WHY = "README.md", "docs/deviations.md", "docs/why.md"
-RELIABILITY = "docs/reliability.md"
+RELIABILITY, TUNING = "docs/reliability.md", "docs/results/tuning.md"
+RULES = "docs/theory/rules.md"
 SIMULATORS, SPEED, PAPER = "docs/theory/simulators.md", "docs/speed.md", "docs/reproducing.md"
 
 WHOLE = (README, WHY, SIMULATORS, SPEED, PAPER)
@@ -82,7 +85,8 @@ def one_line(text: str) -> str:
 @cache
 def quotes() -> tuple[Quote, ...]:
     return (
-        *_compared(), *_beyond(), *_why(), *_speed(), *_paper(), *_deviations(), *_reliability()
+        *_compared(), *_beyond(), *_why(), *_filter_or_not(), *_how_sure(), *_speed(), *_paper(),
+        *_deviations(), *_reliability(), *_tuned(),
     )  # fmt: skip
 
 
@@ -92,6 +96,40 @@ def _reliability() -> Iterator[Quote]:
     others = [facts for facts in found if facts["kind"] not in ("trend", "decay")]
     yield Quote(RELIABILITY, "Without these two records the mean regret is {:.2f}",
                 (statistics.geometric_mean(facts["regret"] for facts in others),))  # fmt: skip
+    over = {facts["kind"]: facts["over_baselines"] for facts in found}
+    assert [k for k, of in _at("benchmarks/recommendation-default.json", "kinds").items()
+            if of["networks"]] == ["Lorenz", "Mackey-Glass", "trend", "tanks, driven"]  # fmt: skip
+    yield Quote(
+        RELIABILITY,
+        "Over the {} records that neither gains nor loses: the error over that without networks is "
+        "{:.2f} on geometric average, {:.2f} on the tanks and {:.2f} on the trend",
+        (len(found), statistics.geometric_mean(over.values()), over["tanks, driven"],
+         over["trend"]),
+    )  # fmt: skip
+    baselines = _at("benchmarks/recommendation.json", "found")
+    (with_networks, alone), (of_baselines, of_baselines_alone) = (
+        [statistics.geometric_mean(facts[key] for facts in of)
+         for key in ("regret", "regret_by_held_out_alone")]
+        for of in (found, baselines)
+    )  # fmt: skip
+    yield Quote(
+        RELIABILITY,
+        "the mean regret on these {} records would have been {:.2f} instead of {:.2f}, as the "
+        "trend would have been right; on the {} records above it would have been {:.2f} instead of "
+        "{:.2f}",
+        (len(found), alone, with_networks, len(baselines), of_baselines_alone, of_baselines),
+    )
+    yield Quote(
+        RULES,
+        "to {:.2f}; by the held-out error alone it would be {:.2f}. With networks there is none: "
+        "on {} records it is {:.2f}, by the held-out error alone {:.2f}",
+        (of_baselines, of_baselines_alone, len(found), with_networks, alone),
+    )
+    worst = max(baselines, key=lambda facts: float(facts["regret"]))
+    errors = {name: of["error"] for name, of in worst["methods"].items()}
+    assert (worst["recommended"], min(errors, key=errors.__getitem__)) == ("mean", "harmonic")
+    yield Quote(RELIABILITY, "The worst regret, {:.2f}, is that of a {}",
+                (worst["regret"], worst["kind"]))  # fmt: skip
     networks = [
         [facts for name, facts in of["methods"].items() if name not in QUICK] for of in found
     ]
@@ -107,6 +145,8 @@ def _reliability() -> Iterator[Quote]:
 
 def _compared() -> Iterator[Quote]:
     """The table of README.md and what stands beside it, by `splitband compare`."""
+    minutes = CORE_SECONDS / FOR_TRAINING / 2 / 60
+    yield Quote(README, "minutes of two cores, as much as `--budget {:.1f}m`;", (minutes,))
     shown = _at("results/demo.json", "methods")
     yield Quote(
         README,
@@ -149,6 +189,19 @@ def _compared() -> Iterator[Quote]:
         (of["periodic"]["total_rmse_mean"], of["seasonal-naive"]["total_rmse_mean"],
          of["gru"]["total_rmse_mean"], of["gru"]["total_rmse_std"]),
     )  # fmt: skip
+
+
+def _tuned() -> Iterator[Quote]:
+    """What `compare` has without tuning, on the torsion record."""
+    of = _at("results/double-torsion.json", "methods")
+    networks = [name for name, facts in of.items() if facts.get("mean_of_seeds")]
+    name = min(networks, key=lambda name: float(of[name]["held_out_rmse"]))
+    mean = of[name]["mean_of_seeds"]
+    yield Quote(
+        TUNING,
+        "| {}, the network with the lowest held-out error | {:.3f} | {:.3f} | {:.3f} |",
+        (name, of[name]["held_out_rmse"], mean["total_rmse"], mean["forecast_rmse"]),
+    )
 
 
 def _beyond() -> Iterator[Quote]:
@@ -199,26 +252,40 @@ def _why() -> Iterator[Quote]:
                               ("Duffing", ("split-gru", "linear", "gru", "mean")))
     )  # fmt: skip
     start, ahead = "total_rmse_mean", "forecast_rmse_mean"
-    yield Quote(WHY, "an error of {:.4f}, a GRU's {:.4f}", tuple(of[start] for of in masses))
-    yield Quote(WHY, "{:.3f} with a GRU, {:.2f} with the linear model",
-                tuple(of[start] for of in tanks))  # fmt: skip
+    yield Quote(WHY, "the forecast of the linear model has an error of {:.4f}, a GRU's {:.4f}",
+                tuple(of[ahead] for of in masses))  # fmt: skip
+    yield Quote(WHY, "Two tanks: the forecast's error is {:.3f} with a GRU, {:.2f} with the linear",
+                tuple(of[ahead] for of in tanks))  # fmt: skip
+    yield Quote(
+        RULES,
+        "errors of the forecast: two masses on springs, linear, {:.4f} where a GRU has {:.4f}; two "
+        "tanks {:.2f} and {:.3f}; a Duffing oscillator {:.2f} and {:.2f}, where the recommended "
+        "split GRU has {:.3f}",
+        tuple(of[ahead] for of in (*masses, *tanks[::-1], *duffing[1:3], duffing[0])),
+    )
     yield Quote(
         WHY,
-        "error is {:.3f} with the recommended split GRU and {:.2f} with the linear model. It "
-        "depends on the training: a GRU alone has {:.2f}, averaged over its seeds. From the start "
-        "of the record on the split GRU has {:.2f}, the linear model {:.2f} and the record's mean "
-        "{:.2f}.",
+        "error is {:.3f} with the recommended split GRU and {:.2f} with the linear model, "
+        "hardly better than the mean's {:.2f}. It depends on the training: a GRU alone has {:.2f}, "
+        "averaged over its seeds. It depends on the record, too: from the start of this one on the "
+        "split GRU has {:.2f}, the linear model {:.2f} and the mean {:.2f}, and on another",
         (
-            *(of[ahead] for of in duffing[:3]),
+            *(duffing[i][ahead] for i in (0, 1, 3, 2)),
             *(of[start] for of in (*duffing[:2], duffing[3])),
         ),
     )
+    found = _at("benchmarks/recommendation-default.json", "found")
+    other = next(facts for facts in found if facts["kind"] == "duffing, driven")
+    errors = {name: facts["error"] for name, facts in other["methods"].items()}
+    assert (other["recommended"], min(errors, key=errors.__getitem__)) == ("linear", "gru")
+    yield Quote(WHY, "whose forecast's error is {:.2f} times that of the best, a GRU",
+                (other["regret"],))  # fmt: skip
     of = _at("results/drill-string.json", "methods")
     hybrid, gru = of["filtered-gru-calibrated-conditioned"], of["gru"]
     yield Quote(
         WHY,
         "its error is {:.3f}, where the simulator has {:.3f}, the best of the simple methods "
-        "{:.3f} and a GRU alone {:.3f}. Of the forecast, the GRU alone has {:.3f} and the hybrid "
+        "{:.3f} and a GRU alone {:.3f}. In the forecast, the GRU alone has {:.3f} and the hybrid "
         "{:.3f}.",
         (hybrid[start], of["simulator"][start], of["harmonic"][start], gru[start], gru[ahead],
          hybrid[ahead]),
@@ -238,6 +305,48 @@ def _why() -> Iterator[Quote]:
         "with an error of {:.3f} V on the test file; a linear model has {:.3f}, and published "
         "black boxes have {:.2f} to {:.3f}",
         (found[0], linear, min(others.values()), max(others.values())),
+    )
+
+
+def _filter_or_not() -> Iterator[Quote]:
+    """A network above a cut-off against one that is added to the simulator."""
+    pair = [f"{kind}-gru-calibrated-conditioned" for kind in ("filtered", "residual")]
+    v, vi, searched = (
+        [_at(path, "methods", name) for name in pair]
+        for path in ("results/beyond/v.json", "results/beyond/vi.json", "results/drill-string.json")
+    )
+    apart = abs(vi[0]["total_rmse_mean"] - vi[1]["total_rmse_mean"])
+    assert apart < max(of["total_rmse_std"] for of in vi), "they are not level any more"
+    demo = [
+        _at("results/demo.json", "methods", f"{kind}-gru-conditioned")
+        for kind in ("filtered", "residual")
+    ]
+    yield Quote(
+        WHY,
+        "{:.3f} filtered and {:.3f} residual; on the drill string {:.3f} ({:.3f}) and {:.3f} "
+        "({:.3f}), level, by the default recipe, and {:.3f} and {:.3f} where training has been "
+        "searched. In the demo, where nothing is calibrated, the forecast has {:.2f} and {:.2f}.",
+        (
+            *(of["total_rmse_mean"] for of in v),
+            *(of[key] for of in vi for key in ("total_rmse_mean", "total_rmse_std")),
+            *(of["total_rmse_mean"] for of in searched),
+            *(of["forecast_rmse_mean"] for of in demo),
+        ),
+    )
+
+
+def _how_sure() -> Iterator[Quote]:
+    """What the recommended method's forecast has of the best one's error, beyond the paper."""
+    ratios = []
+    for name in ("double-torsion-record", "pendulum-ii", "pendulum-iii", "pendulum-iv", "v", "vi"):
+        facts = _json(f"results/beyond/{name}-default.json")
+        errors = {m: of["forecast_rmse_mean"] for m, of in facts["methods"].items()}
+        ratios.append(errors[facts["recommended"]] / min(errors.values()))
+    yield Quote(
+        WHY,
+        "has {:.2f}, {:.2f}, {:.2f}, {:.2f}, {:.2f} and {:.2f} times the error of the best "
+        "method's, in order of size",
+        tuple(sorted(ratios)),
     )
 
 

@@ -12,9 +12,20 @@ from functools import cache
 
 import pytest
 
-from tests.paper.quotes import DEVIATIONS, NO_RESULT, RESULTS, ROOT, WHOLE, one_line, quotes
+from tests.paper.quotes import (
+    DEVIATIONS,
+    NO_RESULT,
+    RELIABILITY,
+    RESULTS,
+    ROOT,
+    RULES,
+    TUNING,
+    WHOLE,
+    one_line,
+    quotes,
+)
 
-DOCUMENTS = (*WHOLE, DEVIATIONS)
+DOCUMENTS = (*WHOLE, DEVIATIONS, RELIABILITY, RULES, TUNING)
 
 
 @cache

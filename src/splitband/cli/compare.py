@@ -12,7 +12,7 @@ from splitband.cli.crew import crew
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Conditioned, ModelOptions, Seeds, SettingsFile
 from splitband.cli.options.records import FurtherRecords, Record, RecordOptions, TestRecords, Train
-from splitband.cli.options.simulators import Calibrate, SimulatorOptions
+from splitband.cli.options.simulators import Calibrate, ComparedSimulatorOptions
 from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.outcome import show
 from splitband.evaluation.setup import default_names
@@ -23,7 +23,7 @@ def compare(
     context: typer.Context,
     record: Record,
     reading: RecordOptions,
-    simulator: SimulatorOptions,
+    simulator: ComparedSimulatorOptions,
     further: FurtherRecords,
     testing: TestRecords,
     model: ModelOptions,
@@ -40,8 +40,9 @@ def compare(
         str | None,
         typer.Option(
             help="What to compare, separated by commas; `splitband methods` lists what there is.",
-            show_default=f"{','.join(default_names(False))}; with a simulator "
-            f"{','.join(default_names(True))}; with --inputs linear, too",
+            # With spaces, so that it is wrapped and not cut off.
+            show_default=f"{', '.join(default_names(False))}; with a simulator "
+            f"{', '.join(default_names(True))}; with --inputs linear, too",
         ),
     ] = None,
     seeds: Seeds = None,
@@ -60,11 +61,11 @@ def compare(
     RMSE of the free run over everything after the warm-up, in the record's unit.
 
     The recommended method is chosen on training samples only. Fitted on three quarters of them, it
-    forecasts the rest best, from several beginnings (the table shows that error as "held out"); and
-    what it forecast then of the time after the training part has not changed by more than that
-    error once it is fitted on all of them (the table shows by how much it "changed"). The held-out
-    errors also give each forecast an interval in which nine tenths of the measured samples should
-    lie; the table says how many do.
+    forecasts the rest best, from several beginnings (the table shows that error as "held out").
+    Where what it forecast then of the time after the training part changes by more than that error
+    explains once it is fitted on all of them, the change counts in the error's place (the table
+    shows by how much it "changed"). The held-out errors also give each forecast an interval in
+    which nine tenths of the measured samples should lie; the table says how many do.
 
     With --test every method is fitted to all of RECORD and warmed up on the first samples of the
     test record, to simulate it to its end; the table shows the RMSE of the seeds' mean there.

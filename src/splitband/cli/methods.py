@@ -57,9 +57,9 @@ GROUPS = (
 def methods() -> None:
     """List the methods, what each is and when it is worth trying.
 
-    A name that ends in -calibrated has its simulator calibrated first (offset, gain, clock); in one
-    that ends in -conditioned the faster network is told what the slower part says. Give names to
-    --methods, separated by commas.
+    A name that ends in -calibrated has its simulator calibrated first (gain, offset, delay, clock);
+    in one that ends in -conditioned the faster network is told what the slower part says. Give
+    names to --methods, separated by commas.
     """
     table = Table(show_lines=False)
     for heading in ("method", "what it is", "also as", "needs"):

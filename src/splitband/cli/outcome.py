@@ -21,17 +21,20 @@ def show(result: Comparison, names: list[str], out: Path) -> None:
     record, setup, trial = result.record, result.setup, result.require_trial()
     best = result.recommended
     showing.console.print(showing.comparison(_title(record, setup), result))
-    changed = (
-        f" and for how little its forecast of what follows changed once these were known "
-        f"({trial.change(best):.3g})"
-        if setup.train < len(record)
+    chosen_by = f"the error of its forecast of the last {HELD_OUT:.0%} of the training part"
+    if setup.train < len(record):
+        chosen_by += (
+            f" (held out: RMSE {trial.errors[best]:.3g}) and by the change of its forecast of what "
+            f"follows once these are known, too ({trial.change(best):.3g})"
+        )
+    else:
+        chosen_by += f" (held out: RMSE {trial.errors[best]:.3g})"
+    needed = (
+        f"; a network has to be {WORTH_TRAINING:.0%} better than what needs no training"
+        if trial.trained and set(trial.errors) - trial.trained
         else ""
     )
-    showing.console.print(
-        f"recommended: {best}, for its forecast of the last {HELD_OUT:.0%} of the training part "
-        f"(held out: RMSE {trial.errors[best]:.3g}){changed}; a network has to be "
-        f"{WORTH_TRAINING:.0%} better than what needs no training"
-    )
+    showing.console.print(f"recommended: {best}, chosen by {chosen_by}{needed}")
     if result.left_out:
         showing.console.print(
             f"not tested: {', '.join(result.left_out)}; they go on from the training record, or "

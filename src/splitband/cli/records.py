@@ -116,13 +116,15 @@ def inputs_ahead(
 ) -> npt.NDArray[np.float64] | None:
     """Known inputs of the samples after a record, `(steps, nu)`, where there are any."""
     inputs = names(reading.inputs or "")
-    if (file is not None) != bool(inputs):
-        raise ValueError(
-            f"--future-inputs must be given exactly where there are known inputs; there are "
-            f"{', '.join(inputs) or 'none'}"
-        )
     if file is None:
+        if inputs:
+            raise ValueError(
+                f"this record has known inputs ({', '.join(inputs)}): give their future values "
+                "with --future-inputs FILE"
+            )
         return None
+    if not inputs:
+        raise ValueError("this record has no known inputs: leave out --future-inputs")
     ahead = known.grid.after(steps)
     coming = read_beside(file, ahead.step, reading.time_column, columns=inputs)
     # Straight lines, as inputs may jump.

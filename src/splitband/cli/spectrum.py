@@ -53,7 +53,8 @@ def spectrum(
     with the record, and the oracle check: the RMSE a hybrid model could reach at each cut-off.
 
     The cut-off is the one that `compare` chooses with the same --train, for the paper's records
-    that of its tables where --cutoff does not say auto.
+    that of its tables where --cutoff does not say auto. `compare --test` trains on the whole
+    record: for its cut-off give --train the number of all samples.
     """
     trajectory = records.load_record(record, reading)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=True)

@@ -1,7 +1,7 @@
 """Choosing the filter pair by the training samples: cut-off, order and down-sampling.
 
-Not in the paper, which sets them by eye. No network is trained for it; docs/deviations.md says what
-the rules were tried on.
+Not in the paper, which sets them by eye. No network is trained for it; docs/theory/rules.md says
+what the rules were tried on.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +31,7 @@ Array = npt.NDArray[np.float64]
 Picture: TypeAlias = Figure
 Runs = Mapping[str, Sequence[Run]]
 
-_MEASURED, _TRUTH = "0.72", "0.25"
+_MEASURED, _TRUTH = "0.55", "0.15"
 
 
 def save(figure: Figure, path: str | Path) -> None:
@@ -62,7 +63,9 @@ def rollouts(comparison: Comparison) -> Figure:
     recommended method is named.
     """
     record, runs, trial = comparison.record, comparison.runs, comparison.trial
-    rows = [(name, channel) for name in runs for channel in range(record.ny)]
+    untested = comparison.left_out
+    names = [*(name for name in runs if name not in untested), *untested]
+    rows = [(name, channel) for name in names for channel in range(record.ny)]
     ahead = any(mean.forecast is not None for mean in comparison.means.values())
     columns = 1 + ahead + len(comparison.tests)
     figure = Figure(figsize=(6.5 * max(columns, 2), 1.1 + 1.25 * len(rows)), layout="constrained")
@@ -89,8 +92,10 @@ def rollouts(comparison: Comparison) -> Figure:
             axes[1].fill_between(times[end:], *edges, color=_color(runs, name), alpha=0.18, lw=0)
         axes[0].set_ylabel(_literal(record.columns[channel]))
         axes[0].set_ylim(*_limits(record.seen[:, channel]))
-    for ax in grid[-1]:
-        ax.set_xlabel(_time_label(record))
+    for column in grid.T:
+        lowest = [ax for ax in column if ax.axison][-1]
+        lowest.tick_params(labelbottom=True)
+        lowest.set_xlabel(_time_label(record))
     figure.suptitle(_rollouts_title(comparison, ahead), fontsize=10)
     return figure
 
@@ -127,8 +132,8 @@ def _rollouts_title(comparison: Comparison, ahead: bool) -> str:
     places = ["left", "right"] if len(sides) == 2 else [str(i + 1) for i in range(len(sides))]
     listed = "; ".join(f"{place}: {side}" for place, side in zip(places, sides, strict=False))
     return (
-        f"{_literal(comparison.record.name)}: free runs (colour, mean of the seeds) over the record"
-        f" (grey)\n{listed}; shaded grey: warm-up"
+        f"{_literal(comparison.record.name)}: free runs (colour, mean of the seeds); grey line: "
+        f"what was measured; shaded: warm-up\n{listed}"
     )
 
 
@@ -260,9 +265,9 @@ def spectrum(
         frequencies, agreement = coherence(record.y, record.y_sim, record.sampling_rate)
         for i, name in enumerate(record.columns):
             label = f"simulator's {_literal(name)}"
-            style = {"color": PALETTE[-1 - i % len(PALETTE)], "lw": 1.0}
+            style = {"color": PALETTE[(2 + i) % len(PALETTE)], "lw": 1.2}
             axes[0].loglog(
-                simulated.frequencies[1:], simulated.density[1:, i], label=label, **style
+                simulated.frequencies[1:], simulated.density[1:, i], "--", label=label, **style
             )
             axes[1].semilogx(frequencies[1:], agreement[1:, i], **style)
         axes[1].set_ylim(0, 1.02)
@@ -276,8 +281,8 @@ def spectrum(
             ax.axvline(cutoff, color="#D55E00", ls="--", lw=1.2, label=said if first else None)
     if choice is not None:
         _draw_choice(axes[-1], choice)
-    axes[0].set_title(f"{_literal(record.name)}: spectrum", fontsize=10)
-    axes[0].legend(fontsize=8, loc="lower left")
+    figure.suptitle(f"{_literal(record.name)}: spectrum", fontsize=10)
+    axes[0].legend(fontsize=8, loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False)
     axes[-1].set_xlabel("frequency (Hz)")
     axes[-1].xaxis.set_major_formatter("{x:g}")
     return figure
@@ -298,10 +303,9 @@ def _draw_choice(ax: Axes, choice: Choice) -> None:
     best = next(c for c in choice.candidates if not c.rejected)
     ax.semilogx([best.cutoff], [best.loss], "D", color="#D55E00", ms=6, label="chosen")
     ax.set_ylim(bottom=0)
-    ax.set_title(choice.loss, fontsize=8, loc="left", pad=3)
-    ax.set_ylabel("of a cut-off")
+    ax.set_ylabel(textwrap.fill(choice.loss, 24), fontsize=8)
     ax.grid(True, which="both", color="0.93", lw=0.6)
-    ax.legend(fontsize=8, loc="upper right")
+    ax.legend(fontsize=8, loc="best")
 
 
 def _draw_spectrum(ax: Axes, record: Trajectory, spectrum: Spectrum) -> None:

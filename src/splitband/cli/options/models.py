@@ -105,12 +105,13 @@ Budget = Annotated[
     str | None,
     typer.Option(
         metavar="TIME",
-        help="What the whole command may take on the cores it has, such as 90s, 10m or 1h: more of "
+        help="What the search and the training of networks aim at on the cores there are, such as "
+        "90s, 10m or 1h; baselines, pictures and a last training come on top. More of "
         "it means longer trials, larger ones and more seeds. Windows, sizes and steps of networks "
         "are found on held-out training samples, unless --window, --epochs, --learning-rate, "
         "--lr-milestones or --recipe paper decides how to train.",
         rich_help_panel=_TRAINING,
-        show_default="about two minutes of two cores",
+        show_default="about two minutes of two cores, as much as 2.5m there",
     ),
 ]
 RecipeOption = Annotated[

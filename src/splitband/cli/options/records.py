@@ -10,6 +10,7 @@ import typer
 
 from splitband.cli.options.simulators import MoreSimulators, TestSimulators
 from splitband.data.gaps import Gaps
+from splitband.data.stamps import TIME_NAMES
 from splitband.paper.systems import RECORDS
 
 _PANEL = "Record"
@@ -53,7 +54,7 @@ TimeColumn = Annotated[
     typer.Option(
         help="Column of time stamps, in seconds or as dates.",
         rich_help_panel=_PANEL,
-        show_default="one called time or t",
+        show_default=f"one called {', '.join(TIME_NAMES[:-1])} or {TIME_NAMES[-1]}",
     ),
 ]
 SamplingTime = Annotated[

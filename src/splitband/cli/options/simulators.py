@@ -12,16 +12,28 @@ from splitband.paper.systems import SIMULATORS
 
 _PANEL = "Simulator"
 
+_SIMULATOR = (
+    "A simulator of the record: an exported trajectory (any file a record can be), an .fmu, "
+    "FILE.py:FUNCTION (called with the record's time stamps in s; with seconds from 0 where these "
+    f"are dates, or missing), or one of {', '.join(SIMULATORS)}."
+)
 SimulatorOption = Annotated[
     str | None,
     typer.Option(
         "--simulator",
         metavar="FILE|NAME",
-        help="A simulator of the record: an exported trajectory (any file a record can be), an "
-        ".fmu, FILE.py:FUNCTION (called with the record's time stamps in s; with seconds from 0 "
-        "where these are dates, or missing), or one of "
-        f"{', '.join(SIMULATORS)}. For compare and forecast also linear (of the known inputs), "
-        "periodic or harmonic: what is fitted to the training samples takes its place.",
+        help=_SIMULATOR,
+        rich_help_panel=_PANEL,
+        show_default="a named record's own",
+    ),
+]
+SimulatorOrBase = Annotated[
+    str | None,
+    typer.Option(
+        "--simulator",
+        metavar="FILE|NAME",
+        help=f"{_SIMULATOR} Also linear (of the known inputs), periodic or harmonic: what is "
+        "fitted to the training samples takes its place.",
         rich_help_panel=_PANEL,
         show_default="a named record's own",
     ),
@@ -90,3 +102,10 @@ class SimulatorOptions:
     simulator_columns: SimulatorColumns = None
     simulator_timeout: SimulatorTimeout = PATIENCE
     simulator_cache: SimulatorCache = None
+
+
+@dataclass(frozen=True)
+class ComparedSimulatorOptions(SimulatorOptions):
+    """The same for commands that also put a fitted model in a simulator's place."""
+
+    simulator: SimulatorOrBase = None

@@ -69,10 +69,10 @@ def why(trial: Trial, train: int, ahead: int) -> list[str]:
     if ahead:
         words.append(
             f"Fitted again to all of them, its forecast of what follows changed by "
-            f"{number(trial.change(best))}; a method whose forecast changes by more than its error "
-            "explains is not trusted."
+            f"{number(trial.change(best))}; a change that the error does not explain counts in the "
+            "error's place."
         )
-    if trial.trained:
+    if trial.trained and set(trial.errors) - trial.trained:
         words.append(
             f"A network is only recommended where it is {percent(WORTH_TRAINING)} better than what "
             "needs no training."
