@@ -57,3 +57,23 @@ def test_a_fit_that_fails_leaves_the_old_model(
     before = files(tmp_path)
     assert main(shlex.split(f"{FIT} --cutoff nan --out {tmp_path / 'model'}")) == 2
     assert files(tmp_path) == before
+
+
+def test_inputs_that_are_a_matrix_are_known_by_their_columns(tmp_path: Path) -> None:
+    u = np.random.default_rng(0).standard_normal((SAMPLES, 2))
+    y = 0.1 * np.cumsum(u @ [1.0, -0.5])
+    np.savez(tmp_path / "rig.npz", y=y, u=u, dt=0.1)
+    np.savez(tmp_path / "ahead.npz", u=u[:20], dt=0.1)
+    call(f"fit {tmp_path}/rig.npz --inputs u --method linear", tmp_path / "model")
+    assert results(tmp_path / "model")["inputs"] == ["u[0]", "u[1]"]
+    line = f"simulate {tmp_path}/model --history {tmp_path}/rig.npz --steps 20"
+    assert main([*shlex.split(line), "--future-inputs", str(tmp_path / "ahead.npz"),
+                 "--out", str(tmp_path / "ahead.csv")]) == 0  # fmt: skip
+    expected = y[-1] + 0.1 * np.cumsum(u[:20] @ [1.0, -0.5])
+    found = pd.read_csv(tmp_path / "ahead.csv")["y"]
+    np.testing.assert_allclose(found, expected, atol=0.05)
+
+
+def test_a_base_takes_a_simulators_place(tmp_path: Path) -> None:
+    call(f"fit record.csv --columns a --method residual-gru --simulator harmonic {QUICK}", tmp_path)
+    assert results(tmp_path)["method"] == "residual-harmonic-gru"

@@ -12,7 +12,7 @@ from splitband.cli.crew import crew
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Conditioned, ModelOptions, Seeds, SettingsFile
 from splitband.cli.options.records import FurtherRecords, Record, RecordOptions, TestRecords, Train
-from splitband.cli.options.simulators import Calibrate, ComparedSimulatorOptions
+from splitband.cli.options.simulators import Calibrate, SimulatorOrBaseOptions
 from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.outcome import show
 from splitband.evaluation.setup import default_names
@@ -23,7 +23,7 @@ def compare(
     context: typer.Context,
     record: Record,
     reading: RecordOptions,
-    simulator: ComparedSimulatorOptions,
+    simulator: SimulatorOrBaseOptions,
     further: FurtherRecords,
     testing: TestRecords,
     model: ModelOptions,

@@ -14,7 +14,7 @@ from splitband.cli import devices, naming, records, setups, showing
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Conditioned, ModelOptions, SettingsFile
 from splitband.cli.options.records import FurtherRecords, Record, RecordOptions
-from splitband.cli.options.simulators import Calibrate, SimulatorOptions
+from splitband.cli.options.simulators import Calibrate, SimulatorOrBaseOptions
 from splitband.cli.options.workers import Jobs
 from splitband.cli.simulators import each_with_simulator, with_simulator
 from splitband.data.timing import as_json
@@ -41,7 +41,7 @@ FITTED = tuple(name for name in NAMES if not name.startswith("simulator"))
 def fit(
     record: Record,
     reading: RecordOptions,
-    simulator: SimulatorOptions,
+    simulator: SimulatorOrBaseOptions,
     further: FurtherRecords,
     model: ModelOptions,
     out: Annotated[

@@ -15,7 +15,7 @@ from splitband.cli.crew import crew
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Budget, Device, Epochs, ModelOptions, Seeds, SettingsFile
 from splitband.cli.options.records import FurtherRecords, FutureInputs, Record, RecordOptions
-from splitband.cli.options.simulators import ComparedSimulatorOptions
+from splitband.cli.options.simulators import SimulatorOrBaseOptions
 from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.simulators import each_with_simulator, with_simulator
 from splitband.cli.usage import usage
@@ -35,7 +35,7 @@ def forecast(
     context: typer.Context,
     record: Record,
     reading: RecordOptions,
-    simulator: ComparedSimulatorOptions,
+    simulator: SimulatorOrBaseOptions,
     further: FurtherRecords,
     steps: Annotated[int, typer.Option(min=1, help="Samples to forecast.", show_default=False)],
     method: Annotated[

@@ -83,6 +83,15 @@ def with_simulator(
     return replace(record, y_sim=y_sim[: len(record)], beyond=rest if len(rest) else None)
 
 
+def refuse_bases(options: SimulatorOptions, command: str) -> None:
+    """Raise ValueError for what is fitted to a record, where only a simulator is of use."""
+    if options.simulator in BASES:
+        raise ValueError(
+            f"--simulator must be a simulator for {command}; got {options.simulator}, which is "
+            "fitted to the record: for compare, fit and forecast"
+        )
+
+
 def simulated(
     opened: Simulator, options: SimulatorOptions, grid: Grid, ny: int
 ) -> npt.NDArray[np.float64]:

@@ -17,7 +17,7 @@ from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Cutoff, ModelOptions, Order
 from splitband.cli.options.records import Record, RecordOptions
 from splitband.cli.options.simulators import SimulatorOptions
-from splitband.cli.simulators import with_simulator
+from splitband.cli.simulators import refuse_bases, with_simulator
 from splitband.cli.usage import usage
 from splitband.data import Trajectory
 from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
@@ -56,6 +56,7 @@ def spectrum(
     that of its tables where --cutoff does not say auto. `compare --test` trains on the whole
     record: for its cut-off give --train the number of all samples.
     """
+    refuse_bases(simulator, "spectrum")
     trajectory = records.load_record(record, reading)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=True)
     recipe: Recipe = "paper" if record in RECORD_SETTINGS and cutoff is None else "default"

@@ -18,6 +18,7 @@ from splitband.cli.options.models import Device, ModelOptions, Warmup
 from splitband.cli.options.records import FurtherRecords, Record, RecordOptions, Train
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.options.workers import Cluster, Jobs
+from splitband.cli.simulators import refuse_bases
 from splitband.evaluation.trials import Attempt, hidden
 from splitband.evaluation.tuned import FILE
 from splitband.evaluation.tuning import Effort, Tuning
@@ -95,6 +96,7 @@ def tune(
     OUT gets settings.json, which `compare`, `fit` and `forecast` take by --settings, results.json
     with all trials, history.png and importances.png.
     """
+    refuse_bases(simulator, "tune, whose --methods name it")
     seconds = None if budget is None else setups.seconds(budget)
     effort = Effort(trials, seconds, seed, storage)
     model = ModelOptions(warmup=warmup, device=device)

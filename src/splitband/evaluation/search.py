@@ -36,7 +36,7 @@ from splitband.training import Settings
 SEARCHING = "search"
 """Name of the stage of the work, followed by the number of the round."""
 CORE_SECONDS = 240.0
-"""The default budget: two minutes of two cores."""
+"""The default budget: about two minutes of two cores."""
 SEARCHED, TRAINED = 0.55, 0.3
 """Shares of the budget: for this search, and at most for a single training of a candidate."""
 FREE_RUNS = 50, 100

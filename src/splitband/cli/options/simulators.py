@@ -105,7 +105,7 @@ class SimulatorOptions:
 
 
 @dataclass(frozen=True)
-class ComparedSimulatorOptions(SimulatorOptions):
-    """The same for commands that also put a fitted model in a simulator's place."""
+class SimulatorOrBaseOptions(SimulatorOptions):
+    """The same for commands that also put what is fitted to the record in a simulator's place."""
 
     simulator: SimulatorOrBase = None
