@@ -96,22 +96,21 @@ class Page:
         """A table as it stands in its file."""
         return (self.folder / "tables" / f"{name}.md").read_text(encoding="utf-8").strip()
 
-    def whole_runs(self, name: str) -> str:
-        """Total RMSE of the runs of all epochs that are too few for a row of their own."""
-        said = []
-        for row in self.rows_of[name]:
-            if row["epochs"] is None or row["epochs"] == row["paper_epochs"]:
-                continue
-            runs = sorted((self.folder / "runs" / row["system"] / row["method"]).glob("seed*.json"))
-            found = [json.loads(run.read_text(encoding="utf-8"))["total_rmse"] for run in runs]
-            if found:
-                errors = _listed(f"{error:.3f}" for error in found)
-                said.append(f"{row['method']} on ({row['system']}) {errors}")
-        if not said:
-            return ""
+    def fewer_seeds(self, name: str) -> str:
+        """How many seeds the rows of a table have instead of five, and what a run takes."""
+        rows = [row for row in self.rows_of[name] if row["epochs"] is not None]
+        counts = sorted({row["runs"] for row in rows})
+        minutes = {
+            system: statistics.median(
+                full_seconds(row) / 60 for row in rows if row["system"] == system
+            )
+            for system in dict.fromkeys(row["system"] for row in rows)
+        }
+        said = _listed(f"{took:.0f} on ({system})" for system, took in minutes.items())
         return (
-            "Rows with fewer epochs than the paper's wait for three whole runs. Those that are "
-            f"there so far have, a value for each seed: {'; '.join(said)}."
+            f"These rows have {' to '.join(map(str, counts))} seeds instead of {rows[0]['asked']}, "
+            f"each trained for all of the paper's epochs: a run takes so many minutes of a core, "
+            f"in the median: {said}."
         )
 
     def tally(self, ours: str, theirs: str, *systems: str) -> str:

@@ -3,10 +3,13 @@
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from tests.cli.support import (
+    DT,
     QUICK,
+    SAMPLES,
     SIMULATED,
     TRAIN,
     WARMUP,
@@ -82,3 +85,18 @@ def test_a_function_is_as_good_a_simulator_as_its_exported_trajectory(
     expected = results(hybrid)["methods"]["simulator"]
     found = results(tmp_path)["methods"]["simulator"]
     assert found["total_rmse"] == pytest.approx(expected["total_rmse"], rel=1e-9)
+
+
+def test_what_a_simulation_does_not_reach_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its clock is a fiftieth too slow, and its output ends with the record."""
+    time = DT * np.arange(2 * SAMPLES)
+    for name, y in (("rig", np.sin(1.02 * time)), ("simulated", np.sin(time))):
+        pd.DataFrame({"time": time, "y": y}).to_csv(tmp_path / f"{name}.csv", index=False)
+    call(f"compare {tmp_path}/rig.csv --methods simulator-calibrated,mean "
+         f"--simulator {tmp_path}/simulated.csv", tmp_path / "out")  # fmt: skip
+    said = " ".join(capsys.readouterr().err.split())
+    assert "warning: simulator-calibrated: the simulator's output ends too early" in said
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "its last value is held" in page

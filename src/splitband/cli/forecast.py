@@ -121,4 +121,6 @@ def _say(result: Forecast, steps: int, out: Path) -> None:
     if result.leaves is not None:
         showing.console.print(leaving(result.leaves))
     showing.warn_of_inputs(result.inputs_beyond_training, result.record.inputs)
+    for doubt in result.prediction.doubts:
+        showing.warn(f"{result.method}: {doubt}")
     showing.console.print(f"page: {out / page.NAME}")

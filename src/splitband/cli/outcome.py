@@ -14,6 +14,7 @@ from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT
 from splitband.forecasters.names import HYBRIDS
 from splitband.paper.settings import RECORD_SETTINGS, SAMPLE_FREQUENCY
+from splitband.report.page import words
 
 
 def show(result: Comparison, names: list[str], out: Path) -> None:
@@ -55,6 +56,8 @@ def show(result: Comparison, names: list[str], out: Path) -> None:
         showing.console.print("hybrid models are left out; --methods brings them back")
     showing.warn_of_trainings(result.runs)
     showing.warn_of_inputs(result.inputs_beyond_training, record.inputs)
+    for doubt in words.doubts(result):
+        showing.warn(doubt)
     for test, prediction in zip(result.tests, result.means[best].tests, strict=False):
         for message in prediction.warnings:
             showing.warn(f"{test.name}: {message}")

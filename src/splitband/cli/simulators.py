@@ -157,10 +157,10 @@ def simulated_again(
     if isinstance(opened, Recorded):
         least = math.ceil(begin + warm + count - first - 1e-6)
         grid = replace(grid, samples=min(samples, max(least, opened.reach(grid))))
-        held = calibration.held(steps, step, begin + warm, count, first + grid.samples)
-        if held:
-            showing.warn(held)
     y_sim = simulated(opened, options, grid, past.ny)
+    held = calibration.held(steps, step, begin + warm, count, first + grid.samples)
+    if held:
+        showing.warn(held)
     return calibration.apply(y_sim, count, step, begin + warm, first)
 
 

@@ -235,7 +235,7 @@ class Forecaster(ABC):
             prediction = replace(prediction, lower=y - half, upper=y + half, level=level)
         beyond = fitted.inputs_beyond(None if known.u is None else known.u[len(known.y) :])
         messages = [each.describe(past.inputs[each.channel]) for each in beyond]
-        messages += self.doubts(known)
+        messages += (doubts := self.doubts(known))
         left = leaves_range(fitted.y_range, y)
         if left is not None:
             messages.append(
@@ -244,7 +244,7 @@ class Forecaster(ABC):
             )
         for message in messages:
             warnings.warn(message, ExtrapolationWarning, stacklevel=2)
-        return replace(prediction, warnings=tuple(messages))
+        return replace(prediction, warnings=tuple(messages), doubts=tuple(doubts))
 
     def save(self, folder: str | Path) -> None:
         """Write the fitted forecaster to a folder, whole or not at all; `splitband.load` reads it.

@@ -33,6 +33,7 @@ class Prediction:
     lower, upper : The interval around `y`, `(steps, ny)`, where one was asked for.
     level : The share of samples that should lie in it.
     warnings : Reasons to doubt it, in sentences.
+    doubts : Those of them that the method itself has, see `Forecaster.doubts`.
     """
 
     y: Array
@@ -43,6 +44,7 @@ class Prediction:
     upper: Array | None = None
     level: float | None = None
     warnings: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.y)
@@ -88,6 +90,7 @@ def mean_of(predictions: Sequence[Prediction]) -> Prediction:
         upper=None,
         level=None,
         warnings=tuple(dict.fromkeys(said for p in predictions for said in p.warnings)),
+        doubts=tuple(dict.fromkeys(said for p in predictions for said in p.doubts)),
     )
 
 

@@ -124,6 +124,15 @@ def _hindsight(comparison: Comparison) -> list[str]:
     ]
 
 
+def doubts(comparison: Comparison) -> list[str]:
+    """What methods themselves have to say against their forecasts, each thing once."""
+    said: dict[str, list[str]] = {}
+    for name, mean in comparison.means.items():
+        for doubt in () if mean.forecast is None else mean.forecast.doubts:
+            said.setdefault(doubt, []).append(name)
+    return [f"{', '.join(names)}: {doubt}" for doubt, names in said.items()]
+
+
 def warnings(comparison: Comparison) -> list[str]:
     """What readers should know before they rely on the numbers."""
     best, record = comparison.recommended, comparison.record
@@ -132,7 +141,7 @@ def warnings(comparison: Comparison) -> list[str]:
         for left in [[r.leaves for r in comparison.runs[best] if r.leaves is not None]]
         if left
     ]
-    said += of_inputs(comparison.inputs_beyond_training, record)
+    said += [*of_inputs(comparison.inputs_beyond_training, record), *doubts(comparison)]
     covers = comparison.covers(best)
     share = comparison.require_trial().intervals[best].share
     if covers < share - POOR:
