@@ -96,7 +96,7 @@ def test_what_a_simulation_does_not_reach_is_said(
         pd.DataFrame({"time": time, "y": y}).to_csv(tmp_path / f"{name}.csv", index=False)
     call(f"compare {tmp_path}/rig.csv --methods simulator-calibrated,mean "
          f"--simulator {tmp_path}/simulated.csv", tmp_path / "out")  # fmt: skip
-    said = " ".join(capsys.readouterr().err.split())
+    said = " ".join("".join(capsys.readouterr()).split())
     assert "warning: simulator-calibrated: the simulator's output ends too early" in said
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "its last value is held" in page
