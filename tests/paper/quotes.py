@@ -315,8 +315,6 @@ def _filter_or_not() -> Iterator[Quote]:
         [_at(path, "methods", name) for name in pair]
         for path in ("results/beyond/v.json", "results/beyond/vi.json", "results/drill-string.json")
     )
-    apart = abs(vi[0]["total_rmse_mean"] - vi[1]["total_rmse_mean"])
-    assert apart < max(of["total_rmse_std"] for of in vi), "they are not level any more"
     demo = [
         _at("results/demo.json", "methods", f"{kind}-gru-conditioned")
         for kind in ("filtered", "residual")
@@ -324,7 +322,7 @@ def _filter_or_not() -> Iterator[Quote]:
     yield Quote(
         WHY,
         "{:.3f} filtered and {:.3f} residual; on the drill string {:.3f} ({:.3f}) and {:.3f} "
-        "({:.3f}), level, by the default recipe, and {:.3f} and {:.3f} where training has been "
+        "({:.3f}) by the default recipe, and {:.3f} and {:.3f} where training has been "
         "searched. In the demo, where nothing is calibrated, the forecast has {:.2f} and {:.2f}.",
         (
             *(of["total_rmse_mean"] for of in v),
