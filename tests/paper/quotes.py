@@ -171,8 +171,14 @@ def _compared() -> Iterator[Quote]:
     best = of["filtered-gru-calibrated-conditioned"]
     yield Quote(README, "simulator below {:.2f} Hz, network above",
                 (_at("results/drill-string.json", "settings", "cutoff"),))  # fmt: skip
-    yield Quote(README, "offset {:.3f}: all that pays",
-                (_number(of["simulator-calibrated"]["description"], "offset"),))  # fmt: skip
+    yield Quote(
+        README,
+        "gain {:.3f}, offset {:.3f}, delay {:.3f} s",
+        tuple(
+            _number(of["simulator-calibrated"]["description"], term)
+            for term in ("gain", "offset", "delay")
+        ),
+    )
     for name, words, number in (
         ("seasonal-naive", "the last", "the last {:.0f} samples, repeated"),
         ("periodic", "a period of", "harmonics of a period of {:.0f} samples"),
