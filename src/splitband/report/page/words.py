@@ -63,7 +63,7 @@ def why(trial: Trial, train: int, ahead: int) -> list[str]:
     if others:
         error, second = others[0]
         own = trial.errors[best]
-        compared = f"{error / own:.2g} times that" if own and error >= own else number(error)
+        compared = f"{error / own:.2f} times that" if own and error >= own else number(error)
         said += f", {'the next one' if error >= own else 'the lowest'}, {second}, by {compared}"
     words = [said + "."]
     if ahead:
