@@ -149,6 +149,7 @@ def with_bad(*cells: tuple[int, int], value: float = np.nan) -> FloatArray:
         ({"sampling_time": np.inf}, "got inf"),
         ({"sampling_time": "fast"}, "got 'fast'"),
         ({"columns": ("one",)}, "columns must name each of the 2 channels of y: got ('one',)"),
+        ({"columns": ("one", "one")}, "columns must differ: got ('one', 'one')"),
     ],
 )
 def test_invalid_trajectories_are_refused_in_one_line(changes: dict[str, Any], words: str) -> None:

@@ -79,10 +79,7 @@ class Trajectory:
         if length < 2:
             raise ValueError(f"y must have at least 2 samples: it has {length}")
         columns = tuple(self.columns) or _numbered("y", ny)
-        if len(columns) != ny or len(set(columns)) < ny:
-            raise ValueError(
-                f"columns must name each of the {ny} channels of y, differently: got {columns}"
-            )
+        _check_names("columns", columns, f"each of the {ny} channels of y", ny)
         require_finite("y", y, columns)
         object.__setattr__(self, "y", y)
         object.__setattr__(self, "columns", columns)
@@ -96,10 +93,7 @@ class Trajectory:
             require_finite(field, signal, names)
             object.__setattr__(self, field, signal)
         inputs = tuple(self.inputs) or (_numbered("u", self.nu) if self.nu else ())
-        if len(inputs) != self.nu or len(set(inputs)) < self.nu:
-            raise ValueError(
-                f"inputs must name each of the {self.nu} columns of u, differently: got {inputs}"
-            )
+        _check_names("inputs", inputs, f"each of the {self.nu} columns of u", self.nu)
         object.__setattr__(self, "inputs", inputs)
         for field, before, names in (("beyond", "y_sim", columns), ("u_beyond", "u", inputs)):
             if (value := getattr(self, field)) is None:
@@ -296,6 +290,14 @@ def require_finite(what: str, values: FloatArray, columns: Sequence[str] = ()) -
 def one_line(error: BaseException) -> str:
     """The message of another library's error, on one line."""
     return " ".join(str(error).split())[:300] or type(error).__name__
+
+
+def _check_names(field: str, names: tuple[str, ...], what: str, count: int) -> None:
+    """Raise ValueError unless there are so many names, no two of them the same."""
+    if len(names) != count:
+        raise ValueError(f"{field} must name {what}: got {names}")
+    if len(set(names)) < count:
+        raise ValueError(f"{field} must differ: got {names}")
 
 
 def check_alike(other: Trajectory, record: Trajectory, name: str) -> None:
