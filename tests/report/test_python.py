@@ -21,6 +21,13 @@ MADE = {
     "on a baseline": sb.Residual(sb.Periodic(), sb.GRU(4), conditioned=True, settings=SETTINGS),
     "baseline": sb.Harmonic(),
     "simulator": sb.Simulation(calibrated=["gain", "offset"]),
+    "on an affine simulator": sb.Residual(
+        sb.Simulation(calibrated=["gain", "offset"]), sb.GRU(4), settings=SETTINGS
+    ),
+    "on a network of other settings": sb.Residual(
+        sb.Single(sb.GRU(5), sb.Settings(60, 20, 2)), sb.GRU(4), settings=SETTINGS
+    ),
+    "some seeds": sb.Ensemble(sb.Single(sb.GRU(5), SETTINGS), seeds=(0, 2)),
     "several": sb.Ensemble(sb.Single(sb.GRU(5), SETTINGS), 4),
 }
 

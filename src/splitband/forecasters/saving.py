@@ -209,7 +209,8 @@ def _described(folder: Path) -> dict[str, Any]:
 
 def _place_of(facts: Mapping[str, Any]) -> str:
     """The folder of the parts; 0.1.0 kept them beside the description."""
-    return PARTS[PARTS.index(facts["parts"])] if facts.get("parts") in PARTS else "."
+    place = facts.get("parts")
+    return str(place) if place in PARTS else "."
 
 
 def _is_forecaster(value: Any) -> bool:

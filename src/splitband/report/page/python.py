@@ -44,7 +44,8 @@ def making(forecaster: Forecaster) -> list[str]:
     if made == _UNKNOWN:
         return [f"model = ...  # {forecaster.name}"]
     if isinstance(forecaster, Ensemble):
-        made = f"sb.Ensemble({made}, {forecaster.count})"
+        usual = forecaster.seeds == tuple(range(forecaster.count))
+        made = f"sb.Ensemble({made}, {forecaster.count if usual else f'seeds={forecaster.seeds}'})"
     base = getattr(member, "base", None)
     return [*_settings(base, BASE), *_settings(member, OWN), f"model = {made}"]
 
