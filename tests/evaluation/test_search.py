@@ -12,7 +12,7 @@ import pytest
 import splitband as sb
 from splitband import Settings, Trajectory
 from splitband.evaluation import search as searching
-from splitband.evaluation.costs import reference_seconds
+from splitband.evaluation.costs import reference_seconds, training_cost
 from splitband.evaluation.runs import Work
 from splitband.evaluation.search import (
     Search,
@@ -211,3 +211,12 @@ def test_the_time_of_this_machine_is_compared_with_the_reference() -> None:
 def test_a_budget_is_positive(seconds: float) -> None:
     with pytest.raises(ValueError, match="core_seconds must be positive"):
         Search(seconds)
+
+
+def test_what_a_network_below_costs_is_counted() -> None:
+    """It is trained again in each trial of the network above it."""
+    below, part = sb.Single(sb.GRU(9), replace(QUICK, epochs=50)), record()[:TRAIN]
+    alone = sb.Residual(sb.Periodic(), sb.GRU(4), settings=QUICK)
+    both = sb.Residual(below, sb.GRU(4), settings=QUICK)
+    expected = training_cost(alone, part, ()) + training_cost(below, part, ())
+    assert training_cost(both, part, ()) == pytest.approx(expected)
