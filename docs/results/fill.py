@@ -99,6 +99,8 @@ class Page:
     def fewer_seeds(self, name: str) -> str:
         """How many seeds the rows of a table have instead of five, and what a run takes."""
         rows = [row for row in self.rows_of[name] if row["epochs"] is not None]
+        if any(row["epochs"] != row["paper_epochs"] for row in rows):
+            raise SystemExit(f"{name} has rows of fewer epochs than the paper's; page.md denies it")
         counts = sorted({row["runs"] for row in rows})
         minutes = {
             system: statistics.median(

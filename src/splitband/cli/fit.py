@@ -130,11 +130,6 @@ def fit(
     }
     saving.save(forecaster, out, facts)
     within = _training_error(forecaster)
-    free_run = (
-        ""
-        if within is None
-        else (f"; free run over them from the first {max(forecaster.warmup, 2)}: RMSE {within:.4g}")
-    )
     outcome = {
         "final_loss": {name: losses[-1] for name, losses in fitted.report.losses.items()},
         "seconds": fitted.report.seconds,
@@ -148,7 +143,7 @@ def fit(
     said = training_in_words or forecaster.describe()
     showing.console.print(
         f"{method} ({said}) fitted to {len(training)} samples in {fitted.report.seconds:.1f} s"
-        f"{free_run}\n"
+        f"{_free_run(forecaster, within)}\n"
         + ("" if calibration is None else f"simulator calibrated: {calibration}\n")
         + f"model: {out}/",
     )
@@ -164,6 +159,12 @@ def _training_error(forecaster: Forecaster) -> float | None:
     with showing.without_warnings():
         y = forecaster.predict(len(record) - start, record[:start]).y
     return rmse(record.seen[start:], np.asarray(y))
+
+
+def _free_run(forecaster: Forecaster, error: float | None) -> str:
+    """The `_training_error` in words; empty where there is none."""
+    begin = max(forecaster.warmup, 2)
+    return "" if error is None else f"; free run over them from the first {begin}: RMSE {error:.4g}"
 
 
 def _calibration_of(forecaster: Forecaster) -> Calibration | None:

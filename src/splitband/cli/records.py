@@ -16,7 +16,7 @@ from splitband.cli.options.records import RecordOptions
 from splitband.data import Trajectory, aligned, read, resampled
 from splitband.data.gaps import places
 from splitband.data.reading import ColumnError
-from splitband.data.timing import same_sampling
+from splitband.data.timing import near_sampling, same_sampling
 from splitband.paper.systems import RECORDS
 
 
@@ -84,11 +84,6 @@ def like(record: Trajectory, sampling_time: float, what: str) -> Trajectory:
     return resampled(record, sampling_time)
 
 
-def differs(sampling_time: float, other: float) -> bool:
-    """Whether two sampling times are too different for records of the same model."""
-    return abs(sampling_time - other) > 0.01 * other
-
-
 def load_further(
     files: Sequence[str] | None, option: str, record: Trajectory, reading: RecordOptions
 ) -> list[Trajectory]:
@@ -105,7 +100,7 @@ def load_further(
             inputs=names(reading.inputs or ""),
             gaps=reading.gaps,
         )
-        if not differs(more.sampling_time, record.sampling_time):  # otherwise refused by `check`
+        if near_sampling(more.sampling_time, record.sampling_time):  # otherwise refused by `check`
             more = like(more, record.sampling_time, file)
         records.append(replace(more, name=file if option == "--more" else Path(file).stem))
     return records

@@ -19,7 +19,7 @@ from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import Trained, opened_simulator, simulated_again
 from splitband.data import Trajectory, read
 from splitband.data.gaps import Gaps, last_before
-from splitband.data.timing import from_json
+from splitband.data.timing import from_json, near_sampling
 from splitband.forecasters import saving as forecasters
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASED
@@ -155,7 +155,7 @@ def _history(file: Path, known: _Facts, reading: RecordOptions, gaps: Gaps) -> T
         fallback_sampling_time=known.sampling_time,
         gaps=gaps,
     )
-    if records.differs(past.sampling_time, known.sampling_time):
+    if not near_sampling(past.sampling_time, known.sampling_time):
         raise ValueError(
             f"--history must be sampled like the training record, every {known.sampling_time:g} s, "
             f"got every {past.sampling_time:g} s in {file}"

@@ -81,6 +81,11 @@ def stamps_at(start: Stamp, step: float, rows: NDArray[np.int_]) -> FloatArray |
     return np.round(start + step * rows, max(0, 6 - math.floor(math.log10(step))))
 
 
+def near_sampling(step: float, other: float) -> bool:
+    """Whether records of both steps can be of one system: they differ by a hundredth at most."""
+    return abs(step - other) <= 0.01 * other
+
+
 def same_sampling(step: float, other: float, samples: int) -> bool:
     """Whether so many samples of both steps, begun together, end within half a sample."""
     return abs(step - other) * samples < 0.5 * min(step, other)

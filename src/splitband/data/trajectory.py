@@ -10,7 +10,15 @@ import numpy as np
 import pandas as pd
 
 from splitband.data.gaps import BoolArray, FloatArray, filled, places
-from splitband.data.timing import Grid, Stamp, as_stamp, seconds_of, stamp_after, stamps_at
+from splitband.data.timing import (
+    Grid,
+    Stamp,
+    as_stamp,
+    near_sampling,
+    seconds_of,
+    stamp_after,
+    stamps_at,
+)
 
 LARGEST, SMALLEST = 1e120, 1e-120
 """Of values, and of the range of a channel: squares, and sums of many, have to be numbers too."""
@@ -318,7 +326,7 @@ def check_alike(other: Trajectory, record: Trajectory, name: str) -> None:
                 f"{what} of {name} must be in the order of the training record, "
                 f"{', '.join(known)}, got {', '.join(names)}"
             )
-    if abs(other.sampling_time - record.sampling_time) > 0.01 * record.sampling_time:
+    if not near_sampling(other.sampling_time, record.sampling_time):
         raise ValueError(
             f"{name} must be sampled like the training record, every {record.sampling_time:g} s, "
             f"got every {other.sampling_time:g} s"

@@ -157,7 +157,10 @@ def _prepared(forecaster: Forecaster, asked: Question) -> Forecaster:
     record, ahead = asked.record[: fits[-1]], asked.end - fits[-1]
     try:
         forecaster = forecaster.simulated(record, ahead, *asked.others, *asked.tests)
-    except ValueError:  # it may only fail for test records, about which it is not asked then
+    except ValueError:
+        if not asked.tests:
+            raise
+        # It may only fail for test records, and is not asked about them then.
         forecaster = forecaster.simulated(record, ahead, *asked.others)
     # These errors are not lost: the job that needs the result computes it again and reports them.
     with suppress(ValueError):
