@@ -22,25 +22,21 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.comparing import compared, forecasters
+from reproduction.settings import HYBRID, LEARNING_BASED
+from reproduction.systems import MassSpringOracle, double_torsion_pendulum
 from splitband.data import Trajectory, double_torsion, drill_string
+from splitband.data.named import double_mass_spring, van_der_pol
 from splitband.evaluation.comparison import compare
 from splitband.evaluation.protocols import compare_methods
 from splitband.evaluation.runs import Work
 from splitband.evaluation.setup import Setup, default_names, default_setup
 from splitband.forecasters.names import with_variants
 from splitband.metrics import rmse
-from splitband.paper.settings import HYBRID, LEARNING_BASED
-from splitband.paper.systems import (
-    MassSpringOracle,
-    double_mass_spring,
-    double_torsion_pendulum,
-    van_der_pol,
-    van_der_pol_simulator,
-)
 from splitband.report.results import results
 from splitband.runtime.files import write_json
 from splitband.simulators import run as simulate
 from splitband.simulators.calibration import samples_needed
+from splitband.simulators.named import van_der_pol_simulator
 from splitband.training.recipes import paper_settings
 
 DRAWS = 20
@@ -119,7 +115,7 @@ def measured(name: str, seeds: int, jobs: int) -> Facts:
         (oracle,) = compare_methods(record, [MassSpringOracle()], setup)["oracle"]
         facts["oracle"] = {"total_rmse": oracle.total_rmse, "forecast_rmse": oracle.forecast_rmse}
     else:
-        column = (LEARNING_BASED | HYBRID)[system.column].setup(record.sampling_rate)
+        column = (LEARNING_BASED | HYBRID)[system.column].setup(record.sampling_rate, "gru")
         left_out = {
             "the paper's recipe": replace(setup, settings=paper_settings(system.train)),
             "the paper's cut-off": replace(setup, bands=column.bands),

@@ -26,16 +26,16 @@ from torch import Tensor
 
 from benchmarks import study
 from benchmarks.high_band import HP, double_filtering, high_band, high_band_section
+from reproduction import published
+from reproduction.settings import LEARNING_BASED
 from splitband.data import Trajectory
+from splitband.data.named import double_mass_spring
 from splitband.evaluation.setup import Setup
 from splitband.filters.resampling import downsample
 from splitband.metrics import rmse
 from splitband.models import Model, Recurrent, Split
 from splitband.models.base import Signals
 from splitband.networks import GRU, rollout
-from splitband.paper import published
-from splitband.paper.settings import LEARNING_BASED
-from splitband.paper.systems import double_mass_spring
 from splitband.runtime.files import write_json
 from splitband.training import Progress, fit
 
@@ -126,7 +126,7 @@ def tried(method: str, name: str, seed: int, _: Path) -> study.Facts:
     """Train one reading on (i); its errors at the last epoch, and at the best by training loss."""
     reading = READINGS[name]
     record = double_mass_spring(noise_variance=reading.variance)
-    setup = LEARNING_BASED["i"].setup(record.sampling_rate).only_for(method)
+    setup = LEARNING_BASED["i"].setup(record.sampling_rate, method)
     model = built(record, setup, method, reading, seed)
     filtered = setup.bands.pair(record.sampling_rate).lowpass(record.y)
     told = replace(record, y_sim=filtered) if reading.kind is FilteredAsAWhole else record

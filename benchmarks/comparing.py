@@ -14,9 +14,9 @@ from splitband.forecasters.backtest import for_trial, held_out_from
 from splitband.forecasters.network import Network
 
 
-def forecasters(names: Sequence[str], setup: Setup) -> list[Forecaster]:
-    """Those of the names, with what the setup says."""
-    return [setup.forecaster(name) for name in names]
+def forecasters(names: Sequence[Forecaster | str], setup: Setup) -> list[Forecaster]:
+    """Return the methods, those that are given by name with what the setup says."""
+    return [setup.forecaster(each) if isinstance(each, str) else each for each in names]
 
 
 def compared(

@@ -14,12 +14,12 @@ import torch
 from torch import Tensor
 
 from benchmarks import study
+from reproduction.settings import LEARNING_BASED
 from splitband.data import double_torsion
 from splitband.metrics import rmse
 from splitband.models import Model, Split
 from splitband.models.base import Signals, Task
 from splitband.networks import GRU, rollout
-from splitband.paper.settings import LEARNING_BASED
 from splitband.training import fit
 
 Array = npt.NDArray[np.float64]
@@ -127,7 +127,7 @@ def high_band(name: str, seed: int, _: Path) -> study.Facts:
     """Train the high-band network under (ii); how far its loss comes down."""
     row = HP[name]
     record = double_torsion()
-    setup = LEARNING_BASED["ii"].setup(record.sampling_rate)
+    setup = LEARNING_BASED["ii"].setup(record.sampling_rate, "split-gru-hp")
     settings = replace(setup.settings, epochs=HP_EPOCHS, **row.changes)
     torch.manual_seed(seed)
     networks = [GRU(size, record.ny) for size in (setup.sizes.hidden_low, setup.sizes.hidden_high)]
@@ -149,7 +149,7 @@ def double_filtering() -> dict[str, float]:
     whole signal, filtered; and of nothing.
     """
     record, column = double_torsion(), LEARNING_BASED["ii"]
-    setup = column.setup(record.sampling_rate)
+    setup = column.setup(record.sampling_rate, "split-gru-hp")
     pair, y, warmup = (
         setup.bands.pair(record.sampling_rate),
         record.y[: column.train],

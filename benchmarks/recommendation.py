@@ -33,14 +33,15 @@ import numpy.typing as npt
 from benchmarks import inputs
 from benchmarks.comparing import compared
 from benchmarks.kinds import DEVELOPMENT, KINDS, REPORTED, WITH_INPUTS, drawn, driven
+from reproduction.systems import double_torsion_pendulum
 from splitband import Comparison, compare
 from splitband.data import Trajectory, double_torsion, drill_string
+from splitband.data.named import double_mass_spring, van_der_pol
 from splitband.evaluation.selection import Trial
 from splitband.evaluation.setup import default_setup, usual_names
 from splitband.forecasters.intervals import Interval
 from splitband.forecasters.names import QUICK
 from splitband.metrics import rmse
-from splitband.paper.systems import double_mass_spring, double_torsion_pendulum, van_der_pol
 from splitband.runtime.files import write_json
 from splitband.runtime.processes import over
 

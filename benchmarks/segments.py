@@ -24,14 +24,14 @@ from torch import Tensor
 
 from benchmarks import study
 from benchmarks.beyond import SYSTEMS
+from reproduction import published
+from reproduction.settings import HYBRID
 from splitband.filters.spectrum import oracle
 from splitband.forecasters.simulation import Simulation
 from splitband.metrics import rmse
 from splitband.models import Filtered, Model, Residual
 from splitband.models.base import Signals
 from splitband.networks import GRU
-from splitband.paper import published
-from splitband.paper.settings import HYBRID
 from splitband.runtime.files import write_json
 from splitband.training import Checkpoint, Settings, fit
 
@@ -92,7 +92,7 @@ class Row:
     @property
     def settings(self) -> Settings:
         """How it is trained."""
-        column = HYBRID["v"].setup(20.0).settings
+        column = HYBRID["v"].setup(20.0, "filtered-gru").settings
         return replace(column, **self.changes)
 
 
@@ -148,7 +148,7 @@ def run(row: Row, seed: int, checkpoint: Checkpoint | None = None) -> study.Fact
     """Train a row on its segment, and simulate the whole record."""
     record = SYSTEMS["v"].record()
     training = record[row.first : row.first + SAMPLES]
-    bands = HYBRID["v"].setup(record.sampling_rate).bands
+    bands = HYBRID["v"].setup(record.sampling_rate, "filtered-gru").bands
     torch.manual_seed(seed)
     cell = GRU(HYBRID["v"].gru_hidden, record.ny, 2 * record.ny if row.conditioned else 0)
     model: Model
@@ -180,7 +180,7 @@ def segment(first: int, samples: int = SAMPLES) -> dict[str, float]:
     segment.
     """
     record = SYSTEMS["v"].record()[first : first + samples]
-    setup = HYBRID["v"].setup(record.sampling_rate)
+    setup = HYBRID["v"].setup(record.sampling_rate, "filtered-gru")
     assert setup.bands.cutoff is not None
     counted = record.y.copy()
     counted[: setup.settings.warmup] = np.nan

@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from splitband.paper import tables
+from reproduction import tables
 from splitband.report.results import environment
 from splitband.runtime.files import write_json
 from splitband.training import Settings

@@ -11,16 +11,16 @@ from pathlib import Path
 from unittest import mock
 
 from benchmarks.timing import circumstances, threads, write
+from reproduction import published
+from reproduction.settings import LEARNING_BASED
+from splitband.data.named import double_mass_spring
 from splitband.networks import GRU
-from splitband.paper import published
-from splitband.paper.settings import LEARNING_BASED
-from splitband.paper.systems import double_mass_spring
 
 
 def seconds(epochs: int) -> float:
     """Of the fit of both networks."""
     record = double_mass_spring()
-    setup = LEARNING_BASED["i"].setup(record.sampling_rate)
+    setup = LEARNING_BASED["i"].setup(record.sampling_rate, "split-gru")
     short = replace(setup, settings=replace(setup.settings, epochs=epochs))
     fitted = short.forecaster("split-gru").fit(record[: short.train])
     return fitted.require_fitted().report.seconds

@@ -25,16 +25,17 @@ Array = npt.NDArray[np.float64]
 Watch = Callable[[RunProgress], None]
 
 
-def forecasters(names: Sequence[str], setup: Setup) -> list[Forecaster]:
-    """Those of the names, with what the setup says."""
-    return [setup.forecaster(name) for name in names]
+def forecasters(names: Sequence[Forecaster | str], setup: Setup) -> list[Forecaster]:
+    """The methods, those that are given by name with what the setup says."""
+    made = [setup.forecaster(each) if isinstance(each, str) else each for each in names]
+    return [each.with_defaults(setup.settings, setup.bands) for each in made]
 
 
 def untrained(name: str, record: Trajectory, setup: Setup, seed: int) -> Model:
     """The model of a method, its weights drawn from the seed."""
     network = setup.forecaster(name)
     assert isinstance(network, Network)
-    return network._built(record, setup.settings_of(name), seed)
+    return network._built(record, setup.settings, seed)
 
 
 def asked(
@@ -64,7 +65,7 @@ def question_of(
 ) -> Question:
     """Both protocols, and forecasts from `later` samples by the same fit."""
     origins = {
-        first_origin(record, setup.train, setup.settings_of(name).warmup),
+        first_origin(record, setup.train, setup.settings.warmup),
         Origin(setup.train, setup.train),
         *(Origin(setup.train, at) for at in later),
     }
@@ -79,7 +80,7 @@ def run(name: str, record: Trajectory, setup: Setup, seed: int = 0) -> Run:
 
 def compare(
     record: Trajectory,
-    names: Sequence[str],
+    names: Sequence[Forecaster | str],
     setup: Setup,
     seeds: Sequence[int] = (0,),
     jobs: int = 1,
@@ -94,7 +95,7 @@ def compare(
 
 def try_out(
     record: Trajectory,
-    names: Sequence[str],
+    names: Sequence[Forecaster | str],
     setup: Setup,
     seeds: Sequence[int] = (0,),
     jobs: int = 1,

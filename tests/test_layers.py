@@ -13,7 +13,6 @@ SOURCE = Path(splitband.__file__).parent
 LAYERS = (
     "__main__",
     "cli",
-    "paper",
     "report",
     "evaluation",
     "forecasters",
@@ -159,7 +158,6 @@ MOST_PARAMETERS, MOST_FIELDS = 8, 9
 LARGER = {
     "Trajectory",  # the one data container: a field for each signal, and what it is called
     "Settings",  # the paper's hyperparameters of a training and ours, named in every run file
-    "LearningBased", "Hybrid",  # columns of the paper's tables of hyperparameters
 }  # fmt: skip
 
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.naive import ByTime
 from splitband.baselines.seasonal import SeasonalNaive
+from splitband.data.named import double_mass_spring
 from splitband.forecasters.closed_form import Persistence
 from splitband.forecasters.known import Known
-from splitband.paper.systems import double_mass_spring
 
 Array = npt.NDArray[Any]
 

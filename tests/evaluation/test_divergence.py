@@ -20,6 +20,7 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.closed_form import Mean
 from splitband.forecasters.names import Sizes
 from splitband.forecasters.simulation import Simulation
+from splitband.forecasters.single import Single
 from splitband.models import Residual
 from splitband.report.results import results
 from splitband.training import fit
@@ -31,7 +32,7 @@ SIMULATED = np.sin(2 * np.pi * 0.2 * TIME) + 0.4 * np.sin(2 * np.pi * 1.13 * TIM
 RECORD = Trajectory(np.round(2 * SIMULATED + 1, 4), DT, y_sim=SIMULATED)
 QUICK = Settings(40, 10, 3, 16)
 SETUP = Setup(TRAIN, QUICK, bands=Bands(0.6, 1, 2), sizes=Sizes(hidden_high=4, hidden_low=3))
-DIVERGING = replace(SETUP, overrides={"gru": replace(QUICK, learning_rate=1e30)})
+DIVERGING = Single(GRU(7), replace(QUICK, learning_rate=1e30))
 CALIBRATED = "simulator-calibrated"
 
 
@@ -64,8 +65,7 @@ def test_a_training_that_diverges_later_is_still_found() -> None:
 
 
 def test_a_method_that_diverges_does_not_end_the_others() -> None:
-    methods = ["gru", "filtered-gru", "persistence"]
-    runs = compare(RECORD, methods, DIVERGING)
+    runs = compare(RECORD, [DIVERGING, "filtered-gru", "persistence"], SETUP)
     assert [*runs] == ["filtered-gru", "persistence"]
     assert list(runs.failed) == ["gru"]
     assert "training of the network diverged in epoch 1" in runs.failed["gru"]
@@ -116,7 +116,7 @@ def test_where_every_method_fails_each_reason_is_said(monkeypatch: pytest.Monkey
     monkeypatch.setattr(Mean, "learn", _raising)
     expected = "no method could be fitted; gru: training of the network diverged.*; mean: SVD did"
     with pytest.raises(ValueError, match=expected):
-        compare(RECORD, ["gru", "mean"], DIVERGING)
+        compare(RECORD, [DIVERGING, "mean"], SETUP)
 
 
 def test_a_full_disk_is_no_failure_of_a_method(monkeypatch: pytest.MonkeyPatch) -> None:

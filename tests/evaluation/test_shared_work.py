@@ -14,6 +14,7 @@ from splitband import Settings, Trajectory
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import Sizes
 from splitband.forecasters.remembering import Remembered
 from splitband.report.pictures import components, rollouts
@@ -137,12 +138,15 @@ def test_they_have_them_after_a_failure_and_between_results_too() -> None:
 
 def test_a_method_with_settings_of_its_own_warms_up_as_they_say(tmp_path: Path) -> None:
     other = Settings(44, 14, 1, 16)
-    setup = replace(SETUP, overrides={"rnn": other, "filtered-rnn": other})
-    methods = ["rnn", "filtered-rnn", "gru"]
-    trial = try_out(RECORD, methods, setup)
-    runs = compare(RECORD, methods, setup)
+    otherwise = replace(SETUP, settings=other)
+    methods: list[Forecaster | str] = [
+        *(otherwise.forecaster(name) for name in ("rnn", "filtered-rnn")),
+        "gru",
+    ]
+    trial = try_out(RECORD, methods, SETUP)
+    runs = compare(RECORD, methods, SETUP)
     assert (trial.failed, runs.failed) == ({}, {})
-    alone = compare(RECORD, methods, replace(SETUP, settings=other))
+    alone = compare(RECORD, methods, otherwise)
     for name, begin in (("rnn", 14), ("filtered-rnn", 14), ("gru", 10)):
         assert len(runs[name][0].from_start) == LENGTH - begin
         assert len(runs[name][0].ahead) == LENGTH - TRAIN
@@ -150,6 +154,6 @@ def test_a_method_with_settings_of_its_own_warms_up_as_they_say(tmp_path: Path) 
             np.testing.assert_allclose(
                 runs[name][0].ahead, alone[name][0].ahead, rtol=1e-5, atol=1e-6
             )
-    comparison = Comparison(RECORD, setup, runs, settled(trial, runs))
+    comparison = Comparison(RECORD, SETUP, runs, settled(trial, runs))
     for picture in (rollouts(comparison), components(comparison)):
         picture.canvas.draw()

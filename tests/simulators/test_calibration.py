@@ -11,11 +11,11 @@ import pytest
 
 from splitband import Trajectory
 from splitband.data import drill_string
+from splitband.data.named import van_der_pol
 from splitband.forecasters.hybrids import Filtered, Residual
 from splitband.forecasters.names import named
 from splitband.forecasters.simulation import Simulation
 from splitband.metrics import ExtrapolationWarning, rmse
-from splitband.paper.systems import van_der_pol, van_der_pol_simulator
 from splitband.simulators import Recorded, run
 from splitband.simulators.calibration import (
     TERMS,
@@ -24,6 +24,7 @@ from splitband.simulators.calibration import (
     calibrate,
     samples_needed,
 )
+from splitband.simulators.named import van_der_pol_simulator
 
 Array = npt.NDArray[np.float64]
 SAMPLES, TRAIN, DT = 800, 400, 0.05

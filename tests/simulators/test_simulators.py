@@ -15,9 +15,10 @@ import pytest
 import scipy.integrate
 
 from splitband import Trajectory
+from splitband.data.named import van_der_pol
 from splitband.metrics import rmse
-from splitband.paper.systems import van_der_pol, van_der_pol_simulator
 from splitband.simulators import Fmu, Function, Ode, Recorded, run
+from splitband.simulators.named import van_der_pol_simulator
 
 Array = npt.NDArray[np.float64]
 SAMPLES, DT = 200, 0.05

@@ -26,7 +26,6 @@ COMMANDS = {
     "spectrum": ("spectrum", "Show where the power of a record lies, and what a cut-off parts."),
     "methods": ("methods", "List what there is to choose from, and when each is worth trying."),
     "data": ("data", "The public records of the paper."),
-    "paper": ("paper", "Reproduce the tables and figures of the paper."),
     "doctor": ("doctor", "Show whether this machine has what the package needs."),
 }
 """The module of each command and a line about it; a module is loaded when its command is given."""

@@ -15,8 +15,9 @@ from splitband.cli.options.records import FurtherRecords, RecordOptions, TestRec
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import parts_of
 from splitband.data.gaps import Gaps
+from splitband.data.named import RECORDS
 from splitband.forecasters.names import BASES
-from splitband.paper.systems import RECORDS, SIMULATORS
+from splitband.simulators.named import SIMULATORS
 
 COLUMNS = (
     "record", "name", "columns", "inputs", "time_column", "sampling_time", "gaps", "train",

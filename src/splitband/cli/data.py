@@ -9,7 +9,7 @@ from rich.table import Table
 
 from splitband.cli import showing
 from splitband.data import PUBLIC, fetch
-from splitband.paper.systems import RECORDS
+from splitband.data.named import RECORDS
 
 data = typer.Typer(help="The public records of the paper.", no_args_is_help=True)
 

@@ -108,7 +108,7 @@ def fit(
         checkpoint = Checkpoint(out / CHECKPOINTS / f"{method}-{seed}.safetensors")
         forecaster.fit(training, *others, seed=seed, progress=update, checkpoint=checkpoint)
     fitted = forecaster.require_fitted()
-    setup, training_in_words = setup.only_for(method), ""
+    training_in_words = ""
     if isinstance(forecaster, Network):
         assert forecaster.settings is not None
         setup = replace(setup, settings=forecaster.settings)

@@ -13,7 +13,6 @@ from splitband.evaluation.setup import Setup
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT
 from splitband.forecasters.names import HYBRIDS
-from splitband.paper.settings import RECORD_SETTINGS, SAMPLE_FREQUENCY
 from splitband.report.page import words
 
 
@@ -47,7 +46,7 @@ def show(result: Comparison, names: list[str], out: Path) -> None:
     if bands.cutoff is not None and bands.downsampling is not None:
         below = periodogram(record[: setup.train].y, record.sampling_rate).share_below(bands.cutoff)
         showing.console.print(
-            f"cut-off {bands.cutoff:g} Hz{_papers_cutoff(record, setup)}, order {bands.order}, the "
+            f"cut-off {bands.cutoff:g} Hz, order {bands.order}, the "
             f"low band kept at every {showing.ordinal(bands.downsampling)} sample: "
             + (bands.choice.reason if bands.choice else f"{below:.0%} below")
         )
@@ -76,11 +75,3 @@ def _title(record: Trajectory, setup: Setup) -> str:
         f"{record.name}: free-run RMSE against {truth}, {setup.train} samples to train on, "
         f"{len(record) - setup.train} beyond"
     )
-
-
-def _papers_cutoff(record: Trajectory, setup: Setup) -> str:
-    """The number in the paper's table, where the cut-off is the paper's."""
-    column = RECORD_SETTINGS.get(record.name)
-    if column is None or column.setup(record.sampling_rate).bands.cutoff != setup.bands.cutoff:
-        return ""
-    return f" (the paper's w = {column.cutoff:g} at f = {SAMPLE_FREQUENCY:g})"

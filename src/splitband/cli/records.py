@@ -15,9 +15,9 @@ from splitband.cli.naming import names
 from splitband.cli.options.records import RecordOptions
 from splitband.data import Trajectory, aligned, read, resampled
 from splitband.data.gaps import places
+from splitband.data.named import RECORDS
 from splitband.data.reading import ColumnError
 from splitband.data.timing import near_sampling, same_sampling
-from splitband.paper.systems import RECORDS
 
 
 def load_record(record: str, reading: RecordOptions | None = None) -> Trajectory:
@@ -51,7 +51,7 @@ def load_record(record: str, reading: RecordOptions | None = None) -> Trajectory
     ):
         if value is not None:
             raise ValueError(f"{option} is for files; {record} is a named record, got {value}")
-    return RECORDS[record]()
+    return RECORDS[record].make()
 
 
 def read_beside(

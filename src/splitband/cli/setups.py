@@ -11,6 +11,7 @@ from splitband.cli.devices import check_device
 from splitband.cli.naming import names
 from splitband.cli.options.models import AUTO, ModelOptions
 from splitband.data import Trajectory
+from splitband.data.named import RECORDS
 from splitband.evaluation.costs import reference_seconds
 from splitband.evaluation.protocols import check_train
 from splitband.evaluation.search import Search
@@ -18,7 +19,6 @@ from splitband.evaluation.setup import Setup, default_setup
 from splitband.evaluation.tuned import Tuned
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
-from splitband.paper.settings import RECORD_SETTINGS
 from splitband.training import Settings, default_warmup
 from splitband.training.recipes import recipe_settings
 
@@ -36,14 +36,14 @@ def setup(
 ) -> Setup:
     """What the options say (`None`: nothing), the rest as `tuned`, or else by the recipe.
 
-    The paper's recipe for its own records is the settings of its tables. `record` is the argument
-    that `trajectory` comes from, `methods` what the setup is for; `ahead` samples at least must be
-    left to predict. What is `tested` on other records is trained on all of this one by default.
+    `record` is the argument that `trajectory` comes from, `methods` what the setup is for; `ahead`
+    samples at least must be left to predict. What is `tested` on other records is trained on all of
+    this one by default.
     `cores` are what a budget is spent on.
     """
-    column = RECORD_SETTINGS.get(record)
     if train is None:
-        train = column.train if column else int(0.75 * len(trajectory))
+        usual = RECORDS[record].train if record in RECORDS else None
+        train = usual or int(0.75 * len(trajectory))
         train = len(trajectory) if tested else train
     check_train(trajectory, train, ahead)
     bands = Bands(
@@ -51,25 +51,10 @@ def setup(
     )
     if tuned is not None:
         return _as_tuned(tuned, trajectory, train, options, bands, methods)
-    if column is None or options.recipe != "paper":
-        settings = _trained(recipe_settings(options.recipe, trajectory[:train]), options)
-        by_recipe = default_setup(trajectory, train, options.recipe, settings, bands, methods)
-        sizes = _with_hidden(by_recipe.sizes, options)
-        return replace(by_recipe, sizes=sizes, search=_search(options, cores))
-    papers = column.setup(trajectory.sampling_rate)
-    settings = _trained(papers.settings, options)
-    if options.cutoff == AUTO:
-        bands = default_setup(trajectory, train, "paper", settings, bands, methods).bands
-    else:
-        given = {name: value for name, value in vars(bands).items() if value is not None}
-        bands = replace(papers.bands, **given)
-    return Setup(
-        train,
-        settings,
-        bands,
-        _with_hidden(papers.sizes, options),
-        {name: _trained(other, options) for name, other in papers.overrides.items()},
-    )
+    settings = _trained(recipe_settings(options.recipe, trajectory[:train]), options)
+    by_recipe = default_setup(trajectory, train, options.recipe, settings, bands, methods)
+    sizes = _with_hidden(by_recipe.sizes, options)
+    return replace(by_recipe, sizes=sizes, search=_search(options, cores))
 
 
 def setup_ahead(

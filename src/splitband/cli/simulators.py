@@ -21,10 +21,10 @@ from splitband.data import Grid, Trajectory
 from splitband.data.alignment import NEAR
 from splitband.data.timing import Stamp, in_words, seconds_between, stamp_after
 from splitband.forecasters.names import BASES, CALIBRATED, HYBRIDS
-from splitband.paper.systems import SIMULATORS
 from splitband.simulators import Recorded, Simulator, SimulatorTimeoutError, run
 from splitband.simulators.calibration import Calibration, samples_needed
 from splitband.simulators.isolation import Isolated
+from splitband.simulators.named import SIMULATORS
 
 
 @dataclass(frozen=True)

@@ -23,10 +23,8 @@ from splitband.data import Trajectory
 from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
 from splitband.forecasters.simulation import Simulation
 from splitband.metrics import rmse
-from splitband.paper.settings import RECORD_SETTINGS
 from splitband.report import page, pictures
 from splitband.runtime.files import output_folder, write_json
-from splitband.training.recipes import Recipe
 
 
 @with_groups
@@ -59,8 +57,7 @@ def spectrum(
     refuse_bases(simulator, "spectrum")
     trajectory = records.load_record(record, reading)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=True)
-    recipe: Recipe = "paper" if record in RECORD_SETTINGS and cutoff is None else "default"
-    model = ModelOptions(cutoff=cutoff, order=order, recipe=recipe)
+    model = ModelOptions(cutoff=cutoff, order=order)
     setup = setups.setup(record, trajectory, train, model, ahead=0)
     trajectory = trajectory[:train]
     rate = trajectory.sampling_rate

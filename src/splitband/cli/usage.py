@@ -9,7 +9,7 @@ from typing import Any
 
 from splitband.cli.fit import FITTED
 from splitband.cli.options.simulators import PATIENCE
-from splitband.paper.systems import RECORDS
+from splitband.data.named import RECORDS
 from splitband.report.page.usage import Usage
 
 _FIT = (
@@ -91,7 +91,7 @@ def _line(begin: str, given: Mapping[str, Any], names: Any) -> str:
 def _reading(record: str, given: Mapping[str, Any]) -> str:
     """The line of Python that reads the record."""
     if record in RECORDS:
-        return f'from splitband.paper.systems import RECORDS\n\nrecord = RECORDS["{record}"]()'
+        return f'from splitband.data.named import RECORDS\n\nrecord = RECORDS["{record}"].make()'
     words = [repr(str(Path(record)))]
     for name in ("columns", "inputs"):
         if given.get(name):

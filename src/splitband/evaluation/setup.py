@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -12,7 +12,7 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import Ensemble
 from splitband.forecasters.hybrids import Filtered, Residual
-from splitband.forecasters.names import Sizes, base, named
+from splitband.forecasters.names import Sizes, named
 from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import Simulation
 from splitband.training import Settings
@@ -29,7 +29,6 @@ class Setup:
     settings : How networks are trained.
     bands : Which band is whose.
     sizes : Of the networks that go by a name.
-    overrides : Other settings for some of these, by name.
     search : How much may go into finding better settings where a forecaster has none of its own;
         None: the settings are what they are.
     """
@@ -38,20 +37,11 @@ class Setup:
     settings: Settings
     bands: Bands = field(default_factory=Bands)
     sizes: Sizes = field(default_factory=Sizes)
-    overrides: Mapping[str, Settings] = field(default_factory=dict)
     search: Search | None = None
-
-    def settings_of(self, name: str) -> Settings:
-        """How the network of a name is trained."""
-        return self.overrides.get(base(name), self.settings)
-
-    def only_for(self, name: str) -> Setup:
-        """The setup of one method, whose settings are those of all there is."""
-        return replace(self, settings=self.settings_of(name), overrides={})
 
     def forecaster(self, name: str) -> Forecaster:
         """The forecaster of a name, with nothing left open but what the bands do."""
-        forecaster = named(name, self.sizes).with_defaults(self.settings_of(name), self.bands)
+        forecaster = named(name, self.sizes).with_defaults(self.settings, self.bands)
         if isinstance(forecaster, Network):
             forecaster.resizable = self.search is not None and self.search.sizes
         return forecaster
@@ -59,12 +49,11 @@ class Setup:
     def as_json(self) -> dict[str, Any]:
         """For a result file: flat, and with the settings that each of them is made of."""
         bands, sizes = asdict(self.bands), asdict(self.sizes)
-        overrides = {name: asdict(settings) for name, settings in self.overrides.items()}
         return (
             {"train": self.train, "settings": asdict(self.settings)}
             | {name: bands[name] for name in ("cutoff", "order", "downsampling")}
             | sizes
-            | {"overrides": overrides, "choice": bands["choice"]}
+            | {"choice": bands["choice"]}
             | ({} if self.search is None else {"search": asdict(self.search)})
         )
 

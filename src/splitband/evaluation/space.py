@@ -90,7 +90,7 @@ class Space:
         """One way to train one network."""
         method = draw.suggest_categorical("method", self.methods)
         network = named(method, self.setup.sizes)
-        usual = self.setup.settings_of(method)
+        usual = self.setup.settings
         shortest, longest = self._windows(method)
         settings = replace(usual, window=draw.suggest_int("window", shortest, longest, log=True))
         steps = draw.suggest_int("adam_steps", *_with(STEPS, self._steps(method)), log=True)
@@ -107,7 +107,7 @@ class Space:
 
     def usual(self, method: str) -> Parameters:
         """The default recipe, as what is drawn."""
-        settings, network = self.setup.settings_of(method), named(method, self.setup.sizes)
+        settings, network = self.setup.settings, named(method, self.setup.sizes)
         hidden, share = self._hidden()
         return {
             "method": method,
@@ -140,7 +140,7 @@ class Space:
         assert isinstance(network, Network)
         network.resizable = True
         usual = self.usual(method)
-        batches = self.setup.settings_of(method).batches_of(self.setup.train)
+        batches = self.setup.settings.batches_of(self.setup.train)
         return [
             usual
             | {
@@ -155,13 +155,13 @@ class Space:
 
     def _windows(self, method: str) -> tuple[int, int]:
         """The shortest and the longest window."""
-        usual, least = self.setup.settings_of(method), WINDOW[0]
+        usual, least = self.setup.settings, WINDOW[0]
         longest = max(usual.window, min(WINDOW[1], 3 * self.setup.train // 5))
         return min(usual.window, usual.warmup + least), longest
 
     def _steps(self, method: str) -> int:
         """Of Adam, in the default recipe."""
-        usual = self.setup.settings_of(method)
+        usual = self.setup.settings
         return usual.epochs * usual.batches_of(self.setup.train)
 
     def _hidden(self) -> tuple[int, float]:

@@ -269,7 +269,7 @@ def _name(
             digest.update(b"-" if values is None else np.ascontiguousarray(values).tobytes())
         digest.update(repr((each.y.shape, each.sampling_time)).encode())
     setup = space.setup
-    usual = setup.settings, setup.bands, setup.sizes, sorted(setup.overrides.items())
+    usual = setup.settings, setup.bands, setup.sizes
     digest.update(repr((space.methods, usual, shares, effort.seed)).encode())
     return f"{Path(record.name).stem or 'record'}-{digest.hexdigest()[:16]}"
 

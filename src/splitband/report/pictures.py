@@ -72,7 +72,7 @@ def rollouts(comparison: Comparison) -> Figure:
     grid = figure.subplots(len(rows), columns, sharex="col", sharey="row", squeeze=False)
     end, times = comparison.setup.train, _times(record)
     for axes, (name, channel) in zip(grid, rows, strict=True):
-        warmup = comparison.setup.settings_of(name).warmup
+        warmup = comparison.setup.settings.warmup
         sides = _sides(comparison, name, ahead)
         for ax in axes[len(sides) :]:  # a method that was not tested has no curve here
             ax.set_axis_off()
@@ -103,7 +103,7 @@ def rollouts(comparison: Comparison) -> Figure:
 def _sides(comparison: Comparison, name: str, ahead: bool) -> list[_Side]:
     """What a method predicted under each protocol, the mean of its seeds."""
     record, mean = comparison.record, comparison.means[name]
-    warmup, end = comparison.setup.settings_of(name).warmup, comparison.setup.train
+    warmup, end = comparison.setup.settings.warmup, comparison.setup.train
     sides = [_Side(record, len(record) - len(mean.from_start), mean.from_start.y)]
     if ahead:
         start = last_before(record.complete, warmup, end)
@@ -196,7 +196,7 @@ def components(
     says = "components before they are added" if what == "components" else "before the filters"
     for ax, (name, channel) in zip(grid, rows, strict=True):
         _draw_record(ax, record, channel, 0)
-        warmup = setup.settings_of(name).warmup
+        warmup = setup.settings.warmup
         start = len(record) - len(next(iter(parts[name].values())))
         for color, (part, values) in zip(PALETTE, parts[name].items(), strict=False):
             ax.plot(times[start:], values[:, channel], color=color, lw=1, label=part)

@@ -10,8 +10,8 @@ import typer
 
 from splitband.cli.options.simulators import MoreSimulators, TestSimulators
 from splitband.data.gaps import Gaps
+from splitband.data.named import RECORDS
 from splitband.data.stamps import TIME_NAMES
-from splitband.paper.systems import RECORDS
 
 _PANEL = "Record"
 

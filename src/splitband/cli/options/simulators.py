@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from splitband.paper.systems import SIMULATORS
+from splitband.simulators.named import SIMULATORS
 
 _PANEL = "Simulator"
 

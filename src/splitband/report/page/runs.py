@@ -242,7 +242,7 @@ def _draw_record(frame: Frame, shown: figure, data: ColumnDataSource) -> None:
 def _marks(comparison: Comparison, frame: Frame, shown: figure, side: str) -> None:
     """Where the training part ends, and what the recommended method warmed up on."""
     values, train = frame.axis.values, comparison.setup.train
-    warmup = comparison.setup.settings_of(frame.cast.recommended).warmup
+    warmup = comparison.setup.settings.warmup
     if train < len(values):
         figures.mark(shown, values[train])
     run = comparison.means[frame.cast.recommended]

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from reproduction import published
+from reproduction.jobs import ORACLE, Job
+from reproduction.runs import missing
 from splitband.forecasters.names import QUICK
-from splitband.paper import published
-from splitband.paper.jobs import ORACLE, Job
-from splitband.paper.runs import missing
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from reproduction.jobs import ORACLE, SYSTEMS, Job
+from reproduction.runs import as_run, finished, load
+from reproduction.specs import SPECS, Line, chosen, lines
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.protocols import Run, Runs
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.names import QUICK
-from splitband.paper.jobs import ORACLE, SYSTEMS, Job
-from splitband.paper.runs import as_run, finished, load
-from splitband.paper.specs import SPECS, Line, chosen, lines
 from splitband.report import pictures
 
 

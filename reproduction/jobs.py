@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
+from reproduction.settings import HYBRID, LEARNING_BASED, Hybrid, LearningBased, in_hz
+from reproduction.systems import double_torsion_pendulum
 from splitband.data import Trajectory, double_torsion, drill_string, read
+from splitband.data.named import double_mass_spring, van_der_pol
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.names import NAMES, QUICK
-from splitband.paper.settings import HYBRID, LEARNING_BASED, Hybrid, LearningBased, in_hz
-from splitband.paper.systems import double_mass_spring, double_torsion_pendulum, van_der_pol
 
 ORACLE = "oracle"
 """Method on system (i): least squares on the true form."""
@@ -129,8 +130,7 @@ class Job:
 
     def setup(self, record: Trajectory) -> Setup:
         """The paper's settings with what this job changes."""
-        setup = SYSTEMS[self.system].column.setup(record.sampling_rate)
-        setup = setup.only_for(self.method)
+        setup = SYSTEMS[self.system].column.setup(record.sampling_rate, self.method)
         if self.epochs is not None:
             setup = replace(setup, settings=replace(setup.settings, epochs=self.epochs))
         if self.cutoff is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
@@ -44,16 +44,13 @@ class LearningBased:
         """The paper's epochs for a method."""
         return self.gru_epochs if method == "gru" and self.gru_epochs else self.epochs
 
-    def setup(self, sampling_rate: float) -> Setup:
-        """The setup of a comparison on a record of `sampling_rate` Hz."""
-        settings = Settings(self.window, self.warmup, self.epochs, normalize=False)
-        gru = replace(settings, epochs=self.epochs_of("gru"))
+    def setup(self, sampling_rate: float, method: str) -> Setup:
+        """Return the setup of a method on a record of `sampling_rate` Hz."""
         return Setup(
             train=self.train,
-            settings=settings,
+            settings=Settings(self.window, self.warmup, self.epochs_of(method), normalize=False),
             bands=Bands(in_hz(self.cutoff, sampling_rate), self.order, self.downsampling),
             sizes=Sizes(self.hidden_high, self.hidden_low),
-            overrides={} if gru == settings else {"gru": gru},
         )
 
 
@@ -88,21 +85,18 @@ class Hybrid:
         """The paper's epochs for a method."""
         return self.rnn_epochs if method.endswith("rnn") else self.gru_epochs
 
-    def setup(self, sampling_rate: float) -> Setup:
-        """The setup of a comparison on a record of `sampling_rate` Hz."""
-        rnn = {
-            method: Settings(
-                self.rnn_window,
-                self.warmup,
-                self.rnn_epochs,
-                milestones=self.rnn_milestones if method in self.rnn_reduced else (),
-                normalize=False,
-            )
-            for method in ("rnn", "filtered-rnn", "residual-rnn")
-        }
+    def setup(self, sampling_rate: float, method: str) -> Setup:
+        """Return the setup of a method on a record of `sampling_rate` Hz."""
+        rnn = method.endswith("rnn")
         return Setup(
             train=self.train,
-            settings=Settings(self.gru_window, self.warmup, self.gru_epochs, normalize=False),
+            settings=Settings(
+                self.rnn_window if rnn else self.gru_window,
+                self.warmup,
+                self.epochs_of(method),
+                milestones=self.rnn_milestones if method in self.rnn_reduced else (),
+                normalize=False,
+            ),
             bands=Bands(in_hz(self.cutoff, sampling_rate), order=1, downsampling=2),
             sizes=Sizes(
                 self.gru_hidden - self.gru_hidden // 4,
@@ -110,7 +104,6 @@ class Hybrid:
                 self.rnn_state,
                 1 / sampling_rate,
             ),
-            overrides=rnn,
         )
 
 
@@ -135,11 +128,3 @@ HYBRID = {
         ((10, 1e-4),), ("filtered-rnn", "residual-rnn"),
     ),
 }  # fmt: skip
-
-RECORD_SETTINGS: dict[str, LearningBased | Hybrid] = {
-    "double-mass-spring": LEARNING_BASED["i"],
-    "double-torsion": LEARNING_BASED["ii"],
-    "van-der-pol": HYBRID["v"],
-    "drill-string": HYBRID["vi"],
-}
-"""The column that is the default for a named record."""

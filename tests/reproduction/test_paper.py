@@ -12,24 +12,20 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from reproduction import published
+from reproduction.__main__ import main
+from reproduction.costs import progress
+from reproduction.jobs import SYSTEMS, Job
+from reproduction.runs import as_run, complete, load, training_seconds, whole_rmse
+from reproduction.settings import HYBRID
+from reproduction.specs import SPECS, lines
+from reproduction.systems import MassSpringOracle, double_torsion_pendulum
+from reproduction.tables import table
 from splitband import Trajectory
-from splitband.cli import main
+from splitband.data.named import double_mass_spring, van_der_pol
 from splitband.evaluation.runs import RunProgress
 from splitband.forecasters.known import Known
 from splitband.metrics import rmse
-from splitband.paper import published
-from splitband.paper.costs import progress
-from splitband.paper.jobs import SYSTEMS, Job
-from splitband.paper.runs import as_run, complete, load, training_seconds, whole_rmse
-from splitband.paper.settings import HYBRID
-from splitband.paper.specs import SPECS, lines
-from splitband.paper.systems import (
-    MassSpringOracle,
-    double_mass_spring,
-    double_torsion_pendulum,
-    van_der_pol,
-)
-from splitband.paper.tables import table
 from splitband.runtime.files import CHECKPOINTS
 
 Array = npt.NDArray[np.float64]
@@ -44,7 +40,7 @@ METHODS = ["--methods", "split-gru,harmonic,oracle"]
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A row of Table 1 at two epochs, run through the command line."""
     out = tmp_path_factory.mktemp("paper")
-    assert main(["paper", "table", "learning-based", *ROW, *METHODS, "--out", str(out)]) == 0
+    assert main(["table", "learning-based", *ROW, *METHODS, "--out", str(out)]) == 0
     return out
 
 
@@ -83,13 +79,13 @@ def test_finished_runs_are_not_repeated(folder: Path) -> None:
 @pytest.mark.parametrize("name", ["rollouts", "components", "errors", "spectrum"])
 def test_figures_are_drawn_from_the_runs(name: str, folder: Path) -> None:
     chosen = ["--methods", "split-gru,harmonic"]
-    assert main(["paper", "figure", name, *ROW, *chosen, "--out", str(folder)]) == 0
+    assert main(["figure", name, *ROW, *chosen, "--out", str(folder)]) == 0
     assert (folder / "figures" / f"i-{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_missing_run_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["--systems", "i", "--methods", "gru", "--no-run", "--out", str(folder)]
-    assert main(["paper", "table", "learning-based", *arguments]) == 2
+    assert main(["table", "learning-based", *arguments]) == 2
     error = capsys.readouterr().err
     assert "seed0.json is missing" in error.replace("\n", "")
     assert error.count("\n") == 1
@@ -157,7 +153,7 @@ def test_the_gru_of_system_i_takes_the_epochs_of_the_papers_text() -> None:
     assert Job("i", "gru", epochs=300).path.name == "epochs300-seed0.json"
     for method, epochs in (("gru", 2000), ("split-gru", 300), ("split-gru-hp", 300)):
         job = Job("i", method)
-        assert job.setup(job.record).settings_of(method).epochs == epochs
+        assert job.setup(job.record).settings.epochs == epochs
 
 
 def test_a_loss_has_settled_where_more_epochs_leave_it(folder: Path, tmp_path: Path) -> None:
@@ -257,7 +253,7 @@ def test_the_list_counts_the_runs_and_estimates_the_missing_ones(
     assert state.seconds == pytest.approx(4 * 300.0)  # the median is a second an epoch
     other = progress(lines("runtime-hybrid-rnn", ["v"], ["rnn"], 2)[0].jobs, tmp_path / "runs")
     assert (other.seconds, other.measured) == (2 * 1414, False)
-    assert main(["paper", "list", "--out", str(tmp_path)]) == 0
+    assert main(["list", "--out", str(tmp_path)]) == 0
     text = capsys.readouterr().out
     assert re.search(r"learning-based +1 of 73", text)
     assert re.search(r"runtime-hybrid-rnn +0 of 30 +\d+\.\d h \*", text)
@@ -288,7 +284,7 @@ def test_a_diverged_run_is_said_to_be(tmp_path: Path) -> None:
 def test_bad_arguments_are_named(
     arguments: list[str], message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    assert main(["paper", *arguments, "--out", str(tmp_path / "out")]) == 2
+    assert main([*arguments, "--out", str(tmp_path / "out")]) == 2
     assert message in capsys.readouterr().err
     assert not list(tmp_path.rglob("*.json"))
 

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from splitband.forecasters.names import QUICK
-from splitband.paper.jobs import ORACLE, SYSTEMS, Job
-from splitband.paper.runs import (
+from reproduction.jobs import ORACLE, SYSTEMS, Job
+from reproduction.runs import (
     FEWEST_SEEDS,
     final_losses,
     finished,
@@ -22,7 +21,8 @@ from splitband.paper.runs import (
     training_seconds,
     whole_rmse,
 )
-from splitband.paper.specs import SPECS, Line, Spec
+from reproduction.specs import SPECS, Line, Spec
+from splitband.forecasters.names import QUICK
 
 SETTLED = 0.9
 """A training loss has settled where at least twice the epochs leave so much of it."""

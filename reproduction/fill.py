@@ -1,4 +1,4 @@
-"""Make the tables and README.md from the run files: `python docs/results/fill.py`.
+"""Make the tables and README.md from the run files: `python -m reproduction.fill`.
 
 README.md is page.md with whatever stands between double braces replaced by what the function of
 that name in `Page` says of the tables, so that no figure is typed in. causes.md has, for rows that
@@ -16,12 +16,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from splitband.cli import main as splitband
+from reproduction.__main__ import main as reproduction
+from reproduction.tables import SETTLED, epochs, full_seconds, spread
+from splitband.data.named import double_mass_spring
 from splitband.metrics import rmse
-from splitband.paper.systems import double_mass_spring
-from splitband.paper.tables import SETTLED, epochs, full_seconds, spread
 
-HERE = Path(__file__).parent
+RESULTS = Path(__file__).parents[1] / "docs" / "results"
 Row = Mapping[str, Any]
 ERRORS = ("learning-based", "hybrid-gru", "hybrid-rnn", "pendulum")
 """Tables whose rows have one system and one method each."""
@@ -320,10 +320,10 @@ def _listed(texts: Iterable[str]) -> str:
 
 def main() -> None:
     """Make the tables again and write README.md."""
-    if splitband(["paper", "table", "all", "--no-run", "--out", str(HERE)]):
+    if reproduction(["table", "all", "--no-run", "--out", str(RESULTS)]):
         raise SystemExit("README.md is left as it is")
-    text = Page(HERE).fill((HERE / "page.md").read_text(encoding="utf-8"))
-    (HERE / "README.md").write_text(text, encoding="utf-8")
+    text = Page(RESULTS).fill((RESULTS / "page.md").read_text(encoding="utf-8"))
+    (RESULTS / "README.md").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

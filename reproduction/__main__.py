@@ -1,29 +1,36 @@
-"""`splitband paper`: the paper's tables and figures."""
+"""`python -m reproduction`: the paper's tables and figures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from contextlib import AbstractContextManager
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.console import Console
+from rich.progress import Progress
 from rich.table import Table as RichTable
+from typer.exceptions import TyperException
 
-from splitband.cli import naming, showing
-from splitband.cli.crew import Crew, crew
-from splitband.cli.options.workers import Cluster, Jobs
+import splitband as sb
+from reproduction.costs import progress
+from reproduction.figures import FIGURES, figure, needed
+from reproduction.jobs import SYSTEMS
+from reproduction.runs import complete, missing
+from reproduction.specs import SPECS, Line, lines
+from reproduction.tables import Table, table
+from splitband.evaluation.runs import RunProgress
 from splitband.forecasters.names import TRAINED
-from splitband.paper.costs import progress
-from splitband.paper.figures import FIGURES, figure, needed
-from splitband.paper.jobs import SYSTEMS
-from splitband.paper.runs import complete, missing
-from splitband.paper.specs import SPECS, Line, lines
-from splitband.paper.tables import Table, table
 from splitband.report import pictures
 from splitband.runtime.files import output_folder, replacing, write_json
+from splitband.runtime.threads import available_cores
 
-paper = typer.Typer(
+console = Console(markup=False, emoji=False, highlight=False)
+
+app = typer.Typer(
     help="Reproduce the tables and figures of the paper.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
@@ -57,7 +64,21 @@ Run = Annotated[
 ]
 
 
-@paper.command("list")
+Jobs = Annotated[
+    int | None,
+    typer.Option(min=1, help="Trainings at once, each on one core.", show_default="one a core"),
+]
+Cluster = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="A Dask scheduler, such as tcp://10.0.0.5:8786, whose workers train instead.",
+        show_default=False,
+    ),
+]
+
+
+@app.command("list")
 def list_names(seeds: Seeds = 5, out: Out = Path("paper")) -> None:
     """List the tables, figures and systems, and how many runs of each table are in OUT/runs.
 
@@ -79,13 +100,13 @@ def list_names(seeds: Seeds = 5, out: Out = Path("paper")) -> None:
         listed.add_row("figure", name)
     for name, system in SYSTEMS.items():
         listed.add_row("system", name, "", "", system.title)
-    showing.console.print(listed)
-    showing.console.print("missing: time of one process, that of tables that share runs in each")
+    console.print(listed)
+    console.print("missing: time of one process, that of tables that share runs in each")
     if guessed:
-        showing.console.print("* partly by the run times that the paper reports")
+        console.print("* partly by the run times that the paper reports")
 
 
-@paper.command("table")
+@app.command("table")
 def make_table(
     name: Annotated[
         str, typer.Argument(metavar="NAME", help=f"One of {', '.join(SPECS)}, or all.")
@@ -109,7 +130,7 @@ def make_table(
     if len(chosen) > 1 and (systems or methods):
         raise ValueError(f"--systems and --methods must be used with one table, got {name}")
     of = {each: lines(each, _split(systems), _split(methods), seeds, epochs) for each in chosen}
-    _run_missing((line for rows in of.values() for line in rows), out, crew(jobs, cluster), run)
+    _run_missing((line for rows in of.values() for line in rows), out, _workers(jobs, cluster), run)
     for each, rows in of.items():
         made = table(each, rows, out / "runs")
         output_folder(out / "tables", "--out")
@@ -118,11 +139,11 @@ def make_table(
         asked = {"systems": systems, "methods": methods, "seeds": seeds, "epochs": epochs}
         facts = {"title": made.title, "asked": asked, "rows": made.facts}
         write_json(out / "tables" / f"{each}.json", facts)
-        showing.console.print(_rich(made))
-    showing.console.print(f"tables: {out / 'tables'}/")
+        console.print(_rich(made))
+    console.print(f"tables: {out / 'tables'}/")
 
 
-@paper.command("figure")
+@app.command("figure")
 def make_figure(
     name: Annotated[
         str, typer.Argument(metavar="NAME", help=f"One of {', '.join(FIGURES)}, or all.")
@@ -140,13 +161,13 @@ def make_figure(
     chosen = _chosen(name, FIGURES, "figure")
     of = {each: needed(each, _split(systems), _split(methods), seeds, epochs) for each in chosen}
     every = (line for by_system in of.values() for rows in by_system.values() for line in rows)
-    _run_missing(every, out, crew(jobs, cluster), run)
+    _run_missing(every, out, _workers(jobs, cluster), run)
     output_folder(out / "figures", "--out")
     for each, by_system in of.items():
         for system, rows in by_system.items():
             path = out / "figures" / f"{system}-{each}.png"
             pictures.save(figure(each, system, rows, out / "runs"), path)
-            showing.console.print(f"{path}")
+            console.print(f"{path}")
 
 
 def _duration(seconds: float) -> str:
@@ -156,15 +177,35 @@ def _duration(seconds: float) -> str:
 
 
 def _run_missing(
-    of: Iterable[Line], out: Path, workers: AbstractContextManager[Crew], run: bool
+    of: Iterable[Line], out: Path, workers: AbstractContextManager[int | Executor], run: bool
 ) -> None:
     output_folder(out / "runs", "--out")
     if not run:
         return
     todo = missing((job for line in of for job in line.jobs), out / "runs")
     trainings = sum(job.method in TRAINED for job in todo)
-    with workers as chosen, showing.progress(f"{trainings} trainings", trainings) as report:
-        complete(todo, out / "runs", chosen.executor or chosen.cores, report)
+    bar = Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
+    with workers as chosen, bar:
+        whole = bar.add_task(f"{trainings} trainings", total=trainings)
+        shares: dict[tuple[str, int], float] = {}
+
+        def report(at: RunProgress) -> None:
+            shares[at.method, at.seed] = at.share
+            bar.update(whole, completed=sum(shares.values()))
+
+        complete(todo, out / "runs", chosen, report)
+
+
+@contextmanager
+def _workers(jobs: int | None, cluster: str | None) -> Iterator[int | Executor]:
+    """Yield what trains: processes of this machine, or the workers of a cluster."""
+    if cluster is None:
+        yield jobs or available_cores()
+        return
+    if jobs is not None:
+        raise ValueError(f"--jobs must be left out with --cluster, got {jobs}")
+    with sb.Cluster(cluster) as executor:
+        yield executor
 
 
 def _chosen(name: str, possible: Iterable[str], what: str) -> list[str]:
@@ -174,7 +215,7 @@ def _chosen(name: str, possible: Iterable[str], what: str) -> list[str]:
 
 
 def _split(text: str | None) -> list[str] | None:
-    return None if text is None else naming.names(text)
+    return None if text is None else [part.strip() for part in text.split(",") if part.strip()]
 
 
 def _rich(made: Table) -> RichTable:
@@ -184,3 +225,22 @@ def _rich(made: Table) -> RichTable:
     for row in made.rows:
         shown.add_row(*row)
     return shown
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; bad input is one line on the error stream and exit status 2."""
+    command = typer.main.get_command(app)
+    try:
+        status = command.main(arguments, "python -m reproduction", standalone_mode=False)
+    except TyperException as error:
+        message = error.format_message()
+    except (ValueError, OSError) as error:
+        message = str(error)
+    else:
+        return status if isinstance(status, int) else 0
+    print(f"error: {message}", file=sys.stderr)
+    return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,18 +1,18 @@
 """Figures in the documents: each is in a file of results, where a test looks it up.
 
 docs/results/README.md is made of the run files as a whole. The other documents are written by hand;
-a sentence of theirs that states a figure stands in `tests/paper/quotes.py`.
+a sentence of theirs that states a figure stands in `tests/reproduction/quotes.py`.
 """
 
 from __future__ import annotations
 
 import re
-import runpy
 from functools import cache
 
 import pytest
 
-from tests.paper.quotes import (
+from reproduction.fill import Page
+from tests.reproduction.quotes import (
     DEVIATIONS,
     NO_RESULT,
     RELIABILITY,
@@ -69,12 +69,12 @@ def test_editing_any_figure_is_noticed() -> None:
 
 @cache
 def _results_page() -> str:
-    page = runpy.run_path(str(RESULTS / "fill.py"))["Page"](RESULTS)
+    page = Page(RESULTS)
     return str(page.fill((RESULTS / "page.md").read_text(encoding="utf-8")))
 
 
 def test_the_results_page_is_made_of_the_tables() -> None:
-    """Where it is not: `python docs/results/fill.py`."""
+    """Where it is not: `python -m reproduction.fill`."""
     assert (RESULTS / "README.md").read_text(encoding="utf-8") == _results_page()
 
 
@@ -85,6 +85,6 @@ def test_no_figure_of_the_results_page_is_typed_in(name: str) -> None:
 
 
 def test_the_results_page_refuses_what_it_does_not_know() -> None:
-    page = runpy.run_path(str(RESULTS / "fill.py"))["Page"](RESULTS)
+    page = Page(RESULTS)
     with pytest.raises(SystemExit, match="asks for guess"):
         page.fill("{{guess v/gru}}")

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.sets import SETS
+from reproduction import published
 from splitband.evaluation.costs import FOR_TRAINING
 from splitband.evaluation.search import CORE_SECONDS
 from splitband.forecasters.names import QUICK
-from splitband.paper import published
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

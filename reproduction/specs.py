@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from reproduction import published
+from reproduction.jobs import ORACLE, Job
+from reproduction.published import Row
 from splitband.forecasters.names import QUICK
-from splitband.paper import published
-from splitband.paper.jobs import ORACLE, Job
-from splitband.paper.published import Row
 
 _NAIVE = ("persistence", "seasonal-naive", "harmonic")
 _GRU = ("gru", "split-gru", "split-gru-hp")

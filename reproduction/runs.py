@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from reproduction.jobs import ORACLE, Job
+from reproduction.systems import MassSpringOracle
 from splitband.data import Trajectory
 from splitband.evaluation.protocols import Errors, Run
 from splitband.evaluation.protocols import as_run as run_of
@@ -28,8 +30,6 @@ from splitband.forecasters.names import named
 from splitband.forecasters.prediction import Prediction
 from splitband.forecasters.simulation import Simulation
 from splitband.metrics import rmse
-from splitband.paper.jobs import ORACLE, Job
-from splitband.paper.systems import MassSpringOracle
 from splitband.report.results import environment
 from splitband.runtime.files import CHECKPOINTS, write_json_lines
 from splitband.runtime.places import Files, Place

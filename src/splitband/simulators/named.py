@@ -1,0 +1,29 @@
+"""Simulators of the named records, on the time grid of their record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from splitband.data import drill_string
+from splitband.data.named import UNFORCED_START, unforced_van_der_pol
+from splitband.simulators.base import Simulator
+from splitband.simulators.ode import Ode
+from splitband.simulators.recorded import Recorded
+
+
+def van_der_pol_simulator(rtol: float = 1e-10) -> Simulator:
+    """Return the simulator of the paper's system (v), solved to a relative tolerance."""
+    return Ode(unforced_van_der_pol, UNFORCED_START, rtol=rtol, atol=1e-3 * rtol)
+
+
+def drill_string_simulator() -> Simulator:
+    """Return the simulator of system (vi): exported output, normalised like the record."""
+    record = drill_string()
+    assert record.y_sim is not None
+    return Recorded(record.y_sim, record.sampling_time)
+
+
+SIMULATORS: dict[str, Callable[[], Simulator]] = {
+    "van-der-pol": van_der_pol_simulator,
+    "drill-string": drill_string_simulator,
+}
