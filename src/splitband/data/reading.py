@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
-import re
 import warnings
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
@@ -23,6 +20,7 @@ from numpy.typing import NDArray
 from splitband.data.columns import Column, has_number, numbers
 from splitband.data.gaps import FloatArray, Gaps
 from splitband.data.stamps import TIME_NAMES, Spacing, spacing, time_name
+from splitband.data.text import check_different, read_table
 from splitband.data.timing import same_sampling
 from splitband.data.trajectory import Trajectory, one_line, require_finite
 
@@ -122,67 +120,10 @@ def _load(path: Path) -> _Table:
 
 def _read_text(path: Path) -> _Table:
     """Read separated numbers, with or without a header."""
-    suffix = path.suffix.lower()
     _check_size(4 * path.stat().st_size)  # it is held as bytes, as lines and as numbers
     raw = path.read_bytes()
     _check_size(100 * raw.count(b"\n"))
-    lines = _lines(raw, mark_inside=suffix not in (".csv", ".tsv"))
-    body = [line for line in lines if line]
-    if not body:
-        raise ValueError("it holds no data")
-    separators = (sep for sep in (";", "\t", ",") if sep in body[min(1, len(body) - 1)])
-    sep = "\t" if suffix == ".tsv" else next(separators, "," if suffix == ".csv" else " ")
-    comma = re.compile(rf"(?:^|{sep})\s*[-+]?\d*,\d+(?:e[-+]?\d+)?\s*(?:{sep}|$)", re.IGNORECASE)
-    decimal = "," if sep in ";\t" and any(map(comma.search, body)) else "."
-    fields = csv.reader(body[:1], delimiter=sep, skipinitialspace=True)
-    cells = body[0].split() if sep == " " else next(fields)
-    header = _is_header([cell.strip().replace(decimal, ".") for cell in cells])
-    if len(body) == 1 and not header:  # a single row of numbers is read as a column
-        lines = [cell.strip() or "nan" for cell in cells[: None if cells[-1].strip() else -1]]
-    warnings.simplefilter("error", pd.errors.ParserWarning)  # rows longer than the header
-    frame = pd.read_csv(
-        io.StringIO("\n".join(lines)),
-        sep=r"\s+" if sep == " " else sep,
-        header=0 if header else None,
-        decimal=decimal,
-        index_col=False,
-        skipinitialspace=True,
-    )
-    return _columns(frame)
-
-
-def _lines(raw: bytes, mark_inside: bool) -> list[str]:
-    """Decode, and empty the comments; `mark_inside`: a "#" within a line starts one, too.
-
-    Blank lines stay, so that the line numbers in pandas' messages are those of the file.
-    """
-    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-        text = raw.decode("utf-16")
-    elif b"\0" in raw:
-        raise ValueError("it is a binary file; save a spreadsheet as CSV")
-    else:
-        try:
-            text = raw.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = raw.decode("latin-1")
-    comment = re.compile("#.*" if mark_inside else r"^\s*#.*")
-    lines = (comment.sub("", line) if "#" in line else line for line in re.split("\r\n?|\n", text))
-    return [line if line.strip(" ") else "" for line in lines]
-
-
-def _is_header(cells: Sequence[str]) -> bool:
-    """Tell whether some cell is a word, while none is a number other than a bare 0, 1, 2..."""
-    words = False
-    for cell in cells:
-        try:
-            float(cell)
-        except ValueError:
-            is_date = re.match(r"\d+[-/.:]\d", cell)
-            words = words or not (is_date or cell == "")
-        else:
-            if not cell.isdigit():
-                return False
-    return words
+    return _columns(read_table(raw, path.suffix.lower()))
 
 
 def _check_size(size: int) -> None:
@@ -243,7 +184,9 @@ def _read_mat(path: Path) -> _Table:
 
 
 def _columns(frame: pd.DataFrame) -> _Table:
-    return {str(name).strip(): column for name, column in frame.items()}
+    names = [str(name).strip() for name in frame.columns]
+    check_different(names)
+    return {name: frame.iloc[:, i] for i, name in enumerate(names)}
 
 
 def _native(array: _AnyArray) -> _AnyArray:

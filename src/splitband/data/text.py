@@ -1,0 +1,184 @@
+"""Reading tables from text: separators, header and decimal sign; pandas does the reading."""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, TypeAlias
+
+import pandas as pd
+from pandas.api.types import is_object_dtype, is_string_dtype
+
+_Column: TypeAlias = "pd.Series[Any]"
+
+_SIGNS = {".": ",", ",": "."}
+"""Decimal signs, and the thousands separator that goes with each."""
+_DIGIT_BLANK_DIGIT = re.compile(r"\d,\d+\s+[-+]?\d+,\d")
+
+
+def read_table(raw: bytes, suffix: str) -> pd.DataFrame:
+    """Read the columns of a text file, with or without a header.
+
+    Numbers have a decimal point or a decimal comma, the same in the whole file, and may have
+    thousands separators.
+
+    Raises
+    ------
+    ValueError
+        For a file without data, for columns of one name, and where the decimal sign cannot be
+        told; pandas raises its own errors for what is no table.
+    """
+    lines = _lines(raw, mark_inside=suffix not in (".csv", ".tsv"))
+    body = [line for line in lines if line]
+    if not body:
+        raise ValueError("it holds no data")
+    sep = _separator(body, suffix)
+    parsed = partial(
+        pd.read_csv, sep=r"\s+" if sep == " " else sep, index_col=False, skipinitialspace=True
+    )
+    first = parsed(io.StringIO(body[0]), header=None, dtype=str).iloc[0].str.strip()
+    header = _is_header([*first.dropna()])
+    if header:  # pandas would number them
+        check_different([*first.dropna()])
+    elif len(body) == 1:  # a single row of numbers is read as a column
+        cells = first.iloc[:-1] if body[0].rstrip(" ").endswith(sep) else first
+        lines = [f'"{cell}"' for cell in cells.fillna("nan")]
+    text = "\n".join(lines)
+    parsed = partial(parsed, header=0 if header else None)
+    warnings.simplefilter("error", pd.errors.ParserWarning)  # rows longer than the header
+    if ('"' if sep == "," else ",") not in text and sep not in ";\t":
+        return parsed(io.StringIO(text))  # no cell can hold a comma
+    cells_as_text = parsed(io.StringIO(text), dtype=str)
+    decimal = _decimal(cells_as_text, sep)
+    frame = parsed(io.StringIO(text), decimal=decimal)
+    for name in frame.columns:
+        if is_string_dtype(frame[name]) or is_object_dtype(frame[name]):
+            frame[name] = _without_separators(cells_as_text[name], decimal)
+    return frame
+
+
+def check_different(names: Sequence[str]) -> None:
+    """Raise ValueError where two columns have the same name."""
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ValueError(
+            f"columns must have different names: {twice!r} stands {names.count(twice)} times"
+        )
+
+
+def _lines(raw: bytes, mark_inside: bool) -> list[str]:
+    """Decode, and empty the comments; `mark_inside`: a "#" within a line starts one, too.
+
+    Blank lines stay, so that the line numbers in pandas' messages are those of the file.
+    """
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        text = raw.decode("utf-16")
+    elif b"\0" in raw:
+        raise ValueError("it is a binary file; save a spreadsheet as CSV")
+    else:
+        try:
+            text = raw.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = raw.decode("latin-1")
+    comment = re.compile("#.*" if mark_inside else r"^\s*#.*")
+    lines = (comment.sub("", line) if "#" in line else line for line in re.split("\r\n?|\n", text))
+    return [line if line.strip(" ") else "" for line in lines]
+
+
+def _separator(body: Sequence[str], suffix: str) -> str:
+    """Return what separates the columns; spaces as " "."""
+    if suffix == ".tsv":
+        return "\t"
+    line = body[min(1, len(body) - 1)]
+    found = next((sep for sep in ";\t," if sep in line), "," if suffix == ".csv" else " ")
+    return " " if found == "," and _DIGIT_BLANK_DIGIT.search(line) else found
+
+
+def _is_header(cells: Sequence[str]) -> bool:
+    """Tell whether some cell is a word, while none is a number other than a bare 0, 1, 2..."""
+    words = False
+    for cell in cells:
+        if _is_number(cell):
+            if not cell.isdigit():
+                return False
+        else:
+            words = words or not (re.match(r"\d+[-/.:]\d", cell) or cell == "")
+    return words
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return any(re.fullmatch(_number(decimal), cell) for decimal in _SIGNS)
+    return True
+
+
+def _number(decimal: str) -> str:
+    """Return the pattern of a number with this decimal sign, thousands separators included."""
+    sign, thousands = re.escape(decimal), re.escape(_SIGNS[decimal])
+    return (
+        rf"\s*[-+]?(?:(?:\d+{sign}?\d*|{sign}\d+)(?:[eE][-+]?\d+)?"
+        rf"|[1-9]\d{{0,2}}(?:{thousands}\d{{3}})+(?:{sign}\d*)?)\s*"
+    )
+
+
+def _decimal(cells: pd.DataFrame, sep: str) -> str:
+    """Return the decimal sign of a file from all of its cells.
+
+    "0,5" has a decimal comma, "1,234.5" a decimal point, and "1,234" may have either. Where no cell
+    of the file tells, the sign is taken for the decimal sign, as long as it neither separates the
+    columns nor is missing in whole numbers of the same column (999 before 1.006).
+
+    Raises
+    ------
+    ValueError
+        Where cells contradict each other, or none tells; the message names columns and cells.
+    """
+    found: dict[str, str] = {}
+    open_signs: dict[str, str] = {}
+    doubtful = ""
+    for name, column in cells.items():
+        matches = {sign: column.str.fullmatch(_number(sign), na=False) for sign in _SIGNS}
+        either = matches["."] | matches[","]
+        if not 2 * int(either.sum()) > int(column.notna().sum()):
+            continue  # text, in which a number says nothing of the others
+        for sign, other in _SIGNS.items():
+            only = matches[sign] & ~matches[other]
+            if only.any():
+                found.setdefault(sign, _cell(name, column, only))
+        both = matches["."] & matches[","]
+        for sign in _SIGNS:
+            unclear = both & column.str.contains(sign, regex=False, na=False)
+            if unclear.any():
+                open_signs.setdefault(sign, _cell(name, column, unclear))
+                if sign == sep or column[both].str.fullmatch(r"\s*[-+]?\d+\s*").any():
+                    doubtful = doubtful or open_signs[sign]
+    if len(found) == 2:
+        raise ValueError(
+            f"numbers must have one decimal sign in the whole file: {found['.']}, {found[',']}"
+        )
+    if not found and (doubtful or len(open_signs) == 2):
+        raise ValueError(
+            f"the decimal sign cannot be told from a thousands separator: "
+            f"{doubtful or open_signs[',']}; save the file without thousands separators"
+        )
+    return next(iter(found or open_signs), ".")
+
+
+def _cell(name: Any, column: _Column, where: pd.Series[bool]) -> str:
+    """Name the first such cell for a message."""
+    row = int(where.to_numpy().argmax())
+    return f"column {str(name)!r} holds {column.iloc[row]!r} at row {row}"
+
+
+def _without_separators(column: _Column, decimal: str) -> _Column:
+    """Return the numbers of a column; where a cell is no number, text as `float` reads it."""
+    is_number = column.str.fullmatch(_number(decimal), na=False)
+    plain = column.str.replace(_SIGNS[decimal], "", regex=False)
+    plain = column.where(~is_number, plain.str.replace(decimal, ".", regex=False))
+    values = pd.to_numeric(plain, errors="coerce")
+    return plain if (values.isna() & plain.notna()).any() else values
