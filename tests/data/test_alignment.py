@@ -213,8 +213,40 @@ def test_dates_are_aligned_across_time_zones() -> None:
     onto = Grid(pd.Timestamp("2024-05-01 10:00", tz="Europe/Berlin"), DT, 200)
     found = aligned("it", times(-3, samples=300)[:, None], own, onto)
     np.testing.assert_allclose(found.values[:, 0], times(samples=200), atol=1e-12)
-    naive = aligned("it", found.values, Grid(pd.Timestamp("2024-05-01 08:00"), DT, 200), onto)
-    np.testing.assert_array_equal(naive.values, found.values)
+
+
+def test_dates_with_and_without_a_time_zone_are_not_mixed() -> None:
+    zoned = Grid(pd.Timestamp("2024-05-01 10:00", tz="UTC+02:00"), DT, 200)
+    naive = Grid(pd.Timestamp("2024-05-01 10:00"), DT, 200)
+    for own, onto in ((naive, zoned), (zoned, naive)):
+        with pytest.raises(ValueError, match=r"^it: dates .* a time zone, or none: got ") as caught:
+            aligned("it", times(samples=200)[:, None], own, onto)
+        assert str(caught.value).count("2024-05-01 10:00:00") == 2
+        assert "2024-05-01 10:00:00+02:00" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "spectrum r.csv --simulator zoned.csv",
+        "forecast r.csv --inputs u --steps 5 --method linear --future-inputs zoned.csv",
+        "simulate m --history zoned.csv --steps 5 --out f.csv --future-inputs ahead.csv",
+    ],
+)
+def test_files_with_and_without_a_time_zone_are_refused(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dates = pd.date_range("2024-05-01 10:00", periods=120, freq="1s")
+    y, u = np.random.default_rng(1).standard_normal((2, 120))
+    pd.DataFrame({"date": dates, "y": y, "u": u}).to_csv("r.csv", index=False)
+    zoned = dates.tz_localize("Europe/Berlin")
+    pd.DataFrame({"date": zoned, "y": y, "u": u}).to_csv("zoned.csv", index=False)
+    after = pd.date_range(zoned[-1], periods=6, freq="1s")[1:]
+    pd.DataFrame({"date": after, "u": 0.0}).to_csv("ahead.csv", index=False)
+    if command.startswith("simulate"):
+        assert main(shlex.split("fit r.csv --inputs u --method linear --out m")) == 0
+        capsys.readouterr()
+    assert "must all have a time zone, or none: got 2024-05-01 10:0" in refused(command, capsys)
 
 
 @pytest.mark.parametrize(

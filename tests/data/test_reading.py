@@ -16,6 +16,7 @@ from splitband.data import (
     read,
 )
 from splitband.data.gaps import FloatArray
+from splitband.data.reading import ReadingWarning
 from tests.data.support import STEP, WRITERS, U, Y, message, text_file
 
 
@@ -96,13 +97,14 @@ def test_matrices_and_scalars_of_a_variable_file(tmp_path: Path, save: Any) -> N
     else:
         scipy.io.savemat(path, variables)
 
-    trajectory = read(path, inputs=["force"])
+    with pytest.warns(ReadingWarning, match=r"left out: 'gains' \(3 rows instead of 40\)$"):
+        trajectory = read(path, inputs=["force"])
     assert trajectory.columns == ("y[0]", "y[1]")
     assert trajectory.sampling_time == STEP
     np.testing.assert_array_equal(trajectory.u, U[:, None])
     np.testing.assert_array_equal(read(path, columns=["y"]).y, Y)
     np.testing.assert_array_equal(read(path, columns="y[1]").y, Y[:, 1:])
-    assert read(path, sampling_time=2.0).sampling_time == 2.0
+    assert read(path, columns="y", sampling_time=2.0).sampling_time == 2.0
     np.testing.assert_array_equal(read(path, columns="gains").y[:, 0], [0, 1, 2])
     words = "'force' has 40 rows, 'gains' has 3"
     assert words in message(path, columns=["gains"], inputs=["force"])
@@ -110,9 +112,52 @@ def test_matrices_and_scalars_of_a_variable_file(tmp_path: Path, save: Any) -> N
 
 def test_columns_that_hold_no_number_or_name_are_left_out(tmp_path: Path) -> None:
     text = ",y,status,\n0,1.5,good,\n1,2.5,bad,\n"
-    trajectory = read(text_file(tmp_path, text), sampling_time=1)
+    path = text_file(tmp_path, text)
+    with pytest.warns(ReadingWarning) as caught:
+        trajectory = read(path, sampling_time=1)
+    assert [str(each.message) for each in caught] == [f"{path}: left out: 'status' (no numbers)"]
     assert trajectory.columns == ("y",)
     np.testing.assert_array_equal(trajectory.y[:, 0], [1.5, 2.5])
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "reason"),
+    [
+        ("timestamp,y,time", "timestamp", "another time column"),
+        ("Time [ms],y,time", "Time [ms]", "another time column"),
+        ("elapsed time (s),y,t", "elapsed time (s)", "another time column"),
+        ("time_2,y,time", "time_2", "another time column"),
+        (",y,time", "Unnamed: 0", "no name"),
+    ],
+)
+def test_columns_that_are_left_out_are_named(
+    tmp_path: Path, header: str, name: str, reason: str
+) -> None:
+    text = f"{header}\n5,1.5,0\n5.5,2.5,0.5\n6.5,2.5,1\n"
+    path = text_file(tmp_path, text)
+    time = header.rpartition(",")[2]
+    with pytest.warns(ReadingWarning) as caught:
+        assert read(path, time_column=time).columns == ("y",)
+    assert [str(w.message) for w in caught] == [f"{path}: left out: {name!r} ({reason})"]
+
+
+def test_a_column_that_tells_the_time_can_be_asked_for(tmp_path: Path) -> None:
+    path = text_file(tmp_path, "time,run time,y\n0,1,1.5\n1,2,2.5\n2,4,2.5\n")
+    assert read(path, columns=["run time", "y"]).columns == ("run time", "y")
+
+
+@pytest.mark.parametrize("save", [np.save, np.savez, np.savetxt, scipy.io.savemat])
+def test_samples_in_columns_are_refused(tmp_path: Path, save: Any) -> None:
+    across = np.random.default_rng(1).standard_normal((2, 800))
+    suffix = {np.save: "npy", np.savez: "npz", np.savetxt: "txt"}.get(save, "mat")
+    path = tmp_path / f"record.{suffix}"
+    if suffix == "npz":
+        save(path, y=across)
+    else:
+        save(path, {"y": across} if suffix == "mat" else across)
+    said = message(path, sampling_time=1)
+    assert "more samples than channels: it has 2 rows of 800 columns" in said
+    assert said.endswith("transpose it")
 
 
 @pytest.mark.parametrize(
@@ -162,6 +207,8 @@ def test_warnings_of_the_readers_do_not_escape(tmp_path: Path) -> None:
 def test_text_round_trip_is_exact(
     tmp_path_factory: pytest.TempPathFactory, values: FloatArray, separator: str, header: bool
 ) -> None:
+    if not header and values.shape[1] > len(values):
+        values = values.T
     path = tmp_path_factory.mktemp("property") / "record.csv"
     names = [f"c{i}" for i in range(values.shape[1])]
     pd.DataFrame(values, columns=names).to_csv(path, sep=separator, header=header, index=False)

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from splitband.data import Trajectory, read
+from splitband.data.reading import ReadingWarning
 from tests.data.support import U, iso, message, stamped, text_file
 
 
@@ -133,6 +134,11 @@ def test_rounding_to_float32_is_allowed_for(tmp_path: Path) -> None:
         ([0, 1, "", 3], "must be finite: 1 bad value, the first (nan) at row 2"),
         ([*iso([0, 1]), "later"], "must hold numbers or dates: row 2 holds 'later'"),
         ([1700000000000, 1700000000010], "must be in seconds, or name its unit"),
+        (
+            ["2024-01-01T10:00:00", "2024-01-01T10:00:01Z"],
+            "in all rows or in none: row 1 holds '2024-01-01T10:00:01Z', row 0 '2024-01-01T10:00:",
+        ),
+        (["2024-01-01 10:00:00+0100", "2024-01-01 10:00:01", ""], "in all rows or in none: row 0"),
     ],
 )
 def test_bad_stamps(tmp_path: Path, stamps: Sequence[object], words: str) -> None:
@@ -195,3 +201,36 @@ def test_a_date_of_numpy_is_a_time_stamp() -> None:
     start = np.datetime64("2024-01-01T10:00", "ns")
     found: Any = Trajectory(np.arange(3.0), 0.1, start=start)  # type: ignore[arg-type]
     assert found.start == pd.Timestamp("2024-01-01 10:00")
+
+
+@pytest.mark.parametrize(("step", "places"), [(1.0, 10), (60.0, 7), (86400.0, 0), (0.01, 12)])
+def test_serial_days_of_excel_are_dates(tmp_path: Path, step: float, places: int) -> None:
+    """By the day that is known: 45292 is the first of January 2024."""
+    days = [f"{45292.25 + step * row / 86400:.{places}f}" for row in range(50)]
+    path = stamped(tmp_path, days, "Date")
+    said = "time column 'Date' holds Excel's serial days, read as dates from 2024-01-01"
+    with pytest.warns(ReadingWarning, match=said):
+        found = read(path)
+    assert found.start is not None
+    expected = pd.Timestamp("2024-01-01 06:00" if places else "2024-01-01")
+    assert abs(found.start - expected) < pd.Timedelta(5, unit="ms")
+    assert found.sampling_time == pytest.approx(step, rel=1e-4)
+
+
+@pytest.mark.parametrize("stamps", [[0, 1, 2], [20240101, 20240102, 20240103]])
+def test_other_numbers_in_a_column_of_dates_are_refused(tmp_path: Path, stamps: list[int]) -> None:
+    said = message(stamped(tmp_path, stamps, "date"))
+    assert "must hold dates, Excel's serial days or seconds since 1970, or name its unit" in said
+    assert said.endswith(f"row 0 holds {stamps[0]}")
+
+
+def test_a_column_of_dates_may_name_its_unit(tmp_path: Path) -> None:
+    assert read(stamped(tmp_path, [45292, 45293, 45294], "date [s]")).sampling_time == 1
+    assert read(stamped(tmp_path, [1.7e9, 1.7e9 + 1, 1.7e9 + 2], "date")).sampling_time == 1
+
+
+def test_a_change_to_summer_time_is_no_gap(tmp_path: Path) -> None:
+    times = pd.date_range("2024-03-31 00:30", periods=8, freq="15min", tz="Europe/Berlin")
+    found = read(stamped(tmp_path, [time.isoformat() for time in times], "date"))
+    assert found.sampling_time == 900
+    assert found.start == times[0]

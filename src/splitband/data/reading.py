@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import warnings
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -16,10 +17,11 @@ import pandas as pd
 import pyarrow.parquet  # type: ignore[import-untyped]
 import scipy
 from numpy.typing import NDArray
+from pandas.api.types import is_numeric_dtype
 
 from splitband.data.columns import Column, has_number, numbers
 from splitband.data.gaps import FloatArray, Gaps
-from splitband.data.stamps import TIME_NAMES, Spacing, spacing, time_name
+from splitband.data.stamps import TIME_NAMES, Spacing, also_time, spacing, time_name
 from splitband.data.text import check_different, read_table
 from splitband.data.timing import same_sampling
 from splitband.data.trajectory import Trajectory, one_line, require_finite
@@ -34,6 +36,9 @@ _MAT_NUMBERS = (
 _NAMELESS = "y"
 """What the channel of a file is called that holds one column without a name."""
 
+_EXPECTED = "expected"
+"""The reason of a row number, a scalar or an empty column, of which nothing need be said."""
+
 _AnyArray: TypeAlias = NDArray[Any]
 _Table: TypeAlias = dict[str, Column]  # in NPZ and MAT files the columns may differ in length
 _Names: TypeAlias = str | int | Sequence[str | int]
@@ -41,6 +46,27 @@ _Names: TypeAlias = str | int | Sequence[str | int]
 
 class ColumnError(ValueError):
     """A column that is asked for is not in the file, or none is left to model."""
+
+
+class ReadingWarning(UserWarning):
+    """A column of a file is left out, or its meaning was inferred."""
+
+
+@dataclass(frozen=True)
+class _Picked:
+    """The columns that make a record.
+
+    Attributes
+    ----------
+    stamps : The column of time stamps, if there is one.
+    known, measured : The inputs and the channels.
+    left_out : Other columns that hold something, with the reason.
+    """
+
+    stamps: list[str]
+    known: list[str]
+    measured: list[str]
+    left_out: list[str]
 
 
 def read(
@@ -58,16 +84,19 @@ def read(
     Columns are chosen by name, or by position from 0 where a text or NPY file names none; a single
     column without a name is called y. A variable of an NPZ or MAT file is a column, and a matrix
     `m` is picked whole as "m" or by column as "m[0]"; a file with one row of numbers is one channel
-    over time. Text may be separated by commas, semicolons (then also with decimal commas), tabs or
-    spaces, with `#` comments.
+    over time. Text may be separated by commas, semicolons, tabs or
+    spaces, with `#` comments. A text file has one decimal sign, a point or a comma, and may have
+    thousands separators.
 
     Parameters
     ----------
     columns : measured channels; by default every column that holds a number, has a name, and is
-        neither an input nor a time (in NPZ and MAT: among the longest variables).
+        neither an input nor a time (in NPZ and MAT: among the longest variables). What else holds
+        something is left out with a `ReadingWarning` that names it.
     inputs : known inputs `u`.
     time_column : stamps in seconds, in another unit that ends the name ("t [ms]", "time_min"),
         or dates; by default a column called time, t, timestamp, datetime or date. "" ignores it.
+        Numbers in a column called date or datetime are Excel's serial days where they can be.
         Steps may differ by 1 %, or by the rounding of the stamps: less than one unit in their
         last printed place, both from the mean step and from the straight line through the ends,
         as long as that unit is below a step. No stamp may be more than half a step away from an
@@ -96,12 +125,20 @@ def read(
     """
     path = Path(path)
     try:
-        times = (time_column, sampling_time, fallback_sampling_time)
-        return _assemble(_load(path), columns, inputs, times, gaps, name=path.stem)
+        table = _load(path)
+        picked = _picked(table, columns, inputs, time_column)
+        spaced = _spacing(table, picked.stamps, sampling_time, fallback_sampling_time, gaps)
+        record = _assemble(table, picked, spaced, gaps, name=path.stem)
     except ColumnError as error:
         raise ColumnError(f"{path}: {error}") from error
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+    notes = [spaced.note] if spaced.note else []
+    if picked.left_out:
+        notes.append(f"left out: {_listed(picked.left_out)}")
+    for note in notes:
+        warnings.warn(f"{path}: {note}", ReadingWarning, stacklevel=2)
+    return record
 
 
 def _load(path: Path) -> _Table:
@@ -216,17 +253,10 @@ _READERS: dict[str, tuple[str, Callable[[Path], _Table]]] = {
 }
 
 
-def _assemble(
-    table: _Table,
-    columns: _Names | None,
-    inputs: _Names,
-    times: tuple[str | int | None, float | None, float | None],
-    gaps: Gaps,
-    *,
-    name: str,
-) -> Trajectory:
-    """Pick the columns, check every cell of them, and find the sampling time."""
-    time_column, sampling_time, fallback = times
+def _picked(
+    table: _Table, columns: _Names | None, inputs: _Names, time_column: str | int | None
+) -> _Picked:
+    """Pick the columns of a record by the options; see `read`."""
     known = _find(table, inputs)
     stamps = [] if time_column is None or time_column == "" else _find(table, time_column)
     picked = stamps + known + ([] if columns is None else _find(table, columns))
@@ -235,14 +265,47 @@ def _assemble(
     timed = [c for c in rest if time_name(c)[0] in TIME_NAMES]
     if time_column is None:
         stamps = sorted(timed, key=lambda c: TIME_NAMES.index(time_name(c)[0]))[:1]
-    if columns is None:  # "Unnamed" is an index or a trailing comma
-        named = [c for c in rest if c not in timed and not c.startswith("Unnamed: ")]
-        measured = [c for c in named if has_number(table[c])]
+    if columns is not None:
+        measured, left_out = _find(table, columns), []
     else:
-        measured = _find(table, columns)
+        reasons = {c: _reason(c, table[c], rows) for c in table if c not in picked + stamps}
+        measured = [c for c, reason in reasons.items() if not reason]
+        said = {c: reason for c, reason in reasons.items() if reason and reason != _EXPECTED}
+        ignored = timed if time_column == "" else []
+        left_out = [f"{c!r} ({reason})" for c, reason in said.items() if c not in ignored]
     if not measured:
         raise ColumnError(f"there is no numeric column to model: {_available(table)}")
-    spaced = _spacing(table, stamps, sampling_time, fallback, gaps)
+    _check_orientation(known + measured, rows)
+    return _Picked(stamps, known, measured, left_out)
+
+
+def _reason(name: str, column: Column, rows: int) -> str:
+    """Return why a column is no channel; empty for one that is."""
+    if name.startswith("Unnamed: "):  # an index or a trailing separator
+        counts = is_numeric_dtype(column) and bool((column.diff().iloc[1:] == 1).all())
+        return _EXPECTED if counts or not column.notna().any() else "no name"
+    if len(column) != rows:
+        return _EXPECTED if len(column) == 1 else f"{len(column)} rows instead of {rows}"
+    if time_name(name)[0] in TIME_NAMES or also_time(name, column):
+        return "another time column"
+    return "" if has_number(column) else "no numbers"
+
+
+def _check_orientation(names: Sequence[str], rows: int) -> None:
+    """Refuse more columns than rows where no names tell that columns are meant."""
+    numbered = [name for name in names if re.fullmatch(r"\d+|.*\[\d+\]", name)]
+    if len(numbered) > rows:
+        raise ValueError(
+            f"it must have more samples than channels: it has {rows} rows of {len(numbered)} "
+            "columns without names; transpose it"
+        )
+
+
+def _assemble(
+    table: _Table, picked: _Picked, spaced: Spacing, gaps: Gaps, *, name: str
+) -> Trajectory:
+    """Check every cell of the columns, and make a record of them."""
+    known, measured = picked.known, picked.measured
     y = _matrix(table, measured, gaps, spaced.places)
     u = _matrix(table, known, gaps, spaced.places) if known else None
     labels = (_NAMELESS,) if list(table) == ["0"] else tuple(measured)
@@ -306,8 +369,11 @@ def _find(table: _Table, wanted: _Names) -> list[str]:
 
 
 def _available(table: _Table) -> str:
-    names = ", ".join(map(repr, list(table)[:10])) or "none"
-    return f"the columns are {names}{', ...' if len(table) > 10 else ''}"
+    return f"the columns are {_listed([repr(name) for name in table]) or 'none'}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:10]) + (", ..." if len(names) > 10 else "")
 
 
 def _spacing(

@@ -23,6 +23,7 @@ _UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "min": 60.0, "h": 3600.0}
 _UNITS |= {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
 _UNIT = re.compile(rf"[\s_/(\[]+({'|'.join(_UNITS)})[)\]]?$")
 _TIME_OF_DAY = re.compile(r"\s*\d{1,2}:\d\d")
+_ZONE = re.compile(r":\d\d(?:[.,]\d+)?\s*(?:Z|UTC|GMT|[+-]\d\d(?::?\d\d)?)\s*$")
 _DOTTED = re.compile(r"\s*\d{1,2}\.\d{1,2}\.\d")
 
 
@@ -35,11 +36,13 @@ class Spacing:
     step : In s.
     start : Time stamp of its first row; None for a file without time stamps.
     places : Where each row of the file belongs `(time,)`, if others are missing between them.
+    note : What was inferred of the stamps, for their user.
     """
 
     step: float
     start: Stamp | None = None
     places: NDArray[np.int_] | None = None
+    note: str = ""
 
 
 def time_name(column: str) -> tuple[str, float]:
@@ -47,6 +50,18 @@ def time_name(column: str) -> tuple[str, float]:
     name = column.strip().lower()
     unit = _UNIT.search(name)
     return (name[: unit.start()], _UNITS[unit[1]]) if unit else (name, 1.0)
+
+
+def also_time(name: str, column: Column) -> bool:
+    """Tell whether a column such as "time_2" or "elapsed time" tells the time, too.
+
+    Its name has a word for time in it, and its values increase from row to row.
+    """
+    words = set(re.findall("[a-z]+", name.lower()))
+    if not words & {*TIME_NAMES} - {"t"} or not has_number(column):  # T_1 is a temperature
+        return False
+    values = pd.to_numeric(column, errors="coerce").dropna().to_numpy(dtype=np.float64)
+    return len(values) > 1 and bool((np.diff(values) > 0).all())
 
 
 def spacing(what: str, name: str, column: Column, gaps: Gaps) -> Spacing:
@@ -57,7 +72,8 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps) -> Spacing:
     ValueError
         For what is no stamp, or comes out of turn; see `reading.read` for the tolerance.
     """
-    stamps, grain, date = _seconds(what, name, column)
+    days = _serial_days(what, name, column)
+    stamps, grain, date = _seconds(what, name, column) if days is None else _seconds_of_days(days)
     rows, joined = _on_grid(what, stamps) if gaps == "mask" else (np.arange(len(stamps)), stamps)
     unit = max(_last_place(stamps), grain)
     step, start = _even_grid(what, joined, unit, gaps == "mask")
@@ -65,7 +81,36 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps) -> Spacing:
         step,
         start if date is None else stamp_after(date, start),
         rows if len(rows) <= rows[-1] else None,
+        "" if days is None else f"{what} holds Excel's serial days, read as dates from {date}",
     )
+
+
+def _serial_days(what: str, name: str, column: Column) -> FloatArray | None:
+    """Return Excel's days since 1899-12-30 of a column called date or datetime; None for others.
+
+    They are numbers from 20,000 to 80,000, which is 1954 to 2119. Raises ValueError for smaller
+    and larger ones that cannot be seconds since 1970 either.
+    """
+    if name.strip().lower() not in ("date", "datetime") or not has_number(column):
+        return None
+    days = numbers(what, column)
+    require_finite(what, days[:, None])
+    if ((days > 2e4) & (days < 8e4)).all():
+        return days
+    if (days > 1e8).all():
+        return None
+    raise ValueError(
+        f"{what} must hold dates, Excel's serial days or seconds since 1970, or name its unit as "
+        f"in 'date [s]': row 0 holds {days[0]:.10g}"
+    )
+
+
+def _seconds_of_days(days: FloatArray) -> tuple[FloatArray, float, pd.Timestamp]:
+    """Return serial days as `_seconds` returns stamps."""
+    # Excel itself holds milliseconds.
+    first = pd.Timestamp("1899-12-30") + pd.Timedelta(round(8.64e7 * days[0]), unit="ms")
+    grain = max(_last_place(days), 2 * float(np.spacing(days.max())))
+    return (days - days[0]) * 86400, grain * 86400, first
 
 
 def _seconds(what: str, name: str, column: Column) -> tuple[FloatArray, float, pd.Timestamp | None]:
@@ -80,6 +125,7 @@ def _seconds(what: str, name: str, column: Column) -> tuple[FloatArray, float, p
         kind = np.float32 if column.dtype == np.float32 else np.float64
         grain = 2 * float(np.spacing(kind(np.abs(values).max())))
         return values * unit, grain * unit, None
+    _check_zones(what, column)
     dates = _dates(column)
     if (bad := np.flatnonzero(dates.isna())).size:
         cell = str(column.iloc[bad[0]])[:40]
@@ -115,6 +161,18 @@ def _dates(column: Column) -> pd.Series:
         return int(parsed.isna().sum()), uneven
 
     return min(tries, key=doubt)
+
+
+def _check_zones(what: str, column: Column) -> None:
+    """Raise ValueError where some dates have a time zone and others have none."""
+    texts = column.astype(str)
+    zoned = texts.str.contains(_ZONE)
+    if zoned.any() and not zoned.all():
+        row, other = int(zoned.argmax()), int(zoned.argmin())
+        raise ValueError(
+            f"{what} must have a time zone in all rows or in none: row {row} holds "
+            f"{texts.iloc[row]!r}, row {other} {texts.iloc[other]!r}"
+        )
 
 
 def _in_its_zone(date: pd.Timestamp, column: Column) -> pd.Timestamp:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from splitband.data.gaps import FloatArray
 
 Stamp: TypeAlias = float | pd.Timestamp
-"""Seconds on the clock of a record, or a date; a date without a time zone counts as UTC."""
+"""Seconds on the clock of a record, or a date, with a time zone or without."""
 
 
 def as_stamp(value: Any) -> Stamp:
@@ -50,9 +50,17 @@ def stamp_after(stamp: Stamp, seconds: float) -> Stamp:
 
 
 def seconds_between(first: Stamp, second: Stamp) -> float:
-    """How much later the second one is, in s; raises ValueError if just one of them is a date."""
+    """Return how much later the second one is, in s.
+
+    Raises ValueError if just one of them is a date, or just one has a time zone.
+    """
     if isinstance(first, pd.Timestamp) and isinstance(second, pd.Timestamp):
-        return float((_in_utc(second) - _in_utc(first)) / pd.Timedelta(1, unit="s"))
+        if (first.tzinfo is None) != (second.tzinfo is None):
+            raise ValueError(
+                "dates that are put together must all have a time zone, or none: got "
+                f"{in_words(first)} and {in_words(second)}"
+            )
+        return float((second - first) / pd.Timedelta(1, unit="s"))
     if isinstance(first, pd.Timestamp) or isinstance(second, pd.Timestamp):
         raise ValueError(
             "time stamps that are put together must all be dates or all be in seconds: "
@@ -117,7 +125,3 @@ class Grid:
             return f"{self.samples} samples every {self.step:.7g} s"
         end = stamp_after(self.start, (self.samples - 1) * self.step)
         return f"{in_words(self.start)} to {in_words(end)}"
-
-
-def _in_utc(date: pd.Timestamp) -> pd.Timestamp:
-    return date.tz_localize("UTC") if date.tzinfo is None else date.tz_convert("UTC")

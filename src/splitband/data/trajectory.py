@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -22,6 +23,9 @@ from splitband.data.timing import (
 
 LARGEST, SMALLEST = 1e120, 1e-120
 """Of values, and of the range of a channel: squares, and sums of many, have to be numbers too."""
+
+_NUMBERED = re.compile(r"[yu]\d*|\d+")
+"""Names that say nothing, see `same_names`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,8 +315,8 @@ def _check_names(field: str, names: tuple[str, ...], what: str, count: int) -> N
 def check_alike(other: Trajectory, record: Trajectory, name: str) -> None:
     """Check that another record, called `name`, can be of the same system.
 
-    Raises ValueError for other channels or inputs, also in another order, and for a sampling time
-    that is off by more than a hundredth.
+    Raises ValueError for other channels or inputs, by number, name or order, and for a sampling
+    time that is off by more than a hundredth. Records without names are told by numbers alone.
     """
     if (other.ny, other.nu) != (record.ny, record.nu):
         raise ValueError(
@@ -321,9 +325,10 @@ def check_alike(other: Trajectory, record: Trajectory, name: str) -> None:
         )
     for what in ("columns", "inputs"):
         names, known = getattr(other, what), getattr(record, what)
-        if names != known and sorted(names) == sorted(known):
+        if not same_names(names, known):
+            order = "in the order" if sorted(names) == sorted(known) else "those"
             raise ValueError(
-                f"{what} of {name} must be in the order of the training record, "
+                f"{what} of {name} must be {order} of the training record, "
                 f"{', '.join(known)}, got {', '.join(names)}"
             )
     if not near_sampling(other.sampling_time, record.sampling_time):
@@ -331,3 +336,13 @@ def check_alike(other: Trajectory, record: Trajectory, name: str) -> None:
             f"{name} must be sampled like the training record, every {record.sampling_time:g} s, "
             f"got every {other.sampling_time:g} s"
         )
+
+
+def same_names(names: Sequence[str], others: Sequence[str]) -> bool:
+    """Tell whether two lists can name the same signals; names by number alone fit any others.
+
+    These are what `Trajectory` calls signals without names, and positions in a file.
+    """
+    if sorted(names) == sorted(others) or len(names) != len(others):
+        return tuple(names) == tuple(others)
+    return any(all(map(_NUMBERED.fullmatch, each)) for each in (names, others))
