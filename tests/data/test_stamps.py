@@ -211,7 +211,7 @@ def test_serial_days_of_excel_are_dates(tmp_path: Path, step: float, places: int
     said = "time column 'Date' holds Excel's serial days, read as dates from 2024-01-01"
     with pytest.warns(ReadingWarning, match=said):
         found = read(path)
-    assert found.start is not None
+    assert isinstance(found.start, pd.Timestamp)
     expected = pd.Timestamp("2024-01-01 06:00" if places else "2024-01-01")
     assert abs(found.start - expected) < pd.Timedelta(5, unit="ms")
     assert found.sampling_time == pytest.approx(step, rel=1e-4)

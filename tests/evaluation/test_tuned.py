@@ -7,9 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from splitband import GRU, Ensemble, Forecaster, Mean, Single
+from splitband.data import Trajectory
 from splitband.evaluation.tuned import Tuned
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import TRAINED, Sizes
@@ -95,6 +97,8 @@ def test_what_has_no_settings_or_another_name_says_nothing(forecaster: Forecaste
         (("sizes", "hidden_low"), -3, "sizes: hidden_low must be between 1 and 10000, got -3"),
         (("training", "learning_rate"), float("nan"), "numbers must be finite, got NaN"),
         (("found",), 1, "found must be an object, got 1"),
+        (("columns",), "y", 'columns must be a list of names, got "y"'),
+        (("inputs",), [1], "inputs must be a list of names, got [1]"),
     ],
 )
 def test_what_is_wrong_is_named(
@@ -113,3 +117,27 @@ def test_what_is_no_settings_file_is_refused(text: str, tmp_path: Path) -> None:
     path.write_bytes(text.encode("utf-8", "surrogatepass"))
     with pytest.raises(ValueError, match=r"settings"):
         Tuned.read(path)
+
+
+def record(columns: tuple[str, ...], inputs: tuple[str, ...]) -> Trajectory:
+    y, u = np.zeros((9, len(columns))), np.zeros((9, len(inputs)))
+    return Trajectory(y, 1, u=u if inputs else None, columns=columns, inputs=inputs)
+
+
+def test_settings_know_the_columns_and_inputs_they_are_for(tmp_path: Path) -> None:
+    TUNED.for_record(record(("pos", "angle"), ("force", "valve"))).save(tmp_path / "s.json")
+    tuned = Tuned.read(tmp_path / "s.json")
+    assert (tuned.columns, tuned.inputs) == (("pos", "angle"), ("force", "valve"))
+    tuned.check(record(("angle", "pos"), ("valve", "force")))
+    tuned.check(Trajectory(np.zeros((9, 2)), 1, u=np.zeros((9, 2))))  # without names
+    for columns, inputs in (
+        (("pos", "angle"), ("force",)),
+        (("pos", "angle", "valve"), ("force",)),
+        (("pos", "temp"), ("force", "valve")),
+        (("pos", "angle"), ("force", "rpm")),
+    ):
+        with pytest.raises(ValueError, match="inputs: force, valve; outputs: pos, angle") as caught:
+            tuned.check(record(columns, inputs))
+        own = f"inputs: {', '.join(inputs)}; outputs: {', '.join(columns)}"
+        assert f"the record has {own}" in str(caught.value)
+    TUNED.check(record(("any",), ()))

@@ -79,7 +79,7 @@ def prepared(request: Request, cores: int, ahead: int | None = None) -> Task:
     """
     reading, simulator = request.reading, request.simulator
     tuned = setups.load_settings(request.settings, request.model)
-    trajectory = records.load_record(request.record, reading)
+    trajectory = records.load_record(request.record, reading, tuned)
     hybrid = simulator.simulator is not None or trajectory.y_sim is not None
     by_default = default_names(hybrid, trajectory.nu > 0)
     if tuned is not None:
@@ -147,19 +147,19 @@ def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> None:
     """
     record = comparison.record
     method, driven = comparison.recommended, record.nu > 0
-    found = save_found(comparison.forecaster(), out)
+    found = save_found(comparison.forecaster(), record, out)
     used = usage(facts["command"], facts["arguments"], method, driven, record.name, found)
     results.save(comparison, out, dict(facts), used)
     shutil.rmtree(out / CHECKPOINTS)
 
 
-def save_found(forecaster: Forecaster, out: Path) -> Path | None:
+def save_found(forecaster: Forecaster, record: Trajectory, out: Path) -> Path | None:
     """Write how the recommended network is trained, for --settings; None where it is no network."""
     path, tuned = out / FOUND, Tuned.of_forecaster(forecaster)
     if tuned is None:
         path.unlink(missing_ok=True)  # of an earlier comparison
         return None
-    tuned.save(path)
+    tuned.for_record(record).save(path)
     return path
 
 

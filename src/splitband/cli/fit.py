@@ -81,7 +81,7 @@ def fit(
     if simulator.simulator in BASES:
         (method,) = with_base([method], simulator.simulator)
     naming.check_names("--method", [method], FITTED)
-    trajectory = records.load_record(record, reading)
+    trajectory = records.load_record(record, reading, tuned)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=CALIBRATED in method)
     samples = len(trajectory) if train is None else train
     cores = jobs or available_cores()

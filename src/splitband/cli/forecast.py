@@ -65,7 +65,7 @@ def forecast(
     """
     model = ModelOptions(epochs=epochs, budget=budget)
     tuned = setups.load_settings(settings, model)
-    known = records.load_record(record, reading)
+    known = records.load_record(record, reading, tuned)
     hybrid = simulator.simulator is not None or known.y_sim is not None
     names = default_names(hybrid, known.nu > 0) if method is None else [method]
     if method is None and tuned is not None:
@@ -76,7 +76,7 @@ def forecast(
         names, hybrid = with_base(names, simulator.simulator), False
     beyond = any(CALIBRATED in name for name in names)
     known = with_simulator(known, simulator, reading, steps if hybrid else 0, beyond)
-    u = records.inputs_ahead(future_inputs, known, steps, reading)
+    u = records.inputs_ahead(future_inputs, known, steps, reading.time_column)
     known = replace(known, u_beyond=u)
     with crew(jobs, cluster) as workers:
         setup = setups.setup_ahead(known, names, model, workers.cores, tuned)
@@ -100,7 +100,7 @@ def forecast(
         out / "results.json", results.forecast_facts(result, [other.name for other in others])
     )
     pictures.save(pictures.forecast(result), out / "forecast.png")
-    found = save_found(result.forecaster, out)
+    found = save_found(result.forecaster, known, out)
     given = arguments(context.params)
     used = usage("forecast", given, result.method, known.nu > 0, found=found)
     page.write(result, out / page.NAME, used)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,33 +17,85 @@ from splitband.cli.options.records import RecordOptions
 from splitband.data import Trajectory, aligned, read, resampled
 from splitband.data.gaps import places
 from splitband.data.named import RECORDS
-from splitband.data.reading import ColumnError
+from splitband.data.reading import ColumnError, ReadingWarning
 from splitband.data.timing import near_sampling, same_sampling
+from splitband.data.trajectory import described
+from splitband.evaluation.tuned import Tuned
 
 
-def load_record(record: str, reading: RecordOptions | None = None) -> Trajectory:
-    """A named record, or a file."""
+def load_record(
+    record: str, reading: RecordOptions | None = None, tuned: Tuned | None = None
+) -> Trajectory:
+    """Return a named record, or read a file, and print what its channels and inputs are.
+
+    Columns and inputs that no option names are those of --settings (`tuned`). Raises ValueError
+    where they are others than these.
+    """
     reading = reading or RecordOptions()
-    if record not in RECORDS:
-        if not Path(record).exists():
-            raise FileNotFoundError(
-                f"RECORD must be a file or one of {', '.join(RECORDS)}, got {record}"
-            )
-        trajectory = read(
-            record,
-            columns=names(reading.columns) if reading.columns else None,
-            inputs=names(reading.inputs or ""),
-            time_column=reading.time_column,
-            sampling_time=reading.sampling_time,
-            gaps=reading.gaps,
+    trajectory = _named(record, reading) if record in RECORDS else _file(record, reading, tuned)
+    announce(trajectory, record)
+    if tuned is not None:
+        tuned.check(trajectory)
+    return trajectory
+
+
+def announce(record: Trajectory, name: str) -> None:
+    """Print what a record holds, on one line."""
+    showing.console.print(
+        f"{name}: {described(record.columns, record.inputs)}; {len(record)} samples every "
+        f"{record.sampling_time:.7g} s"
+    )
+
+
+def read_file(path: str | Path, needed: str = "", **options: Any) -> Trajectory:
+    """Read a file, and print what its reader warns of.
+
+    Where a column is not there, the error ends with what is `needed`.
+    """
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", ReadingWarning)
+        try:
+            record = read(path, **options)
+        except ColumnError as error:
+            raise ColumnError(f"{error}{'; ' if needed else ''}{needed}") from None
+    for each in caught:
+        showing.warn(str(each.message))
+    return record
+
+
+def _file(record: str, reading: RecordOptions, tuned: Tuned | None) -> Trajectory:
+    if not Path(record).exists():
+        raise FileNotFoundError(
+            f"RECORD must be a file or one of {', '.join(RECORDS)}, got {record}"
         )
-        if trajectory.measured is not None:
-            missing = ~trajectory.complete
-            showing.console.print(
-                f"{record}: {missing.sum()} of {len(missing)} samples were not measured in whole, "
-                f"and are masked: {places(missing)}"
-            )
-        return trajectory
+    columns = None if reading.columns is None else names(reading.columns)
+    inputs = None if reading.inputs is None else names(reading.inputs)
+    needed = ""
+    if tuned is not None and tuned.columns:
+        needed = f"--settings is for {described(tuned.columns, tuned.inputs)}"
+        if inputs is None:
+            inputs = [name for name in tuned.inputs if name not in (columns or ())]
+        if columns is None:
+            columns = [name for name in tuned.columns if name not in inputs]
+    trajectory = read_file(
+        record,
+        needed,
+        columns=columns or None,
+        inputs=inputs or (),
+        time_column=reading.time_column,
+        sampling_time=reading.sampling_time,
+        gaps=reading.gaps,
+    )
+    if trajectory.measured is not None:
+        missing = ~trajectory.complete
+        showing.console.print(
+            f"{record}: {missing.sum()} of {len(missing)} samples were not measured in whole, "
+            f"and are masked: {places(missing)}"
+        )
+    return trajectory
+
+
+def _named(record: str, reading: RecordOptions) -> Trajectory:
     for option, value in (
         ("--columns", reading.columns),
         ("--inputs", reading.inputs),
@@ -63,11 +116,11 @@ def read_beside(
     """
     others["fallback_sampling_time"] = sampling_time
     try:
-        return read(path, time_column=time_column, **others)
+        return read_file(path, time_column=time_column, **others)
     except ColumnError:
         if not time_column:
             raise
-        return read(path, **others)
+        return read_file(path, **others)
 
 
 def like(record: Trajectory, sampling_time: float, what: str) -> Trajectory:
@@ -97,9 +150,10 @@ def load_further(
             record.sampling_time,
             reading.time_column,
             columns=record.columns,
-            inputs=names(reading.inputs or ""),
+            inputs=record.inputs,
             gaps=reading.gaps,
         )
+        announce(more, file)
         if near_sampling(more.sampling_time, record.sampling_time):  # otherwise refused by `check`
             more = like(more, record.sampling_time, file)
         records.append(replace(more, name=file if option == "--more" else Path(file).stem))
@@ -107,10 +161,10 @@ def load_further(
 
 
 def inputs_ahead(
-    file: Path | None, known: Trajectory, steps: int, reading: RecordOptions
+    file: Path | None, known: Trajectory, steps: int, time_column: str | None
 ) -> npt.NDArray[np.float64] | None:
     """Known inputs of the samples after a record, `(steps, nu)`, where there are any."""
-    inputs = names(reading.inputs or "")
+    inputs = known.inputs
     if file is None:
         if inputs:
             raise ValueError(
@@ -121,7 +175,7 @@ def inputs_ahead(
     if not inputs:
         raise ValueError("this record has no known inputs: leave out --future-inputs")
     ahead = known.grid.after(steps)
-    coming = read_beside(file, ahead.step, reading.time_column, columns=inputs)
+    coming = read_beside(file, ahead.step, time_column, columns=inputs)
     # Straight lines, as inputs may jump.
     u = aligned(f"--future-inputs {file}", coming.y, coming.grid, ahead, smooth=False)
     if u.note:

@@ -14,12 +14,13 @@ import typer
 from splitband.cli import devices, records, showing
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Device
-from splitband.cli.options.records import FutureInputs, GapsOption, RecordOptions, TimeColumn
+from splitband.cli.options.records import FutureInputs, GapsOption, TimeColumn
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import Trained, opened_simulator, simulated_again
-from splitband.data import Trajectory, read
+from splitband.data import Trajectory
 from splitband.data.gaps import Gaps, last_before
 from splitband.data.timing import from_json, near_sampling
+from splitband.data.trajectory import described
 from splitband.forecasters import saving as forecasters
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASED
@@ -72,9 +73,8 @@ def simulate(
     if out.is_dir():
         raise ValueError(f"--out must be a file, got the folder {out}")
     saved, known = _opened(model_dir)
-    reading = RecordOptions(inputs=",".join(known.inputs), time_column=time_column)
-    past = _history(history, known, reading, gaps)
-    u = records.inputs_ahead(future_inputs, past, steps, reading)
+    past = _history(history, known, time_column, gaps)
+    u = records.inputs_ahead(future_inputs, past, steps, time_column)
     with showing.without_warnings():  # warned of below, by the inputs' names
         if isinstance(saved, Model):
             model = devices.model_on_device(saved, device)
@@ -145,16 +145,18 @@ def _simulated(
     return y
 
 
-def _history(file: Path, known: _Facts, reading: RecordOptions, gaps: Gaps) -> Trajectory:
+def _history(file: Path, known: _Facts, time_column: str | None, gaps: Gaps) -> Trajectory:
     """The measured samples up to now, at the model's sampling time."""
-    past = read(
+    past = records.read_file(
         file,
+        f"the model is for {described(known.columns, known.inputs)}",
         columns=known.columns,
         inputs=known.inputs,
-        time_column=reading.time_column,
+        time_column=time_column,
         fallback_sampling_time=known.sampling_time,
         gaps=gaps,
     )
+    records.announce(past, str(file))
     if not near_sampling(past.sampling_time, known.sampling_time):
         raise ValueError(
             f"--history must be sampled like the training record, every {known.sampling_time:g} s, "

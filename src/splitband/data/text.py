@@ -36,10 +36,8 @@ def read_table(raw: bytes, suffix: str) -> pd.DataFrame:
     if not body:
         raise ValueError("it holds no data")
     sep = _separator(body, suffix)
-    parsed = partial(
-        pd.read_csv, sep=r"\s+" if sep == " " else sep, index_col=False, skipinitialspace=True
-    )
-    first = parsed(io.StringIO(body[0]), header=None, dtype=str).iloc[0].str.strip()
+    parsed = partial(_parsed, sep=sep)
+    first = parsed(body[0], header=None, dtype=str).iloc[0].str.strip()
     header = _is_header([*first.dropna()])
     if header:  # pandas would number them
         check_different([*first.dropna()])
@@ -50,14 +48,19 @@ def read_table(raw: bytes, suffix: str) -> pd.DataFrame:
     parsed = partial(parsed, header=0 if header else None)
     warnings.simplefilter("error", pd.errors.ParserWarning)  # rows longer than the header
     if ('"' if sep == "," else ",") not in text and sep not in ";\t":
-        return parsed(io.StringIO(text))  # no cell can hold a comma
-    cells_as_text = parsed(io.StringIO(text), dtype=str)
+        return parsed(text)  # no cell can hold a comma
+    cells_as_text = parsed(text, dtype=str)
     decimal = _decimal(cells_as_text, sep)
-    frame = parsed(io.StringIO(text), decimal=decimal)
+    frame = parsed(text, decimal=decimal)
     for name in frame.columns:
         if is_string_dtype(frame[name]) or is_object_dtype(frame[name]):
             frame[name] = _without_separators(cells_as_text[name], decimal)
     return frame
+
+
+def _parsed(text: str, *, sep: str, **options: Any) -> pd.DataFrame:
+    file, between = io.StringIO(text), r"\s+" if sep == " " else sep
+    return pd.read_csv(file, sep=between, index_col=False, skipinitialspace=True, **options)
 
 
 def check_different(names: Sequence[str]) -> None:

@@ -346,3 +346,8 @@ def same_names(names: Sequence[str], others: Sequence[str]) -> bool:
     if sorted(names) == sorted(others) or len(names) != len(others):
         return tuple(names) == tuple(others)
     return any(all(map(_NUMBERED.fullmatch, each)) for each in (names, others))
+
+
+def described(columns: Sequence[str], inputs: Sequence[str]) -> str:
+    """Return inputs and outputs of a record, by name, for messages."""
+    return f"inputs: {', '.join(inputs) or 'none'}; outputs: {', '.join(columns)}"

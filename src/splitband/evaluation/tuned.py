@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
+from splitband.data.trajectory import Trajectory, described, same_names
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import Ensemble
@@ -40,6 +41,7 @@ class Tuned:
     bands : Which band is whose, where the method has bands; None is chosen when it is fitted.
     sizes : Of its cells.
     found : On what, and how well it did there; nothing depends on it.
+    columns, inputs : Channels and inputs of the record that it is for; no `columns`: of any record.
     """
 
     method: str
@@ -47,6 +49,8 @@ class Tuned:
     bands: Bands = field(default_factory=Bands)
     sizes: Sizes = field(default_factory=Sizes)
     found: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    columns: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the name."""
@@ -60,6 +64,20 @@ class Tuned:
         network = network.with_defaults(self.settings, self.bands)
         network.free = False
         return network
+
+    def for_record(self, record: Trajectory) -> Tuned:
+        """Return the same network for records with the channels and inputs of this one."""
+        return replace(self, columns=record.columns, inputs=record.inputs)
+
+    def check(self, record: Trajectory) -> None:
+        """Raise ValueError for a record with other channels or inputs, in whatever order."""
+        pairs = ((record.columns, self.columns), (record.inputs, self.inputs))
+        if self.columns and not all(same_names(sorted(a), sorted(b)) for a, b in pairs):
+            raise ValueError(
+                f"the settings are for {described(self.columns, self.inputs)}, the record has "
+                f"{described(record.columns, record.inputs)}; without columns and inputs in the "
+                "file they are for any record"
+            )
 
     def in_words(self) -> str:
         """Sizes, window, steps and bands, for tables."""
@@ -81,7 +99,7 @@ class Tuned:
             "bands": {name: bands[name] for name in _names(Bands)},
             "training": asdict(self.settings),
             "found": dict(self.found),
-        }
+        } | ({"columns": [*self.columns], "inputs": [*self.inputs]} if self.columns else {})
 
     def save(self, path: str | Path) -> None:
         """Write a JSON file."""
@@ -124,6 +142,8 @@ class Tuned:
             _section("bands", facts["bands"], Bands),
             _section("sizes", facts["sizes"], Sizes),
             found,
+            _strings("columns", facts.get("columns", [])),
+            _strings("inputs", facts.get("inputs", [])),
         )
 
     @classmethod
@@ -171,7 +191,7 @@ def _check_keys(where: str, given: Any, names: set[str]) -> None:
     if not isinstance(given, dict):
         raise ValueError(f"{where or 'the file'} must be an object, got {given!r}")
     dot = f"{where}." if where else ""
-    optional = set() if where else {"found"}
+    optional = set() if where else {"found", "columns", "inputs"}
     for key in given:
         if key not in names | optional:
             raise ValueError(
@@ -179,6 +199,12 @@ def _check_keys(where: str, given: Any, names: set[str]) -> None:
             )
     for key in sorted(names - set(given)):
         raise ValueError(f"{dot}{key} must be given")
+
+
+def _strings(name: str, given: Any) -> tuple[str, ...]:
+    if not isinstance(given, list) or not all(isinstance(each, str) for each in given):
+        raise ValueError(f"{name} must be a list of names, got {json.dumps(given)}")
+    return tuple(given)
 
 
 def _section(where: str, given: Any, section: type[Section]) -> Section:

@@ -127,7 +127,7 @@ class Tuning:
             "trial": best.number,
             "trials": len(self.attempts),
         }
-        return replace(best.tuned, found=found)
+        return replace(best.tuned, found=found).for_record(self.record)
 
     @cached_property
     def table(self) -> pd.DataFrame:
