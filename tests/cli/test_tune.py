@@ -77,6 +77,7 @@ def test_it_writes_settings_results_and_pictures(
     assert found["environment"]["versions"]["optuna"]
     best = Tuned.read(out / "settings.json")
     assert best.found["held_out"] == found["held_out"]
+    assert (best.columns, best.inputs) == (("a",), ())
     assert ("nothing better than the default recipe was found" in said) != found["improved"]
     assert f"{best.method} " in said
     trial = found["trials"][found["best"]]

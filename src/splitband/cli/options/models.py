@@ -155,7 +155,8 @@ SettingsFile = Annotated[
         "--settings",
         metavar="FILE",
         help="Method, sizes, training and bands that `splitband tune` has found (settings.json), "
-        "in place of a search; other options come before what it says.",
+        "in place of a search, and the columns and inputs that it is for. Other options override "
+        "it; a record with other columns or inputs is refused.",
         rich_help_panel=_TRAINING,
         show_default=False,
     ),

@@ -1,0 +1,106 @@
+"""Commands know columns and inputs by name, and say which these are."""
+
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import splitband as sb
+from splitband.cli import main
+from splitband.cli.comparing import Request, prepared, save_found
+from splitband.forecasters.names import Sizes, named
+from splitband.forecasters.network import Network
+from splitband.training import Settings
+from tests.cli.support import DT, FORCE, SAMPLES, A, B, call, results
+
+pytestmark = pytest.mark.usefixtures("inside", "undrawn")
+
+QUICK = Settings(20, 10, 1, 16, most_batches=1)
+
+
+@pytest.fixture
+def found(tmp_path: Path) -> Path:
+    """What `compare record.csv --columns a --inputs force` writes where it recommends a GRU."""
+    network = named("gru", Sizes(3, 2))
+    assert isinstance(network, Network)
+    network.settings = QUICK
+    path = save_found(network, sb.read("record.csv", columns="a", inputs="force"), tmp_path)
+    assert path is not None
+    return path
+
+
+def test_settings_bring_columns_and_inputs(
+    found: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call(f"fit record.csv --jobs 1 --settings {found}", tmp_path / "model")
+    facts = results(tmp_path / "model")
+    assert (facts["columns"], facts["inputs"]) == (["a"], ["force"])
+    said = f"record.csv: inputs: force; outputs: a; {SAMPLES} samples every {DT} s"
+    assert said in capsys.readouterr().out.splitlines()
+    assert prepared(Request("record.csv", settings=found), 1).record.inputs == ("force",)
+
+
+@pytest.mark.parametrize(
+    ("options", "own"),
+    [
+        ("--inputs b", "inputs: b; outputs: a"),
+        ("--columns force", "inputs: none; outputs: force"),
+        ("--columns a,b", "inputs: force; outputs: a, b"),
+        ("--columns a --inputs ''", "inputs: none; outputs: a"),
+    ],
+)
+def test_settings_for_other_columns_are_refused(
+    found: Path, options: str, own: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = f"fit record.csv {options} --settings {found} --out {tmp_path / 'm'}"
+    assert main(shlex.split(line)) == 2
+    said = capsys.readouterr().err
+    assert f"the settings are for inputs: force; outputs: a, the record has {own};" in said
+    line = f"fit history_renamed.csv --settings {found} --out {tmp_path / 'm'}"
+    assert main(shlex.split(line)) == 2
+    said = capsys.readouterr().err
+    assert "column 'a' is unknown: the columns are 'time', 'z', 'b', 'force'" in said
+    assert said.endswith("--settings is for inputs: force; outputs: a\n")
+
+
+def test_a_history_of_other_names_is_refused_by_command_and_in_python(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call("fit record.csv --columns a,b --inputs force --method linear", tmp_path / "model")
+    capsys.readouterr()
+    line = f"simulate {tmp_path / 'model'} --history history_renamed.csv --steps 3 --out x.csv"
+    assert main(shlex.split(f"{line} --future-inputs future.csv")) == 2
+    said = capsys.readouterr().err
+    assert "the columns are 'time', 'z', 'b', 'force'" in said
+    assert said.endswith("the model is for inputs: force; outputs: a, b\n")
+
+    forecaster = sb.load(tmp_path / "model")
+    y, u, coming = np.column_stack([A, B])[:50], FORCE[:50], FORCE[50:53, None]
+    for columns, inputs, both in (
+        (("temp", "b"), ("force",), "training record, a, b, got temp, b"),
+        (("a", "b"), ("rpm",), "training record, force, got rpm"),
+    ):
+        other = sb.Trajectory(y, DT, u=u, columns=columns, inputs=inputs, start=0.0)
+        with pytest.raises(ValueError, match=both):
+            forecaster.predict(3, other, coming)
+    nameless = forecaster.predict(3, sb.Trajectory(y, DT, u=u, start=0.0), coming)
+    named = sb.read("history.csv", columns=["a", "b"], inputs="force")
+    np.testing.assert_allclose(nameless.y, forecaster.predict(3, named, coming).y)
+
+
+def test_every_record_is_announced_and_what_is_left_out_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "noted.csv"
+    rows = "".join(f"{i / 10},{2 * i},{i % 7},fine\n" for i in range(60))
+    path.write_text(f"time,time_2,y,note\n{rows}")
+    call(f"compare {path} --methods mean,persistence --more {path} --test {path} --jobs 1 "
+         "--inputs ''", tmp_path / "out")  # fmt: skip
+    said = capsys.readouterr().out.splitlines()
+    assert said.count(f"{path}: inputs: none; outputs: y; 60 samples every 0.1 s") == 3
+    left_out = "left out: 'time_2' (another time column), 'note' (no numbers)"
+    assert f"warning: {path}: {left_out}" in said
+    call(f"spectrum {path}", tmp_path / "spectrum")
+    said = capsys.readouterr().out.splitlines()
+    assert f"{path}: inputs: none; outputs: y; 60 samples every 0.1 s" in said
