@@ -95,10 +95,9 @@ def test_every_record_is_announced_and_what_is_left_out_is_named(
     path = tmp_path / "noted.csv"
     rows = "".join(f"{i / 10},{2 * i},{i % 7},fine\n" for i in range(60))
     path.write_text(f"time,time_2,y,note\n{rows}")
-    call(f"compare {path} --methods mean,persistence --more {path} --test {path} --jobs 1 "
-         "--inputs ''", tmp_path / "out")  # fmt: skip
+    call(f"compare {path} --methods mean,persistence --test {path} --jobs 1", tmp_path / "out")
     said = capsys.readouterr().out.splitlines()
-    assert said.count(f"{path}: inputs: none; outputs: y; 60 samples every 0.1 s") == 3
+    assert said.count(f"{path}: inputs: none; outputs: y; 60 samples every 0.1 s") == 2
     left_out = "left out: 'time_2' (another time column), 'note' (no numbers)"
     assert f"warning: {path}: {left_out}" in said
     call(f"spectrum {path}", tmp_path / "spectrum")
