@@ -146,8 +146,8 @@ def _of_baselines(trial: Trial) -> str:
 def _method(trial: Trial, method: str, errors: Array) -> Facts:
     interval = trial.intervals[method]
     return {
-        "held_out": trial.errors[method],
-        "change": trial.change(method),
+        "held_out": float(np.linalg.norm(trial.errors[method])),
+        "change": float(np.linalg.norm(trial.change(method))),
         "inside": interval.coverage(errors),
         "width": _width(interval, errors),
     }

@@ -40,11 +40,15 @@ def spectra(workspace: Path) -> dict[str, Any]:
 
 
 def test_spectrum_finds_the_peaks_and_the_share_of_the_low_band(spectra: dict[str, Any]) -> None:
-    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(SAMPLES) / SAMPLES)
-    power = np.abs(np.fft.rfft((A - A.mean()) * window)) ** 2
+    """The share is that of the training samples, which `compare` says, too."""
+    train = spectra["train"]
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(train) / train)
+    power = np.abs(np.fft.rfft((A[:train] - A[:train].mean()) * window)) ** 2
     power[0] = 0
-    frequencies = np.fft.rfftfreq(SAMPLES, DT)
-    assert spectra["share_below"] == pytest.approx(power[frequencies <= 1].sum() / power[:-1].sum())
+    share = power[np.fft.rfftfreq(train, DT) <= 1].sum() / power.sum()
+    assert train == 3 * SAMPLES // 4
+    assert spectra["share_below"] == pytest.approx(share, rel=1e-3)
+    assert f"{share:.0%} of the power lies below it" in spectra["choice"]["reason"]
     assert [p["frequency"] for p in spectra["peaks"]] == pytest.approx([SLOW, FAST])
     shares = np.array([1, 0.3**2]) / (1 + 0.3**2)
     assert [p["share"] for p in spectra["peaks"]] == pytest.approx(shares, rel=1e-6)

@@ -136,7 +136,9 @@ def test_a_network_has_to_be_a_tenth_better_than_what_needs_no_training(
     network: float, chosen: str
 ) -> None:
     scores = {"gru": network, "harmonic": 1.0, "mean": 1.2}
-    trial = Trial(scores, scores, {}, {}, np.ones(1), frozenset({"gru"}))
+    trial = Trial(
+        {n: (s,) for n, s in scores.items()}, scores, {}, {}, np.ones(1), frozenset({"gru"})
+    )
     assert trial.recommended == chosen
     assert trial.best_network == "gru"
 
@@ -144,11 +146,13 @@ def test_a_network_has_to_be_a_tenth_better_than_what_needs_no_training(
 def test_a_forecast_that_changes_by_more_than_its_error_is_not_recommended() -> None:
     scores = {"harmonic": 0.1, "mean": 1.0}
     early = {name: [np.zeros((5, 1))] for name in scores}
-    trial = Trial(scores, scores, {}, early, np.full(1, 2.0), frozenset())
+    trial = Trial(
+        {n: (s,) for n, s in scores.items()}, scores, {}, early, np.full(1, 2.0), frozenset()
+    )
     final = {"harmonic": np.full((5, 1), 4.0), "mean": np.full((5, 1), 0.1)}
     changed = replace(trial, final=final)
     assert (trial.recommended, changed.recommended) == ("harmonic", "mean")
-    assert changed.change("harmonic") == pytest.approx(4.0)
+    assert changed.change("harmonic") == pytest.approx((4.0,))
     # What is not fitted in the end cannot be recommended.
     assert replace(trial, final={"mean": final["mean"]}).recommended == "mean"
 
@@ -157,7 +161,9 @@ def test_learning_from_the_held_out_part_is_no_fault() -> None:
     """A forecast that was wrong by its held-out error, and no longer is, changes by that much."""
     scores = {"gru": 0.157, "linear": 0.184}
     early = {name: [np.zeros((5, 1))] for name in scores}
-    trial = Trial(scores, scores, {}, early, np.ones(1), frozenset({"gru"}))
+    trial = Trial(
+        {n: (s,) for n, s in scores.items()}, scores, {}, early, np.ones(1), frozenset({"gru"})
+    )
     for change, chosen in ((0.158, "gru"), (0.4, "linear")):
         final = {"gru": np.full((5, 1), change), "linear": np.full((5, 1), 0.005)}
         assert replace(trial, final=final).recommended == chosen
@@ -168,7 +174,9 @@ def test_the_change_of_a_network_counts_more_than_that_of_others() -> None:
     early = {name: [np.zeros((5, 1))] for name in scores}
     final = {"gru": np.full((5, 1), 0.32), "linear": np.zeros((5, 1))}
     for networks, chosen in (({"gru"}, "linear"), (set(), "gru")):
-        trial = Trial(scores, scores, {}, early, np.ones(1), frozenset(networks))
+        trial = Trial(
+            {n: (s,) for n, s in scores.items()}, scores, {}, early, np.ones(1), frozenset(networks)
+        )
         assert replace(trial, final=final).recommended == chosen
 
 
@@ -178,9 +186,9 @@ def test_the_change_is_that_of_the_forecast_beyond_the_training_part() -> None:
     trial = settled(try_out(r, methods, SETUP), compare(r, methods, SETUP))
     ends = [90, 96, 102, 108]  # of the samples that they were fitted to before
     held = [r.y[end - 1, 0] - r.y[TRAIN - 1, 0] for end in ends]
-    assert trial.change("persistence") == pytest.approx(np.sqrt(np.mean(np.square(held))))
+    assert trial.change("persistence") == pytest.approx((np.sqrt(np.mean(np.square(held))),))
     means = [r.y[:end].mean() - r.y[:TRAIN].mean() for end in ends]
-    assert trial.change("mean") == pytest.approx(np.sqrt(np.mean(np.square(means))))
+    assert trial.change("mean") == pytest.approx((np.sqrt(np.mean(np.square(means))),))
 
 
 def test_what_draws_nothing_runs_once() -> None:
@@ -198,7 +206,7 @@ def test_several_seeds_are_tried_out_by_their_mean() -> None:
     found = [backtest(shorter, question, seed).predictions for seed in (0, 1)]
     means = {o.at: np.mean([each[o].y for each in found], axis=0) for o in origins}
     left = np.concatenate([part.y[start:] - mean for start, mean in means.items()])
-    assert trial.errors["gru"] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-5)
+    assert trial.errors["gru"] == pytest.approx((np.sqrt(np.mean(left**2)),), rel=1e-5)
 
 
 def test_each_channel_counts_the_same_in_the_recommendation() -> None:
@@ -214,9 +222,9 @@ def test_the_held_out_error_of_a_baseline_is_that_of_fits_to_four_shares() -> No
     begins = (90, 96, 102, 108)
     left = np.concatenate([r.y[start:TRAIN] - r.y[start - 1] for start in begins])
     trial = try_out(r, ["persistence", "mean"], SETUP)
-    assert trial.errors["persistence"] == pytest.approx(np.sqrt(np.mean(left**2)))
+    assert trial.errors["persistence"] == pytest.approx((np.sqrt(np.mean(left**2)),))
     left = np.concatenate([r.y[start:TRAIN] - r.y[:start].mean() for start in begins])
-    assert trial.errors["mean"] == pytest.approx(np.sqrt(np.mean(left**2)))
+    assert trial.errors["mean"] == pytest.approx((np.sqrt(np.mean(left**2)),))
 
 
 @pytest.mark.soak

@@ -58,7 +58,7 @@ def test_held_out_errors_count_what_was_measured() -> None:
     trial = try_out(with_gaps(y), ["persistence"], replace(SETUP, train=train))
     last = {60: y[59], 64: y[63], 68: y[67], 72: y[69]}
     left = np.concatenate([y[start:train] - value for start, value in last.items()])
-    assert trial.errors["persistence"] == pytest.approx(np.sqrt(np.nanmean(left**2)))
+    assert trial.errors["persistence"] == pytest.approx((np.sqrt(np.nanmean(left**2)),))
 
 
 def test_simulations_warm_up_before_a_gap_or_after_it() -> None:

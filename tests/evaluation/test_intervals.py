@@ -210,7 +210,7 @@ def test_change_and_disagreement_of_seeds_add_up_in_the_interval(
     interval = Interval((0, 100), ((0.1,), (0.1,)), (None,))
     early = {"gru": [np.zeros((20, 1))]}
     trial = Trial(
-        {"gru": 1.0}, {"gru": 1.0}, {"gru": interval}, early, np.ones(1), frozenset(networks)
+        {"gru": (1.0,)}, {"gru": 1.0}, {"gru": interval}, early, np.ones(1), frozenset(networks)
     )
     seeds = [np.full((20, 1), 3.0), np.full((20, 1), 5.0)]
     for of_seeds, variance in ((seeds[:1], counts * 9), (seeds, counts * 16 + 2)):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from splitband.filters.cutoff import (
-    LEAST_BELOW,
+    LEAST_PASSED,
     MOST_DOWNSAMPLING,
     MOST_LOST,
     ORDERS,
@@ -71,7 +71,7 @@ def test_the_cutoff_lies_between_a_strong_slow_and_a_weak_fast_sinusoid(
     choice = choose(y, RATE, WARMUP)
     assert slow < choice.cutoff < fast
     candidate = next(c for c in choice.candidates if not c.rejected)
-    assert candidate.below > 0.75
+    assert candidate.passed > 0.75
     assert candidate.loss <= MOST_LOST
 
 
@@ -80,7 +80,7 @@ def test_no_lower_cutoff_would_have_done() -> None:
     assert choice.order == 1
     lower = [c for c in choice.candidates if c.cutoff < choice.cutoff and c.order == 1]
     assert lower
-    assert all(c.below < LEAST_BELOW or c.loss > MOST_LOST for c in lower)
+    assert all(c.passed < LEAST_PASSED or c.loss > MOST_LOST for c in lower)
 
 
 def test_a_low_band_that_would_be_aliased_is_not_thinned_out() -> None:
@@ -148,7 +148,7 @@ def test_constant_channels_do_not_count(constants: int) -> None:
 def test_a_record_without_a_low_band_gets_the_most_of_it_that_there_is() -> None:
     choice = choose(sine(4.5) + 0.3 * sine(0.2), RATE, WARMUP)
     best = next(c for c in choice.candidates if not c.rejected)
-    assert best.below == max(c.below for c in choice.candidates)
+    assert best.passed == max(c.passed for c in choice.candidates)
     assert "no low band holds half of the power" in choice.reason
 
 
@@ -162,15 +162,15 @@ def test_what_an_order_cannot_be_designed_for_is_left_out() -> None:
 def test_a_higher_order_is_for_bands_that_order_one_does_not_part() -> None:
     y = sine(0.25) + sine(1.0)
     assert choose(y, RATE, WARMUP, downsampling=4).order == 2
-    assert all(c.loss > MOST_LOST or c.below < LEAST_BELOW
+    assert all(c.loss > MOST_LOST or c.passed < LEAST_PASSED
                for c in choose(y, RATE, WARMUP, order=1, downsampling=4).candidates)  # fmt: skip
 
 
 def test_each_rejection_says_why() -> None:
     choice = choose(sine(0.2) + sine(1.5, 0.5), RATE, WARMUP)
     for c in choice.candidates:
-        if c.below < LEAST_BELOW:
-            assert "below" in c.rejected
+        if c.passed < LEAST_PASSED:
+            assert "passes" in c.rejected
         elif c.loss > MOST_LOST:
             assert "lost" in c.rejected
         elif c.rejected:

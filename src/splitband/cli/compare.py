@@ -86,5 +86,6 @@ def compare(
     with crew(jobs, cluster) as workers:
         task = prepared(request, workers.cores)
         result = carried_out(task, seeds, workers, out)
-    save(result, out, {"command": context.info_name, "arguments": arguments(context.params)})
-    show(result, task.names, out)
+    facts = {"command": context.info_name, "arguments": arguments(context.params)}
+    used = save(result, out, facts)
+    show(result, task.names, out, used)

@@ -25,6 +25,7 @@ from splitband.evaluation.tuned import Tuned
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASES, CALIBRATED, TRAINED, with_base, with_variants
 from splitband.report import results
+from splitband.report.page.usage import Usage
 from splitband.runtime.files import CHECKPOINTS, output_folder
 
 FOUND = "recommended.json"
@@ -140,10 +141,11 @@ def carried_out(
         )
 
 
-def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> None:
-    """Write the results, `facts` first, in place of the checkpoints.
+def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> Usage:
+    """Write the results, `facts` first, in place of the checkpoints; return what the page shows.
 
-    The options among the facts (`arguments`) are for the commands on the page, too.
+    That is the commands that use the recommended method, from the options among the facts
+    (`arguments`).
     """
     record = comparison.record
     method, driven = comparison.recommended, record.nu > 0
@@ -151,6 +153,7 @@ def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> None:
     used = usage(facts["command"], facts["arguments"], method, driven, record.name, found)
     results.save(comparison, out, dict(facts), used)
     shutil.rmtree(out / CHECKPOINTS)
+    return used
 
 
 def save_found(forecaster: Forecaster, record: Trajectory, out: Path) -> Path | None:

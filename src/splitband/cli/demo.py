@@ -56,8 +56,9 @@ def demo(
     setup = replace(setup, settings=replace(setup.settings, **RECIPE), sizes=SIZES, search=None)
     with crew(jobs, None) as workers:
         result = carried_out(Task(record, METHODS, setup, [], [], "cpu"), 1, workers, out)
-    save(result, out, {"command": context.info_name, "arguments": arguments(context.params)})
-    show(result, METHODS, out)
+    facts = {"command": context.info_name, "arguments": arguments(context.params)}
+    used = save(result, out, facts)
+    show(result, METHODS, out, used)
     _tell(result)
 
 

@@ -27,6 +27,7 @@ from splitband.evaluation.setup import default_names, trying_bases, usual_names
 from splitband.forecasters.names import BASES, CALIBRATED, NAMES, TRAINED, with_base
 from splitband.metrics import leaving
 from splitband.report import page, pictures, results
+from splitband.report.table import tried
 from splitband.runtime.files import CHECKPOINTS, output_folder, replacing, write_json
 
 
@@ -110,11 +111,13 @@ def forecast(
 
 
 def _say(result: Forecast, steps: int, out: Path) -> None:
-    tried = sorted(result.trial.errors.items(), key=lambda pair: pair[1])
-    listed = ", ".join(f"{name} {error:.3g}" for name, error in tried)
-    showing.console.print(f"RMSE on the record's last quarter, from the rest of it: {listed}")
-    for name, reason in result.trial.failed.items():
-        showing.console.print(f"{name} could not be fitted: {reason}")
+    trial, record = result.trial, result.record
+    said = dict.fromkeys(trial.errors, "") | {
+        name: f"could not be fitted: {reason}" for name, reason in trial.failed.items()
+    }
+    title = f"{record.name}: RMSE on its last quarter, fitted to the rest of it"
+    listed = tried(trial, record, [*trial.errors])
+    showing.console.print(showing.methods(title, listed, said, result.method))
     showing.console.print(
         f"{steps} samples ahead by {result.method}: {out}/forecast.csv, forecast.png"
     )

@@ -5,50 +5,36 @@ from __future__ import annotations
 from pathlib import Path
 
 from splitband.cli import showing
-from splitband.cli.comparing import FOUND
 from splitband.data import Trajectory
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.selection import WORTH_TRAINING
 from splitband.evaluation.setup import Setup
 from splitband.filters.spectrum import periodogram
-from splitband.forecasters.backtest import HELD_OUT
 from splitband.forecasters.names import HYBRIDS
 from splitband.report.page import words
+from splitband.report.page.usage import Usage
+from splitband.report.table import columns, remarks
 
 
-def show(result: Comparison, names: list[str], out: Path) -> None:
-    """Print the table, what is recommended and why, and what to be warned of."""
+def show(result: Comparison, names: list[str], out: Path, used: Usage) -> None:
+    """Print the table, what is recommended and why, what to be warned of, and how it is used."""
     record, setup, trial = result.record, result.setup, result.require_trial()
     best = result.recommended
-    showing.console.print(showing.comparison(_title(record, setup), result))
-    chosen_by = f"the error of its forecast of the last {HELD_OUT:.0%} of the training part"
-    if setup.train < len(record):
-        chosen_by += (
-            f" (held out: RMSE {trial.errors[best]:.3g}) and by the change of its forecast of what "
-            f"follows once these are known, too ({trial.change(best):.3g})"
-        )
-    else:
-        chosen_by += f" (held out: RMSE {trial.errors[best]:.3g})"
-    needed = (
-        f"; a network has to be {WORTH_TRAINING:.0%} better than what needs no training"
-        if trial.trained and set(trial.errors) - trial.trained
-        else ""
-    )
-    showing.console.print(f"recommended: {best}, chosen by {chosen_by}{needed}")
+    table = showing.methods(_title(record, setup), columns(result), remarks(result), best)
+    showing.console.print(table)
+    why = words.why(trial, setup.train, len(record) - setup.train)
+    showing.console.print(f"recommended: {best}. {' '.join(why)}")
     if result.left_out:
         showing.console.print(
             f"not tested: {', '.join(result.left_out)}; they go on from the training record, or "
             "need a simulator of the test record (--test-simulator)"
         )
-    if record.ny > 1:
-        showing.console.print(f"{best}: {showing.channels(result, best)}")
     bands = setup.bands
     if bands.cutoff is not None and bands.downsampling is not None:
         below = periodogram(record[: setup.train].y, record.sampling_rate).share_below(bands.cutoff)
         showing.console.print(
             f"cut-off {bands.cutoff:g} Hz, order {bands.order}, the "
             f"low band kept at every {showing.ordinal(bands.downsampling)} sample: "
-            + (bands.choice.reason if bands.choice else f"{below:.0%} below")
+            + (bands.choice.reason if bands.choice else f"{below:.0%} of the power lies below it")
         )
     unhelpful = bands.choice is not None and bands.choice.simulator_helps is False
     if unhelpful and not set(names) & set(HYBRIDS):
@@ -60,11 +46,9 @@ def show(result: Comparison, names: list[str], out: Path) -> None:
     for test, prediction in zip(result.tests, result.means[best].tests, strict=False):
         for message in prediction.warnings:
             showing.warn(f"{test.name}: {message}")
-    if (out / FOUND).is_file():
-        showing.console.print(
-            f"how {best} was trained: {out / FOUND}; to train it so again: splitband fit "
-            f"{record.name} ... --settings {out / FOUND}"
-        )
+    for what, command in used.commands[:1]:
+        # In one line, so that it can be copied whole.
+        showing.console.print(f"{what}:\n    {command}", soft_wrap=True)
     showing.console.print(f"results and pictures: {out}/\npage: {out / 'report.html'}")
     showing.results_file(out / "results.json")
 

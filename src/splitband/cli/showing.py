@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import statistics
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,10 +14,11 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from rich.table import Table
 from rich.text import Text
 
-from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.protocols import Run, Runs, by_channel
+from splitband.evaluation.protocols import Runs
 from splitband.evaluation.runs import RunProgress
-from splitband.metrics import Extrapolation, ExtrapolationWarning, leaving, spread
+from splitband.metrics import Extrapolation, ExtrapolationWarning
+from splitband.report.page.parts import entry
+from splitband.report.table import Column
 from splitband.runtime.files import to_json
 
 console = Console(
@@ -64,89 +64,40 @@ def results_file(path: Path) -> None:
         print(path.read_text(encoding="utf-8").rstrip())
 
 
-def comparison(title: str, result: Comparison) -> Table:
-    """Errors by method, mean and standard deviation over seeds; the lowest of each is bold.
+def methods(
+    title: str, listed: Sequence[Column], said: Mapping[str, str], recommended: str
+) -> Table:
+    """Return a table of columns with a row for each method; the lowest error of each is bold.
 
-    What could not be fitted comes last, without numbers.
+    Of several channels each has a line in every row. `said` is what stands beside the numbers.
     """
-    runs, trial = result.runs, result.require_trial()
-    table = Table(title=title, title_justify="left", title_style="bold")
-    table.add_column("method", min_width=max(map(len, [*runs, *trial.failed])))
-    ahead = any(run.forecast is not None for of_method in runs.values() for run in of_method)
-    tests = [_tested(test.name, i) for i, test in enumerate(result.tests)]
-    forecast = ["changed", "from the start", "forecast", "in interval"]
-    headings = ["held out", *(forecast if ahead else ["from the start"]), *tests, "fit (s)"]
-    for heading in headings:
-        table.add_column(heading, justify="right")
+    headings = list(dict.fromkeys((column.heading, column.record) for column in listed))
+    channels = list(dict.fromkeys(column.channel for column in listed if column.channel))
+    table = Table(title=title, title_justify="left", title_style="bold", show_lines=bool(channels))
+    table.add_column("method", min_width=max(map(len, said)))
+    if channels:
+        table.add_column("channel")
+    for heading, record in headings:
+        # A number in two lines would be taken for two channels.
+        table.add_column(f"{heading} {record}".strip(), justify="right", no_wrap=True)
     table.add_column("", style="dim")
-    first = min(trial.errors[name] for name in runs)
-    steadiest = min(trial.change(name) for name in runs)
-    best = [
-        min(statistics.mean(values(r)) for r in runs.values()) for values in (_total, _forecast)
-    ]
-    best_tests = [
-        min((mean.errors.tests[i] for mean in result.means.values() if mean.tests), default=0.0)
-        for i in range(len(tests))
-    ]
-    for name, of_method in runs.items():
-        total, forecast_error = (
-            _spread(values(of_method), lowest)
-            for values, lowest in zip((_total, _forecast), best, strict=True)
-        )
-        cells: list[str | Text] = [total]
-        if ahead:
-            covers = f"{result.covers(name):.0%}"
-            cells = [_spread([trial.change(name)], steadiest), total, forecast_error, covers]
-        # Tests are of the mean over seeds, as that is the prediction that users get.
-        cells += [
-            _spread([error], lowest)
-            for error, lowest in zip(result.means[name].errors.tests, best_tests, strict=False)
-        ] or ["-"] * len(tests)
-        table.add_row(
-            name,
-            _spread([trial.errors[name]], first),
-            *cells,
-            f"{statistics.mean(r.fit.seconds for r in of_method):.1f}",
-            _remarks(result, name),
-        )
-    for name, reason in trial.failed.items():
-        table.add_row(name, *["-"] * len(headings), f"could not be fitted: {reason}")
+    for name, words in said.items():
+        cells = [
+            _lines([c for c in listed if (c.heading, c.record) == of], name) for of in headings
+        ]
+        if channels:
+            cells.insert(0, Text("\n".join(channels)))
+        table.add_row(Text(name, style="bold" if name == recommended else ""), *cells, words)
     return table
 
 
-def _tested(name: str, i: int) -> str:
-    """The heading of a test record's errors."""
-    return f"test: {name or i + 1}"
-
-
-def _remarks(result: Comparison, name: str) -> str:
-    """What a row says beside its numbers."""
-    runs, mean = result.runs[name], result.means[name]
-    said = [runs[0].description]
-    if len(runs) > 1 and runs[0].fit.losses:
-        errors = (
-            [mean.total_rmse] if mean.forecast is None else [mean.total_rmse, mean.forecast_rmse]
-        )
-        said.insert(0, f"their mean {', '.join(f'{error:.3f}' for error in errors)}")
-    left = [run.leaves for run in runs if run.leaves is not None]
-    if left:
-        said.insert(0, leaving(min(left)))
-    return "; ".join(filter(None, said))
-
-
-def channels(result: Comparison, name: str) -> str:
-    """The errors of a method's mean, each channel by itself, as channels may differ in unit."""
-    record, mean = result.record, result.means[name]
-    each = [by_channel(record, mean.from_start.y)]
-    if mean.forecast is not None:
-        each.append(by_channel(record, mean.forecast.y))
-    deviations = spread(record.seen[: result.setup.train])
-    parts = [
-        f"{column} {' and '.join(f'{e:.3g}' for e in errors)} (its deviation is {deviation:.3g})"
-        for column, deviation, *errors in zip(record.columns, deviations, *each, strict=True)
+def _lines(of_channels: Sequence[Column], method: str) -> Text:
+    """Return a cell: a line for each channel."""
+    said = [
+        Text(entry(column, method), style="bold" if column.best == method else "")
+        for column in of_channels
     ]
-    what = "from the start" + (" and of the forecast" if mean.forecast is not None else "")
-    return f"RMSE {what}, by channel: " + "; ".join(parts)
+    return Text("\n").join(said)
 
 
 @contextmanager
@@ -186,22 +137,6 @@ def progress(
                 bar.update(overall, completed=sum(shares.values()))
 
         yield update
-
-
-def _total(runs: Sequence[Run]) -> list[float]:
-    return [r.total_rmse for r in runs]
-
-
-def _forecast(runs: Sequence[Run]) -> list[float]:
-    return [r.forecast_rmse for r in runs]
-
-
-def _spread(values: Sequence[float], lowest: float) -> Text:
-    mean = statistics.mean(values)
-    text = f"{mean:.3g}" if mean >= 1e3 else f"{mean:.3f}" if mean >= 0.01 else f"{mean:.2e}"
-    if len(set(values)) > 1:
-        text += f" ± {statistics.stdev(values):.2g}"
-    return Text(text, style="bold" if mean == lowest else "")
 
 
 def warn_of_inputs(extrapolations: Sequence[Extrapolation], names: Sequence[str]) -> None:

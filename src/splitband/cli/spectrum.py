@@ -62,6 +62,7 @@ def spectrum(
     trajectory = trajectory[:train]
     rate = trajectory.sampling_rate
     measured_spectrum = periodogram(trajectory.y, rate)
+    training_spectrum = periodogram(trajectory.y[: setup.train], rate)
     pair = setup.bands.pair(rate)
     chosen, choice = float(setup.bands.cutoff or 0.0), setup.bands.choice
     low, high = pair.split(trajectory.y)
@@ -72,7 +73,7 @@ def spectrum(
         "cutoff": chosen,
         "order": pair.order,
         "train": setup.train,
-        "share_below": measured_spectrum.share_below(chosen),
+        "share_below": training_spectrum.share_below(chosen),
         "choice": None if choice is None else asdict(choice),
         "reconstruction_rmse": rmse(trajectory.y, low + high),
         "peaks": [{"frequency": f, "share": s} for f, s in measured_spectrum.peaks()],
@@ -130,7 +131,7 @@ def _show_peaks(record: Trajectory, facts: dict[str, Any]) -> None:
     showing.console.print(table)
     showing.console.print(
         f"cut-off {facts['cutoff']:.4g} Hz of {nyquist:g} Hz (Nyquist), order {facts['order']}: "
-        f"{below:.1%} of the power below, {1 - below:.1%} above\n"
+        f"{below:.0%} of the power of the first {facts['train']} samples lies below it\n"
         f"low and high band add up to the record with RMSE {facts['reconstruction_rmse']:.2g}, "
         "all of it at the ends",
     )

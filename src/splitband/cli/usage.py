@@ -27,6 +27,7 @@ _FOUND = (
 """What a file of settings says."""
 _USUAL = {"gaps": "refuse", "recipe": "default", "device": "cpu",
           "simulator_timeout": PATIENCE}  # fmt: skip
+_IMPORT = "from splitband.data.named import RECORDS"
 STEPS = 100
 """Samples ahead in the examples."""
 
@@ -69,7 +70,9 @@ def usage(
             ("Fit it to the whole record, and forecast what comes next",
              f"{forecast} --method {method} --steps {STEPS}{ahead}")
         )  # fmt: skip
-    return Usage(commands, _reading(record, given), asked)
+    more = [_read(each, given) for each in given.get("more") or ()]
+    named_record = "" if record not in RECORDS else f"{_IMPORT}\n\n"
+    return Usage(commands, f"{named_record}record = {_read(record, given)}", asked, more)
 
 
 def _line(begin: str, given: Mapping[str, Any], names: Any) -> str:
@@ -88,10 +91,10 @@ def _line(begin: str, given: Mapping[str, Any], names: Any) -> str:
     return " ".join(words)
 
 
-def _reading(record: str, given: Mapping[str, Any]) -> str:
-    """The line of Python that reads the record."""
+def _read(record: str, given: Mapping[str, Any]) -> str:
+    """Return the Python expression that reads a record."""
     if record in RECORDS:
-        return f'from splitband.data.named import RECORDS\n\nrecord = RECORDS["{record}"].make()'
+        return f'RECORDS["{record}"].make()'
     words = [repr(str(Path(record)))]
     for name in ("columns", "inputs"):
         if given.get(name):
@@ -100,4 +103,4 @@ def _reading(record: str, given: Mapping[str, Any]) -> str:
         value = given.get(name)
         if value is not None and _USUAL.get(name) != value:
             words.append(f"{name}={value!r}")
-    return f"record = sb.read({', '.join(words)})"
+    return f"sb.read({', '.join(words)})"

@@ -117,34 +117,23 @@ class Comparison:
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        """A row for each method: errors, share of samples in the interval, seconds of a fit."""
-        rows = {}
-        for name, runs in self.runs.items():
-            mean = self.means[name]
-            row = {
-                "from start": sum(r.total_rmse for r in runs) / len(runs),
-                "forecast": sum(r.forecast_rmse for r in runs) / len(runs),
-                "mean of seeds, from start": mean.total_rmse,
-                "mean of seeds, forecast": mean.forecast_rmse,
-                **{
-                    f"mean of seeds, test {test.name}": error
-                    for test, error in zip(self.tests, mean.errors.tests, strict=False)
-                },
-                "fit (s)": sum(r.fit.seconds for r in runs) / len(runs),
-                "note": mean.description or runs[0].description,
-            }
-            if self.trial is not None:
-                row = {
-                    "held out": self.trial.errors[name],
-                    "changed": self.trial.change(name),
-                    **row,
-                    "in interval": self.covers(name),
-                    "recommended": name == self.recommended,
-                }
-            rows[name] = row
-        failed = {} if self.trial is None else self.trial.failed
-        rows |= {name: {"note": f"could not be fitted: {why}"} for name, why in failed.items()}
-        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("method")
+        """A row for each method, with the columns that `splitband compare` shows.
+
+        Errors are of the mean of the seeds' predictions, each channel by itself; columns that end
+        in "spread" hold the standard deviation of the seeds' errors.
+        """
+        # The module of the table imports this one, so that it is imported only here.
+        report = import_module("splitband.report.table")
+        notes = report.remarks(self)
+        columns: dict[str, Mapping[str, object]] = {}
+        for column in report.columns(self):
+            columns[column.title] = column.values
+            if column.spreads:
+                columns[f"{column.title}, spread"] = column.spreads
+        columns["note"] = notes
+        if self.trial is not None:
+            columns["recommended"] = {name: name == self.recommended for name in self.runs}
+        return pd.DataFrame(columns, index=[*notes]).rename_axis("method")
 
     def covers(self, name: str) -> float:
         """The share of the measured samples that a method's interval holds, 0 to 1.
@@ -153,6 +142,11 @@ class Comparison:
         """
         errors = self.record.seen[self.setup.train :] - self.means[name].ahead
         return self.require_trial().intervals[name].coverage(errors) if len(errors) else np.nan
+
+    def coverages(self, name: str) -> tuple[float, ...]:
+        """Return `covers` of each channel by itself."""
+        errors = self.record.seen[self.setup.train :] - self.means[name].ahead
+        return self.require_trial().intervals[name].coverages(errors)
 
     @property
     def inputs_beyond_training(self) -> list[Extrapolation]:

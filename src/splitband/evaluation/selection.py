@@ -18,6 +18,7 @@ from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import (
     Backtest,
     Question,
+    channel_errors,
     for_trial,
     held_out_errors,
     held_out_from,
@@ -52,9 +53,9 @@ class Trial:
 
     Attributes
     ----------
-    errors : RMSE of each method, fitted on the rest of the training part: of its forecasts to the
-        end of the part, together. See `backtest.held_out_origins`.
-    scores : The same of channels scaled to a deviation of 1.
+    errors : RMSE of each channel by method, fitted on the rest of the training part: of its
+        forecasts to the end of the part, together. See `backtest.held_out_origins`.
+    scores : RMSE of all channels together, each scaled to a deviation of 1.
     intervals : Around each method's forecast of the record; from those forecasts and, for what
         needs no training, longer ones.
     early : What each method forecast of the samples after the training part, `(time, ny)` from
@@ -68,7 +69,7 @@ class Trial:
         about the test records.
     """
 
-    errors: Mapping[str, float]
+    errors: Mapping[str, tuple[float, ...]]
     scores: Mapping[str, float]
     intervals: Mapping[str, Interval]
     early: Mapping[str, Sequence[Array]]
@@ -113,10 +114,12 @@ class Trial:
             failed={**self.failed, **other.failed},
         )
 
-    def change(self, method: str) -> float:
-        """RMSE between a method's early forecasts and its final one, in the record's unit."""
+    def change(self, method: str) -> tuple[float, ...]:
+        """Return the RMSE between a method's early forecasts and its final one, by channel."""
         final = self.final[method]
-        return root_mean_square([final - y for y in self.early[method]]) if len(final) else 0.0
+        if not len(final):
+            return (0.0,) * len(self.scale)
+        return channel_errors([final - y for y in self.early[method]])
 
     @property
     def recommended(self) -> str:
@@ -133,7 +136,7 @@ class Trial:
         """
         names = [*(self.final or self.scores)]
         able = [name for name in names if name not in self.left_out]
-        return min(able or names, key=self._worth)
+        return min(able or names, key=self.worth)
 
     @property
     def best_network(self) -> str | None:
@@ -141,7 +144,8 @@ class Trial:
         networks = [method for method in self.scores if method in self.trained]
         return min(networks, key=lambda method: self.scores[method], default=None)
 
-    def _worth(self, method: str) -> float:
+    def worth(self, method: str) -> float:
+        """Return what methods are compared by, see `recommended`: the lower the better."""
         change = 0.0
         if len(final := self.final.get(method, ())):
             change = root_mean_square([(final - y) / self.scale for y in self.early[method]])
@@ -193,7 +197,7 @@ def try_out(
         for name, of_method in forecasts.items()
     }
     return Trial(
-        {name: root_mean_square(e) for name, e in scored.items()},
+        {name: channel_errors(e) for name, e in scored.items()},
         {name: root_mean_square([error / scale for error in e]) for name, e in scored.items()},
         {name: interval_from(record, y, LEVEL) for name, y in forecasts.items()},
         early,

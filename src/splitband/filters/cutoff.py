@@ -26,7 +26,7 @@ simulated pendulum (iii) and on (vi) it is worse (0.31 and 0.17, 0.35 and 0.28).
 MOST_DOWNSAMPLING = 10
 LEAST_WARMUP = 10
 """Samples that a warm-up must leave to the down-sampled low band."""
-LEAST_BELOW = 0.5
+LEAST_PASSED = 0.5
 """Of the power: the low band is to hold the long term."""
 MOST_LOST = 0.15
 """Of the power: to both bands at once, or to the distorted end of a warm-up."""
@@ -49,7 +49,8 @@ class Candidate:
     cutoff : In Hz.
     order : Of each Butterworth filter.
     downsampling : The largest k that keeps the low band, and enough samples of a warm-up.
-    below : Share of the power in the low band.
+    passed : Share of the power that the low-pass filter leaves in the low band. As a filter is not
+        steep, it differs from the share of the power below the cut-off.
     loss : What is compared: shares of the power, see `choose` and `choose_with_simulator`.
     rejected : Why it is not used; empty for the one that is.
     """
@@ -57,7 +58,7 @@ class Candidate:
     cutoff: float
     order: int
     downsampling: int
-    below: float
+    passed: float
     loss: float
     rejected: str = ""
 
@@ -94,9 +95,9 @@ def choose(
 ) -> Choice:
     """The filter pair of networks that are learned from a record alone.
 
-    The lowest cut-off that leaves half of the power below it, and at most `MOST_LOST` of it to both
-    bands (2 |L H|, which neither network sees as it is) and to the ends of filtered warm-ups: the
-    lower it is, the fewer samples the low-band network has to look ahead by.
+    The lowest cut-off that leaves half of the power in the low band, and at most `MOST_LOST` of it
+    to both bands (2 |L H|, which neither network sees as it is) and to the ends of filtered
+    warm-ups: the lower it is, the fewer samples the low-band network has to look ahead by.
 
     Parameters
     ----------
@@ -124,18 +125,18 @@ def choose(
         both = float(np.sum(2 * power * gain * (1 - gain)))
         lost = both + _distortion(y, warmup, sampling_rate, *candidate)
         candidates.append(Candidate(*candidate, k, float(np.sum(power * gain**2)), lost))
-    able = [c for c in candidates if c.below >= LEAST_BELOW]
+    able = [c for c in candidates if c.passed >= LEAST_PASSED]
     good = [c for c in able if c.loss <= MOST_LOST]
     if good:
         best, rule = min(good, key=lambda c: (c.order, c.cutoff)), "the lowest one that will do"
     elif able:
         best, rule = min(able, key=lambda c: c.loss), "none loses little, this one the least"
     else:
-        best, rule = max(candidates, key=lambda c: c.below), "no low band holds half of the power"
+        best, rule = max(candidates, key=lambda c: c.passed), "no low band holds half of the power"
 
     def why_not(candidate: Candidate) -> str:
-        if candidate.below < LEAST_BELOW:
-            return f"just {candidate.below:.0%} of the power below"
+        if candidate.passed < LEAST_PASSED:
+            return f"just {candidate.passed:.0%} of the power passes the low-pass filter"
         if candidate.loss > MOST_LOST:
             return f"{candidate.loss:.0%} of the power lost"
         return (
@@ -143,8 +144,8 @@ def choose(
         )
 
     facts = (
-        f"{best.below:.0%} of the power below, {best.loss:.0%} lost to both bands at once and to "
-        "the ends of warm-ups"
+        f"{spectrum.share_below(best.cutoff):.0%} of the power lies below it, {best.loss:.0%} is "
+        "lost to both bands at once and to the ends of warm-ups"
     )
     reason = f"{'as given' if cutoff is not None else rule}: {facts}"
     loss = "share of the power in both bands, or lost at ends"
@@ -183,10 +184,10 @@ def choose_with_simulator(
         response = scipy.signal.freqz(b, a, spectrum.frequencies, fs=sampling_rate)[1]
         low, high = abs(response) ** 2, abs(1 - response) ** 2
         k = downsampling or _downsampling(power * low, spectrum.frequencies, candidate[0], warmup)
-        below, wrong_below = float(np.sum(low * power)), float(np.sum(low * error)) + offset
-        left = wrong_below + LEFT_BY_NETWORK * float(np.sum(high * power))
-        candidates.append(Candidate(*candidate, k, below, left))
-        wrongness[candidate] = wrong_below / (below or 1.0)
+        passed, wrong_low = float(np.sum(low * power)), float(np.sum(low * error)) + offset
+        left = wrong_low + LEFT_BY_NETWORK * float(np.sum(high * power))
+        candidates.append(Candidate(*candidate, k, passed, left))
+        wrongness[candidate] = wrong_low / (passed or 1.0)
     lowest = min(c.order for c in candidates)
     best = min((c for c in candidates if c.order == lowest), key=lambda c: c.loss)
     other = min(candidates, key=lambda c: c.loss)
@@ -195,8 +196,8 @@ def choose_with_simulator(
     helps = share < WORTH_USING
     rule = "as given" if cutoff is not None else "where the least error is expected"
     reason = (
-        f"{rule}: the simulator is wrong by {share:.0%} of the power below, a network that is told "
-        f"of it by {LEFT_BY_NETWORK:.0%} above"
+        f"{rule}: the simulator is wrong by {share:.0%} of the power that the low-pass filter "
+        f"passes, a network conditioned on it by {LEFT_BY_NETWORK:.0%} of the rest"
     )
     if not helps:
         reason = (

@@ -263,6 +263,11 @@ def root_mean_square(errors: Sequence[Array]) -> float:
     return rmse(every, np.zeros_like(every))
 
 
+def channel_errors(errors: Sequence[Array]) -> tuple[float, ...]:
+    """Return the RMSE of each channel, of errors `(time, ny)` of several forecasts together."""
+    return tuple(root_mean_square([error]) for error in np.concatenate(errors).T[:, :, None])
+
+
 def _errors(record: Trajectory, forecasts: Mapping[Origin, Array]) -> list[tuple[int, Array]]:
     """By index of the first sample, in its order."""
     seen = record.seen

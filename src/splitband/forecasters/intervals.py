@@ -108,9 +108,25 @@ class Interval:
         return np.transpose(rows)
 
     def coverage(self, errors: Array) -> float:
-        """The share of errors `(time, ny)` by horizon that lie inside, 0 to 1; NaN is none."""
+        """Return the share of errors `(time, ny)` by horizon that lie inside, 0 to 1.
+
+        NaN was not measured and does not count; it is returned where nothing was.
+        """
+        return _share(self._inside(errors))
+
+    def coverages(self, errors: Array) -> tuple[float, ...]:
+        """Return `coverage` of each channel by itself."""
+        return tuple(_share(channel) for channel in self._inside(errors).T)
+
+    def _inside(self, errors: Array) -> Array:
+        """Return 1 where an error lies inside and 0 where not; NaN stays."""
         inside = abs(errors) <= self.half_widths(len(errors))
-        return float(inside[~np.isnan(errors)].mean())
+        return np.where(np.isnan(errors), np.nan, inside)
+
+
+def _share(inside: Array) -> float:
+    known = inside[~np.isnan(inside)]
+    return float(known.mean()) if len(known) else np.nan
 
 
 def _quantile(share: float) -> float:

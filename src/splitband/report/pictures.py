@@ -19,7 +19,7 @@ from splitband.data.gaps import last_before
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.evaluation.protocols import Run, by_channel
-from splitband.filters.cutoff import LEAST_BELOW, Choice
+from splitband.filters.cutoff import LEAST_PASSED, Choice
 from splitband.filters.spectrum import Spectrum, coherence, periodogram
 from splitband.forecasters.intervals import Interval
 from splitband.forecasters.prediction import Prediction
@@ -274,8 +274,7 @@ def spectrum(
         axes[1].set_ylabel("coherence")
         axes[1].grid(True, which="both", color="0.93", lw=0.6)
     if cutoff is not None:
-        share = measured_spectrum.share_below(cutoff)
-        said = f"cut-off {cutoff:.4g} Hz: {share:.1%} of the power below"
+        said = f"cut-off {cutoff:.4g} Hz"
         for ax in axes:
             first = ax is axes[0]
             ax.axvline(cutoff, color="#D55E00", ls="--", lw=1.2, label=said if first else None)
@@ -292,13 +291,13 @@ def _draw_choice(ax: Axes, choice: Choice) -> None:
     """What each candidate would lose, and where the low band would not hold enough."""
     for order in sorted({c.order for c in choice.candidates}):
         of_order = [c for c in choice.candidates if c.order == order]
-        enough = [c.below >= LEAST_BELOW or choice.simulator_helps is True for c in of_order]
+        enough = [c.passed >= LEAST_PASSED or choice.simulator_helps is True for c in of_order]
         color = PALETTE[order % len(PALETTE)]
         x, loss = [c.cutoff for c in of_order], [c.loss for c in of_order]
         ax.semilogx(x, loss, "o-", ms=3, lw=0.8, color=color, label=f"order {order}")
         few = [(c.cutoff, c.loss) for c, ok in zip(of_order, enough, strict=True) if not ok]
         if few:
-            label = "little below" if order == choice.order else None
+            label = "little in the low band" if order == choice.order else None
             ax.semilogx(*zip(*few, strict=True), "x", color="0.4", ms=5, label=label)
     best = next(c for c in choice.candidates if not c.rejected)
     ax.semilogx([best.cutoff], [best.loss], "D", color="#D55E00", ms=6, label="chosen")

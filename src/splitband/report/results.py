@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 import statistics
 import subprocess
@@ -19,11 +20,12 @@ from splitband.data import Trajectory
 from splitband.data.timing import as_json
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
-from splitband.evaluation.protocols import Run, by_channel
+from splitband.evaluation.protocols import Run
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.prediction import time_header
 from splitband.metrics import rmse
 from splitband.report import pictures
+from splitband.report.table import columns, tried
 from splitband.runtime.files import output_folder, replacing, write_json
 
 if TYPE_CHECKING:
@@ -60,7 +62,11 @@ def save(
 
 
 def results(comparison: Comparison) -> dict[str, Any]:
-    """What `compare` writes to results.json."""
+    """Return what `compare` writes to results.json.
+
+    `table` has the errors of each channel, of the mean of the seeds, as they are shown. Those of
+    `methods` are of all channels together, the root of the sum of their squares.
+    """
     record, trial = comparison.record, comparison.require_trial()
     return {
         "inputs_beyond_training": [asdict(each) for each in comparison.inputs_beyond_training],
@@ -78,15 +84,16 @@ def results(comparison: Comparison) -> dict[str, Any]:
         **({"tests": [_test_facts(test) for test in comparison.tests]} if comparison.tests else {}),
         "settings": comparison.setup.as_json(),
         "recommended": trial.recommended,
+        "table": [column.as_json() for column in columns(comparison)],
         "search": [asdict(attempt) for attempt in comparison.attempts],
         "methods": {
             name: _method(of_method)
             | {
-                "held_out_rmse": trial.errors[name],
-                "change": trial.change(name),
+                "score": trial.worth(name),
+                "held_out_rmse": math.hypot(*trial.errors[name]),
+                "change": math.hypot(*trial.change(name)),
                 "interval": _interval(comparison, name),
                 "mean_of_seeds": _mean(comparison, name),
-                "by_channel": _by_channel(comparison, name),
             }
             for name, of_method in comparison.runs.items()
         }
@@ -140,9 +147,10 @@ def forecast_facts(result: Forecast, others: Sequence[str]) -> dict[str, Any]:
         "steps": len(result.prediction),
         "method": result.method,
         "description": result.description,
-        "held_out_rmse": dict(trial.errors),
+        "table": [c.as_json() for c in tried(trial, record, [*trial.errors])],
+        "held_out_rmse": {name: math.hypot(*each) for name, each in trial.errors.items()},
         "failed": dict(trial.failed),
-        "change": {name: trial.change(name) for name in trial.final},
+        "change": {name: math.hypot(*trial.change(name)) for name in trial.final},
         "interval": asdict(trial.intervals[result.method]),
         "seeds": [*result.seeds],
         "environment": environment(),
@@ -176,23 +184,12 @@ def _interval(comparison: Comparison, name: str) -> dict[str, Any]:
     }
 
 
-def _mean(comparison: Comparison, name: str) -> dict[str, Any] | None:
-    """The errors of the mean over seeds, where there are several."""
+def _mean(comparison: Comparison, name: str) -> dict[str, Any]:
+    """Return the errors of the mean over seeds, which is what is handed out."""
     mean = comparison.means[name]
-    if len(comparison.runs[name]) < 2 and not mean.tests:
-        return None
     facts: dict[str, Any] = {"total_rmse": mean.total_rmse}
     facts |= {} if mean.forecast is None else {"forecast_rmse": mean.forecast_rmse}
     return facts | ({"test_rmse": [*mean.errors.tests]} if mean.tests else {})
-
-
-def _by_channel(comparison: Comparison, name: str) -> dict[str, list[float]]:
-    """The errors of the mean over seeds, each channel by itself."""
-    mean = comparison.means[name]
-    facts = {"total_rmse": by_channel(comparison.record, mean.from_start.y)}
-    if mean.forecast is not None:
-        facts["forecast_rmse"] = by_channel(comparison.record, mean.forecast.y)
-    return facts
 
 
 def _method(runs: Sequence[Run]) -> dict[str, Any]:

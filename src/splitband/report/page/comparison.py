@@ -11,11 +11,12 @@ from splitband.data import Trajectory
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.selection import Trial
 from splitband.report.page import horizon, runs, tables, usage, words
-from splitband.report.page.parts import Cast, Page, Section, View, number, percent
+from splitband.report.page.parts import Cast, Page, Section, View, entry, number
 from splitband.report.page.spectra import spectrum
 from splitband.report.page.training import training
 from splitband.report.page.usage import Usage
 from splitband.report.results import environment
+from splitband.report.table import columns
 
 Array = npt.NDArray[np.float64]
 
@@ -35,7 +36,9 @@ def page(comparison: Comparison, used: Usage) -> Page:
         *_over_time(comparison, frame, most),
         _bands(comparison),
         *_trained(comparison, cast),
-        usage.section(comparison.forecaster(), record, used, max(len(record) // 4, 1)),
+        usage.section(
+            comparison.forecaster(), record, used, max(len(record) // 4, 1), bool(comparison.others)
+        ),
         _settings(comparison, used),
     ]
     name = record.name or "a record"
@@ -51,7 +54,7 @@ def page(comparison: Comparison, used: Usage) -> Page:
 
 def cast_of(names: list[str], trial: Trial) -> Cast:
     """The methods, the recommended one and the next best drawn at first."""
-    ranked = [name for name in sorted(trial.errors, key=lambda n: trial.errors[n]) if name in names]
+    ranked = [name for name in sorted(trial.scores, key=lambda n: trial.scores[n]) if name in names]
     others = [name for name in ranked if name != trial.recommended]
     return Cast(names, trial.recommended, frozenset([trial.recommended, *others[:SHOWN]]))
 
@@ -65,19 +68,16 @@ def lead(record: Trajectory) -> str:
 
 def _answer(comparison: Comparison) -> Section:
     best, record = comparison.recommended, comparison.record
-    trial, train, mean = comparison.require_trial(), comparison.setup.train, comparison.means[best]
-    ahead = len(record) - train
     kind = words.in_words(best)
     text = [f"{best} is {kind}."] if kind else []
-    text += [" ".join(words.why(trial, train, ahead))]
+    train = comparison.setup.train
+    text += [" ".join(words.why(comparison.require_trial(), train, len(record) - train))]
     text += [" ".join(words.afterwards(comparison))]
-    facts = [("held out", number(trial.errors[best]))]
-    if ahead and mean.forecast is not None:
-        facts.append((f"forecast of {ahead:,} samples", number(mean.forecast_rmse)))
-        facts.append(("samples in its interval", percent(comparison.covers(best))))
-    facts.append(("free run from the start", number(mean.total_rmse)))
-    for test, error in zip(comparison.tests, mean.errors.tests, strict=False):
-        facts.append((f"test record {test.name}", number(error)))
+    facts = [
+        (column.title, entry(column, best))
+        for column in columns(comparison)
+        if column.unit in ("record", "share") and best in column.values
+    ]
     return Section("answer", f"Recommended: {best}", text, words.warnings(comparison), facts=facts)
 
 

@@ -7,11 +7,12 @@ from splitband.metrics import leaving
 from splitband.report.page import figures, tables, usage, words
 from splitband.report.page.comparison import cast_of, lead, settings
 from splitband.report.page.figures import TALL, TimeAxis
-from splitband.report.page.parts import Method, Page, Plot, Section, View, number, percent
+from splitband.report.page.parts import Method, Page, Plot, Section, View, entry, number, percent
 from splitband.report.page.runs import MOST
 from splitband.report.page.spectra import spectrum
 from splitband.report.page.thinning import bin_size, envelope, places, thinned
 from splitband.report.page.usage import Usage
+from splitband.report.table import tried
 
 CONTEXT = 3
 """Times the forecast: how much of the record is seen before it at first."""
@@ -32,7 +33,7 @@ def page(result: Forecast, used: Usage) -> Page:
     sections = [
         _answer(result),
         Section("forecast", "Forecast", _thinning(end + steps), plots=plots),
-        Section("methods", "What was tried", tables=[tables.tried(result.trial)]),
+        Section("methods", "What was tried", tables=[tables.tried(result.trial, record)]),
         Section("spectrum", "Spectrum of the record", plots=spectrum(record, None, None, {})),
         usage.section(result.forecaster, record, used, steps),
         settings([("seeds", ", ".join(map(str, result.seeds)))], used),
@@ -53,7 +54,12 @@ def _answer(result: Forecast) -> Section:
     items += [*result.prediction.warnings, *words.of_gaps(record)]
     items += [f"{name} could not be fitted: {why}" for name, why in trial.failed.items()]
     half = interval.half_widths(len(result.prediction)).mean(axis=0)
-    facts = [("held out", number(trial.errors[method])), ("seeds", str(len(result.seeds)))]
+    facts = [
+        (column.title, entry(column, method))
+        for column in tried(trial, record, [method])
+        if column.unit == "record"
+    ]
+    facts.append(("seeds", str(len(result.seeds))))
     facts += [
         (f"{column}: half the {percent(interval.share)} interval, on average", number(float(width)))
         for column, width in zip(record.columns, half, strict=True)

@@ -37,9 +37,10 @@ def page(looked: Looked, used: Usage) -> Page:
     record, facts = looked.record, looked.facts
     below = facts["share_below"]
     text = [
-        f"A filter pair of order {facts['order']} leaves {percent(below)} of the power to the low "
-        f"band and {percent(1 - below)} to the high band; the bands add up to the record with RMSE "
-        f"{number(facts['reconstruction_rmse'])}, all of it at the ends."
+        f"Of the first {facts['train']:,} samples {percent(below)} of the power lies below the "
+        f"cut-off and {percent(1 - below)} above. The bands of a filter pair of order "
+        f"{facts['order']} add up to the record with RMSE {number(facts['reconstruction_rmse'])}, "
+        "all of it at the ends."
     ]
     if looked.choice is not None:
         reason = looked.choice.reason

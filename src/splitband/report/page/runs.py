@@ -135,8 +135,10 @@ def test_runs(comparison: Comparison, cast: Cast, most: int) -> list[Plot]:
             }
             y_range = figures.between(*figures.limits([test.seen[:, channel]]))
             shown = _runs(frame, channel, curves, {}, y_range)
-            best = comparison.means[cast.recommended]
-            error = f": RMSE {number(best.errors.tests[i])}" if best.tests else " was not tested"
+            best = comparison.means[cast.recommended].tests
+            error = " was not tested"
+            if best:
+                error = f": RMSE {number(by_channel(test, best[i].y)[channel])}"
             says = (
                 f"Line plot of {column} of the test record {name} over {frame.axis.label}, in grey "
                 f"what was measured. {cast.recommended}{error}."

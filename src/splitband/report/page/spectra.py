@@ -16,7 +16,7 @@ from splitband.filters.spectrum import coherence, periodogram
 from splitband.report.colors import PALETTE
 from splitband.report.page import figures
 from splitband.report.page.figures import LOW, TALL
-from splitband.report.page.parts import Plot, number, percent
+from splitband.report.page.parts import Plot, number
 
 Array = npt.NDArray[np.float64]
 
@@ -67,10 +67,9 @@ def _power(
     said = "."
     if cutoff is not None:
         figures.mark(shown, cutoff, "cutoff")
-        below = percent(found.share_below(cutoff))
-        said = f"; dashed: the cut-off at {number(cutoff)} {unit}, with {below} of the power below."
+        said = f"; dashed: the cut-off at {number(cutoff)} {unit}."
     return Plot(
-        shown, f"Spectrum of the training samples{said.rstrip('.')}",
+        shown, f"Spectrum{said.rstrip('.')}",
         f"Line plot of the power spectral density of {', '.join(curves)} over frequency in {unit}, "
         f"both axes logarithmic{said}",
         key=[(f"c{i % len(PALETTE)}", name) for i, name in enumerate(curves)],

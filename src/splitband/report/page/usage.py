@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from splitband.data import Trajectory
 from splitband.forecasters.base import Forecaster
@@ -20,17 +20,26 @@ class Usage:
     commands : To use the recommended method from a shell, each with what it does.
     reading : The line of Python that reads the record; empty: it was made in a program.
     asked : The command that made the page.
+    more : The Python expressions that read the further records it was trained on.
     """
 
     commands: Sequence[tuple[str, str]] = ()
     reading: str = ""
     asked: str = ""
+    more: Sequence[str] = ()
 
 
-def section(forecaster: Forecaster, record: Trajectory, usage: Usage, steps: int) -> Section:
-    """The commands, if any, and the lines of Python that fit the forecaster to all of a record."""
+def section(
+    forecaster: Forecaster, record: Trajectory, usage: Usage, steps: int, others: bool = False
+) -> Section:
+    """Return the commands, if any, and the lines of Python that fit it to all of a record.
+
+    `others` says whether it was trained on further records, too.
+    """
     code = [Code(caption, text) for caption, text in usage.commands]
-    code.append(Code("In Python", python(forecaster, record, usage.reading, steps)))
+    if others and not usage.more:
+        usage = replace(usage, more=["..."])
+    code.append(Code("In Python", python(forecaster, record, usage, steps)))
     return Section(
         "use",
         "How to use this model",
@@ -39,23 +48,25 @@ def section(forecaster: Forecaster, record: Trajectory, usage: Usage, steps: int
     )
 
 
-def python(forecaster: Forecaster, record: Trajectory, reading: str, steps: int) -> str:
+def python(forecaster: Forecaster, record: Trajectory, usage: Usage, steps: int) -> str:
     """Fit it to the whole record, predict, save."""
     lines = ["import splitband as sb", ""]
-    lines.append(reading or "record = ...  # the one of this page, an sb.Trajectory")
-    if record.y_sim is not None and reading:
+    lines.append(usage.reading or "record = ...  # the one of this page, an sb.Trajectory")
+    if record.y_sim is not None and usage.reading:
         lines.append(
             "# dataclasses.replace(record, y_sim=...) puts the simulator's output beside it"
         )
-    more = ", u=inputs_to_come" if record.nu else ""
+    if usage.more:
+        lines += ["more = [", *(f"    {each}," for each in usage.more), "]"]
+    known = ", u=inputs_to_come" if record.nu else ""
     if "simulator" in forecaster.needs:
-        more += ", y_sim=simulated"
+        known += ", y_sim=simulated"
     lines += [
         *making(forecaster),
-        "model.fit(record)",
-        f"prediction = model.predict({steps}{more}, level=0.9)",
+        "model.fit(record, *more)" if usage.more else "model.fit(record)",
+        f"prediction = model.predict({steps}{known}, level=0.9)",
         "prediction.to_frame()  # values and interval, with their times",
         'model.save("model")',
-        f'sb.load("model").predict({steps}, history=later_record{more})',
+        f'sb.load("model").predict({steps}, history=later_record{known})',
     ]
     return "\n".join(lines)

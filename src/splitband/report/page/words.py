@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from splitband.data import Trajectory
@@ -10,8 +12,8 @@ from splitband.evaluation.selection import WORTH_TRAINING, Trial
 from splitband.forecasters.backtest import HELD_OUT
 from splitband.forecasters.names import CALIBRATED, CONDITIONED, base
 from splitband.metrics import Extrapolation, leaving
-from splitband.report.page.parts import number, percent
-from splitband.report.results import deviation
+from splitband.report.page.parts import entry, number, percent
+from splitband.report.table import Column, columns
 
 _KINDS = {
     "gru": "a recurrent network (GRU) that learns the whole signal",
@@ -52,76 +54,89 @@ def in_words(name: str) -> str:
 
 
 def why(trial: Trial, train: int, ahead: int) -> list[str]:
-    """Why a method is recommended."""
+    """Return why a method is recommended, in sentences; what was chosen by, if anything was."""
     best = trial.recommended
-    others = sorted((e, name) for name, e in trial.errors.items() if name != best)
-    said = (
-        f"It was chosen by the {train:,} training samples alone. Every method was fitted to the "
-        f"first {percent(1 - HELD_OUT)} of them and asked for the rest: {best} was off by "
-        f"{number(trial.errors[best])} (RMSE)"
-    )
+    settled = [name for name in trial.errors if name in trial.final]
+    if len(trial.errors) == 1:
+        return [
+            f"No other method was tried. Its held-out error is that of forecasts of the last "
+            f"{percent(HELD_OUT)} of the {train:,} training samples, fitted to the rest of them."
+        ]
+    able = [name for name in settled if name not in trial.left_out] or settled
+    others = sorted((trial.worth(name), name) for name in able if name != best)
+    words = [f"It has the lowest score, {number(trial.worth(best))}"]
+    if others and len(able) < len(settled):
+        words[0] += ", of the methods that the test records could be simulated with"
     if others:
-        error, second = others[0]
-        own = trial.errors[best]
-        compared = f"{error / own:.2f} times that" if own and error >= own else number(error)
-        said += f", {'the next one' if error >= own else 'the lowest'}, {second}, by {compared}"
-    words = [said + "."]
+        words[0] += f"; the next one, {others[0][1]}, has {number(others[0][0])}"
+    words[0] += "."
+    words.append(
+        f"Scores rest on the {train:,} training samples alone: every method was fitted to the "
+        f"first {percent(1 - HELD_OUT)} of them and forecast the rest (held out)."
+    )
     if ahead:
         words.append(
-            f"Fitted again to all of them, its forecast of what follows changed by "
-            f"{number(trial.change(best))}; a change that the error does not explain counts in the "
-            "error's place."
+            "Then it was fitted to all of them. A change of its forecast of what follows that the "
+            "held-out error does not explain is the score in that error's place."
         )
     if trial.trained and set(trial.errors) - trial.trained:
-        words.append(
-            f"A network is only recommended where it is {percent(WORTH_TRAINING)} better than what "
-            "needs no training."
-        )
+        words.append(f"{percent(WORTH_TRAINING)} are added to the score of a network.")
     return words
 
 
 def afterwards(comparison: Comparison) -> list[str]:
-    """What the recommended method then did on samples that nothing had been fitted to."""
-    best, record, train = comparison.recommended, comparison.record, comparison.setup.train
-    mean = comparison.means[best]
-    words = []
-    if mean.forecast is not None:
-        ahead = len(record) - train
-        interval = comparison.require_trial().intervals[best]
+    """Return what the recommended method did on samples that nothing had been fitted to."""
+    best, record = comparison.recommended, comparison.record
+    listed, words = columns(comparison), []
+    ahead = len(record) - comparison.setup.train
+    forecast = [column for column in listed if column.heading == "forecast"]
+    if forecast:
+        share = comparison.require_trial().intervals[best].share
+        held = [column for column in listed if column.heading == "in interval"]
         words.append(
             f"On the {ahead:,} samples after them its forecast had RMSE "
-            f"{number(mean.forecast_rmse)}{_relative(mean.forecast_rmse, record)}, and its "
-            f"interval, which should hold {percent(interval.share)} of the samples, held "
-            f"{percent(comparison.covers(best))}."
+            f"{_each(forecast, best, record)}; its interval, which should hold {percent(share)} of "
+            f"the samples, held {_listed(held, best)}."
         )
-    for test, error in zip(comparison.tests, mean.errors.tests, strict=False):
-        words.append(
-            f"The test record {test.name or ''} it simulated with RMSE {number(error)}"
-            f"{_relative(error, test)}."
-        )
-    return words + _hindsight(comparison)
+    tested = [[c for c in listed if c.record == test.name] for test in comparison.tests]
+    for test, of_test in zip(comparison.tests, tested, strict=True):
+        if best in of_test[0].values:
+            words.append(
+                f"It simulated the test record {test.name} with RMSE {_each(of_test, best, test)}."
+            )
+    return words + _hindsight(best, [c for of_test in tested for c in of_test] or forecast)
 
 
-def _relative(error: float, record: Trajectory) -> str:
-    usual = deviation(record)
-    return f", {percent(error / usual)} of the record's standard deviation" if usual else ""
+def _each(errors: Sequence[Column], method: str, record: Trajectory) -> str:
+    """Return a method's errors, each with its share of the channel's standard deviation."""
+    said = []
+    for i, column in enumerate(errors):
+        y = record.seen[:, i]
+        of = f" ({column.channel})" if column.channel else ""
+        value = column.values[method]
+        if np.nanmax(y) > np.nanmin(y):
+            of += f", {percent(value / float(np.nanstd(y)))} of the standard deviation"
+        said.append(f"{number(value)}{of}")
+    return " and ".join(said)
 
 
-def _hindsight(comparison: Comparison) -> list[str]:
-    """Which method was better after all, which nobody knew before."""
-    best, means = comparison.recommended, comparison.means
-    errors = {n: m.forecast_rmse for n, m in means.items() if m.forecast is not None}
-    if comparison.tests:
-        errors = {n: float(np.mean(m.errors.tests)) for n, m in means.items() if m.tests}
-    if best not in errors:
+def _listed(found: Sequence[Column], method: str) -> str:
+    """Return a method's entries with the channels they are of."""
+    return " and ".join(
+        entry(column, method) + (f" ({column.channel})" if column.channel else "")
+        for column in found
+    )
+
+
+def _hindsight(best: str, errors: Sequence[Column]) -> list[str]:
+    """Return which methods had a lower error after all; `errors` are of samples not fitted to."""
+    if not errors or best not in errors[0].values:
         return []
-    lowest = min(errors, key=lambda name: errors[name])
-    if errors[lowest] >= errors[best]:
-        return ["No other method did better there."]
-    return [
-        f"{lowest} did better there (RMSE {number(errors[lowest])}), which could not be known "
-        "before."
-    ]
+    lower = [c for c in errors if c.values[c.best] < c.values[best]]
+    if not lower:
+        return ["No other method had a lower error there."]
+    said = ", ".join(f"{c.best} {number(c.values[c.best])} ({c.title})" for c in lower)
+    return [f"Lower errors there, which could not be known before: {said}."]
 
 
 def doubts(comparison: Comparison) -> list[str]:
@@ -142,13 +157,14 @@ def warnings(comparison: Comparison) -> list[str]:
         if left
     ]
     said += [*of_inputs(comparison.inputs_beyond_training, record), *doubts(comparison)]
-    covers = comparison.covers(best)
     share = comparison.require_trial().intervals[best].share
-    if covers < share - POOR:
+    held = [c for c in columns(comparison) if c.heading == "in interval"]
+    missed = [c for c in held if c.values[best] < share - POOR]
+    if missed:
         said.append(
-            f"The interval of {best} held {percent(covers)} of the samples after the training part "
-            f"in place of {percent(share)}: the record changes, or is longer than what it was "
-            "learned from tells."
+            f"The interval of {best} held {_listed(missed, best)} of the samples after the "
+            f"training part in place of {percent(share)}: the record changes, or is longer than "
+            "the training part shows."
         )
     for test, prediction in zip(comparison.tests, comparison.means[best].tests, strict=False):
         said += [f"{test.name}: {message}" for message in prediction.warnings]
