@@ -212,23 +212,31 @@ def components(
 
 
 def errors(comparison: Comparison) -> Figure:
-    """The cumulative RMSE e_n over time under both protocols, mean and range over seeds."""
+    """Return a picture of the cumulative RMSE e_n over time, a row for each channel.
+
+    Lines are of the mean of the seeds' predictions, shaded is the range of the single seeds.
+    """
     record, setup, runs = comparison.record, comparison.setup, comparison.runs
-    figure = Figure(figsize=(13, 4.6), layout="constrained")
+    figure = Figure(figsize=(13, 0.6 + 4 * record.ny), layout="constrained")
     protocols = [("from the start", _from_start), ("forecast", _forecast)]
     times, end = _times(record), setup.train
     if end == len(record):  # nothing is forecast
         protocols = protocols[:1]
-    grid = figure.subplots(1, len(protocols), squeeze=False)[0]
-    for ax, (title, prediction) in zip(grid, protocols, strict=True):
+    grid = figure.subplots(record.ny, len(protocols), squeeze=False)
+    sides = [(channel, side) for channel in range(record.ny) for side in protocols]
+    for ax, (channel, (title, prediction)) in zip(grid.flat, sides, strict=True):
         for name, of_method in runs.items():
             steps = len(prediction(of_method[0]))
-            truth, time = record.truth[-steps:], times[-steps:]
-            curves = np.stack([cumulative_rmse(truth, prediction(r)) for r in of_method])
+            truth, time = record.truth[-steps:, channel], times[-steps:]
+            mean, *each = (
+                cumulative_rmse(truth, prediction(run)[:, channel])
+                for run in (comparison.means[name], *of_method)
+            )
             color = _color(runs, name)
-            ax.plot(time, curves.mean(axis=0), color=color, lw=1.4, label=name)
-            if len(curves) > 1:
-                ax.fill_between(time, curves.min(0), curves.max(0), color=color, alpha=0.15, lw=0)
+            ax.plot(time, mean, color=color, lw=1.4, label=name)
+            if len(each) > 1:
+                low, high = np.min(each, axis=0), np.max(each, axis=0)
+                ax.fill_between(time, low, high, color=color, alpha=0.15, lw=0)
         if end < len(record):
             ax.axvline(times[end], color="0.4", ls=":", lw=1)
         ax.set_yscale("log")
@@ -237,11 +245,12 @@ def errors(comparison: Comparison) -> Figure:
         lowest = [float(y[y > 0].min()) for y in map(np.asarray, settled) if (y > 0).any()]
         ax.set_ylim(bottom=0.7 * min(lowest, default=1e-3))
         ax.yaxis.set_major_formatter("{x:g}")
-        ax.set_title(f"{_literal(record.name)}, {title}", fontsize=10)
+        of = [record.name, title, *([record.columns[channel]] if record.ny > 1 else [])]
+        ax.set_title(_literal(", ".join(of)), fontsize=10)
         ax.set_xlabel(_time_label(record))
         ax.set_ylabel("RMSE since the warm-up (e_n)")
         ax.grid(True, which="both", color="0.93", lw=0.6)
-    ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1))
+    grid[0, -1].legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1))
     return figure
 
 

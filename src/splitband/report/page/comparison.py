@@ -95,8 +95,11 @@ def _over_time(comparison: Comparison, frame: runs.Frame, most: int) -> list[Sec
         text = ["Simulated from their first samples; nothing was fitted to them."]
         plots = runs.test_runs(comparison, frame.cast, most)
         sections.append(Section("tests", "Test records", text, plots=plots))
-    text = ["How far off predictions are on average up to each horizon: a model whose error stays "
-            "flat does not drift. Shaded: from the best to the worst seed."]  # fmt: skip
+    text = [
+        "The RMSE of each channel up to each horizon: a model whose error stays flat does not "
+        "drift. Lines: the mean of the seeds' predictions; shaded: the range of the single seeds, "
+        "whose errors may all be larger."
+    ]
     plots = horizon.errors(comparison, frame.cast, most)
     sections.append(Section("errors", "Error over horizon", text, plots=plots))
     parts = runs.components(comparison, frame)

@@ -23,20 +23,27 @@ SETTLED = 10
 
 
 def errors(comparison: Comparison, cast: Cast, most: int) -> list[Plot]:
-    """How the error grows with the horizon, mean and range over the seeds of each method."""
+    """Return how each channel's error grows with the horizon, with the range of the seeds."""
     plots = []
     axis = TimeAxis.of(comparison.record)
     sides = ["from the start", *(["forecast"] if comparison.predictions else [])]
+    record = comparison.record
     for side in sides:
-        curves: dict[str, Array] = {}
-        for name, runs in comparison.runs.items():
-            each = [run.from_start.y if side == sides[0] else run.ahead for run in runs]
-            truth = comparison.record.truth[len(comparison.record) - len(each[0]) :]
-            found = np.stack([cumulative_rmse(truth, y) for y in each])
-            curves[name] = found.mean(axis=0)
-            if len(found) > 1:
-                curves |= {f"{name} low": found.min(axis=0), f"{name} high": found.max(axis=0)}
-        plots.append(_errors(curves, side, cast, axis, comparison.record.sampling_time, most))
+        for channel, column in enumerate(record.columns):
+            curves: dict[str, Array] = {}
+            for name, runs in comparison.runs.items():
+                of_runs = [
+                    run.from_start.y if side == sides[0] else run.ahead
+                    for run in (comparison.means[name], *runs)
+                ]
+                truth = record.truth[len(record) - len(of_runs[0]) :, channel]
+                mean, *each = (cumulative_rmse(truth, y[:, channel]) for y in of_runs)
+                curves[name] = mean
+                if len(each) > 1:
+                    low, high = np.min(each, axis=0), np.max(each, axis=0)
+                    curves |= {f"{name} low": low, f"{name} high": high}
+            title = f"{side}, {column}" if record.ny > 1 else side
+            plots.append(_errors(curves, title, cast, axis, record.sampling_time, most))
     return plots
 
 

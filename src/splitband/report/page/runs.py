@@ -156,8 +156,8 @@ test_runs.__test__ = False  # type: ignore[attr-defined]  # for pytest, it is no
 def components(comparison: Comparison, frame: Frame) -> list[Plot]:
     """What each model of several parts adds up, from the start."""
     plots = []
-    for name, runs in comparison.runs.items():
-        parts = runs[0].from_start.components
+    for name, mean in comparison.means.items():
+        parts = mean.from_start.components
         for channel, column in enumerate(comparison.record.columns if parts else ()):
             shown = frame.empty(
                 column, TALL, figures.between(*figures.limits([frame.record.seen[:, channel]]))

@@ -1,0 +1,161 @@
+"""What the terminal, the page, results.json and the data frame show of a comparison agrees."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import html5lib
+import numpy as np
+import pytest
+from rich.console import Console
+
+from splitband import rmse
+from splitband.cli import showing
+from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.protocols import Runs
+from splitband.evaluation.selection import WORTH_TRAINING
+from splitband.forecasters.fitted import FitReport
+from splitband.report import results
+from splitband.report.page import words
+from splitband.report.page.parts import entry, number
+from splitband.report.table import Column, columns, remarks
+from tests.report import comparisons
+
+SCALE = 1000.0
+
+
+def of_two_seeds(found: Comparison, method: str = "mean", apart: float = 0.2) -> Comparison:
+    """Two seeds of a method whose errors cancel in their mean, but not in either of them."""
+    (run,) = found.runs[method]
+    assert run.forecast is not None
+    runs = []
+    for seed, sign in enumerate((-1, 1)):
+        start = replace(run.from_start, y=run.from_start.y + sign * apart)
+        ahead = replace(run.forecast, y=run.forecast.y + 2 * sign * apart)
+        each = replace(run, from_start=start, forecast=ahead, fit=FitReport(seed, 1.0))
+        runs.append(each)
+    return replace(found, runs=Runs(dict(found.runs) | {method: runs}))
+
+
+@pytest.fixture(scope="module")
+def seeds() -> Comparison:
+    return of_two_seeds(comparisons.compared(comparisons.record()))
+
+
+@pytest.fixture(scope="module")
+def scales() -> Comparison:
+    """Two channels, of scales 1 and 1000."""
+    r = comparisons.record(ny=2)
+    y = r.y * np.array([1.0, SCALE])
+    return comparisons.compared(replace(r, y=y, columns=("small", "large")))
+
+
+def column(comparison: Comparison, heading: str, channel: str = "") -> Column:
+    (found,) = [c for c in columns(comparison) if (c.heading, c.channel) == (heading, channel)]
+    return found
+
+
+def printed(comparison: Comparison) -> str:
+    """The table as a wide terminal shows it, its cells one space apart."""
+    table = showing.methods("", columns(comparison), remarks(comparison), comparison.recommended)
+    console = Console(file=io.StringIO(), width=400)
+    console.print(table)
+    return console.file.getvalue()  # type: ignore[attr-defined,no-any-return]
+
+
+def page_text(comparison: Comparison, folder: Path) -> str:
+    comparison.report(folder / "page.html")
+    parser = html5lib.HTMLParser(namespaceHTMLElements=False)
+    tree = parser.parse((folder / "page.html").read_text(encoding="utf-8"))
+    return " ".join("".join(tree.itertext()).split())
+
+
+def test_errors_are_of_the_mean_of_seeds_with_their_spread_beside(seeds: Comparison) -> None:
+    record, train = seeds.record, seeds.setup.train
+    shown = column(seeds, "forecast")
+    level = record.y[:train].mean()
+    expected = rmse(record.y[train:], np.full((len(record) - train, 1), level))
+    assert shown.values["mean"] == pytest.approx(expected)
+    alone = [rmse(record.y[train:], run.ahead) for run in seeds.runs["mean"]]
+    assert shown.spreads == {"mean": pytest.approx(np.std(alone, ddof=1))}
+    assert np.mean(alone) > 1.05 * expected  # what was shown before
+
+
+def test_every_renderer_shows_the_same_numbers(seeds: Comparison, tmp_path: Path) -> None:
+    terminal, page = printed(seeds), page_text(seeds, tmp_path)
+    facts = results.results(seeds)["table"]
+    for c, fact in zip(columns(seeds), facts, strict=True):
+        assert fact["values"] == dict(c.values)
+        assert dict(seeds.table[c.title].dropna()) == pytest.approx(dict(c.values))
+        for name in c.values:
+            assert entry(c, name) in terminal
+            assert " ".join(entry(c, name).split()) in page
+
+
+@pytest.mark.parametrize("best", ["mean", "persistence"])
+def test_the_text_names_the_method_that_the_table_marks(seeds: Comparison, best: str) -> None:
+    """Whichever is recommended: "gru did better (0.345)" stood above a bold 0.373 of linear."""
+    other = "persistence" if best == "mean" else "mean"
+    trial = seeds.require_trial()
+    final = {best: trial.final[best], other: trial.final[other]}
+    scores = {best: 0.1, other: 9.0}
+    two = Runs({name: seeds.runs[name] for name in final})
+    found = replace(seeds, runs=two, trial=replace(trial, final=final, scores=scores, early={
+        name: [y] for name, y in final.items()
+    }))  # fmt: skip
+    assert found.recommended == best
+    shown = column(found, "forecast")
+    said = " ".join(words.afterwards(found))
+    assert number(shown.values[best]) in said
+    if shown.best == best:
+        assert "No other method had a lower error there." in said
+    else:
+        assert f"{shown.best} {number(shown.values[shown.best])}" in said
+
+
+def test_each_channel_has_errors_of_its_own(scales: Comparison, tmp_path: Path) -> None:
+    record, train = scales.record, scales.setup.train
+    for i, channel in enumerate(record.columns):
+        held = np.full(len(record) - train, record.y[train - 1, i])
+        expected = rmse(record.y[train:, i], held)
+        shown = column(scales, "forecast", channel)
+        assert shown.values["persistence"] == pytest.approx(expected)
+        assert number(expected) in printed(scales)
+        assert f"forecast, {channel}" in page_text(scales, tmp_path)
+    assert {"held out", "changed", "from the start", "forecast", "in interval"} == {
+        c.heading for c in columns(scales) if c.channel
+    }
+
+
+def test_what_is_recommended_has_the_lowest_score(scales: Comparison) -> None:
+    """The errors of channels of different scale do not show it: the second would decide alone."""
+    assert column(scales, "score").best == scales.recommended
+    trial = replace(scales.require_trial(), trained=frozenset([scales.recommended]))
+    dearer = replace(scales, trial=trial)
+    assert column(dearer, "score").values[scales.recommended] == pytest.approx(
+        max(
+            trial.scores[scales.recommended],
+            np.linalg.norm(np.array(trial.change(scales.recommended)) / trial.scale),
+        )
+        * (1 + WORTH_TRAINING)
+    )
+
+
+def test_nothing_is_said_to_be_chosen_where_one_method_was_asked_for() -> None:
+    r = comparisons.record()
+    alone = comparisons.compared(r, ["mean"]).require_trial()
+    (said,) = words.why(alone, comparisons.TRAIN, 100)
+    assert said.startswith("No other method was tried.")
+    both = comparisons.compared(r, ["mean", "seasonal-naive"]).require_trial()
+    said = " ".join(words.why(both, comparisons.TRAIN, 100))
+    assert f"lowest score, {number(both.worth('seasonal-naive'))}" in said
+    assert f"mean, has {number(both.worth('mean'))}" in said
+    assert "times that" not in said
+
+
+def test_a_channel_that_was_never_measured_after_training_has_no_number() -> None:
+    nothing = Column("forecast", "record", {"mean": np.nan, "linear": 1.0})
+    assert (entry(nothing, "mean"), nothing.best) == ("–", "linear")  # noqa: RUF001
+    assert entry(nothing, "gru") == "–"  # noqa: RUF001
