@@ -19,6 +19,7 @@ from splitband.filters.cutoff import (
     choose_with_simulator,
 )
 from splitband.filters.resampling import check_downsampling
+from splitband.filters.spectrum import periodogram
 
 Array = npt.NDArray[Any]
 RATE, SAMPLES, WARMUP = 10.0, 600, 50
@@ -72,6 +73,8 @@ def test_the_cutoff_lies_between_a_strong_slow_and_a_weak_fast_sinusoid(
     assert slow < choice.cutoff < fast
     candidate = next(c for c in choice.candidates if not c.rejected)
     assert candidate.passed > 0.75
+    below = periodogram(y, RATE).share_below(choice.cutoff)  # what `spectrum` says, too
+    assert f"{below:.0%} of the power lies below it" in choice.reason
     assert candidate.loss <= MOST_LOST
 
 

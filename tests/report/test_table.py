@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import replace
 from pathlib import Path
 
 import html5lib
 import numpy as np
 import pytest
-from rich.console import Console
 
 from splitband import rmse
 from splitband.cli import showing
@@ -58,11 +56,11 @@ def column(comparison: Comparison, heading: str, channel: str = "") -> Column:
 
 
 def printed(comparison: Comparison) -> str:
-    """The table as a wide terminal shows it, its cells one space apart."""
-    table = showing.methods("", columns(comparison), remarks(comparison), comparison.recommended)
-    console = Console(file=io.StringIO(), width=400)
-    console.print(table)
-    return console.file.getvalue()  # type: ignore[attr-defined,no-any-return]
+    """Return the table as a wide terminal shows it."""
+    with showing.console.capture() as captured, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(showing.console, "width", 400)
+        showing.methods("", columns(comparison), remarks(comparison), comparison.recommended)
+    return captured.get()
 
 
 def page_text(comparison: Comparison, folder: Path) -> str:
@@ -134,13 +132,10 @@ def test_what_is_recommended_has_the_lowest_score(scales: Comparison) -> None:
     assert column(scales, "score").best == scales.recommended
     trial = replace(scales.require_trial(), trained=frozenset([scales.recommended]))
     dearer = replace(scales, trial=trial)
-    assert column(dearer, "score").values[scales.recommended] == pytest.approx(
-        max(
-            trial.scores[scales.recommended],
-            np.linalg.norm(np.array(trial.change(scales.recommended)) / trial.scale),
-        )
-        * (1 + WORTH_TRAINING)
-    )
+    change = np.array(trial.change(scales.recommended)) / trial.scale
+    expected = max(trial.scores[scales.recommended], float(np.linalg.norm(change)))
+    found = column(dearer, "score").values[scales.recommended]
+    assert found == pytest.approx(expected * (1 + WORTH_TRAINING))
 
 
 def test_nothing_is_said_to_be_chosen_where_one_method_was_asked_for() -> None:

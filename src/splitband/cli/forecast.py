@@ -117,7 +117,7 @@ def _say(result: Forecast, steps: int, out: Path) -> None:
     }
     title = f"{record.name}: RMSE on its last quarter, fitted to the rest of it"
     listed = tried(trial, record, [*trial.errors])
-    showing.console.print(showing.methods(title, listed, said, result.method))
+    showing.methods(title, listed, said, result.method)
     showing.console.print(
         f"{steps} samples ahead by {result.method}: {out}/forecast.csv, forecast.png"
     )

@@ -19,8 +19,7 @@ def show(result: Comparison, names: list[str], out: Path, used: Usage) -> None:
     """Print the table, what is recommended and why, what to be warned of, and how it is used."""
     record, setup, trial = result.record, result.setup, result.require_trial()
     best = result.recommended
-    table = showing.methods(_title(record, setup), columns(result), remarks(result), best)
-    showing.console.print(table)
+    showing.methods(_title(record, setup), columns(result), remarks(result), best)
     why = words.why(trial, setup.train, len(record) - setup.train)
     showing.console.print(f"recommended: {best}. {' '.join(why)}")
     if result.left_out:

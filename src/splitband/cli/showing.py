@@ -66,10 +66,11 @@ def results_file(path: Path) -> None:
 
 def methods(
     title: str, listed: Sequence[Column], said: Mapping[str, str], recommended: str
-) -> Table:
-    """Return a table of columns with a row for each method; the lowest error of each is bold.
+) -> None:
+    """Print a table of columns with a row for each method; the lowest error of each is bold.
 
-    Of several channels each has a line in every row. `said` is what stands beside the numbers.
+    Of several channels each has a line in every row. Below stands what is `said` of each method:
+    in a column of its own it would be broken into single words.
     """
     headings = list(dict.fromkeys((column.heading, column.record) for column in listed))
     channels = list(dict.fromkeys(column.channel for column in listed if column.channel))
@@ -80,15 +81,17 @@ def methods(
     for heading, record in headings:
         # A number in two lines would be taken for two channels.
         table.add_column(f"{heading} {record}".strip(), justify="right", no_wrap=True)
-    table.add_column("", style="dim")
-    for name, words in said.items():
+    for name in said:
         cells = [
             _lines([c for c in listed if (c.heading, c.record) == of], name) for of in headings
         ]
         if channels:
             cells.insert(0, Text("\n".join(channels)))
-        table.add_row(Text(name, style="bold" if name == recommended else ""), *cells, words)
-    return table
+        table.add_row(Text(name, style="bold" if name == recommended else ""), *cells)
+    console.print(table)
+    for name, words in said.items():
+        if words:
+            console.print(f"{name}: {words}", style="dim")
 
 
 def _lines(of_channels: Sequence[Column], method: str) -> Text:
