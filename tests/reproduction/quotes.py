@@ -71,6 +71,18 @@ def _mean(table: str, system: str, method: str) -> float:
     return statistics.mean(_row(table, system, method)["total_rmse"])
 
 
+def _handed_out(facts: dict[str, Any], key: str) -> float:
+    """The error of the mean of a method's seeds."""
+    return float((facts["mean_of_seeds"] or {key: facts[key][0]})[key])
+
+
+def _of_seeds(facts: dict[str, Any], key: str) -> str:
+    """As a table shows it: the error of the mean of the seeds, and how far these spread."""
+    spread = facts.get(f"{key}_std")
+    shown = f"{_handed_out(facts, key):.3f}"
+    return shown if spread is None else f"{shown} ± {spread:.3f}"
+
+
 def _number(text: str, after: str) -> float:
     """The number that stands behind a word in a description."""
     found = re.search(rf"{after} (-?[\d.]+\d)", text)
@@ -159,16 +171,16 @@ def _compared() -> Iterator[Quote]:
     of = _at("results/drill-string.json", "methods")
     recommended = _at("results/drill-string.json", "recommended")
     for name, facts in of.items():
-        cells = "| {} | {:.3f} | {:.3f} | {:.3f} | {:.3f} | {:.0f} % |"
+        start, ahead = (_of_seeds(facts, key) for key in ("total_rmse", "forecast_rmse"))
+        held_out = f"{facts['held_out_rmse']:.3f}"
+        change = f"{facts['change']:.3f}" if facts["change"] else "0"
+        covers = f"{100 * facts['interval']['covers']:.0f} %"
+        label = name
         if name == recommended:
-            errors = " | ".join(["**{:.3f}**", "{:.3f}", "**{:.3f}**", "**{:.3f}**"])
-            cells = f"| **{{}}** (recommended) | {errors} | {{:.0f}} % |"
-        elif facts["change"] == 0:
-            cells = "| {} | {:.3f} | {:.0f} | {:.3f} | {:.3f} | {:.0f} % |"
-        figures = (facts["held_out_rmse"], facts["change"], facts["total_rmse_mean"],
-                   facts["forecast_rmse_mean"], 100 * facts["interval"]["covers"])  # fmt: skip
-        yield Quote(README, cells, (name, *figures))
-    best = of["filtered-gru-calibrated-conditioned"]
+            label, held_out = f"**{name}** (recommended)", f"**{held_out}**"
+            start, ahead = (re.sub(r"^[\d.]+", r"**\g<0>**", cell) for cell in (start, ahead))
+        yield Quote(README, "| {} | {} | {} | {} | {} | {} |",
+                    (label, held_out, change, start, ahead, covers))  # fmt: skip
     yield Quote(README, "simulator below {:.2f} Hz, network above",
                 (_at("results/drill-string.json", "settings", "cutoff"),))  # fmt: skip
     yield Quote(
@@ -184,7 +196,6 @@ def _compared() -> Iterator[Quote]:
         ("periodic", "a period of", "harmonics of a period of {:.0f} samples"),
     ):
         yield Quote(README, number, (_number(of[name]["description"], words),))
-    yield Quote(README, "which is what you get, has {:.3f}", (best["mean_of_seeds"]["total_rmse"],))
     yield Quote(README, "The paper's best on this record is {:.3f}.",
                 (published.HYBRID_RNN["vi"]["filtered-rnn"].mean,))  # fmt: skip
     of = _at("results/double-torsion.json", "methods")
@@ -307,8 +318,9 @@ def _why() -> Iterator[Quote]:
         "its error is {:.3f}, where the simulator has {:.3f}, the best of the simple methods "
         "{:.3f} and a GRU alone {:.3f}. In the forecast, the GRU alone has {:.3f} and the hybrid "
         "{:.3f}.",
-        (hybrid[start], of["simulator"][start], of["harmonic"][start], gru[start], gru[ahead],
-         hybrid[ahead]),
+        (*(_handed_out(each, "total_rmse")
+           for each in (hybrid, of["simulator"], of["harmonic"], gru)),
+         *(_handed_out(each, "forecast_rmse") for each in (gru, hybrid))),
     )  # fmt: skip
     assert gru["change"] == max(facts["change"] for facts in of.values())
     yield Quote(WHY, "the GRU's error is {:.3f} and the hybrid's {:.3f}",
