@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from splitband.cli import showing
-from splitband.cli.comparing import FOUND
 from splitband.data import Trajectory
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.selection import WORTH_TRAINING
@@ -14,6 +13,7 @@ from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT
 from splitband.forecasters.names import HYBRIDS
 from splitband.report.page import words
+from splitband.report.results import FOUND
 
 
 def show(result: Comparison, names: list[str], out: Path) -> None:

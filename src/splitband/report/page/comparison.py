@@ -94,7 +94,8 @@ def _over_time(comparison: Comparison, frame: runs.Frame, most: int) -> list[Sec
     if comparison.tests:
         text = ["Simulated from their first samples; nothing was fitted to them."]
         plots = runs.test_runs(comparison, frame.cast, most)
-        sections.append(Section("tests", "Test records", text, plots=plots))
+        errors = [tables.tests(comparison)] if comparison.record.ny > 1 else []
+        sections.append(Section("tests", "Test records", text, tables=errors, plots=plots))
     text = ["How far off predictions are on average up to each horizon: a model whose error stays "
             "flat does not drift. Shaded: from the best to the worst seed."]  # fmt: skip
     plots = horizon.errors(comparison, frame.cast, most)

@@ -11,6 +11,7 @@ from splitband.evaluation.search import Attempt
 from splitband.evaluation.selection import Trial
 from splitband.report.page.parts import Cell, Table, number, percent
 from splitband.report.page.words import in_words
+from splitband.report.tested import errors
 
 _HELD_OUT = (
     "held out",
@@ -63,6 +64,28 @@ def methods(comparison: Comparison) -> Table:
     notes += [(name, said) for name in comparison.runs if (said := in_words(name))]
     caption = "The methods and their errors, in the record's unit; the lowest of each is bold"
     return Table(caption, headings, rows, frozenset([marked]), notes)
+
+
+def tests(comparison: Comparison) -> Table:
+    """Return the errors on test records by channel, a row for each method that was tested."""
+    columns = comparison.record.columns
+    names = [name for name, mean in comparison.means.items() if mean.tests]
+    headings = [
+        f"{test.name or i + 1}: {column}"
+        for i, test in enumerate(comparison.tests)
+        for column in columns
+    ]
+    rows = [
+        [Cell(name), *(_channel_error(e) for each in errors(comparison, name) for e in each)]
+        for name in names
+    ]
+    marked = [i for i, name in enumerate(names) if name == comparison.recommended]
+    caption = "RMSE of each channel of the test records, mean of the seeds"
+    return Table(caption, ["method", *headings], rows, frozenset(marked))
+
+
+def _channel_error(error: float | None) -> Cell:
+    return Cell("–") if error is None else Cell(number(error), error)  # noqa: RUF001
 
 
 def tried(trial: Trial) -> Table:
