@@ -144,7 +144,7 @@ def _end_with_parent(parent: int) -> None:
 def _main(folder: Path) -> None:
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
     facts = json.loads((folder / _TASK).read_text(encoding="utf-8"))
-    task = Isolated(**{k: tuple(v) if isinstance(v, list) else v for k, v in facts.items()})
+    task = Isolated(**(facts | {name: tuple(facts[name]) for name in ("outputs", "reads")}))
     time = np.load(folder / _TIME, allow_pickle=False)
     try:
         values = np.asarray(within(task.timeout, lambda: _simulate(task, time)))
