@@ -56,6 +56,8 @@ def claimed(context: Any) -> Iterator[None]:
 
 def replaced(command: str, out: Path) -> list[Path]:
     """Return the files below `out` that a command would replace or remove."""
+    if not os.path.isdir(out):
+        return []
     names = [path for pattern in WRITES[command] for path in out.glob(pattern)]
     earlier = [out / name for name in files_of_result(out)]
     return [*names, *earlier, *(out / CHECKPOINTS).rglob("*")]
@@ -65,7 +67,7 @@ def refuse_inputs(out: Path, targets: Iterable[Path], inputs: Mapping[Path, str]
     """Raise ValueError where a target is an input, whatever links lead to either."""
     for target in targets:
         for path, option in inputs.items():
-            if target.is_file() and os.path.samefile(target, path):
+            if os.path.isfile(target) and os.path.samefile(target, path):
                 raise ValueError(
                     f"--out must not replace a file that the command reads, got {out}: {target} "
                     f"is read by {option}"

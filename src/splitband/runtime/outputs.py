@@ -110,7 +110,8 @@ def locked(folder: str | Path, argument: str = "folder") -> Iterator[None]:
         Where the folder cannot be written, or is in use; the message calls it `argument`.
     """
     folder = Path(folder)
-    created = [path for path in (folder, *folder.parents) if not path.exists()]
+    # Unlike those of pathlib, this call has no errors, not even for names that are too long.
+    created = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
     handle = None
     try:
         output_folder(folder, argument)
