@@ -378,3 +378,27 @@ def test_the_picture_stays_of_a_size_to_look_at(count: int) -> None:
 
 def test_json_of_a_row_has_no_number_that_json_lacks() -> None:
     json.dumps(Row("x", error=1.0, best_error=0.0).as_json(), allow_nan=False)
+
+
+def test_a_case_is_computed_again_when_a_module_or_a_file_of_its_simulator_changes(
+    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(workspace / "record.csv", tmp_path)
+    Path("list.csv").write_text(
+        "record,columns,simulator,simulator_reads\nrecord.csv,a,sim.py:f,table.txt\n"
+    )
+    here = f"open({str(tmp_path / 'table.txt')!r})"
+    Path("sim.py").write_text(
+        f"import helper\ndef f(t):\n    return 0 * t + helper.LEVEL + float({here}.read())\n"
+    )
+
+    def error(level: float, offset: float) -> float:
+        Path("helper.py").write_text(f"LEVEL = {level}\n")
+        Path("table.txt").write_text(f"{offset}\n")
+        call("benchmark list.csv --methods simulator --warmup 10", Path("out"))
+        found = results(Path("out/record"))["methods"]["simulator"]["total_rmse"][0]
+        return float(found)
+
+    for level, offset in ((5.0, 0.0), (50.0, 0.0), (50.0, 500.0)):
+        assert error(level, offset) == pytest.approx(rms(A[10:] - level - offset), rel=1e-6)

@@ -8,9 +8,10 @@ import pytest
 
 import splitband as sb
 from splitband.cli import main
-from splitband.cli.comparing import Request, prepared, save_found
+from splitband.cli.comparing import Request, prepared
 from splitband.forecasters.names import Sizes, named
 from splitband.forecasters.network import Network
+from splitband.report.results import FOUND, save_found
 from splitband.training import Settings
 from tests.cli.support import DT, FORCE, SAMPLES, A, B, call, results
 
@@ -25,9 +26,8 @@ def found(tmp_path: Path) -> Path:
     network = named("gru", Sizes(3, 2))
     assert isinstance(network, Network)
     network.settings = QUICK
-    path = save_found(network, sb.read("record.csv", columns="a", inputs="force"), tmp_path)
-    assert path is not None
-    return path
+    save_found(network, sb.read("record.csv", columns="a", inputs="force"), tmp_path)
+    return tmp_path / FOUND
 
 
 def test_settings_bring_columns_and_inputs(

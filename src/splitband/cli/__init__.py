@@ -31,6 +31,15 @@ COMMANDS = {
 """The module of each command and a line about it; a module is loaded when its command is given."""
 
 
+class Claiming(typer.core.TyperCommand):
+    """A command that begins only where its --out is no input, and not in use."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        with import_module("splitband.cli.output").claimed(ctx):
+            return super().invoke(ctx)
+
+
 class Commands(TyperGroup):
     """The commands by name. Loading torch for a list of them would take seconds."""
 
@@ -51,7 +60,7 @@ class Commands(TyperGroup):
         if isinstance(command, typer.Typer):
             return typer.main.get_group(command)
         alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
-        alone.command(cmd_name)(command)
+        alone.command(cmd_name, cls=Claiming)(command)
         return typer.main.get_command(alone)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:

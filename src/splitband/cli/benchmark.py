@@ -20,10 +20,12 @@ from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Conditioned, ModelOptions, Seeds
 from splitband.cli.options.simulators import Calibrate
 from splitband.cli.options.workers import Cluster, Jobs
+from splitband.cli.output import refuse_inputs, replaced
 from splitband.cli.usage import usage
 from splitband.report import benchmark as report
 from splitband.report import page, pictures, results
-from splitband.runtime.files import CHECKPOINTS, output_folder, replacing, write_json
+from splitband.runtime.files import CHECKPOINTS, replacing
+from splitband.runtime.outputs import staged, write_facts
 
 
 @with_groups
@@ -79,7 +81,7 @@ def benchmark(
     if methods is not None:
         naming.method_names(methods)
     setups.check_model_options(model)
-    output_folder(out, "--out")
+    _check_out(out, listed, cases)
     rows = []
     with crew(jobs, cluster) as workers:
         for number, case in enumerate(cases, 1):
@@ -88,6 +90,13 @@ def benchmark(
             rows.append(row)
     _save(rows, out, {"command": context.info_name, "arguments": arguments(context.params)})
     _say(rows, out)
+
+
+def _check_out(out: Path, listed: Path, cases: Sequence[Case]) -> None:
+    """Raise ValueError where the results of a case would replace a file of the list."""
+    inputs = {path: f"{listed}, case {case.name}" for case in cases for path in case.files.values()}
+    targets = [path for case in cases for path in replaced("compare", out / case.name)]
+    refuse_inputs(out, [*replaced("benchmark", out), *targets], inputs | {listed: "LIST"})
 
 
 def _row(case: Case, folder: Path, workers: Crew) -> report.Row:
@@ -130,13 +139,14 @@ def _read(folder: Path) -> dict[str, Any]:
 
 
 def _save(rows: Sequence[report.Row], out: Path, facts: dict[str, Any]) -> None:
-    results_file, table_file, picture_file, page_file = (out / name for name in OVERALL)
-    with replacing(table_file) as temporary:
-        report.table(rows).to_csv(temporary)
-    pictures.save(report.picture(rows), picture_file)
     facts |= {"summary": report.summary(rows), "cases": [row.as_json() for row in rows]}
-    page.write(rows, page_file, usage("benchmark", facts["arguments"]))
-    write_json(results_file, facts | {"environment": results.environment()})
+    with staged(out) as new:
+        _, table_file, picture_file, page_file = (new / name for name in OVERALL)
+        with replacing(table_file) as temporary:
+            report.table(rows).to_csv(temporary)
+        pictures.save(report.picture(rows), picture_file)
+        page.write(rows, page_file, usage("benchmark", facts["arguments"]))
+        write_facts(new, facts | {"environment": results.environment()})
 
 
 def _say(rows: Sequence[report.Row], out: Path) -> None:

@@ -18,14 +18,16 @@ from splitband.data.gaps import Gaps
 from splitband.data.named import RECORDS
 from splitband.forecasters.names import BASES
 from splitband.simulators.named import SIMULATORS
+from splitband.simulators.sources import digest, source_files
 
 COLUMNS = (
     "record", "name", "columns", "inputs", "time_column", "sampling_time", "gaps", "train",
     "warmup", "test", "test_simulator", "more", "more_simulator", "simulator", "simulator_columns",
+    "simulator_reads",
 )  # fmt: skip
-_SEVERAL = {"test", "test_simulator", "more", "more_simulator"}
+_SEVERAL = {"test", "test_simulator", "more", "more_simulator", "simulator_reads"}
 _NAMED: dict[str, Collection[str]] = {
-    "record": RECORDS, "test": (), "more": (),
+    "record": RECORDS, "test": (), "more": (), "simulator_reads": (),
     **dict.fromkeys(("simulator", "test_simulator", "more_simulator"), (*SIMULATORS, *BASES)),
 }  # fmt: skip
 """Columns of files, and what may stand there that is none."""
@@ -60,10 +62,12 @@ class Case:
             value = getattr(self.listed, field.name)
             values |= asdict(value) if is_dataclass(value) else {field.name: value}  # type: ignore[arg-type]
         del values["settings"]  # no option of `benchmark`
-        digests = {
-            listed: hashlib.sha256(path.read_bytes()).hexdigest()
-            for listed, path in self.files.items()
-        }
+        digests = {}
+        for listed, path in self.files.items():
+            digests[listed] = hashlib.sha256(path.read_bytes()).hexdigest()
+            modules = source_files(path)[1:] if path.suffix == ".py" else []
+            if modules:
+                digests[f"{listed}: imports"] = digest(modules)
         return {"arguments": arguments(values), "files": digests}
 
 

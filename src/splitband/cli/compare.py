@@ -72,7 +72,8 @@ def compare(
 
     OUT gets results.json, predictions.csv, pictures, report.html, and where a network is
     recommended recommended.json, with which `fit` and `forecast` train it as it was trained here
-    (--settings).
+    (--settings). For each --test there is predictions-test-1.csv and so on; tests.png shows the
+    errors there, each channel by itself.
 
     --calibrate and --conditioned add rows: each method that can be is also run that way.
 

@@ -21,15 +21,10 @@ from splitband.evaluation.comparison import compare as compare_forecasters
 from splitband.evaluation.protocols import check
 from splitband.evaluation.selection import check_trial
 from splitband.evaluation.setup import Setup, default_names, trying_bases, usual_names
-from splitband.evaluation.tuned import Tuned
-from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASES, CALIBRATED, TRAINED, with_base, with_variants
 from splitband.report import results
 from splitband.report.page.usage import Usage
 from splitband.runtime.files import CHECKPOINTS, output_folder
-
-FOUND = "recommended.json"
-"""File with the settings of the recommended network, as `tune` writes them, too."""
 
 
 @dataclass(frozen=True)
@@ -149,21 +144,11 @@ def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> Usage:
     """
     record = comparison.record
     method, driven = comparison.recommended, record.nu > 0
-    found = save_found(comparison.forecaster(), record, out)
+    found = results.found_in(comparison.forecaster(), out)
     used = usage(facts["command"], facts["arguments"], method, driven, record.name, found)
     results.save(comparison, out, dict(facts), used)
     shutil.rmtree(out / CHECKPOINTS)
     return used
-
-
-def save_found(forecaster: Forecaster, record: Trajectory, out: Path) -> Path | None:
-    """Write how the recommended network is trained, for --settings; None where it is no network."""
-    path, tuned = out / FOUND, Tuned.of_forecaster(forecaster)
-    if tuned is None:
-        path.unlink(missing_ok=True)  # of an earlier comparison
-        return None
-    tuned.for_record(record).save(path)
-    return path
 
 
 def arguments(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -28,7 +28,8 @@ from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import Simulation
 from splitband.metrics import rmse
 from splitband.report import results
-from splitband.runtime.files import CHECKPOINTS, output_folder, write_json
+from splitband.runtime.files import CHECKPOINTS
+from splitband.runtime.outputs import staged, write_facts
 from splitband.runtime.threads import available_cores
 from splitband.simulators.calibration import Calibration
 from splitband.training import Checkpoint, Progress
@@ -94,7 +95,6 @@ def fit(
     training = trajectory[: setup.train]
     naming.check_needs([forecaster], training)
     forecaster.check(training, *others)
-    output_folder(out, "--out")
     with showing.progress(f"training {method}") as bar:
 
         def update(at: Progress) -> None:
@@ -128,7 +128,6 @@ def fit(
         "training": training_in_words,
         "calibration": None if calibration is None else asdict(calibration),
     }
-    saving.save(forecaster, out, facts)
     within = _training_error(forecaster)
     outcome = {
         "final_loss": {name: losses[-1] for name, losses in fitted.report.losses.items()},
@@ -136,7 +135,9 @@ def fit(
         "notes": [*fitted.report.notes],
         "training_rmse": within,
     }
-    write_json(out / "results.json", facts | outcome | {"environment": results.environment()})
+    with staged(out) as new:
+        write_facts(new, facts | outcome | {"environment": results.environment()})
+        saving.save(forecaster, out, facts)  # which replaces a model as a whole by itself
     shutil.rmtree(out / CHECKPOINTS)
     for note in fitted.report.notes:
         showing.warn(note)

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from splitband.cli import devices, naming, records, setups, showing
-from splitband.cli.comparing import arguments, save_found
+from splitband.cli.comparing import arguments
 from splitband.cli.crew import crew
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Budget, Device, Epochs, ModelOptions, Seeds, SettingsFile
@@ -26,9 +26,9 @@ from splitband.evaluation.selection import check_trial
 from splitband.evaluation.setup import default_names, trying_bases, usual_names
 from splitband.forecasters.names import BASES, CALIBRATED, NAMES, TRAINED, with_base
 from splitband.metrics import leaving
-from splitband.report import page, pictures, results
+from splitband.report import page, results
 from splitband.report.table import tried
-from splitband.runtime.files import CHECKPOINTS, output_folder, replacing, write_json
+from splitband.runtime.files import CHECKPOINTS
 
 
 @with_groups
@@ -89,22 +89,15 @@ def forecast(
         naming.check_needs(methods, known)
         check(known, methods, setup, others, beyond=True)
         check_trial(known, methods, setup, others)
-        output_folder(out, "--out")
         with showing.progress() as progress:
             result = forecast_record(
                 known, steps, methods,
                 others=others, seeds=seeds, setup=setup, work=workers.work(progress, out),
             )  # fmt: skip
-    with replacing(out / "forecast.csv") as temporary:
-        result.prediction.to_frame().to_csv(temporary, index=False)
-    write_json(
-        out / "results.json", results.forecast_facts(result, [other.name for other in others])
-    )
-    pictures.save(pictures.forecast(result), out / "forecast.png")
-    found = save_found(result.forecaster, known, out)
+    found = results.found_in(result.forecaster, out)
     given = arguments(context.params)
     used = usage("forecast", given, result.method, known.nu > 0, found=found)
-    page.write(result, out / page.NAME, used)
+    results.save_forecast(result, out, [other.name for other in others], used)
     shutil.rmtree(out / CHECKPOINTS)
     _say(result, steps, out)
     showing.results_file(out / "results.json")

@@ -261,10 +261,14 @@ def opened_simulator(
             f"--simulator must be a file, FILE.py:FUNCTION or one of {', '.join(SIMULATORS)}, "
             f"got {text}"
         )
+    reads = tuple(options.simulator_reads or ())
+    for each in reads:
+        if not Path(each).is_file():
+            raise FileNotFoundError(f"--simulator-reads must be a file, got {each}")
     if function:
-        return Isolated(file, function, timeout=timeout)
+        return Isolated(file, function, timeout=timeout, reads=reads)
     if text.lower().endswith(".fmu"):
-        return Isolated(file, outputs=tuple(columns), timeout=timeout)
+        return Isolated(file, outputs=tuple(columns), timeout=timeout, reads=reads)
     return _exported(text, record, columns, time_column)
 
 

@@ -24,7 +24,7 @@ from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, period
 from splitband.forecasters.simulation import Simulation
 from splitband.metrics import rmse
 from splitband.report import page, pictures
-from splitband.runtime.files import output_folder, write_json
+from splitband.runtime.outputs import staged, write_facts
 
 
 @with_groups
@@ -66,7 +66,6 @@ def spectrum(
     pair = setup.bands.pair(rate)
     chosen, choice = float(setup.bands.cutoff or 0.0), setup.bands.choice
     low, high = pair.split(trajectory.y)
-    output_folder(out, "--out")
     facts: dict[str, Any] = {
         "record": trajectory.name,
         "sampling_rate": rate,
@@ -83,16 +82,17 @@ def spectrum(
         facts["simulator"] = _show_simulator(trajectory, trajectory.y_sim, chosen, pair.order)
         training = trajectory[: setup.train]
         facts["simulator"]["training"] = _warn_of_nothing_to_learn(training, chosen, pair.order)
-    write_json(out / "results.json", facts)
     if choice is not None:
         showing.console.print(
             f"by the first {setup.train} samples, the low band kept at every "
             f"{showing.ordinal(setup.bands.downsampling or 1)} sample: {choice.reason}"
         )
     drawn = pictures.spectrum(trajectory, measured_spectrum, chosen, choice)
-    pictures.save(drawn, out / "spectrum.png")
     looked = page.Looked(trajectory, chosen, choice, facts)
-    page.write(looked, out / page.NAME, usage("spectrum", arguments(context.params)))
+    with staged(out) as new:
+        pictures.save(drawn, new / "spectrum.png")
+        page.write(looked, new / page.NAME, usage("spectrum", arguments(context.params)))
+        write_facts(new, facts)
     showing.console.print(f"picture: {out / 'spectrum.png'}\npage: {out / page.NAME}")
     showing.results_file(out / "results.json")
 

@@ -25,7 +25,7 @@ from splitband.evaluation.tuning import Effort, Tuning
 from splitband.evaluation.tuning import tune as search_settings
 from splitband.forecasters.names import TRAINED
 from splitband.report import tuning as report
-from splitband.runtime.files import CHECKPOINTS, output_folder
+from splitband.runtime.files import CHECKPOINTS
 
 SHOWN = 5
 """Trials in the table."""
@@ -113,7 +113,6 @@ def tune(
         naming.check_names("--methods", names, TRAINED)
     with crew(jobs, cluster) as workers:
         task = prepared(request, workers.cores, ahead=0)
-        output_folder(out, "--out")
         with showing.progress("tuning") as progress:
             result = search_settings(
                 task.record,

@@ -14,12 +14,15 @@ from splitband.report.page.usage import Usage
 
 _FIT = (
     "columns", "inputs", "time_column", "sampling_time", "gaps", "simulator", "simulator_columns",
-    "simulator_timeout", "simulator_cache", "more", "more_simulator", "cutoff", "order",
-    "downsampling", "warmup", "window", "epochs", "recipe", "learning_rate", "lr_milestones",
-    "hidden", "budget", "settings", "device",
+    "simulator_timeout", "simulator_cache", "simulator_reads", "more", "more_simulator",
+    "cutoff", "order", "downsampling", "warmup", "window", "epochs", "recipe", "learning_rate",
+    "lr_milestones", "hidden", "budget", "settings", "device",
 )  # fmt: skip
-_FORECAST = (*_FIT[:11], "epochs", "budget", "settings", "device")
-_SIMULATE = "simulator", "simulator_columns", "simulator_timeout", "simulator_cache", "time_column"
+_FORECAST = (*_FIT[:12], "epochs", "budget", "settings", "device")
+_SIMULATE = (
+    "simulator", "simulator_columns", "simulator_timeout", "simulator_cache", "simulator_reads",
+    "time_column",
+)  # fmt: skip
 _FOUND = (
     "cutoff", "order", "downsampling", "warmup", "window", "epochs", "recipe", "learning_rate",
     "lr_milestones", "hidden", "budget",

@@ -37,6 +37,8 @@ _DESCRIPTION, _WEIGHTS, _PREVIOUS = (
     "weights.safetensors",
     "weights-previous.safetensors",
 )
+FILES = _DESCRIPTION, _WEIGHTS
+"""The files of a saved model."""
 
 
 def _is_number(value: Any) -> bool:
@@ -164,7 +166,7 @@ def load(
         When a file is damaged, of another format, or does not fit the other.
     """
     folder = Path(folder)
-    for name in (_DESCRIPTION, _WEIGHTS):
+    for name in FILES:
         if not (folder / name).is_file():
             raise FileNotFoundError(f"no model in {folder}: {name} is missing")
     try:

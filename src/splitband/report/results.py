@@ -21,15 +21,21 @@ from splitband.data.timing import as_json
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.evaluation.protocols import Run
+from splitband.evaluation.tuned import Tuned
 from splitband.filters.spectrum import periodogram
+from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import time_header
 from splitband.metrics import rmse
-from splitband.report import pictures
+from splitband.report import pictures, tested
 from splitband.report.table import columns, tried
-from splitband.runtime.files import output_folder, replacing, write_json
+from splitband.runtime.files import replacing
+from splitband.runtime.outputs import staged, write_facts
 
 if TYPE_CHECKING:
     from splitband.report.page.usage import Usage
+
+FOUND = "recommended.json"
+"""File with the settings of the recommended network, as `tune` writes them, too."""
 
 
 def save(
@@ -38,14 +44,20 @@ def save(
     facts: dict[str, Any] | None = None,
     usage: Usage | None = None,
 ) -> None:
-    """Write predictions.csv, the pictures, the page and last results.json of a comparison.
+    """Write all files of a comparison in place of an earlier result; on an error none of them.
 
-    Where results.json is there, so is the rest. `facts` go into it before the others; `usage` is
-    for the page.
+    They are predictions.csv and one for each test record, the pictures, the page, recommended.json
+    where a network is recommended, and results.json. `facts` go into the last one before the
+    others; `usage` is for the page.
     """
+    with staged(folder) as new:
+        _write(comparison, new, facts or {}, usage)
+
+
+def _write(
+    comparison: Comparison, folder: Path, facts: dict[str, Any], usage: Usage | None
+) -> None:
     record, setup = comparison.record, comparison.setup
-    output_folder(folder)
-    found = (facts or {}) | results(comparison)
     with replacing(folder / "predictions.csv") as temporary:
         predictions(comparison).to_csv(temporary, index=False)
     pictures.save(pictures.rollouts(comparison), folder / "rollouts.png")
@@ -58,7 +70,23 @@ def save(
     # It imports this module, and a library that takes its time, so that it is imported only here.
     page = import_module("splitband.report.page")
     page.write(comparison, folder / page.NAME, usage)
-    write_json(folder / "results.json", found)
+    if comparison.tests:
+        tested.save_predictions(comparison, folder)
+        pictures.save(tested.picture(comparison), folder / "tests.png")
+    save_found(comparison.forecaster(), record, folder)
+    write_facts(folder, facts | results(comparison))
+
+
+def found_in(forecaster: Forecaster, folder: Path) -> Path | None:
+    """Return the file that says how a recommended network is trained; None for what is none."""
+    return None if Tuned.of_forecaster(forecaster) is None else folder / FOUND
+
+
+def save_found(forecaster: Forecaster, record: Trajectory, folder: Path) -> None:
+    """Write how a recommended network is trained, for --settings; nothing for what is none."""
+    tuned = Tuned.of_forecaster(forecaster)
+    if tuned is not None:
+        tuned.for_record(record).save(folder / FOUND)
 
 
 def results(comparison: Comparison) -> dict[str, Any]:
@@ -81,7 +109,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
             "gaps": 0 if record.measured is None else int((~record.complete).sum()),
             "truth": "measured" if record.y_true is None else "noise-free",
         },
-        **({"tests": [_test_facts(test) for test in comparison.tests]} if comparison.tests else {}),
+        **({"tests": _test_facts(comparison)} if comparison.tests else {}),
         "settings": comparison.setup.as_json(),
         "recommended": trial.recommended,
         "table": [column.as_json() for column in columns(comparison)],
@@ -134,6 +162,24 @@ def predictions(comparison: Comparison) -> pd.DataFrame:
     return pd.DataFrame(table)
 
 
+def save_forecast(
+    result: Forecast, folder: Path, others: Sequence[str] = (), usage: Usage | None = None
+) -> None:
+    """Write all files of a forecast in place of an earlier result; on an error none of them.
+
+    They are forecast.csv, its picture, the page, recommended.json where a network was fitted, and
+    results.json. `others` are the further records' names; `usage` is for the page.
+    """
+    page = import_module("splitband.report.page")
+    with staged(folder) as new:
+        with replacing(new / "forecast.csv") as temporary:
+            result.prediction.to_frame().to_csv(temporary, index=False)
+        pictures.save(pictures.forecast(result), new / "forecast.png")
+        page.write(result, new / page.NAME, usage)
+        save_found(result.forecaster, result.record, new)
+        write_facts(new, forecast_facts(result, others))
+
+
 def forecast_facts(result: Forecast, others: Sequence[str]) -> dict[str, Any]:
     """What `forecast` writes to results.json; `others` are the further records' names."""
     record, trial = result.record, result.trial
@@ -167,8 +213,12 @@ def environment() -> dict[str, Any]:
     }
 
 
-def _test_facts(test: Trajectory) -> dict[str, Any]:
-    return {"name": test.name, "samples": len(test), "start": as_json(test.start)}
+def _test_facts(comparison: Comparison) -> list[dict[str, Any]]:
+    return [
+        {"name": test.name, "samples": len(test), "start": as_json(test.start)}
+        | tested.facts(comparison, i)
+        for i, test in enumerate(comparison.tests)
+    ]
 
 
 def _interval(comparison: Comparison, name: str) -> dict[str, Any]:

@@ -5,6 +5,7 @@ The command line, the page, results.json and `Comparison.table` all read it, so 
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -93,7 +94,7 @@ class Column:
             **({"channel": self.channel} if self.channel else {}),
             "note": self.note,
             "unit": self.unit,
-            "values": dict(self.values),
+            "values": {name: v for name, v in self.values.items() if math.isfinite(v)},
             **({"spreads": dict(self.spreads)} if self.spreads else {}),
         }
 

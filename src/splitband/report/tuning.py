@@ -16,19 +16,22 @@ from splitband.evaluation.tuned import FILE
 from splitband.evaluation.tuning import Tuning
 from splitband.report import pictures
 from splitband.report.results import environment
-from splitband.runtime.files import output_folder, write_json
+from splitband.runtime.outputs import staged, write_facts
 
 _DONE, _BEST, _GIVEN_UP, _DEFAULT = "#0072B2", "#009E73", "0.6", "#D55E00"
 _ERROR = "held-out error (channels scaled to deviation 1)"
 
 
 def save(tuning: Tuning, folder: Path, facts: dict[str, Any] | None = None) -> None:
-    """Write settings.json, the pictures and last results.json; `facts` go into it before others."""
-    output_folder(folder)
-    tuning.tuned.save(folder / FILE)
-    pictures.save(history(tuning), folder / "history.png")
-    pictures.save(importances(tuning), folder / "importances.png")
-    write_json(folder / "results.json", (facts or {}) | results(tuning))
+    """Write settings.json, the pictures and results.json in place of an earlier result.
+
+    On an error none of them is written. `facts` go into results.json before the others.
+    """
+    with staged(folder) as new:
+        tuning.tuned.save(new / FILE)
+        pictures.save(history(tuning), new / "history.png")
+        pictures.save(importances(tuning), new / "importances.png")
+        write_facts(new, (facts or {}) | results(tuning))
 
 
 def results(tuning: Tuning) -> dict[str, Any]:

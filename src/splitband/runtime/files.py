@@ -16,20 +16,46 @@ CHECKPOINTS = ".splitband-checkpoints"
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`; rename it to `path` when the block ends well."""
+    """Give a temporary path beside `path`; rename it to `path` when the block ends well.
+
+    Raises
+    ------
+    OSError
+        Where it cannot be written, as the disk is full; the error names `path`.
+    """
     path = Path(path)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
+    with _naming(path):
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent
+        )
+        os.close(handle)
     temporary = Path(name)
     try:
-        yield temporary
-        # The content is on the disk before the name is, so that a power cut leaves no empty file.
-        with temporary.open("rb") as written:
-            os.fsync(written.fileno())
-        temporary.chmod(0o666 & ~_umask())
-        temporary.replace(path)
+        with _naming(path, temporary):
+            yield temporary
+            _finish(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _finish(temporary: Path, path: Path) -> None:
+    # The content is on the disk before the name is, so that a power cut leaves no empty file.
+    with temporary.open("rb") as written:
+        os.fsync(written.fileno())
+    temporary.chmod(0o666 & ~_umask())
+    temporary.replace(path)
+
+
+@contextmanager
+def _naming(path: Path, temporary: Path | None = None) -> Iterator[None]:
+    """Name `path` in errors of the operating system that name no file, or the temporary one."""
+    try:
+        yield
+    except OSError as error:
+        unnamed = error.filename is None or temporary is None
+        if error.errno is not None and (unnamed or str(error.filename) == str(temporary)):
+            error.filename = str(path)
+        raise
 
 
 def write_json(path: str | Path, value: Any) -> None:

@@ -7,7 +7,6 @@ lies in the folder, and what comes of it goes there.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 import runpy
@@ -28,6 +27,7 @@ import numpy.typing as npt
 from splitband.data.trajectory import one_line
 from splitband.simulators.base import SimulatorError, SimulatorTimeoutError, within
 from splitband.simulators.fmu import Fmu
+from splitband.simulators.sources import digest, source_files
 
 Array = npt.NDArray[np.float64]
 
@@ -46,12 +46,14 @@ class Isolated:
     function : Of a Python file; None for an FMU.
     outputs : Of an FMU; none for all.
     timeout : Seconds to wait; None for ever.
+    reads : Other files that its trajectory depends on.
     """
 
     path: str
     function: str | None = None
     outputs: tuple[str, ...] = ()
     timeout: float | None = None
+    reads: tuple[str, ...] = ()
 
     def simulate(self, time: Array) -> npt.ArrayLike:
         """See `Simulator`.
@@ -82,12 +84,12 @@ class Isolated:
         raise SimulatorError(said)
 
     def fingerprint(self) -> str:
-        """What the trajectory depends on besides the time grid: modules beside the file, too."""
-        files = [Path(self.path)]
-        if self.function is not None:
-            files += sorted(files[0].resolve().parent.glob("*.py"))
-        content = hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
-        return f"{content} {self.function} {self.outputs}"
+        """Return what the trajectory depends on besides the time grid.
+
+        That is the content of the file, of the modules that it imports and of what it `reads`.
+        """
+        files = [Path(self.path)] if self.function is None else source_files(self.path)
+        return f"{digest([*files, *self.reads])} {self.function} {self.outputs}"
 
 
 def _run_in(folder: Path, patience: float | None) -> int:
@@ -142,7 +144,7 @@ def _end_with_parent(parent: int) -> None:
 def _main(folder: Path) -> None:
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
     facts = json.loads((folder / _TASK).read_text(encoding="utf-8"))
-    task = Isolated(**(facts | {"outputs": tuple(facts["outputs"])}))
+    task = Isolated(**(facts | {name: tuple(facts[name]) for name in ("outputs", "reads")}))
     time = np.load(folder / _TIME, allow_pickle=False)
     try:
         values = np.asarray(within(task.timeout, lambda: _simulate(task, time)))

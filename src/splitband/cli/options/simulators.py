@@ -63,6 +63,18 @@ SimulatorCache = Annotated[
         show_default="not kept",
     ),
 ]
+SimulatorReads = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--simulator-reads",
+        metavar="FILE",
+        help="A file that the FMU or function reads, such as a table of parameters: what "
+        "--simulator-cache keeps is computed again when it changes, as when a module changes that "
+        "the function's file imports; give it once for each.",
+        rich_help_panel=_PANEL,
+        show_default=False,
+    ),
+]
 Calibrate = Annotated[
     bool,
     typer.Option(
@@ -102,6 +114,7 @@ class SimulatorOptions:
     simulator_columns: SimulatorColumns = None
     simulator_timeout: SimulatorTimeout = PATIENCE
     simulator_cache: SimulatorCache = None
+    simulator_reads: SimulatorReads = None
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,153 @@
+"""The folder of a result: one command at a time, and one whole result or none."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from splitband.runtime.files import output_folder, write_json
+
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks
+    fcntl = None  # type: ignore[assignment]
+
+FACTS = "results.json"
+"""File that says what a result is, and which files belong to it; where it is, so are they."""
+TEST_PREDICTIONS = "predictions-test-{}.csv"
+RESULT_FILES = (
+    FACTS, "predictions.csv", "rollouts.png", "error.png", "spectrum.png", "components.png",
+    "tests.png", "report.html", "recommended.json", "forecast.csv", "forecast.png",
+    "settings.json", "history.png", "importances.png", "table.csv", "cases.png",
+)  # fmt: skip
+"""Names of the files of results: no other file is ever removed with an earlier result."""
+LOCK = ".splitband-lock"
+_NEW, _EARLIER = ".splitband-new", ".splitband-earlier.json"
+
+
+@contextmanager
+def staged(folder: str | Path) -> Iterator[Path]:
+    """Give an empty folder for the files of a result; at the end they replace an earlier result.
+
+    Nothing is replaced before all of them are on the disk. Files of the earlier result that the new
+    one does not have are removed. While files are moved, the folder has no results.json.
+
+    Raises
+    ------
+    OSError
+        Where a file cannot be written, with its name in `folder`, which is as it was then.
+    """
+    folder = output_folder(folder)
+    new = folder / _NEW
+    shutil.rmtree(new, ignore_errors=True)
+    try:
+        new.mkdir()
+        yield new
+        _replace(folder, new)
+    except OSError as error:
+        if error.filename is not None:
+            path = Path(str(error.filename))
+            error.filename = str(folder / path.name if path.parent == new else path)
+        raise
+    finally:
+        shutil.rmtree(new, ignore_errors=True)
+
+
+def write_facts(new: Path, facts: dict[str, Any]) -> None:
+    """Write results.json into the folder that `staged` gave, after all other files."""
+    names = sorted(path.name for path in new.iterdir())
+    write_json(new / FACTS, facts | {"files": names})
+
+
+def belongs_to_result(name: str) -> bool:
+    """Return whether a file may belong to a result, by its name."""
+    pattern = re.escape(TEST_PREDICTIONS).replace(r"\{\}", r"\d+")
+    return name in RESULT_FILES or re.fullmatch(pattern, name) is not None
+
+
+def files_of_result(folder: Path) -> set[str]:
+    """Return the names of the files of the result that a folder holds, or held when interrupted."""
+    found: set[str] = set()
+    for name in (FACTS, _EARLIER):
+        # Whatever is wrong with the file, it names no file then.
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+            listed = json.loads((folder / name).read_text(encoding="utf-8"))["files"]
+            found |= {each for each in listed if belongs_to_result(each)} | {FACTS}
+    return {name for name in found if (folder / name).is_file()}
+
+
+def _replace(folder: Path, new: Path) -> None:
+    """Move the new files over those of the earlier result, results.json last."""
+    names = {path.name for path in new.iterdir()}
+    outdated = files_of_result(folder) - names
+    if (folder / FACTS).exists():
+        (folder / FACTS).replace(folder / _EARLIER)  # it still says what to remove
+    for name in outdated:
+        (folder / name).unlink(missing_ok=True)
+    for name in sorted(names, key=lambda name: (name == FACTS, name)):
+        (new / name).replace(folder / name)
+    (folder / _EARLIER).unlink(missing_ok=True)
+
+
+@contextmanager
+def locked(folder: str | Path, argument: str = "folder") -> Iterator[None]:
+    """Create a folder and keep other commands out of it; one that stays empty is removed again.
+
+    The operating system releases the lock when the process ends, however it does. There is no
+    lock where it has none (Windows, some network file systems).
+
+    Raises
+    ------
+    ValueError
+        Where the folder cannot be written, or is in use; the message calls it `argument`.
+    """
+    folder = Path(folder)
+    # Unlike those of pathlib, this call has no errors, not even for names that are too long.
+    created = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
+    handle = None
+    try:
+        output_folder(folder, argument)
+        handle = _locked_file(folder, argument)
+        yield
+    finally:
+        if handle is not None:
+            (folder / LOCK).unlink(missing_ok=True)
+            os.close(handle)
+        with contextlib.suppress(OSError):  # it holds results
+            for path in created:
+                path.rmdir()
+
+
+def _locked_file(folder: Path, argument: str) -> int | None:
+    """Return the descriptor of the locked file; None where the system cannot lock it."""
+    while fcntl is not None:
+        handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            owner = os.read(handle, 200).decode(errors="replace")
+            os.close(handle)
+            raise ValueError(
+                f"{argument}: {folder} is in use by another splitband command"
+                f"{f' ({owner})' if owner else ''}; wait for it or choose another folder"
+            ) from None
+        except OSError:
+            os.close(handle)
+            return None
+        # Another command may have removed the file between the two calls.
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(handle), (folder / LOCK).stat()):
+                os.ftruncate(handle, 0)
+                started = f"{datetime.now():%Y-%m-%d %H:%M}"
+                os.write(handle, f"process {os.getpid()}, started {started}".encode())
+                return handle
+        os.close(handle)
+    return None

@@ -1,0 +1,250 @@
+"""What --out may be, and what is in it: no input, one command at a time, one whole result."""
+
+import json
+import os
+import shlex
+import shutil
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from splitband.cli import COMMANDS, main
+from splitband.cli.output import WRITES
+from splitband.runtime.files import CHECKPOINTS
+from splitband.runtime.outputs import LOCK, belongs_to_result, locked, staged, write_facts
+from tests.cli.support import QUICK, B, assert_fails, call, files, results, written
+
+resource = pytest.importorskip("resource")
+
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+MEAN = "compare record.csv --columns a --methods mean --warmup 10"
+SPECTRUM = "spectrum record.csv --columns a"
+
+
+@pytest.fixture(autouse=True)
+def beside_records(workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each test has a folder of its own with copies of records and of a simulator."""
+    for name in ("record.csv", "history.csv", "future.csv", "simulated.csv"):
+        shutil.copy(workspace / name, tmp_path)
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("history", ["history.csv", "symlink.csv", "hardlink.csv"])
+@pytest.mark.parametrize("out", ["history.csv", "./history.csv"])
+def test_a_simulation_never_replaces_its_history(
+    model: Path, history: str, out: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    os.symlink("history.csv", "symlink.csv")
+    os.link("history.csv", "hardlink.csv")
+    line = f"simulate {model} --history {history} --steps 3 --out {out}"
+    says = "--out must not replace a file that the command reads", "is read by --history"
+    assert_fails(line, says, capsys)
+    assert_fails(f"simulate {model} --history {out} --steps 3 --out {history}", says, capsys)
+
+
+def test_a_simulation_never_replaces_a_file_of_its_model(
+    model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(model, "model")
+    line = "simulate model --history history.csv --steps 3 --out model/"
+    for name in ("model.json", "weights.safetensors"):
+        assert_fails(f"{line}{name}", ("--out", f"model/{name}", "MODEL_DIR"), capsys)
+    for _ in range(2):  # its own file in the same folder may be replaced
+        call(f"{line}ahead.csv")
+
+
+@pytest.mark.parametrize(
+    ("line", "option"),
+    [
+        ("compare {} --methods mean", "RECORD"),
+        ("compare record.csv --methods mean --test {}", "--test"),
+        ("compare record.csv --methods mean --more {}", "--more"),
+        ("compare record.csv --methods mean --simulator {}", "--simulator"),
+        ("spectrum {}", "RECORD"),
+        ("tune {} --trials 1", "RECORD"),
+        ("fit {} --method mean", "RECORD"),
+        ("forecast {} --method mean --steps 3", "RECORD"),
+        ("forecast record.csv --steps 3 --future-inputs {}", "--future-inputs"),
+        ("benchmark {}", "LIST"),
+    ],
+)
+def test_no_command_replaces_what_it_reads(
+    line: str, option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = WRITES[line.split(maxsplit=1)[0]][1]  # the first is results.json, of any command
+    for each in (name, "results.json"):
+        Path("out").mkdir(exist_ok=True)
+        shutil.copy("record.csv", f"out/{each}")
+        given = line.format(f"out/{each}")
+        assert_fails(f"{given} --out out", (f"out/{each} is read by {option}",), capsys)
+
+
+def test_a_list_is_no_reason_to_replace_its_records(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("a").mkdir()
+    shutil.copy("record.csv", "a/predictions.csv")
+    Path("list.csv").write_text("record,name\na/predictions.csv,a\n")
+    line = "benchmark list.csv --methods mean --out ."
+    assert_fails(line, ("a/predictions.csv is read by list.csv, case a",), capsys)
+
+
+def test_every_command_that_writes_a_folder_is_checked() -> None:
+    assert {*COMMANDS} - {*WRITES} == {"simulate", "methods", "data", "doctor"}
+    names = [name for each in WRITES.values() for name in each if "*" not in name]
+    model = {"forecaster.json", "model.json", "weights.safetensors"}
+    assert {name for name in names if not belongs_to_result(name)} == model
+
+
+def test_a_second_command_in_the_folder_is_refused_in_one_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with locked("out"):
+        before = files(Path("out"))
+        assert main(shlex.split(f"{SPECTRUM} --out out")) == 2
+        said = capsys.readouterr().err
+        assert said.startswith(
+            "error: --out: out is in use by another splitband command "
+            f"(process {os.getpid()}, started "
+        )
+        assert said.endswith("; wait for it or choose another folder\n")
+        assert files(Path("out")) == before
+    call(SPECTRUM, Path("out"))
+    assert not Path("out", LOCK).exists()
+
+
+def test_bad_input_leaves_no_folder(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(shlex.split("spectrum absent.csv --out deep/out")) == 2
+    assert "absent.csv" in capsys.readouterr().err
+    assert not Path("deep").exists()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
+def test_a_killed_command_keeps_nobody_out() -> None:
+    reading, writing = os.pipe()
+    child = os.fork()
+    if not child:
+        with locked("out"):
+            os.write(writing, b".")
+            signal.pause()
+    os.read(reading, 1)
+    with pytest.raises(ValueError, match=f"process {child}"), locked("out"):
+        pass
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    with locked("out"):
+        assert Path("out", LOCK).exists()
+
+
+def test_nothing_of_an_earlier_result_stays_but_what_is_the_users() -> None:
+    out = Path("out")
+    call(f"{MEAN} --test history.csv", out)
+    assert (out / "predictions-test-1.csv").is_file()
+    own = {"notes.txt": "mine", "table.csv": "mine", "predictions-test-7.csv": "mine"}
+    for name, text in own.items():
+        (out / name).write_text(text)
+    call(MEAN, out)
+    found = results(out)
+    assert {path.name for path in out.iterdir()} == {*found["files"], "results.json", *own}
+    assert not (out / "predictions-test-1.csv").exists()
+    call("forecast record.csv --method mean --steps 3", out)
+    assert {path.name for path in out.iterdir()} == {
+        "results.json", "forecast.csv", "report.html", *own
+    }  # fmt: skip
+    assert {name: (out / name).read_text() for name in own} == own
+
+
+@contextmanager
+def largest_file(size: int) -> Iterator[None]:
+    """The operating system refuses to write beyond that size, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize(
+    ("line", "size", "name"),
+    [
+        (MEAN, 200_000, "report.html"),  # after predictions.csv
+        (SPECTRUM, 200_000, "report.html"),
+        ("forecast record.csv --method mean --steps 3", 200_000, "report.html"),
+        ("fit record.csv --method linear --columns a --inputs force", 15_000, "forecaster.json"),
+    ],
+)
+def test_a_result_that_cannot_be_written_leaves_the_earlier_one_and_names_the_file(
+    line: str, size: int, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = Path("out")
+    call(line, out)
+    before = files(out)
+    with largest_file(size):
+        assert main([*shlex.split(line), "--out", "out"]) == 2
+    said = capsys.readouterr().err
+    assert said.endswith(f"File too large: out/{name}\n")
+    after = files(out)
+    assert {k: v for k, v in after.items() if CHECKPOINTS not in k} == before
+
+
+def test_a_result_cut_off_while_it_is_moved_is_gone_and_the_next_one_whole(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def write(names: str) -> None:
+        with staged("out") as new:
+            for name in names.split():
+                (new / name).write_text(names)
+            write_facts(new, {})
+
+    write("predictions.csv components.png error.png")
+    moved = Path.replace
+
+    def killed(self: Path, target: Path) -> Path:
+        if self.name == "table.csv":
+            raise KeyboardInterrupt
+        return moved(self, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", killed)
+        with pytest.raises(KeyboardInterrupt):
+            write("error.png table.csv")
+    assert not Path("out/results.json").exists()
+    write("spectrum.png")
+    assert {path.name for path in Path("out").iterdir()} == {"results.json", "spectrum.png"}
+    assert json.loads(Path("out/results.json").read_text()) == {"files": ["spectrum.png"]}
+
+
+def test_predictions_of_test_records_and_errors_by_channel_are_written() -> None:
+    call(
+        f"compare record.csv --columns a,b --methods gru,mean --test history.csv --test record.csv "
+        f"{QUICK} --seeds 1 --jobs 1",
+        Path("out"),
+    )
+    found = results(Path("out"))
+    for test, file in zip(found["tests"], ("history", "record"), strict=True):
+        table = written(Path("out") / test["predictions"])
+        measured = written(Path(f"{file}.csv"))
+        np.testing.assert_array_equal(table["time"], measured["time"])
+        for column in test["columns"]:
+            np.testing.assert_array_equal(table[column], measured[column])
+            for method in ("gru", "mean"):
+                predicted = table[f"{column}, {method}, from start"]
+                assert predicted.isna().tolist() == [True] * 10 + [False] * (len(table) - 10)
+                rmse = np.sqrt(np.mean((predicted - table[column])[10:] ** 2))
+                (errors,) = (c for c in found["table"] if c.get("record") == test["name"]
+                             and c["channel"] == column)  # fmt: skip
+                assert errors["values"][method] == pytest.approx(rmse)
+    level = pd.read_csv("out/predictions-test-2.csv")["b, mean, from start"].dropna()
+    assert level.to_numpy() == pytest.approx(B.mean())
+
+
+@pytest.mark.usefixtures("drawn")
+def test_errors_on_test_records_are_drawn() -> None:
+    call(f"{MEAN} --test history.csv", Path("out"))
+    assert Path("out/tests.png").read_bytes().startswith(b"\x89PNG")
+    assert "tests.png" in results(Path("out"))["files"]
