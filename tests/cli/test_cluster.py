@@ -74,6 +74,7 @@ class Running:
 
     def add(self, name: str, **environment: str) -> None:
         words = "worker", "--no-nanny", "--nthreads", "1", "--no-dashboard", "--name", name
+        words = *words, "--local-directory", str(self.folder)
         self.workers[name] = self._begin(*words, **environment)
 
     def only(self, *names: str) -> None:

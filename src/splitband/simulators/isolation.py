@@ -33,6 +33,8 @@ Array = npt.NDArray[np.float64]
 
 _START = 20.0
 """Seconds in which such a process must have begun, beside the simulator's own."""
+_STDERR = 2
+"""Where the simulator's prints go, those of its C code too: results are printed to stdout."""
 _TASK, _TIME, _VALUES, _FAILURE = "task.json", "time.npy", "values.npy", "failure.json"
 
 
@@ -99,6 +101,7 @@ def _run_in(folder: Path, patience: float | None) -> int:
         # -P keeps Python from importing modules out of the working directory.
         [sys.executable, "-P", "-m", "splitband.simulators.isolation", str(folder)],
         env=os.environ | {"PYTHONPATH": search, "TMPDIR": str(folder)},
+        stdout=_STDERR,
         start_new_session=True,
     )
     try:
