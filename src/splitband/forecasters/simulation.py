@@ -17,6 +17,7 @@ from splitband.forecasters.fitted import NEAR_ROW
 from splitband.forecasters.known import Known
 from splitband.forecasters.remembering import Remembered
 from splitband.simulators import Recorded, Simulator, run
+from splitband.simulators.absent import Absent
 from splitband.simulators.calibration import Calibration, Term, calibrate, samples_needed
 
 Array = npt.NDArray[np.float64]
@@ -129,7 +130,7 @@ class Simulation(Forecaster):
         new = self.copy()
         new.simulator = _Runs(
             {
-                (start, step): run(self.simulator, needed, step, record.ny, start=start)
+                (start, step): self._run(Grid(start, step, needed), record.ny)
                 for (start, step), needed in samples.items()
             }
         )
@@ -226,4 +227,6 @@ class Simulation(Forecaster):
             return self.simulator.on(grid).values
         if isinstance(self.simulator, _Runs):
             return self.simulator.on(grid)
+        if isinstance(self.simulator, Absent):
+            self.simulator.simulate(None)
         return run(self.simulator, grid.samples, grid.step, ny, start=grid.start)

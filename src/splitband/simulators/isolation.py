@@ -89,7 +89,9 @@ class Isolated:
         if self.function is not None:
             files += sorted(files[0].resolve().parent.glob("*.py"))
         content = hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
-        return f"{content} {self.function} {self.outputs}"
+        if self.function is None:
+            return f"{content} {[*self.outputs]} []"  # as that of an `Fmu` without start values
+        return f"{content} {self.function}"
 
 
 def _run_in(folder: Path, patience: float | None) -> int:
