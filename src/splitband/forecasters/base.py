@@ -23,6 +23,7 @@ from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.known import Known, continued
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import ExtrapolationWarning, leaves_range
+from splitband.runtime.arguments import whole
 from splitband.runtime.threads import one_thread
 from splitband.training import Checkpoint, Progress, Settings
 
@@ -157,6 +158,7 @@ class Forecaster(ABC):
         """
         self.check(*records)
         self.forget()
+        seed = whole("seed", seed, None)
         self.fitted = Fitted.of(records, seed)
         began = time.perf_counter()
         # Closed forms work on small matrices, where the threads of BLAS wait for each other.
@@ -211,8 +213,7 @@ class Forecaster(ABC):
             and for a prediction that leaves the range of the training samples by far.
         """
         fitted = self.require_fitted()
-        if steps < 1:
-            raise ValueError(f"steps must be at least 1, got {steps}")
+        steps = whole("steps", steps)
         if level is not None and not 0 < level < 1:
             raise ValueError(f"level must be between 0 and 1, got {level}")
         if other_record and self.anchored:

@@ -43,6 +43,7 @@ from splitband.forecasters.single import Single
 from splitband.forecasters.split import Split
 from splitband.models import saving as models
 from splitband.networks import GRU, EulerMLP
+from splitband.runtime.arguments import whole
 from splitband.runtime.files import write_json
 from splitband.simulators import Recorded, Simulator
 from splitband.simulators.absent import Absent
@@ -58,6 +59,7 @@ that an interrupted `save` leaves the parts of the forecaster that was there bef
 BASE, MEMBER = "base", "member-{}"
 SHORT = 20_000
 """Samples of a training record with a simulator that is saved as a whole."""
+_DTYPES = "float64", "float32", "int64", "int32", "bool"
 _PLAIN = (
     Absent, Bands, Calibration, Candidate, Channel, Choice, FitReport, Fitted, HarmonicRegression,
     HeldOut, LastPeriod, Modes, OutputError, PeriodicRegression, Recorded, Settings, Shape,
@@ -191,8 +193,8 @@ def _loaded(
 ) -> tuple[Forecaster, dict[str, Any]]:
     if (folder / FILE).is_file():
         try:
-            facts = json.loads((folder / FILE).read_text(encoding="utf-8"))
-        except (ValueError, RecursionError) as error:
+            facts = models.read_description(folder / FILE)
+        except (ValueError, RecursionError, MemoryError) as error:
             raise ValueError(f"{folder / FILE} is damaged: {error}") from None
         model = None
     else:
@@ -204,20 +206,39 @@ def _loaded(
         loaded = _decode(facts["forecaster"], {**_KNOWN, **classes})
     except KeyError as error:
         raise ValueError(f"{folder} holds no forecaster: {error} is missing") from None
-    except (TypeError, ValueError, AttributeError) as error:
+    except models.UNFIT as error:
         raise ValueError(f"{folder} holds no forecaster that can be read: {error}") from None
     if not isinstance(loaded, Forecaster):
         raise ValueError(f"{folder} holds no forecaster, but {type(loaded).__name__}")
     if isinstance(loaded, Network):
         loaded.model = model
+        _check_cells(loaded, folder)
     parts = folder / _place_of(facts)
     if isinstance(loaded, Filtered | Residual) and not hasattr(loaded, "base"):
         loaded.base = _loaded(parts / BASE, classes)[0]
     if isinstance(loaded, Ensemble):
+        whole("count", getattr(loaded, "count", None))
         loaded.members = [
             _loaded(parts / MEMBER.format(i), classes)[0] for i in range(loaded.count)
         ]
     return loaded, facts
+
+
+def _check_cells(network: Network, folder: Path) -> None:
+    """Raise ValueError where its templates are not those of the weights that are there."""
+    fitted, settings = network.fitted, network.trained_by
+    if fitted is None or settings is None or network.model is None:
+        return
+    with torch.device("meta"):
+        try:
+            built = network.build(fitted.record, settings).state_dict()
+        except ValueError:
+            raise
+        except models.UNFIT:  # a cell of the user's own may compute with values
+            return
+    found = network.model.state_dict()
+    if {k: v.shape for k, v in built.items()} != {k: v.shape for k, v in found.items()}:
+        raise ValueError(f"{folder} holds no forecaster: its cells are not those of its weights")
 
 
 def _save_parts(forecaster: Forecaster, folder: Path) -> str | None:
@@ -347,6 +368,8 @@ def _decode(  # noqa: PLR0911, PLR0912  a line for each kind
         return value
     if "array" in value:
         flat = [np.nan if v is None else v for v in value["array"]]
+        if value["dtype"] not in _DTYPES:
+            raise ValueError(f"an array must hold numbers, got {str(value['dtype'])[:60]!r}")
         return np.array(flat, dtype=value["dtype"]).reshape(value["shape"])
     for kind in (list, tuple, frozenset):
         if kind.__name__ in value:

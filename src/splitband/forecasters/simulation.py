@@ -24,6 +24,8 @@ Array = npt.NDArray[np.float64]
 
 CALIBRATIONS = Remembered(calibrate)
 """Several forecasters, seeds and trials ask for the same calibration, which takes seconds."""
+LONGEST = 10**8
+"""Samples, from the training record's first one on, over which a simulator is run."""
 AFFINE: tuple[Term, ...] = ("gain", "offset")
 
 
@@ -153,6 +155,11 @@ class Simulation(Forecaster):
         y_sim, begin_sim = known.y_sim, begin
         if self.simulator is not None:
             places = self.calibration.places(samples, record.sampling_time, begin)
+            if not places[-1] < LONGEST:
+                raise ValueError(
+                    f"history must lie so that {self.name} is run for at most {LONGEST} samples, "
+                    f"got {places[-1]:.3g}"
+                )
             times, needed = self._times(known), int(np.ceil(places[-1] - 1e-6)) + 1
             if isinstance(self.simulator, Recorded):  # its end is held, see `doubts`
                 least = int(np.ceil(begin - 1e-6)) + samples
