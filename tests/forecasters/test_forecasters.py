@@ -548,3 +548,42 @@ def test_every_level_follows_from_forecasts_that_are_made_once(
         np.testing.assert_array_equal(found.upper, upper)
     uppers = [loaded.predict(STEPS, u=u, level=level).upper for level in (0.5, 0.7, 0.9)]
     assert (np.diff(np.array(uppers), axis=0) > 0).all()
+
+
+def _given(number: Any) -> Any:
+    """None stands for the default there."""
+    return 3.0 if number is None else number
+
+
+@pytest.mark.parametrize("value", [3.0, "3", None, float("nan"), True], ids=str)
+@pytest.mark.parametrize(
+    ("argument", "call"),
+    [
+        ("steps", lambda n: mean().predict(n)),
+        ("seed", lambda n: sb.Mean().fit(record()[:30], seed=n)),
+        ("count", lambda n: sb.Ensemble(sb.Mean(), n)),
+        ("seeds", lambda n: sb.Ensemble(sb.Mean(), seeds=[0, n])),
+        ("hidden_size", GRU),
+        ("window", lambda n: sb.Settings(window=n)),
+        ("order", lambda n: sb.Bands(order=_given(n))),
+        ("train", lambda n: sb.compare(record(), _given(n), [sb.Mean()])),
+        ("steps", lambda n: sb.forecast(record(), n, [sb.Mean()])),
+        ("seeds", lambda n: sb.compare(record(), 30, [sb.Mean()],
+                                       seeds=_given(n))),
+    ],
+)  # fmt: skip
+def test_what_must_be_a_whole_number_is_named(
+    argument: str, call: Callable[[Any], Any], value: Any
+) -> None:
+    with pytest.raises(ValueError, match=f"^{argument} must be a whole number, got "):
+        call(value)
+
+
+def test_a_whole_number_of_numpy_is_one(tmp_path: Path) -> None:
+    three = np.int64(3)
+    assert len(mean().predict(three).y) == 3  # type: ignore[arg-type]
+    settings = sb.Settings(window=np.int64(20), warmup=three, epochs=1)  # type: ignore[arg-type]
+    model = sb.Single(GRU(three), settings).fit(record()[:TRAIN], seed=three)  # type: ignore[arg-type]
+    model.save(tmp_path)
+    u = record()[:TRAIN].u_beyond
+    np.testing.assert_array_equal(sb.load(tmp_path).predict(3, u=u).y, model.predict(3, u=u).y)

@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 import pandas as pd
@@ -232,8 +232,8 @@ def _check_cells(network: Network, folder: Path) -> None:
     with torch.device("meta"):
         try:
             built = network.build(fitted.record, settings).state_dict()
-        except ValueError:
-            raise
+        except (ValueError, AssertionError) as error:
+            raise ValueError(f"{folder} holds no forecaster: {error!r}") from None
         except models.UNFIT:  # a cell of the user's own may compute with values
             return
     found = network.model.state_dict()
@@ -391,7 +391,9 @@ def _decode(  # noqa: PLR0911, PLR0912  a line for each kind
     if "fields" in value:
         if name not in _BY_FIELDS:
             raise ValueError(f"{name} is not built from its fields")
-        return _BY_FIELDS[name](**{k: again(v) for k, v in value["fields"].items()})
+        parts = {k: again(v) for k, v in value["fields"].items()}
+        _check_numbers(_KNOWN[name], parts)
+        return _BY_FIELDS[name](**parts)
     make = known[name]
     if not _is_forecaster(make):
         raise ValueError(f"{name} is no forecaster")
@@ -404,6 +406,16 @@ def _decode(  # noqa: PLR0911, PLR0912  a line for each kind
     if isinstance(forecaster, Ensemble):
         forecaster.members = []
     return forecaster
+
+
+def _check_numbers(kind: type, parts: Mapping[str, Any]) -> None:
+    """Raise ValueError for a part that must be a number and is none."""
+    for name, wanted in get_type_hints(kind).items():
+        part = parts.get(name, 0)
+        if wanted is int:
+            whole(name, part, None)
+        elif wanted is float and (isinstance(part, bool) or not isinstance(part, int | float)):
+            raise ValueError(f"{name} must be a number, got {str(part)[:60]!r}")
 
 
 def _is_plain(value: Any) -> bool:
