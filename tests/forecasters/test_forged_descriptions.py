@@ -93,7 +93,7 @@ def test_a_template_that_is_not_that_of_the_weights_is_refused(
         if key == "hidden_size":
             part[key] = size
     path.write_text(json.dumps(description))
-    with pytest.raises(ValueError, match=r"hidden_size must be at most|not those of its weights"):
+    with pytest.raises(ValueError, match=r"hidden_size must be between|not those of its weights"):
         sb.load(tmp_path)
 
 

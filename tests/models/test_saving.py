@@ -269,7 +269,7 @@ def test_no_memory_is_taken_for_what_a_file_only_says(
     with pytest.raises(ValueError, match=r"weights\.safetensors is not the model's: .* must be"):
         load(folder)
     edit(folder, lambda d: d["model"]["cell"].update(hidden_size=10_001))
-    with pytest.raises(ValueError, match=r"hidden_size must be at most 10000, got 10001"):
+    with pytest.raises(ValueError, match=r"hidden_size must be between 1 and 10000, got 10001"):
         load(folder)
     edit(folder, lambda d: d["model"]["cell"].update(hidden_size=1_000_001))
     with pytest.raises(ValueError, match=r"hidden_size of GRU must be a whole number up to"):

@@ -15,7 +15,8 @@ def whole(name: str, value: Any, least: int | None = 1, most: int | None = None)
     Raises
     ------
     ValueError
-        For what is no whole number, or is not between `least` and `most`. It names the argument.
+        For what is no whole number, is below `least`, or is not between `least` and `most`. It
+        names the argument.
     """
     try:
         number = operator.index(value)
@@ -23,8 +24,8 @@ def whole(name: str, value: Any, least: int | None = 1, most: int | None = None)
         number = None
     if number is None or isinstance(value, bool):
         raise ValueError(f"{name} must be a whole number, got {str(value)[:60]!r}") from None
+    if least is not None and most is not None and not least <= number <= most:
+        raise ValueError(f"{name} must be between {least} and {most}, got {number}")
     if least is not None and number < least:
         raise ValueError(f"{name} must be at least {least}, got {number}")
-    if most is not None and number > most:
-        raise ValueError(f"{name} must be at most {most}, got {number}")
     return number
