@@ -58,7 +58,15 @@ def by_cluster(folder: Path, workers: int) -> dict[str, float]:
     """The same from workers of one thread each."""
     from distributed import LocalCluster  # noqa: PLC0415
 
-    with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=":0") as local:
+    with (
+        TemporaryDirectory() as scratch,
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            dashboard_address=":0",
+            local_directory=scratch,
+        ) as local,
+    ):
         return compared(folder, f"--cluster {local.scheduler_address}")
 
 

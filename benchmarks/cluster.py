@@ -12,6 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -73,7 +74,13 @@ def measured(workers: int, trainings: int, epochs: int) -> dict[str, float]:
     from distributed import Client, LocalCluster  # noqa: PLC0415
 
     with (
-        LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=":0") as local,
+        TemporaryDirectory() as scratch,
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            dashboard_address=":0",
+            local_directory=scratch,
+        ) as local,
         Cluster(local.scheduler_address) as cluster,
         Client(local, set_as_default=False) as client,
     ):

@@ -74,7 +74,8 @@ class Running:
 
     def add(self, name: str, **environment: str) -> None:
         words = "worker", "--no-nanny", "--nthreads", "1", "--no-dashboard", "--name", name
-        self.workers[name] = self._begin(*words, **environment)
+        place = "--local-directory", str(self.folder)
+        self.workers[name] = self._begin(*words, *place, **environment)
 
     def only(self, *names: str) -> None:
         """Start what does not run, and end all other workers."""

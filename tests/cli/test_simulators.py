@@ -1,5 +1,6 @@
 """What `--simulator` takes: files, functions and FMUs."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -42,3 +43,30 @@ def test_a_slow_function_is_kept_by_its_content(tmp_path: Path) -> None:
     assert Path("calls").read_text() == "xx"
     Path("calls").unlink()
     Path("f.py").unlink()
+
+
+PRINTING = """
+import ctypes
+import os
+
+print("imported")
+
+
+def simulate(time):
+    print("called")
+    os.write(1, b"written")
+    ctypes.CDLL(None).printf(b"by C code")
+    ctypes.CDLL(None).fflush(None)
+    return time
+"""
+
+
+def test_what_a_simulator_prints_is_not_among_the_results(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "noisy.py").write_text(PRINTING)
+    call(f"spectrum record.csv --columns a --simulator {tmp_path}/noisy.py:simulate --json",
+         tmp_path / "out")  # fmt: skip
+    found = capfd.readouterr()
+    assert json.loads(found.out) == results(tmp_path / "out")
+    assert not [word for word in ("imported", "called", "written", "by C") if word not in found.err]

@@ -516,5 +516,74 @@ def test_a_saved_model_of_several_records_has_the_interval_that_was_asked_for(
     y_sim, u = given.beyond, given.u_beyond
     found = loaded.predict(STEPS, level=0.8, u=u, y_sim=y_sim)
     np.testing.assert_array_equal(found.upper, expected.upper)
-    with pytest.raises(ValueError, match="level must be one that was asked for before"):
-        loaded.predict(STEPS, level=0.5, u=u, y_sim=y_sim)
+    loaded.held_out = None
+    with pytest.raises(ValueError, match="level must have been asked for before"):
+        loaded.predict(STEPS, level=0.8, u=u, y_sim=y_sim)
+
+
+def test_every_level_follows_from_forecasts_that_are_made_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also after loading, where the training records are not all there any more."""
+    parts = record()[:TRAIN], replace(record()[TRAIN:], start=None)
+    model = sb.Single(GRU(3), SETTINGS).fit(*parts, seed=0)
+    fits: list[int] = []
+    learn = sb.Single.learn
+
+    def counted(self: sb.Single, *arguments: Any, **named: Any) -> None:
+        fits.append(1)
+        learn(self, *arguments, **named)
+
+    monkeypatch.setattr(sb.Single, "learn", counted)
+    u = record()[:TRAIN].u_beyond
+    expected = {level: model.predict(STEPS, u=u, level=level).upper for level in (0.9, 0.5)}
+    model.save(tmp_path / "model")
+    loaded = sb.load(tmp_path / "model")
+    for level in (0.9, 0.5, 0.9, 0.7):
+        model.predict(STEPS, u=u, level=level)
+        loaded.predict(STEPS, u=u, level=level)
+    assert len(fits) == 1
+    for level, upper in expected.items():
+        found = loaded.predict(STEPS, u=u, level=level)
+        np.testing.assert_array_equal(found.upper, upper)
+    uppers = [loaded.predict(STEPS, u=u, level=level).upper for level in (0.5, 0.7, 0.9)]
+    assert (np.diff(np.array(uppers), axis=0) > 0).all()
+
+
+def _given(number: Any) -> Any:
+    """None stands for the default there."""
+    return 3.0 if number is None else number
+
+
+@pytest.mark.parametrize("value", [3.0, "3", None, float("nan"), True], ids=str)
+@pytest.mark.parametrize(
+    ("argument", "call"),
+    [
+        ("steps", lambda n: mean().predict(n)),
+        ("seed", lambda n: sb.Mean().fit(record()[:30], seed=n)),
+        ("count", lambda n: sb.Ensemble(sb.Mean(), n)),
+        ("seeds", lambda n: sb.Ensemble(sb.Mean(), seeds=[0, n])),
+        ("hidden_size", GRU),
+        ("window", lambda n: sb.Settings(window=n)),
+        ("order", lambda n: sb.Bands(order=_given(n))),
+        ("train", lambda n: sb.compare(record(), _given(n), [sb.Mean()])),
+        ("steps", lambda n: sb.forecast(record(), n, [sb.Mean()])),
+        ("seeds", lambda n: sb.compare(record(), 30, [sb.Mean()],
+                                       seeds=_given(n))),
+    ],
+)  # fmt: skip
+def test_what_must_be_a_whole_number_is_named(
+    argument: str, call: Callable[[Any], Any], value: Any
+) -> None:
+    with pytest.raises(ValueError, match=f"^{argument} must be a whole number, got "):
+        call(value)
+
+
+def test_a_whole_number_of_numpy_is_one(tmp_path: Path) -> None:
+    three = np.int64(3)
+    assert len(mean().predict(three).y) == 3  # type: ignore[arg-type]
+    settings = sb.Settings(window=np.int64(20), warmup=three, epochs=1)  # type: ignore[arg-type]
+    model = sb.Single(GRU(three), settings).fit(record()[:TRAIN], seed=three)  # type: ignore[arg-type]
+    model.save(tmp_path)
+    u = record()[:TRAIN].u_beyond
+    np.testing.assert_array_equal(sb.load(tmp_path).predict(3, u=u).y, model.predict(3, u=u).y)

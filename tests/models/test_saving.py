@@ -264,9 +264,12 @@ def test_weights_that_do_not_fit_are_refused_even_with_their_checksum(
 def test_no_memory_is_taken_for_what_a_file_only_says(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A GRU of a million units would have 12 TB of weights."""
-    edit(folder, lambda d: d["model"]["cell"].update(hidden_size=1_000_000))
+    """A GRU of ten thousand units has 1.2 GB of weights."""
+    edit(folder, lambda d: d["model"]["cell"].update(hidden_size=10_000))
     with pytest.raises(ValueError, match=r"weights\.safetensors is not the model's: .* must be"):
+        load(folder)
+    edit(folder, lambda d: d["model"]["cell"].update(hidden_size=10_001))
+    with pytest.raises(ValueError, match=r"hidden_size must be between 1 and 10000, got 10001"):
         load(folder)
     edit(folder, lambda d: d["model"]["cell"].update(hidden_size=1_000_001))
     with pytest.raises(ValueError, match=r"hidden_size of GRU must be a whole number up to"):

@@ -331,6 +331,43 @@ def test_closing_an_fmu_removes_what_was_unpacked(
     assert not unpacked(tmp_path)
 
 
+_LEFT_OPEN = """
+import multiprocessing
+import os
+import sys
+from splitband.simulators import Fmu, run
+
+
+def use():
+    run(Fmu(sys.argv[1], ["x"]), 20, 0.1)
+    global kept
+    kept = Fmu(sys.argv[1], ["x"])
+
+
+use()
+worker = multiprocessing.get_context("fork").Process(target=use)
+worker.start()
+worker.join()
+assert worker.exitcode == 0
+assert os.path.isdir(kept._folder)  # which the worker process has not removed
+raise KeyboardInterrupt
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")
+def test_nothing_that_an_fmu_unpacked_is_left_after_the_process(
+    van_der_pol_fmu: Path, tmp_path: Path
+) -> None:
+    """Not closed, forgotten or kept, in a worker process, and after Ctrl-C."""
+    found = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", _LEFT_OPEN, van_der_pol_fmu],
+        capture_output=True, text=True, check=False, timeout=120,
+        env=os.environ | {"OMP_NUM_THREADS": "1", "TMPDIR": str(tmp_path)},
+    )  # fmt: skip
+    assert found.stderr.endswith("KeyboardInterrupt\n"), found.stderr
+    assert not [*tmp_path.iterdir()]
+
+
 def test_an_fmu_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"no such FMU.*none\.fmu"):
         Fmu(tmp_path / "none.fmu")

@@ -168,3 +168,13 @@ def ordinal(k: int) -> str:
     """1st, 2nd..."""
     suffix = {1: "st", 2: "nd", 3: "rd"}.get(k % 10 if k % 100 not in (11, 12, 13) else 0, "th")
     return f"{k}{suffix}"
+
+
+@contextmanager
+def warnings_as_lines() -> Iterator[None]:
+    """Warnings of the library in lines of the command."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield
+    for each in caught:
+        warn(str(each.message))

@@ -82,9 +82,9 @@ def simulate(
             beyond = [] if u is None else saved.extrapolations(u)
         else:
             if simulator.simulator is not None:
-                raise ValueError(
-                    f"--simulator must be left out for {known.method}, which asks for none"
-                )
+                opened = opened_simulator(simulator, past, time_column)
+                with showing.warnings_as_lines():
+                    saved = forecasters.load(model_dir, opened)
             y = devices.on_device(saved, device).predict(steps, past, u).y
             beyond = saved.require_fitted().inputs_beyond(u)
     prediction = Prediction(y, past.grid.after(steps), tuple(known.columns))

@@ -15,6 +15,7 @@ from splitband.evaluation.selection import TRIED, Trial, try_out
 from splitband.evaluation.setup import Setup, trying_bases, usual_names
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import Ensemble
+from splitband.runtime.arguments import whole
 
 TRIAL, FINAL = "three quarters", "whole"
 """The stages of the work: on how much of the training part the methods are fitted."""
@@ -58,8 +59,8 @@ def choose(
     work, others : See `compare`.
     tested : Whether methods are asked about other records, too.
     """
-    if seeds is not None and seeds < 1:
-        raise ValueError(f"seeds must be at least 1, got {seeds}")
+    if seeds is not None:
+        whole("seeds", seeds)
     searched = SearchResult([*forecasters])
     if setup.search is not None:
         searched = search(record, forecasters, ahead, setup.search, work, others)

@@ -17,6 +17,7 @@ from splitband.forecasters.backtest import Origin, Question
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import Prediction, mean_of
 from splitband.metrics import Extrapolation, leaves_range
+from splitband.runtime.arguments import whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +134,7 @@ def forecast(
 
 
 def _check_ahead(record: Trajectory, steps: int) -> None:
-    if steps < 1:
-        raise ValueError(f"steps must be at least 1, got {steps}")
+    whole("steps", steps)
     for what, known, ahead in (
         ("known inputs", record.u, record.u_beyond),
         ("the simulator", record.y_sim, record.beyond),

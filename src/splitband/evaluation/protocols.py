@@ -22,6 +22,7 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.prediction import Prediction, mean_of
 from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
+from splitband.runtime.arguments import whole
 
 Array = npt.NDArray[np.float64]
 
@@ -251,7 +252,7 @@ def inputs_beyond(training: Sequence[Trajectory], u: Array | None) -> list[Extra
 
 def check_train(record: Trajectory, train: int, ahead: int = 1) -> None:
     """Check that there is something to train on and `ahead` samples to predict."""
-    if not 2 <= train <= len(record) - ahead:
+    if not 2 <= whole("train", train, None) <= len(record) - ahead:
         raise ValueError(
             f"train must be between 2 and {len(record) - ahead} for a record of {len(record)} "
             f"samples, got {train}"

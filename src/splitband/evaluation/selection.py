@@ -20,10 +20,10 @@ from splitband.forecasters.backtest import (
     Question,
     channel_errors,
     for_trial,
+    held_out,
     held_out_errors,
     held_out_from,
     held_out_origins,
-    interval_from,
     mean_forecasts,
     root_mean_square,
 )
@@ -199,7 +199,7 @@ def try_out(
     return Trial(
         {name: channel_errors(e) for name, e in scored.items()},
         {name: root_mean_square([error / scale for error in e]) for name, e in scored.items()},
-        {name: interval_from(record, y, LEVEL) for name, y in forecasts.items()},
+        {name: held_out(record, y).interval(LEVEL) for name, y in forecasts.items()},
         early,
         scale,
         frozenset(f.name for f in shorter if f.random),

@@ -18,7 +18,7 @@ from splitband.data import Trajectory
 from splitband.data.gaps import first_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
-from splitband.forecasters.intervals import Interval
+from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import ExtrapolationWarning, rmse, spread
@@ -224,29 +224,32 @@ def held_out_errors(record: Trajectory, forecasts: Mapping[Origin, Array]) -> li
     return [e for at, e in _errors(record, forecasts) if at >= first]
 
 
-def interval_from(record: Trajectory, forecasts: Mapping[Origin, Array], level: float) -> Interval:
-    """The interval for forecasts beyond a record, from the errors of forecasts of its last part."""
+def held_out(record: Trajectory, forecasts: Mapping[Origin, Array]) -> HeldOut:
+    """Return what intervals beyond a record follow from: how well its last part was forecast."""
     first = held_out_from(len(record))
     errors = _errors(record, forecasts)
     scored = [e for at, e in errors if at >= first]
     longer = [e for at, e in reversed(errors) if at < first]
-    return Interval.fit(_sound(scored, longer, spread(record.seen)), record.seen, level)
+    return HeldOut.of(_sound(scored, longer, spread(record.seen)), record.seen)
 
 
-def interval_of(forecaster: Forecaster, level: float) -> Interval:
-    """The interval of a fitted forecaster: copies of it are tried on its training record's end."""
+def held_out_by(forecaster: Forecaster) -> HeldOut:
+    """Return the same of a fitted forecaster: copies are tried on its training record's end.
+
+    Raises ValueError for one that was loaded and has not kept all of its training records.
+    """
     fitted = forecaster.require_fitted()
     record = fitted.record
     if fitted.begin or not fitted.whole:
         raise ValueError(
-            f"level must be one that was asked for before the forecaster was saved, got {level}; "
-            "not all of its training records are left"
+            "level must have been asked for before the forecaster was saved; not all of its "
+            "training records are left"
         )
     shorter = for_trial(forecaster, len(record))
     origins = held_out_origins(forecaster, record)
     question = Question(record, origins, len(record), fitted.others)
     done = backtest(shorter, question, fitted.report.seed)
-    return interval_from(record, {at: p.y for at, p in done.predictions.items()}, level)
+    return held_out(record, {at: p.y for at, p in done.predictions.items()})
 
 
 def mean_forecasts(done: Sequence[Backtest]) -> dict[Origin, Array]:

@@ -9,11 +9,9 @@ import numpy.typing as npt
 
 from splitband.filters import ComplementaryPair, butterworth
 from splitband.filters.cutoff import Choice, choose, choose_with_simulator
+from splitband.runtime.arguments import LARGEST_SIZE, whole
 
 Array = npt.NDArray[np.float64]
-
-LARGEST_SIZE = 10_000
-"""Of an order, a down-sampling or a network."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +35,8 @@ class Bands:
         """Check sizes."""
         for name in ("order", "downsampling"):
             value = getattr(self, name)
-            if value is not None and not 1 <= value <= LARGEST_SIZE:
-                raise ValueError(f"{name} must be between 1 and {LARGEST_SIZE}, got {value}")
+            if value is not None:
+                object.__setattr__(self, name, whole(name, value, 1, LARGEST_SIZE))
 
     @property
     def complete(self) -> bool:

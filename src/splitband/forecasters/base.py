@@ -19,10 +19,11 @@ from splitband.data import Trajectory, check_alike
 from splitband.data.timing import same_sampling
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import Fitted
-from splitband.forecasters.intervals import Interval
+from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.known import Known, continued
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import ExtrapolationWarning, leaves_range
+from splitband.runtime.arguments import whole
 from splitband.runtime.threads import one_thread
 from splitband.training import Checkpoint, Progress, Settings
 
@@ -42,11 +43,11 @@ class Forecaster(ABC):
     Attributes
     ----------
     fitted : What is remembered of the training records; None before `fit`.
-    interval : What surrounds its forecasts, once it has been asked for.
+    held_out : How well copies of it forecast known samples, once an interval has been asked for.
     """
 
     fitted: Fitted | None = None
-    interval: Interval | None = None
+    held_out: HeldOut | None = None
 
     @property
     @abstractmethod
@@ -157,6 +158,7 @@ class Forecaster(ABC):
         """
         self.check(*records)
         self.forget()
+        seed = whole("seed", seed, None)
         self.fitted = Fitted.of(records, seed)
         began = time.perf_counter()
         # Closed forms work on small matrices, where the threads of BLAS wait for each other.
@@ -192,8 +194,8 @@ class Forecaster(ABC):
             (`beyond`); a calibrated delay or clock may need it beyond the last of them. What needs
             none, or has a simulator of its own, does not look at it.
         level : Of the interval, 0 to 1: the share of samples that should lie in it. The first time
-            it is asked for, the forecaster is fitted again to three quarters of its training
-            record, to see how well it forecasts the rest.
+            one is asked for, the forecaster is fitted again to three quarters of its training
+            record, to see how well it forecasts the rest; the intervals of all levels follow.
         other_record : The history is of another record: its time stamps are not compared with
             those of the training record. What depends on the time since then (`anchored`) has
             nothing to say.
@@ -211,8 +213,7 @@ class Forecaster(ABC):
             and for a prediction that leaves the range of the training samples by far.
         """
         fitted = self.require_fitted()
-        if steps < 1:
-            raise ValueError(f"steps must be at least 1, got {steps}")
+        steps = whole("steps", steps)
         if level is not None and not 0 < level < 1:
             raise ValueError(f"level must be between 0 and 1, got {level}")
         if other_record and self.anchored:
@@ -231,7 +232,7 @@ class Forecaster(ABC):
             )
         prediction = Prediction(y, past.grid.after(steps), past.columns, parts)
         if level is not None:
-            half = self._interval_at(level).half_widths(steps)
+            half = self._tried_out().interval(level).half_widths(steps)
             prediction = replace(prediction, lower=y - half, upper=y + half, level=level)
         beyond = fitted.inputs_beyond(None if known.u is None else known.u[len(known.y) :])
         messages = [each.describe(past.inputs[each.channel]) for each in beyond]
@@ -250,7 +251,7 @@ class Forecaster(ABC):
         """Write the fitted forecaster to a folder, whole or not at all; `splitband.load` reads it.
 
         With it go the end of the training record, on which a forecast warms up, calibration, units,
-        ranges of the inputs, and the interval, if one has been asked for.
+        ranges of the inputs, and the intervals, if one has been asked for.
         """
         from splitband.forecasters import saving  # noqa: PLC0415  it names every forecaster
 
@@ -264,7 +265,7 @@ class Forecaster(ABC):
 
     def forget(self) -> None:
         """Keep the options alone, and nothing of a fit."""
-        self.fitted = self.interval = None
+        self.fitted = self.held_out = None
 
     def require_fitted(self) -> Fitted:
         """What is remembered of the training records; raises ValueError before `fit`."""
@@ -307,13 +308,13 @@ class Forecaster(ABC):
             simulated = continued("y_sim", past.y_sim, ahead, steps, more=True)
         return Known(past.seen, steps, begin, inputs, simulated, past.grid), past
 
-    def _interval_at(self, level: float) -> Interval:
-        """The interval of a level, from held-out forecasts where none has been fitted yet."""
-        if self.interval is None or self.interval.share != level:
-            from splitband.forecasters.backtest import interval_of  # noqa: PLC0415  it fits copies
+    def _tried_out(self) -> HeldOut:
+        """How well it forecasts known samples, which is found out once."""
+        if self.held_out is None:
+            from splitband.forecasters.backtest import held_out_by  # noqa: PLC0415  it fits copies
 
-            self.interval = interval_of(self, level)
-        return self.interval
+            self.held_out = held_out_by(self)
+        return self.held_out
 
 
 def total(parts: Sequence[Array]) -> Array:

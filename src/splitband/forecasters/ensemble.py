@@ -15,6 +15,7 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.known import Known
 from splitband.forecasters.network import Network
+from splitband.runtime.arguments import whole
 from splitband.training import Checkpoint, Progress, Settings
 
 Array = npt.NDArray[np.float64]
@@ -52,11 +53,11 @@ class Ensemble(Forecaster):
         seeds: Sequence[int] | None = None,
     ) -> None:
         if seeds is not None:
+            seeds = [whole("seeds", seed, None) for seed in seeds]
             count = len(seeds)
             if count < 1 or min(seeds) < 0 or len(set(seeds)) < count:
                 raise ValueError(f"seeds must be different numbers from 0 on, got {[*seeds]}")
-        if count < 1:
-            raise ValueError(f"count must be at least 1, got {count}")
+        count = whole("count", count)
         self.member, self.count, self._name = member, count, name
         self._seeds = None if seeds is None else tuple(seeds)
         self.members: list[Forecaster] = []

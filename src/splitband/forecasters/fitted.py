@@ -11,6 +11,7 @@ import numpy.typing as npt
 from splitband.data import Trajectory
 from splitband.data.timing import Stamp, seconds_between
 from splitband.metrics import Extrapolation, extrapolations, input_range
+from splitband.runtime.arguments import whole
 
 Array = npt.NDArray[np.float64]
 
@@ -60,6 +61,10 @@ class Fitted:
     others: tuple[Trajectory, ...] = ()
     report: FitReport = field(default_factory=FitReport)
     whole: bool = True
+
+    def __post_init__(self) -> None:
+        """Check what may come from a file."""
+        whole("begin", self.begin, 0)
 
     @classmethod
     def of(cls, records: Sequence[Trajectory], seed: int) -> Fitted:

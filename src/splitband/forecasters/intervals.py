@@ -10,7 +10,7 @@ model averaging).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -62,27 +62,7 @@ class Interval:
         y : The training record, `(time, ny)`, NaN likewise.
         share : Of the samples that shall lie inside.
         """
-        if not 0 < share < 1:
-            raise ValueError(f"share must lie between 0 and 1, got {share}")
-        known = ~np.isnan(np.concatenate(errors)) if errors else np.empty((0, 1))
-        if not known.any(axis=0).all():
-            raise ValueError("errors must have a sample at least, in every channel")
-        steps = np.geomspace(1, FARTHEST * len(y), 12 * int(np.ceil(np.log10(len(y)))) + 16)
-        horizon = np.unique(np.round(steps)) - 1
-        # Rounding errors remain even where a forecast is exact.
-        floor = 16 * np.finfo(np.float64).eps * np.nanmax(abs(y), axis=0)
-        of_channels = [
-            np.maximum(_half_widths([e[:, i] for e in errors], len(y), horizon, share), floor[i])
-            for i in range(y.shape[1])
-        ]
-        # The difference of two independent signals of the same deviation is this much wider.
-        apart = float(np.sqrt(2)) * _quantile(share)
-        most = tuple(
-            max(apart * float(np.nanstd(channel)), widths[0]) if _is_bounded(channel) else None
-            for channel, widths in zip(y.T, of_channels, strict=True)
-        )
-        half_width = tuple(tuple(map(float, row)) for row in np.transpose(of_channels))
-        return cls(tuple(map(int, horizon)), half_width, most, share)
+        return HeldOut.of(errors, y).interval(share)
 
     def widened(self, change: Array) -> Interval:
         """At least as wide as errors of the size of `change` `(time, ny)`, by horizon, call for.
@@ -127,6 +107,73 @@ class Interval:
 def _share(inside: Array) -> float:
     known = inside[~np.isnan(inside)]
     return float(known.mean()) if len(known) else np.nan
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """How far forecasts of known samples were off, from which the interval of any level follows.
+
+    Attributes
+    ----------
+    errors : Of forecasts from different samples on, `(time, ny)` each, by horizon; NaN where
+        nothing was measured.
+    samples : Of the training record.
+    largest, deviation, bounded : Of its channels, `(ny,)` each: the largest absolute value, the
+        standard deviation, and whether they keep to one level and one spread.
+    """
+
+    errors: tuple[Array, ...]
+    samples: int
+    largest: Array
+    deviation: Array
+    bounded: npt.NDArray[np.bool_]
+    _known: dict[float, Interval] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Check what may come from a file."""
+        channels = {np.shape(each)[1:] for each in self.errors}
+        channels |= {np.shape(each) for each in (self.largest, self.deviation, self.bounded)}
+        if len(channels) != 1 or not isinstance(self.samples, int) or self.samples < 1:
+            raise ValueError("held-out errors must be those of one record's channels")
+
+    @classmethod
+    def of(cls, errors: Sequence[Array], y: Array) -> HeldOut:
+        """Return the errors with what counts of the training record `y`, see `Interval.fit`."""
+        known = ~np.isnan(np.concatenate(errors)) if errors else np.empty((0, 1))
+        if not known.any(axis=0).all():
+            raise ValueError("errors must have a sample at least, in every channel")
+        bounded = np.array([_is_bounded(channel) for channel in y.T])
+        return cls(tuple(errors), len(y), np.nanmax(abs(y), axis=0), np.nanstd(y, axis=0), bounded)
+
+    def interval(self, share: float) -> Interval:
+        """Return the interval that should hold `share` of the samples, 0 to 1; found once."""
+        if share not in self._known:
+            self._known[share] = self._interval(share)
+        return self._known[share]
+
+    def _interval(self, share: float) -> Interval:
+        if not 0 < share < 1:
+            raise ValueError(f"share must lie between 0 and 1, got {share}")
+        points = 12 * int(np.ceil(np.log10(self.samples))) + 16
+        horizon = np.unique(np.round(np.geomspace(1, FARTHEST * self.samples, points))) - 1
+        # Rounding errors remain even where a forecast is exact.
+        floor = 16 * np.finfo(np.float64).eps * self.largest
+        of_channels = [
+            np.maximum(
+                _half_widths([e[:, i] for e in self.errors], self.samples, horizon, share), least
+            )
+            for i, least in enumerate(floor)
+        ]
+        # The difference of two independent signals of the same deviation is this much wider.
+        apart = float(np.sqrt(2)) * _quantile(share)
+        most = tuple(
+            max(apart * float(deviation), widths[0]) if bounded else None
+            for deviation, bounded, widths in zip(
+                self.deviation, self.bounded, of_channels, strict=True
+            )
+        )
+        half_width = tuple(tuple(map(float, row)) for row in np.transpose(of_channels))
+        return Interval(tuple(map(int, horizon)), half_width, most, share)
 
 
 def _quantile(share: float) -> float:

@@ -8,7 +8,6 @@ from functools import partial
 
 import torch
 
-from splitband.forecasters.bands import LARGEST_SIZE
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.closed_form import (
     Harmonic,
@@ -24,6 +23,7 @@ from splitband.forecasters.simulation import AFFINE, Simulation
 from splitband.forecasters.single import Single
 from splitband.forecasters.split import Split
 from splitband.networks import GRU, EulerMLP
+from splitband.runtime.arguments import LARGEST_SIZE, whole
 
 CALIBRATED, CONDITIONED = "-calibrated", "-conditioned"
 """Suffixes: the simulator is calibrated first; faster networks are told what is slower."""
@@ -48,10 +48,7 @@ class Sizes:
     def __post_init__(self) -> None:
         """Check ranges."""
         for name in ("hidden_high", "hidden_low", "state_size"):
-            if not 1 <= getattr(self, name) <= LARGEST_SIZE:
-                raise ValueError(
-                    f"{name} must be between 1 and {LARGEST_SIZE}, got {getattr(self, name)}"
-                )
+            object.__setattr__(self, name, whole(name, getattr(self, name), 1, LARGEST_SIZE))
 
 
 def _gru(sizes: Sizes) -> Template:

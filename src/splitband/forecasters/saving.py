@@ -1,19 +1,20 @@
 """Saving forecasters whole, and loading them: JSON, and safetensors for the weights.
 
-Loading builds only the classes named here or by the caller. An FMU is opened again from its path,
-if the file has not changed; other simulators are given to `load`.
+Loading builds only the classes named here or by the caller, and opens nothing that a description
+names: of a simulator, other than recorded output, a description is saved (`simulators.absent`), and
+the simulator itself is given to `load`.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import shutil
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 import pandas as pd
@@ -35,15 +36,17 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import Ensemble
 from splitband.forecasters.fitted import FitReport, Fitted
 from splitband.forecasters.hybrids import Filtered, Residual
-from splitband.forecasters.intervals import Interval
+from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import Simulation
 from splitband.forecasters.single import Single
 from splitband.forecasters.split import Split
 from splitband.models import saving as models
 from splitband.networks import GRU, EulerMLP
+from splitband.runtime.arguments import whole
 from splitband.runtime.files import write_json
-from splitband.simulators import Fmu, Recorded, Simulator
+from splitband.simulators import Recorded, Simulator
+from splitband.simulators.absent import Absent
 from splitband.simulators.calibration import Calibration
 from splitband.training import Settings
 
@@ -56,10 +59,11 @@ that an interrupted `save` leaves the parts of the forecaster that was there bef
 BASE, MEMBER = "base", "member-{}"
 SHORT = 20_000
 """Samples of a training record with a simulator that is saved as a whole."""
+_DTYPES = "float64", "float32", "int64", "int32", "bool"
 _PLAIN = (
-    Bands, Calibration, Candidate, Channel, Choice, FitReport, Fitted, HarmonicRegression, Interval,
-    LastPeriod, Modes, OutputError, PeriodicRegression, Recorded, Settings, Shape, Trajectory,
-    Trend,
+    Absent, Bands, Calibration, Candidate, Channel, Choice, FitReport, Fitted, HarmonicRegression,
+    HeldOut, LastPeriod, Modes, OutputError, PeriodicRegression, Recorded, Settings, Shape,
+    Trajectory, Trend,
 )  # fmt: skip
 """Classes that are built from their fields."""
 _FORECASTERS = (
@@ -72,7 +76,7 @@ _BY_FIELDS: dict[str, Callable[..., Any]] = {
     **{each.__name__: each for each in _PLAIN},
     "Calibration": Calibration.from_fields,
 }
-_KNOWN = {each.__name__: each for each in (*_PLAIN, *_FORECASTERS, GRU, EulerMLP, Fmu)}
+_KNOWN = {each.__name__: each for each in (*_PLAIN, *_FORECASTERS, GRU, EulerMLP)}
 
 
 def save(
@@ -122,7 +126,8 @@ def load(
     Parameters
     ----------
     folder : Of the forecaster.
-    simulator : In place of the one that it was fitted with.
+    simulator : The one that it was fitted with, such as `sb.Fmu("rig.fmu")`, or another one in its
+        place. Without it what needs a simulator is loaded, too, and says so when it is asked.
     classes : Forecasters and cells of your own, by the name of the class.
 
     Raises
@@ -130,7 +135,13 @@ def load(
     FileNotFoundError
         When a file is missing.
     ValueError
-        When a file is damaged, of another format, or names a class that is not known.
+        When a file is damaged, of another format, or names a class that is not known; for a
+        simulator where none is asked for.
+
+    Warns
+    -----
+    UserWarning
+        When the simulator is not the one that the forecaster was saved with.
 
     Examples
     --------
@@ -149,36 +160,85 @@ def load_with_facts(
     classes: Mapping[str, Callable[..., Any]] | None = None,
 ) -> tuple[Forecaster, dict[str, Any]]:
     """What `load` returns, and the facts that were saved with it."""
-    folder, own = Path(folder), dict(classes or {})
+    loaded, facts = _loaded(Path(folder), classes or {})
+    if simulator is not None:
+        _give(loaded, simulator)
+    return loaded, facts
+
+
+def _give(forecaster: Forecaster, simulator: Simulator) -> None:
+    """Have it run this simulator; warn of one that is not the one it was saved with."""
+    simulations = [*_simulations(forecaster)]
+    if not simulations:
+        raise ValueError(f"simulator must be left out for {forecaster.name}, which asks for none")
+    saved = [each.simulator for each in simulations if isinstance(each.simulator, Absent)]
+    for said in dict.fromkeys(each.difference(simulator) for each in saved):
+        if said:
+            warnings.warn(said, stacklevel=4)
+    for each in simulations:
+        each.simulator = simulator
+
+
+def _simulations(value: Any) -> Iterator[Simulation]:
+    """The simulations that a forecaster is made of."""
+    if isinstance(value, Simulation):
+        yield value
+    elif isinstance(value, Forecaster | list):
+        for part in value if isinstance(value, list) else vars(value).values():
+            yield from _simulations(part)
+
+
+def _loaded(
+    folder: Path, classes: Mapping[str, Callable[..., Any]]
+) -> tuple[Forecaster, dict[str, Any]]:
     if (folder / FILE).is_file():
         try:
-            facts = json.loads((folder / FILE).read_text(encoding="utf-8"))
-        except (ValueError, RecursionError) as error:
+            facts = models.read_description(folder / FILE)
+        except (ValueError, RecursionError, MemoryError) as error:
             raise ValueError(f"{folder / FILE} is damaged: {error}") from None
         model = None
     else:
-        cells = {name: c for name, c in own.items() if not _is_forecaster(c)}
+        cells = {name: c for name, c in classes.items() if not _is_forecaster(c)}
         model, facts = models.load(folder, cells)
     try:
         if facts["format"] != FORMAT:
             raise ValueError(f"it has format {facts['format']!r}; this is for {FORMAT}")
-        loaded = _decode(facts["forecaster"], _KNOWN | own, simulator)
+        loaded = _decode(facts["forecaster"], {**_KNOWN, **classes})
     except KeyError as error:
         raise ValueError(f"{folder} holds no forecaster: {error} is missing") from None
-    except (TypeError, ValueError, AttributeError) as error:
+    except models.UNFIT as error:
         raise ValueError(f"{folder} holds no forecaster that can be read: {error}") from None
     if not isinstance(loaded, Forecaster):
         raise ValueError(f"{folder} holds no forecaster, but {type(loaded).__name__}")
     if isinstance(loaded, Network):
         loaded.model = model
+        _check_cells(loaded, folder)
     parts = folder / _place_of(facts)
     if isinstance(loaded, Filtered | Residual) and not hasattr(loaded, "base"):
-        loaded.base = load(parts / BASE, simulator, classes)
+        loaded.base = _loaded(parts / BASE, classes)[0]
     if isinstance(loaded, Ensemble):
+        whole("count", getattr(loaded, "count", None))
         loaded.members = [
-            load(parts / MEMBER.format(i), simulator, classes) for i in range(loaded.count)
+            _loaded(parts / MEMBER.format(i), classes)[0] for i in range(loaded.count)
         ]
     return loaded, facts
+
+
+def _check_cells(network: Network, folder: Path) -> None:
+    """Raise ValueError where its templates are not those of the weights that are there."""
+    fitted, settings = network.fitted, network.trained_by
+    if fitted is None or settings is None or network.model is None:
+        return
+    with torch.device("meta"):
+        try:
+            built = network.build(fitted.record, settings).state_dict()
+        except (ValueError, AssertionError) as error:
+            raise ValueError(f"{folder} holds no forecaster: {error!r}") from None
+        except models.UNFIT:  # a cell of the user's own may compute with values
+            return
+    found = network.model.state_dict()
+    if {k: v.shape for k, v in built.items()} != {k: v.shape for k, v in found.items()}:
+        raise ValueError(f"{folder} holds no forecaster: its cells are not those of its weights")
 
 
 def _save_parts(forecaster: Forecaster, folder: Path) -> str | None:
@@ -278,36 +338,38 @@ def _encode(value: Any) -> Any:  # noqa: PLR0911  a line for each kind
         state = {k: _encode(v) for k, v in vars(value).items() if k not in _apart(value)}
         fitted = None if value.fitted is None else _encode(_end(value))
         return {"class": type(value).__name__, "state": state | {"fitted": fitted}}
-    if isinstance(value, Fmu):
-        facts = {"path": str(value.path.resolve()), "outputs": value.outputs}
-        return {"class": "Fmu", "sha256": _digest(value.path), **facts,
-                "start_values": value.start_values}  # fmt: skip
     if isinstance(value, nn.Module):
         return {"cell": models.describe(value)}
     if isinstance(value, _PLAIN):
-        names = getattr(value, "_fields", None) or [field.name for field in fields(value)]  # type: ignore[arg-type]
-        parts = {name: _encode(getattr(value, name)) for name in names}
+        parts = {name: _encode(getattr(value, name)) for name in _names(value)}
         return {"class": type(value).__name__, "fields": parts}
     if isinstance(value, list | tuple | frozenset):
         return {type(value).__name__: [_encode(v) for v in value]}
-    raise ValueError(
-        f"{type(value).__name__} cannot be saved with a forecaster; a simulator that is a function "
-        "is given to `load` again: save what was fitted with Recorded(...) in its place"
-    )
+    if callable(getattr(value, "simulate", None)):
+        return _encode(Absent.of(value))
+    raise ValueError(f"{type(value).__name__} cannot be saved with a forecaster")
+
+
+def _names(plain: Any) -> list[str]:
+    """Of the fields that it is built from."""
+    named: tuple[str, ...] | None = getattr(plain, "_fields", None)
+    return [*named] if named else [field.name for field in fields(plain) if field.init]
 
 
 def _decode(  # noqa: PLR0911, PLR0912  a line for each kind
-    value: Any, known: Mapping[str, Callable[..., Any]], simulator: Simulator | None
+    value: Any, known: Mapping[str, Callable[..., Any]]
 ) -> Any:
     """What `_encode` was given."""
 
     def again(part: Any) -> Any:
-        return _decode(part, known, simulator)
+        return _decode(part, known)
 
     if not isinstance(value, dict):
         return value
     if "array" in value:
         flat = [np.nan if v is None else v for v in value["array"]]
+        if value["dtype"] not in _DTYPES:
+            raise ValueError(f"an array must hold numbers, got {str(value['dtype'])[:60]!r}")
         return np.array(flat, dtype=value["dtype"]).reshape(value["shape"])
     for kind in (list, tuple, frozenset):
         if kind.__name__ in value:
@@ -321,41 +383,40 @@ def _decode(  # noqa: PLR0911, PLR0912  a line for each kind
     if "cell" in value:
         return models.build(value["cell"], {k: v for k, v in known.items() if not _is_plain(v)})
     name = value["class"]
+    if name == "Fmu":  # as 0.2.0 saved it, with a path that is not opened any more
+        settings = f"{value['outputs']} {sorted(value['start_values'].items())}"
+        return Absent(name, Path(value["path"]).name, f"{value['sha256']} {settings}")
     if name not in known:
         raise ValueError(f"the class {name} is not known; give it to load as classes={{...}}")
-    if name == "Fmu":
-        return _reopened(value) if simulator is None else simulator
     if "fields" in value:
         if name not in _BY_FIELDS:
             raise ValueError(f"{name} is not built from its fields")
-        return _BY_FIELDS[name](**{k: again(v) for k, v in value["fields"].items()})
+        parts = {k: again(v) for k, v in value["fields"].items()}
+        _check_numbers(_KNOWN[name], parts)
+        return _BY_FIELDS[name](**parts)
     make = known[name]
     if not _is_forecaster(make):
         raise ValueError(f"{name} is no forecaster")
     forecaster: Any = object.__new__(make)  # type: ignore[arg-type]
-    vars(forecaster).update({k: again(v) for k, v in value["state"].items()})
+    # 0.2.0 kept the interval of one level.
+    state = {k: again(v) for k, v in value["state"].items() if k != "interval"}
+    vars(forecaster).update(state)
     if isinstance(forecaster, Network):
         forecaster.model = None
     if isinstance(forecaster, Ensemble):
         forecaster.members = []
-    if isinstance(forecaster, Simulation) and simulator is not None:
-        forecaster.simulator = simulator
     return forecaster
 
 
+def _check_numbers(kind: type, parts: Mapping[str, Any]) -> None:
+    """Raise ValueError for a part that must be a number and is none."""
+    for name, wanted in get_type_hints(kind).items():
+        part = parts.get(name, 0)
+        if wanted is int:
+            whole(name, part, None)
+        elif wanted is float and (isinstance(part, bool) or not isinstance(part, int | float)):
+            raise ValueError(f"{name} must be a number, got {str(part)[:60]!r}")
+
+
 def _is_plain(value: Any) -> bool:
-    return value in _PLAIN or _is_forecaster(value) or value is Fmu
-
-
-def _reopened(facts: Mapping[str, Any]) -> Fmu:
-    """The FMU of a saved forecaster, if its file has not changed."""
-    path = Path(facts["path"])
-    if not path.is_file() or _digest(path) != facts["sha256"]:
-        raise ValueError(
-            f"the simulator {path} is not there any more, or is another one; give it as simulator"
-        )
-    return Fmu(path, facts["outputs"], facts["start_values"])
-
-
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return value in _PLAIN or _is_forecaster(value)

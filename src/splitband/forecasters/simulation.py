@@ -17,12 +17,15 @@ from splitband.forecasters.fitted import NEAR_ROW
 from splitband.forecasters.known import Known
 from splitband.forecasters.remembering import Remembered
 from splitband.simulators import Recorded, Simulator, run
+from splitband.simulators.absent import Absent
 from splitband.simulators.calibration import Calibration, Term, calibrate, samples_needed
 
 Array = npt.NDArray[np.float64]
 
 CALIBRATIONS = Remembered(calibrate)
 """Several forecasters, seeds and trials ask for the same calibration, which takes seconds."""
+LONGEST = 10**8
+"""Samples, from the training record's first one on, over which a simulator is run."""
 AFFINE: tuple[Term, ...] = ("gain", "offset")
 
 
@@ -129,7 +132,7 @@ class Simulation(Forecaster):
         new = self.copy()
         new.simulator = _Runs(
             {
-                (start, step): run(self.simulator, needed, step, record.ny, start=start)
+                (start, step): self._run(Grid(start, step, needed), record.ny)
                 for (start, step), needed in samples.items()
             }
         )
@@ -152,6 +155,11 @@ class Simulation(Forecaster):
         y_sim, begin_sim = known.y_sim, begin
         if self.simulator is not None:
             places = self.calibration.places(samples, record.sampling_time, begin)
+            if not places[-1] < LONGEST:
+                raise ValueError(
+                    f"history must lie so that {self.name} is run for at most {LONGEST} samples, "
+                    f"got {places[-1]:.3g}"
+                )
             times, needed = self._times(known), int(np.ceil(places[-1] - 1e-6)) + 1
             if isinstance(self.simulator, Recorded):  # its end is held, see `doubts`
                 least = int(np.ceil(begin - 1e-6)) + samples
@@ -226,4 +234,6 @@ class Simulation(Forecaster):
             return self.simulator.on(grid).values
         if isinstance(self.simulator, _Runs):
             return self.simulator.on(grid)
+        if isinstance(self.simulator, Absent):
+            self.simulator.simulate(None)
         return run(self.simulator, grid.samples, grid.step, ny, start=grid.start)

@@ -22,6 +22,7 @@ from splitband.metrics import (
     spread,
 )
 from splitband.networks import Cell
+from splitband.runtime.arguments import whole
 
 Signal = TypeVar("Signal", npt.NDArray[Any], Tensor)
 
@@ -213,8 +214,7 @@ class Model(nn.Module, ABC):
     def _normalised(
         self, y_warmup: Signal, steps: int, u: Signal | None, y_sim: Signal | None
     ) -> Signals:
-        if steps < 1:
-            raise ValueError(f"steps must be at least 1, got {steps}")
+        steps = whole("steps", steps)
         total = (y_warmup.shape[0] if y_warmup.ndim == 1 else y_warmup.shape[-2]) + steps
         if bool(self.nu) != (u is not None):
             raise ValueError(f"u must be given exactly where the model has inputs, nu = {self.nu}")

@@ -5,7 +5,6 @@ Loading builds only the classes named here or by the caller; no code comes out o
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 from collections.abc import Callable, Mapping
@@ -24,14 +23,15 @@ from splitband.networks import GRU, EulerMLP
 from splitband.runtime.files import replacing, to_json
 
 FORMAT = 2
-LARGEST_DESCRIPTION = 2**24
-"""Bytes of model.json."""
+LARGEST_DESCRIPTION = 2**28
+"""Bytes of a description."""
 _SPARE = 2**20
 """Bytes that a weights file may have beside the weights."""
-_UNFIT = (
-    RuntimeError, TypeError, KeyError, ValueError, AttributeError, OverflowError, MemoryError,
+UNFIT = (
+    RuntimeError, TypeError, LookupError, ValueError, AttributeError, ArithmeticError, MemoryError,
     safetensors.SafetensorError,
 )  # fmt: skip
+"""What a description that was forged or damaged may raise."""
 _DESCRIPTION, _WEIGHTS, _PREVIOUS = (
     "model.json",
     "weights.safetensors",
@@ -170,9 +170,7 @@ def load(
         if not (folder / name).is_file():
             raise FileNotFoundError(f"no model in {folder}: {name} is missing")
     try:
-        if (folder / _DESCRIPTION).stat().st_size > LARGEST_DESCRIPTION:
-            raise ValueError(f"it is larger than {LARGEST_DESCRIPTION} bytes")
-        description = json.loads((folder / _DESCRIPTION).read_text(encoding="utf-8"))
+        description = read_description(folder / _DESCRIPTION)
         version, spec, digest = (description[k] for k in ("format", "model", "weights_sha256"))
         facts = dict(description["facts"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
@@ -181,11 +179,10 @@ def load(
         raise ValueError(f"{folder / _DESCRIPTION} has format {version!r}; this is for {FORMAT}")
     known = {c.__name__: c for c in _SCHEMA} | dict(cells or {})
     try:
-        # On the meta device only shapes are made, so that no file can fill the memory. Cells of
-        # the user's own may compute with values, and are built on the CPU.
-        with contextlib.nullcontext() if cells else torch.device("meta"):
+        # On the meta device only shapes are made, so that no file can fill the memory.
+        with torch.device("meta"):
             expected = _model(spec, known).state_dict()
-    except _UNFIT as error:
+    except UNFIT as error:
         raise ValueError(f"{folder / _DESCRIPTION} describes no model: {error}") from None
     weights = _weights(_of_digest(folder, digest), digest, expected)
     try:
@@ -197,9 +194,16 @@ def load(
             for name in others:
                 owner, _, attribute = name.rpartition(".")
                 setattr(model.get_submodule(owner), attribute, model.get_parameter(first))
-    except _UNFIT as error:
+    except UNFIT as error:
         raise ValueError(f"{folder / _DESCRIPTION} describes no model: {error}") from None
     return model, facts
+
+
+def read_description(path: Path) -> Any:
+    """Return what a JSON file holds; raises ValueError or RecursionError where that fails."""
+    if path.stat().st_size > LARGEST_DESCRIPTION:
+        raise ValueError(f"it is larger than {LARGEST_DESCRIPTION} bytes")
+    return json.loads(path.read_text(encoding="utf-8"))
 
 
 def facts_of(folder: Path) -> dict[str, Any]:
@@ -236,7 +240,7 @@ def _weights(path: Path, digest: Any, expected: Mapping[str, Tensor]) -> dict[st
         raise ValueError(f"{path} is damaged: its checksum is not that of the model")
     try:
         weights = safetensors.torch.load(content)
-    except _UNFIT as error:
+    except UNFIT as error:
         raise ValueError(f"{path} is damaged: {error}") from None
     if not {"u_low", "u_high"} & weights.keys() and {"u_low", "u_high"} <= expected.keys():
         # Models of older versions hold no range of the inputs: it is taken to be unlimited.
@@ -263,8 +267,12 @@ def describe(module: nn.Module) -> dict[str, Any]:
 
 
 def build(spec: Any, classes: Mapping[str, Callable[..., Any]] | None = None) -> Any:
-    """What `describe` was given, with new weights; `classes` are further ones by name."""
-    return _build(spec, {c.__name__: c for c in _SCHEMA} | dict(classes or {}))
+    """Return what `describe` was given, without weights: it is built on the meta device.
+
+    `classes` are further ones by name.
+    """
+    with torch.device("meta"):
+        return _build(spec, {c.__name__: c for c in _SCHEMA} | dict(classes or {}))
 
 
 def _model(spec: Any, known: Mapping[str, Callable[..., Any]]) -> Model:
@@ -307,7 +315,13 @@ def _build(value: Any, known: Mapping[str, Callable[..., Any]]) -> Any:
         later = {k: v for k, v in _ADDED_LATER.items() if k in _SCHEMA[make]}
         arguments = later | arguments
         _check(make.__name__, arguments, _SCHEMA[make])
-    return make(**{k: _build(v, known) for k, v in arguments.items()})
+        return make(**{k: _build(v, known) for k, v in arguments.items()})
+    own = {k: _build(v, known) for k, v in arguments.items()}
+    try:
+        return make(**own)
+    except RuntimeError:  # a cell of the user's own may compute with values, which meta has not
+        with torch.device("cpu"):
+            return make(**own)
 
 
 def _check(name: str, arguments: Mapping[str, Any], schema: Mapping[str, Kind]) -> None:

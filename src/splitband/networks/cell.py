@@ -10,6 +10,8 @@ from typing import Any, Protocol, runtime_checkable
 
 from torch import Tensor, nn
 
+from splitband.runtime.arguments import LARGEST_SIZE, whole
+
 
 @runtime_checkable
 class Cell(Protocol):
@@ -45,10 +47,7 @@ def are_plain(*modules: tuple[nn.Module, type[nn.Module]]) -> bool:
     )
 
 
-def check_sizes(nu: int, **sizes: int) -> None:
-    """Check the sizes of a network; raises ValueError that names what is too small."""
-    if nu < 0:
-        raise ValueError(f"nu must not be negative, got {nu}")
-    for name, size in sizes.items():
-        if size < 1:
-            raise ValueError(f"{name} must be at least 1, got {size}")
+def check_sizes(nu: int, **sizes: int) -> tuple[int, ...]:
+    """Return the sizes of a network, `nu` first; raises ValueError for what cannot be one."""
+    inputs = whole("nu", nu, 0, LARGEST_SIZE)
+    return inputs, *(whole(name, size, 1, LARGEST_SIZE) for name, size in sizes.items())

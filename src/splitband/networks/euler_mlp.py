@@ -39,7 +39,7 @@ class EulerMLP(nn.Module):
         nu: int = 0,
     ) -> None:
         super().__init__()
-        check_sizes(
+        nu, ny, warmup, state_size, hidden_size, recognition_size = check_sizes(
             nu,
             ny=ny,
             warmup=warmup,

@@ -24,7 +24,7 @@ class GRU(nn.Module):
 
     def __init__(self, hidden_size: int = 64, ny: int = 1, nu: int = 0) -> None:
         super().__init__()
-        check_sizes(nu, ny=ny, hidden_size=hidden_size)
+        nu, ny, hidden_size = check_sizes(nu, ny=ny, hidden_size=hidden_size)
         self.ny, self.nu, self.hidden_size = ny, nu, hidden_size
         self.transition = nn.GRUCell(ny + nu, hidden_size)
         self.observation = nn.Linear(hidden_size, ny)

@@ -6,6 +6,7 @@ import hashlib
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
+from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,9 @@ Array = npt.NDArray[np.float64]
 class Fmu:
     """A functional mock-up unit, run by FMPy (the extra `splitband[fmu]`).
 
-    The archive is unpacked once; its instance is reset, not loaded again, between runs. Use it as
-    a context manager, or `close` it, to remove the unpacked files.
+    The archive is unpacked once; its instance is reset, not loaded again, between runs. The
+    unpacked files are removed by `close`, at the end of a `with` block, with the object, or when
+    the process ends.
 
     Parameters
     ----------
@@ -43,13 +45,15 @@ class Fmu:
         if not self.path.is_file():
             raise FileNotFoundError(f"no such FMU: {self.path}")
         self._simulate_fmu = fmpy.simulate_fmu
-        self._folder: str | None = None
-        self._instance: Any = None
+        self._folder = tempfile.mkdtemp(prefix="splitband-fmu-")
+        self._idle: list[Any] = []  # the instance while it does not run
+        # Unlike `weakref.finalize` it also runs at the end of a worker process, and leaves alone
+        # what a parent process has unpacked.
+        self._end = Finalize(self, _free, (self._idle, self._folder), exitpriority=0)
         try:
-            self._folder = tempfile.mkdtemp(prefix="splitband-fmu-")
             fmpy.extract(str(self.path), self._folder)
             self._description = fmpy.read_model_description(self._folder)
-            self._instance = instantiate_fmu(self._folder, self._description)
+            self._idle.append(instantiate_fmu(self._folder, self._description))
         except Exception as error:
             self.close()
             raise ValueError(f"{self.path} is not an FMU that can be run here: {error}") from error
@@ -63,10 +67,10 @@ class Fmu:
 
     def simulate(self, time: Array) -> npt.ArrayLike:
         """See `Simulator`."""
-        if self._instance is None:
+        if not self._idle:
             raise ValueError(f"the FMU {self.path} has been closed, or an earlier run failed")
         # Kept for the next run only after success: one that failed or still runs cannot be freed.
-        instance, self._instance = self._instance, None
+        instance = self._idle.pop()
         step = float(time[1] - time[0])
         result = self._simulate_fmu(
             self._folder,
@@ -79,7 +83,7 @@ class Fmu:
             output=self.outputs,
         )
         instance.reset()
-        self._instance = instance
+        self._idle.append(instance)
         if result["time"][-1] < time[-1] - step / 2:
             raise ValueError(f"the FMU {self.path} stopped at {result['time'][-1]:g} s")
         values = np.column_stack([result[name] for name in self.outputs])
@@ -94,18 +98,19 @@ class Fmu:
 
     def close(self) -> None:
         """Free the instance and remove the unpacked files."""
-        if self._instance is not None:
-            self._instance.freeInstance()
-            self._instance = None
-        if self._folder is not None:
-            shutil.rmtree(self._folder, ignore_errors=True)
-            self._folder = None
+        self._end()
 
     def __enter__(self) -> Fmu:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _free(idle: list[Any], folder: str) -> None:
+    while idle:
+        idle.pop().freeInstance()
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _some(names: Mapping[str, Any]) -> str:

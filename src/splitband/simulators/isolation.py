@@ -33,6 +33,8 @@ Array = npt.NDArray[np.float64]
 
 _START = 20.0
 """Seconds in which such a process must have begun, beside the simulator's own."""
+_STDERR = 2
+"""Where the simulator's prints go, those of its C code too: results are printed to stdout."""
 _TASK, _TIME, _VALUES, _FAILURE = "task.json", "time.npy", "values.npy", "failure.json"
 
 
@@ -88,8 +90,11 @@ class Isolated:
 
         That is the content of the file, of the modules that it imports and of what it `reads`.
         """
-        files = [Path(self.path)] if self.function is None else source_files(self.path)
-        return f"{digest([*files, *self.reads])} {self.function} {self.outputs}"
+        if self.function is not None:
+            return f"{digest([*source_files(self.path), *self.reads])} {self.function}"
+        content = hashlib.sha256(Path(self.path).read_bytes()).hexdigest()
+        alone = f"{content} {[*self.outputs]} []"  # as that of an `Fmu` without start values
+        return f"{alone} {digest(self.reads)}" if self.reads else alone
 
 
 def _run_in(folder: Path, patience: float | None) -> int:
@@ -101,6 +106,7 @@ def _run_in(folder: Path, patience: float | None) -> int:
         # -P keeps Python from importing modules out of the working directory.
         [sys.executable, "-P", "-m", "splitband.simulators.isolation", str(folder)],
         env=os.environ | {"PYTHONPATH": search, "TMPDIR": str(folder)},
+        stdout=_STDERR,
         start_new_session=True,
     )
     try:

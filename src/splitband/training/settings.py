@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from splitband.runtime.arguments import whole
 from splitband.training.quasi_newton import ROUND
 
 STEPS = 1000
@@ -54,9 +55,10 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Check ranges."""
-        for name in ("warmup", "epochs", "batch_size"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        for name in ("window", "warmup", "epochs", "batch_size", "most_batches", "quasi_newton"):
+            value = getattr(self, name)
+            if value is not None or name in ("window", "warmup", "epochs", "batch_size"):
+                object.__setattr__(self, name, whole(name, value))
         if self.window <= self.warmup:
             raise ValueError(
                 f"window must be longer than the warm-up of {self.warmup} samples, "
@@ -70,10 +72,6 @@ class Settings:
                 raise ValueError(f"learning rates must be positive, got {rate}")
         if self.one_cycle and self.milestones:
             raise ValueError(f"milestones need one_cycle=False, got {self.milestones}")
-        if self.most_batches is not None and self.most_batches < 1:
-            raise ValueError(f"most_batches must be at least 1, got {self.most_batches}")
-        if self.quasi_newton is not None and self.quasi_newton < 1:
-            raise ValueError(f"quasi_newton must be at least 1, got {self.quasi_newton}")
         if self.clip is not None and not self.clip > 0:
             raise ValueError(f"clip must be positive, got {self.clip}")
         if not 0 <= self.growth <= 1:

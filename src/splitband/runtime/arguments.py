@@ -1,0 +1,31 @@
+"""Checks of arguments that several packages take."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+LARGEST_SIZE = 10_000
+"""Of an order, a down-sampling or a network."""
+
+
+def whole(name: str, value: Any, least: int | None = 1, most: int | None = None) -> int:
+    """Return a whole number as an `int`, also one of NumPy's.
+
+    Raises
+    ------
+    ValueError
+        For what is no whole number, is below `least`, or is not between `least` and `most`. It
+        names the argument.
+    """
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = None
+    if number is None or isinstance(value, bool):
+        raise ValueError(f"{name} must be a whole number, got {str(value)[:60]!r}") from None
+    if least is not None and most is not None and not least <= number <= most:
+        raise ValueError(f"{name} must be between {least} and {most}, got {number}")
+    if least is not None and number < least:
+        raise ValueError(f"{name} must be at least {least}, got {number}")
+    return number

@@ -1,0 +1,80 @@
+"""What is known of a saved model's simulator until its user gives it again."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import Any, NoReturn
+
+_OURS = "Fmu", "Function", "Ode"
+_SHOWN = 300
+"""Characters of a text of a file that are shown."""
+
+
+@dataclass(frozen=True)
+class Absent:
+    """A description of a simulator, for people: nothing that it names is opened or run.
+
+    Attributes
+    ----------
+    kind : The name of its class.
+    file : The name of its file, without the folder; empty where it has none.
+    fingerprint : What `fingerprint()` of the simulator says, by which another one is noticed; None
+        where it says nothing.
+    """
+
+    kind: str
+    file: str = ""
+    fingerprint: str | None = None
+
+    def __post_init__(self) -> None:
+        """Check what may come from a file."""
+        texts = self.kind, self.file, self.fingerprint or ""
+        if not all(isinstance(text, str) for text in texts):
+            raise ValueError("a simulator must be described by texts")
+        if not self.kind.isidentifier() or PurePath(self.file).name != self.file:
+            raise ValueError(
+                f"a simulator must have a class and the name of a file, got "
+                f"{self.kind[:60]!r} and {self.file[:60]!r}"
+            )
+
+    @classmethod
+    def of(cls, simulator: Any) -> Absent:
+        """Return the description of a simulator; one that is a description stays as it is."""
+        if isinstance(simulator, cls):
+            return simulator
+        file = PurePath(str(getattr(simulator, "path", ""))).name
+        fingerprint = getattr(simulator, "fingerprint", lambda: None)()
+        said = None if fingerprint is None else str(fingerprint)
+        return cls(type(simulator).__name__, file, said)
+
+    def simulate(self, time: object) -> NoReturn:
+        """Raise ValueError: it says which simulator has to be given, and how."""
+        ours = "sb." if self.kind in _OURS else ""
+        how = f"{ours}{self.kind}({json.dumps(str(self)) if self.file else '...'})"
+        raise ValueError(
+            f"simulator must be given: this model was saved with the simulator {self}; pass it: "
+            f"sb.load(folder, simulator={how})"
+        )
+
+    def difference(self, given: Any) -> str:
+        """Return a sentence where a simulator is not the one that is described; else nothing.
+
+        Two of which one has no fingerprint are not compared.
+        """
+        saved, other = self.fingerprint, Absent.of(given).fingerprint
+        if saved is None or other is None or saved == other:
+            return ""
+        return (
+            f"the simulator is another one than {self}, with which the model was saved: its "
+            f"fingerprint is {_shown(other)}, not {_shown(saved)}"
+        )
+
+    def __str__(self) -> str:
+        """Return the name of its file, or what it is."""
+        return _shown(self.file) if self.file else f"of the kind {self.kind}"
+
+
+def _shown(text: str) -> str:
+    return " ".join(text.split())[:_SHOWN]

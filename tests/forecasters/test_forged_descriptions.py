@@ -1,0 +1,136 @@
+"""A description that was forged is refused in a ValueError, and takes no memory."""
+
+from __future__ import annotations
+
+import json
+import resource
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import splitband as sb
+
+DT = 0.1
+TIME = DT * np.arange(80)
+RECORD = sb.Trajectory(np.sin(TIME) + 0.2 * np.sin(9 * TIME), DT)
+SHORT = sb.Settings(window=30, warmup=12, epochs=1)
+BANDS = sb.Bands(0.5, 1, 2)
+MADE: dict[str, Any] = {
+    "single": lambda: sb.Single(sb.GRU(2), SHORT),
+    "rnn": lambda: sb.Single(sb.EulerMLP(hidden_size=4, recognition_size=3), SHORT),
+    "split": lambda: sb.Split(sb.GRU(2), sb.GRU(3), BANDS, settings=SHORT),
+    "ensemble": lambda: sb.Ensemble(sb.Single(sb.GRU(2), SHORT), 2),
+    "residual": lambda: sb.Residual(sb.Periodic(), sb.GRU(2), settings=SHORT),
+}
+SIZES = {
+    "hidden_size", "state_size", "recognition_size", "ny", "nu", "warmup", "window", "epochs",
+    "batch_size", "order", "downsampling", "count", "begin", "samples",
+}  # fmt: skip
+"""Keys of numbers that something is built from."""
+
+
+@pytest.fixture(scope="module", params=MADE)
+def saved(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A saved forecaster."""
+    folder = tmp_path_factory.mktemp("forged") / "model"
+    model = MADE[request.param]().fit(RECORD, seed=0)
+    model.save(folder)
+    return folder
+
+
+def places(value: Any) -> list[tuple[Any, Any]]:
+    """Where a description has the number of a size."""
+    if isinstance(value, list):
+        return [place for part in value for place in places(part)]
+    if not isinstance(value, dict):
+        return []
+    here = [(value, key) for key, said in value.items() if key in SIZES and isinstance(said, int)]
+    return here + [place for part in value.values() for place in places(part)]
+
+
+def loaded_or_refused(folder: Path) -> str:
+    """What `load` says against it; nothing where it loads and forecasts."""
+    try:
+        sb.load(folder).predict(5)
+    except (ValueError, FileNotFoundError) as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize("forged", [20_000, 1_000_000, -1, "7", float("nan"), 1e300, None, [3]],
+                         ids=str)  # fmt: skip
+def test_a_size_that_was_forged_takes_no_memory(saved: Path, forged: Any) -> None:
+    """In a template of a cell, too, of which there are no weights in the file."""
+    (path,) = (p for p in saved.iterdir() if p.suffix == ".json")
+    whole, before = path.read_text(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    said: list[str] = []
+    try:
+        for i in range(len(places(json.loads(whole)))):
+            description = json.loads(whole)
+            part, key = places(description)[i]
+            part[key] = forged
+            path.write_text(json.dumps(description))
+            said.append(loaded_or_refused(saved))
+    finally:
+        path.write_text(whole)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000  # kB
+    assert len(said) > 5
+    assert not loaded_or_refused(saved)
+
+
+@pytest.mark.parametrize("size", [20_000, 1_000_000, 9_999])
+@pytest.mark.parametrize("kind", ["single", "split"])
+def test_a_template_that_is_not_that_of_the_weights_is_refused(
+    kind: str, size: int, tmp_path: Path
+) -> None:
+    MADE[kind]().fit(RECORD, seed=0).save(tmp_path)
+    path = tmp_path / "model.json"
+    description = json.loads(path.read_text())
+    for part, key in places(description["facts"]):
+        if key == "hidden_size":
+            part[key] = size
+    path.write_text(json.dumps(description))
+    with pytest.raises(ValueError, match=r"hidden_size must be between|not those of its weights"):
+        sb.load(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["single", "ensemble", "residual"])
+def test_what_was_loaded_can_be_fitted_again(kind: str, tmp_path: Path) -> None:
+    model = MADE[kind]().fit(RECORD, seed=1)
+    model.save(tmp_path)
+    loaded = sb.load(tmp_path)
+    again = loaded.fit(RECORD, seed=1)
+    np.testing.assert_array_equal(again.predict(9).y, model.predict(9).y)
+
+
+class Counted(sb.GRU):
+    """A cell of the user's own that computes with values when it is made."""
+
+    def __init__(self, hidden_size: int, ny: int = 1, nu: int = 0) -> None:
+        super().__init__(hidden_size, ny, nu)
+        self.arguments = {"hidden_size": hidden_size, "ny": ny, "nu": nu}
+        self.first = float(torch.ones(3).sum())
+
+    def sized(self, ny: int, nu: int, warmup: int) -> Counted:
+        return Counted(self.hidden_size, ny, nu)
+
+
+def test_a_cell_of_ones_own_may_compute_with_values(tmp_path: Path) -> None:
+    model = sb.Single(Counted(2), SHORT).fit(RECORD, seed=0)
+    model.save(tmp_path)
+    loaded = sb.load(tmp_path, classes={"Counted": Counted})
+    np.testing.assert_array_equal(loaded.predict(9).y, model.predict(9).y)
+
+
+@pytest.mark.parametrize("dtype", ["V1000000000", "O", "U99999999", 3, None])
+def test_an_array_holds_numbers(dtype: Any, tmp_path: Path) -> None:
+    sb.Mean().fit(RECORD).save(tmp_path)
+    path = tmp_path / "forecaster.json"
+    description = json.loads(path.read_text())
+    description["forecaster"]["state"]["level"]["dtype"] = dtype
+    path.write_text(json.dumps(description))
+    with pytest.raises(ValueError, match="an array must hold numbers"):
+        sb.load(tmp_path)

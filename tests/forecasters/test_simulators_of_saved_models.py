@@ -1,0 +1,170 @@
+"""The simulator of a saved model is described, and opened only where its user gives it again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import splitband as sb
+from splitband.cli import main
+
+DT, TRAIN, STEPS = 0.1, 60, 10
+RECORD = sb.Trajectory(np.sin(DT * np.arange(TRAIN)), DT)
+SHORT = sb.Settings(window=30, warmup=5, epochs=1)
+Change = Callable[[dict[str, Any]], Any]
+
+
+def sine(time: Any) -> Any:
+    return np.sin(time)
+
+
+def made(simulator: sb.Simulator) -> dict[str, sb.Forecaster]:
+    """What holds a simulator of its own."""
+    hybrid = sb.Residual(simulator, sb.GRU(2), settings=SHORT)
+    return {
+        "simulation": sb.Simulation(simulator),
+        "hybrid": hybrid,
+        "ensemble": sb.Ensemble(hybrid, 2),
+    }
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Every FMU that is opened from now on."""
+    found: list[Any] = []
+    begin = sb.Fmu.__init__
+
+    def noted(self: sb.Fmu, path: Any, *arguments: Any) -> None:
+        found.append(path)
+        begin(self, path, *arguments)
+
+    monkeypatch.setattr(sb.Fmu, "__init__", noted)
+    return found
+
+
+def edit(path: Path, change: Change) -> None:
+    description = json.loads(path.read_text())
+    change(description)
+    path.write_text(json.dumps(description))
+
+
+@pytest.mark.parametrize("kind", ["simulation", "hybrid", "ensemble"])
+def test_an_fmu_is_opened_only_where_it_is_given(
+    kind: str, van_der_pol_fmu: Path, tmp_path: Path, opened: list[Any]
+) -> None:
+    shutil.copy(van_der_pol_fmu, tmp_path / "rig.fmu")
+    with sb.Fmu(tmp_path / "rig.fmu", ["x"]) as fmu:
+        model = made(fmu)[kind].fit(RECORD, seed=0)
+        expected = model.predict(STEPS, level=0.9)
+        model.save(tmp_path / "model")
+        opened.clear()
+        loaded = sb.load(tmp_path / "model")
+        with pytest.raises(ValueError, match=r'saved with the simulator rig\.fmu; pass it: '
+                           r'sb\.load\(folder, simulator=sb\.Fmu\("rig\.fmu"\)\)'):  # fmt: skip
+            loaded.predict(STEPS)
+        assert not opened
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            given = sb.load(tmp_path / "model", simulator=fmu)
+        found = given.predict(STEPS, level=0.9)
+        np.testing.assert_array_equal(found.y, expected.y)
+        np.testing.assert_array_equal(found.upper, expected.upper)
+    texts = [path.read_text() for path in (tmp_path / "model").rglob("*.json")]
+    assert "rig.fmu" in "".join(texts)
+    assert not [text for text in texts if str(tmp_path) in text]
+
+
+def test_saving_what_was_loaded_keeps_what_is_known_of_the_simulator(tmp_path: Path) -> None:
+    model = sb.Simulation(sb.Function(sine, key="sine")).fit(RECORD)
+    model.save(tmp_path / "one")
+    sb.load(tmp_path / "one").save(tmp_path / "two")
+    one, two = ((tmp_path / name / "forecaster.json").read_text() for name in ("one", "two"))
+    assert one == two
+    with pytest.raises(ValueError, match=r"simulator=sb\.Function\(\.\.\.\)"):
+        sb.load(tmp_path / "two").predict(STEPS)
+    found = sb.load(tmp_path / "two", simulator=sb.Function(sine)).predict(STEPS)
+    np.testing.assert_array_equal(found.y, model.predict(STEPS).y)
+
+
+def test_another_simulator_than_the_one_of_the_model_is_said_to_be(tmp_path: Path) -> None:
+    sb.Simulation(sb.Function(sine, key="one")).fit(RECORD).save(tmp_path)
+    with pytest.warns(UserWarning, match="another one than of the kind Function.* is two, not one"):
+        sb.load(tmp_path, simulator=sb.Function(sine, key="two"))
+
+
+def test_a_simulator_that_nobody_asks_for_is_refused(tmp_path: Path) -> None:
+    sb.Mean().fit(RECORD).save(tmp_path)
+    with pytest.raises(ValueError, match="simulator must be left out for mean"):
+        sb.load(tmp_path, simulator=sb.Function(sine))
+
+
+def test_output_that_was_recorded_is_saved_and_needs_nothing(tmp_path: Path) -> None:
+    recorded = sb.Recorded(np.sin(DT * np.arange(100)), DT)
+    model = sb.Simulation(recorded).fit(RECORD)
+    model.save(tmp_path)
+    np.testing.assert_array_equal(sb.load(tmp_path).predict(STEPS).y, model.predict(STEPS).y)
+
+
+@pytest.fixture
+def forged(van_der_pol_fmu: Path, tmp_path: Path) -> Path:
+    """As 0.2.0 saved a simulation with an FMU, which is one of somebody else's by now."""
+    folder = tmp_path / "model"
+    sb.Simulation(sb.Function(sine)).fit(RECORD).save(folder)
+    shutil.copy(van_der_pol_fmu, folder / "evil.fmu")
+    fmu = {
+        "class": "Fmu",
+        "path": str(folder / "evil.fmu"),
+        "sha256": hashlib.sha256((folder / "evil.fmu").read_bytes()).hexdigest(),
+        "outputs": ["x"],
+        "start_values": {},
+    }
+    facts = {
+        "method": "simulator", "columns": ["y[0]"], "inputs": [], "sampling_time": DT,
+        "setup": {"settings": {"warmup": 5}}, "calibration": None, "range": [[-1.0], [1.0]],
+    }  # fmt: skip
+    edit(
+        folder / "forecaster.json",
+        lambda d: (d.update(facts), d["forecaster"]["state"].update(simulator=fmu)),
+    )
+    return folder
+
+
+def test_no_file_says_what_is_opened(
+    forged: Path, opened: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Neither by `load` nor by the command line."""
+    history, out = tmp_path / "history.csv", tmp_path / "out.csv"
+    rows = [f"{DT * n:.1f},{y}" for n, y in enumerate(RECORD.y[:, 0])]
+    history.write_text("\n".join(["time,y[0]", *rows]))
+    with pytest.raises(ValueError, match=r"with the simulator evil\.fmu"):
+        sb.load(forged).predict(STEPS)
+    line = ["simulate", str(forged), "--history", str(history), "--steps", "5", "--out", str(out)]
+    assert main(line) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: --simulator must be given: this model was saved with the simu")
+    assert not opened
+    assert main([*line, "--simulator", str(forged / "evil.fmu"), "--simulator-columns", "x"]) == 0
+    assert len(out.read_text().splitlines()) == 6
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"file": "/bin/rig.fmu"}, {"file": "../rig.fmu"}, {"kind": "os.system('x')"}, {"file": 3}],
+    ids=str,
+)
+def test_a_description_of_a_simulator_is_checked(change: dict[str, Any], tmp_path: Path) -> None:
+    sb.Simulation(sb.Function(sine)).fit(RECORD).save(tmp_path)
+    edit(
+        tmp_path / "forecaster.json",
+        lambda d: d["forecaster"]["state"]["simulator"]["fields"].update(change),
+    )
+    with pytest.raises(ValueError, match="a simulator must"):
+        sb.load(tmp_path)
