@@ -72,6 +72,11 @@ class Forecaster(ABC):
         return False
 
     @property
+    def shares_bands(self) -> bool:
+        """Whether it takes the bands that a comparison chooses, see `with_defaults`."""
+        return False
+
+    @property
     def warmup(self) -> int:
         """Measured samples without a gap that a forecast begins with; 0 where it needs none."""
         return 0

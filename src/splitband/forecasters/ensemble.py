@@ -87,6 +87,11 @@ class Ensemble(Forecaster):
         return self.member.anchored
 
     @property
+    def shares_bands(self) -> bool:
+        """Whether the members do."""
+        return self.member.shares_bands
+
+    @property
     def warmup(self) -> int:
         """The members'."""
         return max([m.warmup for m in self.members], default=self.member.warmup)

@@ -61,6 +61,11 @@ class Fitted:
     report: FitReport = field(default_factory=FitReport)
     whole: bool = True
 
+    @property
+    def several(self) -> bool:
+        """Whether there were further training records."""
+        return bool(self.others) or not self.whole
+
     @classmethod
     def of(cls, records: Sequence[Trajectory], seed: int) -> Fitted:
         """What is known before anything is computed."""
@@ -90,3 +95,8 @@ class Fitted:
             return []
         low, high = self.u_range
         return extrapolations(low, high, u)
+
+
+def first_only(fitted: Fitted) -> str:
+    """Return the end of a description that says that further training records were not used."""
+    return "; fitted to the first record only" if fitted.several else ""

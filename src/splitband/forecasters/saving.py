@@ -25,6 +25,7 @@ from splitband.baselines.linear import Channel, OutputError
 from splitband.baselines.modes import Modes
 from splitband.baselines.periodic import PeriodicRegression
 from splitband.baselines.seasonal import SeasonalNaive as LastPeriod
+from splitband.baselines.states import States
 from splitband.baselines.trend import Shape, Trend
 from splitband.data import Trajectory
 from splitband.data.gaps import last_before
@@ -58,8 +59,8 @@ SHORT = 20_000
 """Samples of a training record with a simulator that is saved as a whole."""
 _PLAIN = (
     Bands, Calibration, Candidate, Channel, Choice, FitReport, Fitted, HarmonicRegression, Interval,
-    LastPeriod, Modes, OutputError, PeriodicRegression, Recorded, Settings, Shape, Trajectory,
-    Trend,
+    LastPeriod, Modes, OutputError, PeriodicRegression, Recorded, Settings, Shape, States,
+    Trajectory, Trend,
 )  # fmt: skip
 """Classes that are built from their fields."""
 _FORECASTERS = (
