@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from splitband.baselines.delays import candidates, delayed
 from splitband.baselines.naive import LONGEST, known, recent, units
 from splitband.baselines.states import States
 from splitband.metrics import spread
@@ -51,11 +52,13 @@ class OutputError:
     ----------
     channels : The model of each.
     mean, scale : By which the inputs are brought to mean 0 and deviation 1, `(nu,)`.
+    delays : Dead time of each input in samples, `nu` of them.
     """
 
     channels: tuple[Channel, ...]
     mean: Array
     scale: Array
+    delays: tuple[int, ...]
 
     @classmethod
     def fit(cls, y: Array, u: Array, others: Sequence[tuple[Array, Array]] = ()) -> OutputError:
@@ -63,7 +66,8 @@ class OutputError:
 
         Each channel has a model of its own. Its poles are stable, and as few as forecast held-out
         samples about as well as any number of them, over several cuts of `y`. Of a long record the
-        last samples are fitted, see `naive.recent`.
+        last samples are fitted, see `naive.recent`. Where an input acts late, a model with that
+        delay is fitted, too, and the one with the lower Bayesian information criterion is taken.
 
         Parameters
         ----------
@@ -75,18 +79,21 @@ class OutputError:
         together = np.concatenate([u, *(inputs for _, inputs in others)])
         mean, scale = together.mean(axis=0), spread(together)
         records = [(seen, (inputs - mean) / scale) for seen, inputs in ((y, u), *others)]
-        channels = (
-            _fit_channel([_Part(seen[:, i], inputs) for seen, inputs in records])
-            for i in range(y.shape[1])
-        )
-        return cls(tuple(channels), mean, scale)
+        at_once = cls(_fit_channels(records), mean, scale, (0,) * len(mean))
+        delays = candidates(records)
+        shifted = [(_after(seen, max(delays)), delayed(x, delays)) for seen, x in records]
+        if not any(delays) or np.isnan(shifted[0][0]).all(axis=0).any():
+            return at_once
+        late = cls(_fit_channels(shifted), mean, scale, delays)
+        samples = sum(np.count_nonzero(~np.isnan(seen)) for seen, _ in shifted) / y.shape[1]
+        return min(at_once, late, key=lambda model: model.criterion(samples))
 
     def simulate(self, u: Array) -> Array:
         """Simulate the training record from its first sample on, `(time, ny)`.
 
         `u` are its inputs, `(time, nu)`, for as many samples as wanted.
         """
-        scaled = (u - self.mean) / self.scale
+        scaled = self._scaled(u)
         return np.stack([channel.simulate(scaled) for channel in self.channels], axis=1)
 
     def continued(self, u: Array, y: Array, before: Array | None = None) -> Array:
@@ -102,7 +109,11 @@ class OutputError:
             state is only known to be one of those that the training record had.
         """
         since = u if before is None else np.concatenate([before, u])
-        scaled = (since - self.mean) / self.scale
+        scaled, late = self._scaled(since), max(self.delays)
+        if before is not None:
+            y = _after(y, late - len(before))  # before these samples the inputs are not known
+        elif len(y) >= 2 * late:
+            y = _after(y, late)
         found = []
         for channel, seen in zip(self.channels, y.T, strict=True):
             states, expected = channel.states, before is not None
@@ -111,6 +122,19 @@ class OutputError:
             left = seen - y_sim[: len(seen)]
             found.append(y_sim + states.correction(left, len(u), channel.a, expected))
         return np.stack(found, axis=1)
+
+    def criterion(self, samples: float) -> float:
+        """Return the Bayesian information criterion of a fit to so many samples of each channel."""
+        tiny = np.finfo(np.float64).tiny
+        return sum(
+            2 * samples * np.log(max(channel.states.error, tiny))
+            + (channel.a.size + channel.b.size + channel.c.size) * np.log(samples)
+            for channel in self.channels
+        )
+
+    def _scaled(self, u: Array) -> Array:
+        """The inputs as the channels take them."""
+        return (delayed(u, self.delays) - self.mean) / self.scale
 
     def __str__(self) -> str:
         orders = "+".join(str(len(channel.a) - 1) for channel in self.channels)
@@ -143,6 +167,18 @@ class _Part(NamedTuple):
 
     y: Array
     u: Array
+
+
+def _fit_channels(records: Sequence[tuple[Array, Array]]) -> tuple[Channel, ...]:
+    return tuple(
+        _fit_channel([_Part(y[:, i], u) for y, u in records])
+        for i in range(records[0][0].shape[1])
+    )
+
+
+def _after(y: Array, begin: int) -> Array:
+    """Without the samples before the index `begin`, NaN in their place."""
+    return np.where(np.arange(len(y))[:, None] < begin, np.nan, y)
 
 
 def _fit_channel(records: Sequence[_Part]) -> Channel:
@@ -309,3 +345,14 @@ def _stable(a: Array) -> Array:
     while (largest := abs(np.roots(a)).max(initial=0.0)) > 1:
         a = a * (0.999 / largest) ** np.arange(len(a))
     return a
+
+
+def input_delays(*signals: Array) -> tuple[int, ...]:
+    """Return the dead time of each input in samples, as the linear model has it.
+
+    `signals` are `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each record in turn.
+    """
+    first, *others = zip(signals[::2], signals[1::2], strict=True)
+    if not any(candidates([first, *others])):
+        return (0,) * first[1].shape[1]
+    return OutputError.fit(*first, others).delays

@@ -98,6 +98,8 @@ class _ByTime(Forecaster):
 
     def doubts(self, known: Known) -> list[str]:
         """See `Forecaster`: a history with which it disagrees is none of the training record."""
+        if known.own:
+            return []
         found = _rmse_of_channels(known.y - self.trajectory(replace(known, steps=0)))
         usual = np.maximum(self.error, _EXACT * np.ptp(self.require_fitted().y_range, axis=0))
         worst = int(np.argmax(found / usual))
@@ -162,6 +164,7 @@ class Linear(Forecaster):
         first, *others = [(record.seen, _inputs(record.u)) for record in records]
         self.u = first[1]
         self.model = OutputError.fit(*first, others)
+        self.delays = self.model.delays
 
     def extrapolate(self, known: Known) -> Array:
         """See `Forecaster`."""
@@ -175,11 +178,13 @@ class Linear(Forecaster):
         """
         begin = -1 if known.begin is None or known.begin % 1 else int(known.begin)
         before = self.u[:begin] if 0 <= begin <= len(self.u) else None
-        return self.model.continued(_inputs(known.u), known.y, before)
+        y = np.full_like(known.y, np.nan) if known.own else known.y  # the fit has told its state
+        return self.model.continued(_inputs(known.u), y, before)
 
     def describe(self) -> str:
         """See `Forecaster`."""
-        return str(self.model)
+        late = self.require_fitted().late_inputs(self.delays)
+        return "; ".join(filter(None, [str(self.model), late]))
 
 
 def _rmse_of_channels(errors: Array) -> Array:

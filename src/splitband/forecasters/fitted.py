@@ -89,6 +89,13 @@ class Fitted:
         begin = seconds_between(self.start, history.start) / step
         return float(round(begin)) if abs(begin - round(begin)) < NEAR_ROW else begin
 
+    def late_inputs(self, delays: Sequence[int]) -> str:
+        """Return in words which inputs act late; empty for none."""
+        step, names = self.record.sampling_time, self.record.inputs
+        said = [f"{name}: {delay} samples ({delay * step:.4g} s)"
+                for name, delay in zip(names, delays, strict=False) if delay]  # fmt: skip
+        return f"input delay {', '.join(said)}" if said else ""
+
     def inputs_beyond(self, u: Array | None) -> list[Extrapolation]:
         """Which inputs `u` `(time, nu)` go beyond those that were trained on."""
         if u is None or self.u_range is None:

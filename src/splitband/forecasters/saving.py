@@ -227,6 +227,7 @@ def _end(forecaster: Forecaster) -> Fitted:
     if warmup:
         start = last_before(record.complete, warmup, len(record))
         first = min(first, (warmup if start is None else start) - warmup)
+    first -= max(forecaster.delays, default=0)
     first = max(0, min(first, len(record) - 2))
     if _network_below(forecaster) is not None:
         first = 0  # it runs freely from the beginning of the record on
