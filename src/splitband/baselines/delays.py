@@ -43,8 +43,8 @@ def candidates(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
 
     That is the first significant coefficient of an input in a linear regression of the output on
     all inputs up to a longest delay, and on its own past, which whitens the errors: ARX. It is 0
-    for an input without a significant effect, for one that acts after fewer than `SHORTEST` samples,
-    and where there are too few samples.
+    for an input without a significant effect, for one that acts after fewer than `SHORTEST`
+    samples, and where there are too few samples.
 
     Parameters
     ----------

@@ -171,8 +171,7 @@ class _Part(NamedTuple):
 
 def _fit_channels(records: Sequence[tuple[Array, Array]]) -> tuple[Channel, ...]:
     return tuple(
-        _fit_channel([_Part(y[:, i], u) for y, u in records])
-        for i in range(records[0][0].shape[1])
+        _fit_channel([_Part(y[:, i], u) for y, u in records]) for i in range(records[0][0].shape[1])
     )
 
 

@@ -74,9 +74,9 @@ def simulate(
     A model with a simulator also needs --simulator, which reaches --steps samples beyond the
     history. Where training record and history have time stamps, the model knows how much later the
     history begins: a function or an FMU is run from the beginning of the training record on, and
-    periods, trends and a calibrated delay or clock count from there. Otherwise, and with --other-run,
-    the history is taken to begin where the training record did. An exported trajectory has to cover the warm-up and what
-    follows, by its time stamps. The CSV has a column `time`, which goes on with the time stamps of
+    periods, trends and a calibrated delay or clock count from there. Otherwise, and with
+    --other-run, the history is taken to begin where the training record did. An exported trajectory
+    has to cover the warm-up and what follows, by its time stamps. The CSV has a column `time`, which goes on with the time stamps of
     the history (without any: seconds after its last sample), and one for each measured channel.
     """
     if out.is_dir():
@@ -84,21 +84,20 @@ def simulate(
     saved, known = _opened(model_dir)
     past = _history(history, known, time_column, gaps)
     u = records.inputs_ahead(future_inputs, past, steps, time_column)
+    doubts: tuple[str, ...] = ()
     with showing.without_warnings():  # warned of below, by the inputs' names
         if isinstance(saved, Model):
             model = devices.model_on_device(saved, device)
             if other_run:
                 known.start = past.start
             y = _simulated(model, known, past, steps, u, simulator, time_column)
-            beyond, doubts = [] if u is None else saved.extrapolations(u), ()
+            beyond = [] if u is None else saved.extrapolations(u)
         else:
             if simulator.simulator is not None:
                 raise ValueError(
                     f"--simulator must be left out for {known.method}, which asks for none"
                 )
-            found = devices.on_device(saved, device).predict(
-                steps, past, u, other_record=other_run
-            )
+            found = devices.on_device(saved, device).predict(steps, past, u, other_record=other_run)
             y, doubts = found.y, found.doubts
             beyond = saved.require_fitted().inputs_beyond(u)
     prediction = Prediction(y, past.grid.after(steps), tuple(known.columns))
