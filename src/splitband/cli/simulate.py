@@ -76,7 +76,8 @@ def simulate(
     history begins: a function or an FMU is run from the beginning of the training record on, and
     periods, trends and a calibrated delay or clock count from there. Otherwise, and with
     --other-run, the history is taken to begin where the training record did. An exported trajectory
-    has to cover the warm-up and what follows, by its time stamps. The CSV has a column `time`, which goes on with the time stamps of
+    has to cover the warm-up and what follows, by its time stamps. The CSV has a column `time`,
+    which goes on with the time stamps of
     the history (without any: seconds after its last sample), and one for each measured channel.
     """
     if out.is_dir():
