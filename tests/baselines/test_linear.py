@@ -68,7 +68,7 @@ def test_more_poles_are_taken_only_where_they_forecast_a_tenth_better(
     monkeypatch: pytest.MonkeyPatch, of_two: float, poles: int
 ) -> None:
     errors = {1: 4.0, 2: of_two, 3: 1.0}
-    monkeypatch.setattr(linear, "_held_out", lambda y, u, order: errors.get(order, 1.05) ** 2)
+    monkeypatch.setattr(linear, "_held_out", lambda parts, order: errors.get(order, 1.05) ** 2)
     u = inputs()
     found = OutputError.fit(oscillators(u)[:TRAIN, :1], u[:TRAIN])
     assert len(found.channels[0].a) - 1 == poles

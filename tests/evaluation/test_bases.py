@@ -47,7 +47,7 @@ def tried(
     if of_network is not None:
         trial = replace(trial, scores={**trial.scores, "gru": of_network})
     found = SearchResult([setup.forecaster(n) for n in ("gru", "linear", "mean")], left=left)
-    return on_baseline(record(nonlinear), trial, found, setup, STEPS, (0,), Work(), tested=False)
+    return on_baseline(record(nonlinear), trial, found, setup, STEPS, (0,), Work())
 
 
 def test_what_a_linear_model_leaves_is_learned_on_top_of_it() -> None:

@@ -1,14 +1,13 @@
 """A linear model from the known inputs to the measured channels: the output-error model.
 
 A naive baseline (see `baselines.naive`) for records with inputs; for a linear system with white
-measurement noise no other model does better. It is simulated from the beginning of the record and
-needs no measured samples but those it was fitted to. See L. Ljung, System Identification, 2nd ed.,
-Sec. 4.2.
+measurement noise no other model does better. Its state at the beginning of a history is estimated
+from that history. See L. Ljung, System Identification, 2nd ed., Sec. 4.2.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,7 +15,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.baselines.naive import known, recent, units
+from splitband.baselines.delays import candidates, delayed
+from splitband.baselines.naive import LONGEST, known, recent, units
+from splitband.baselines.states import States
 from splitband.metrics import spread
 
 Array = npt.NDArray[np.float64]
@@ -36,8 +37,6 @@ _CUTS = (0.6, 0.7, 0.8, 0.9)
 """Shares of the samples that are fitted, to see how well the model forecasts the others."""
 _RANK = 1e-10
 """Singular values below this share of the largest one are cut."""
-_BRIEF = 1e-3
-"""The same for an initial state, which a few samples hardly tell."""
 _GONE = 0.1
 """A response to the initial state below this share of its peak is taken to have died out."""
 
@@ -53,43 +52,89 @@ class OutputError:
     ----------
     channels : The model of each.
     mean, scale : By which the inputs are brought to mean 0 and deviation 1, `(nu,)`.
+    delays : Dead time of each input in samples, `nu` of them.
     """
 
     channels: tuple[Channel, ...]
     mean: Array
     scale: Array
+    delays: tuple[int, ...]
 
     @classmethod
-    def fit(cls, y: Array, u: Array) -> OutputError:
+    def fit(cls, y: Array, u: Array, others: Sequence[tuple[Array, Array]] = ()) -> OutputError:
         """Fit to the first samples of a record, by least squares of the simulation error.
 
         Each channel has a model of its own. Its poles are stable, and as few as forecast held-out
         samples about as well as any number of them, over several cuts of `y`. Of a long record the
-        last samples are fitted, see `naive.recent`.
+        last samples are fitted, see `naive.recent`. Where an input acts late, a model with that
+        delay is fitted, too, and the one with the lower Bayesian information criterion is taken.
 
         Parameters
         ----------
         y : `(train, ny)`; NaN is what was not measured.
         u : Inputs of the same samples, `(train, nu)`.
+        others : `y` and `u` of further records of the same system. Together they may have as many
+            samples in the fit as the first record. Each has an initial state of its own.
         """
-        mean, scale = u.mean(axis=0), spread(u)
-        scaled = (u - mean) / scale
-        return cls(tuple(_fit_channel(channel, scaled) for channel in y.T), mean, scale)
+        together = np.concatenate([u, *(inputs for _, inputs in others)])
+        mean, scale = together.mean(axis=0), spread(together)
+        records = [(seen, (inputs - mean) / scale) for seen, inputs in ((y, u), *others)]
+        at_once = cls(_fit_channels(records), mean, scale, (0,) * len(mean))
+        delays = candidates(records)
+        shifted = [(_after(seen, max(delays)), delayed(x, delays)) for seen, x in records]
+        if not any(delays) or np.isnan(shifted[0][0]).all(axis=0).any():
+            return at_once
+        late = cls(_fit_channels(shifted), mean, scale, delays)
+        samples = sum(np.count_nonzero(~np.isnan(seen)) for seen, _ in shifted) / y.shape[1]
+        return min(at_once, late, key=lambda model: model.criterion(samples))
 
-    def simulate(self, u: Array, y: Array | None = None) -> Array:
-        """The record from its first sample on, `(time, ny)`, under the inputs `u` `(time, nu)`.
+    def simulate(self, u: Array) -> Array:
+        """Simulate the training record from its first sample on, `(time, ny)`.
 
-        Of another record of the system, `y` `(any time, ny)` are its first samples, NaN in gaps:
-        they tell its initial state.
+        `u` are its inputs, `(time, nu)`, for as many samples as wanted.
         """
-        scaled = (u - self.mean) / self.scale
-        channels = self.channels
-        if y is not None:
-            channels = tuple(
-                channel.begun_with(of_channel, scaled)
-                for channel, of_channel in zip(channels, y.T, strict=True)
-            )
-        return np.stack([channel.simulate(scaled) for channel in channels], axis=1)
+        scaled = self._scaled(u)
+        return np.stack([channel.simulate(scaled) for channel in self.channels], axis=1)
+
+    def continued(self, u: Array, y: Array, before: Array | None = None) -> Array:
+        """Simulate a record from a state that is estimated from its first samples, `(time, ny)`.
+
+        Parameters
+        ----------
+        u : Inputs from the first sample on, `(time, nu)`.
+        y : The first samples, `(any time, ny)`, NaN in gaps.
+        before : Where the record may go on from the training record, the inputs since the first
+            sample of that, `(any time, nu)`, empty where both begin together. What the model says
+            of the training record's state is corrected by as much as `y` demands. None: the
+            state is only known to be one of those that the training record had.
+        """
+        since = u if before is None else np.concatenate([before, u])
+        scaled, late = self._scaled(since), max(self.delays)
+        if before is not None:
+            y = _after(y, late - len(before))  # before these samples the inputs are not known
+        elif len(y) >= 2 * late:
+            y = _after(y, late)
+        found = []
+        for channel, seen in zip(self.channels, y.T, strict=True):
+            states, expected = channel.states, before is not None
+            begun = channel if expected else channel._replace(c=states.mean)
+            y_sim = begun.simulate(scaled)[len(since) - len(u) :]
+            left = seen - y_sim[: len(seen)]
+            found.append(y_sim + states.correction(left, len(u), channel.a, expected))
+        return np.stack(found, axis=1)
+
+    def criterion(self, samples: float) -> float:
+        """Return the Bayesian information criterion of a fit to so many samples of each channel."""
+        tiny = np.finfo(np.float64).tiny
+        return sum(
+            2 * samples * np.log(max(channel.states.error, tiny))
+            + (channel.a.size + channel.b.size + channel.c.size) * np.log(samples)
+            for channel in self.channels
+        )
+
+    def _scaled(self, u: Array) -> Array:
+        """The inputs as the channels take them."""
+        return (delayed(u, self.delays) - self.mean) / self.scale
 
     def __str__(self) -> str:
         orders = "+".join(str(len(channel.a) - 1) for channel in self.channels)
@@ -97,123 +142,186 @@ class OutputError:
 
 
 class Channel(NamedTuple):
-    """A `(n + 1,)`, B `(nu, n + 1)`, C `(n,)` and the offset of `OutputError`."""
+    """The model of one channel.
+
+    Attributes
+    ----------
+    a, b, c, offset : A `(n + 1,)`, B `(nu, n + 1)`, C `(n,)` and the offset of `OutputError`.
+    states : Those in the training records, in the coordinates of C.
+    """
 
     a: Array
     b: Array
     c: Array
     offset: float
+    states: States
 
     def simulate(self, u: Array) -> Array:
         """From index 0 on, `(time,)`."""
         forced = sum(scipy.signal.lfilter(b, self.a, x) for b, x in zip(self.b, u.T, strict=True))
         return np.asarray(forced + scipy.signal.lfilter(self.c, self.a, _impulse(u)) + self.offset)
 
-    def begun_with(self, y: Array, u: Array) -> Channel:
-        """With the initial state, C, that fits the first samples `y` `(any time,)` best."""
-        rest = self._replace(c=np.zeros_like(self.c)).simulate(u[: len(y)])
-        answers = scipy.signal.lfilter([1.0], self.a, _impulse(u[: len(y)]))
-        basis = np.stack([_delayed(answers, k) for k in range(len(self.c))], axis=1)
-        rows = known(y)
-        c = np.linalg.lstsq(basis[rows], (y - rest)[rows], rcond=_BRIEF)[0]
-        return self._replace(c=np.asarray(c, dtype=np.float64))
+
+class _Part(NamedTuple):
+    """A stretch of a record: a channel `(time,)`, NaN in gaps, and the inputs `(time, nu)`."""
+
+    y: Array
+    u: Array
 
 
-def _fit_channel(y: Array, u: Array) -> Channel:
+def _fit_channels(records: Sequence[tuple[Array, Array]]) -> tuple[Channel, ...]:
+    return tuple(
+        _fit_channel([_Part(y[:, i], u) for y, u in records]) for i in range(records[0][0].shape[1])
+    )
+
+
+def _after(y: Array, begin: int) -> Array:
+    """Without the samples before the index `begin`, NaN in their place."""
+    return np.where(np.arange(len(y))[:, None] < begin, np.nan, y)
+
+
+def _fit_channel(records: Sequence[_Part]) -> Channel:
     """The model of one channel, fitted with the channel scaled to its range."""
-    offset, scale = units(y)
-    y = (y - offset) / scale
-    begin, end = recent(y[:, None])
-    a = _denominator(end[:, 0], u[begin:])
-    coefficients = _solved(a, y, u, begin)[0]
-    b, c = coefficients[: -len(a)].reshape(u.shape[1], -1), coefficients[-len(a) : -1]
-    return Channel(a, scale * b, scale * c, offset + scale * float(coefficients[-1]))
+    offset, scale = units(np.concatenate([part.y for part in records]))
+    first, *others = [part._replace(y=(part.y - offset) / scale) for part in records]
+    parts = [_recent(part, LONGEST // len(others)) for part in others]
+    begin, _ = recent(first.y[:, None])
+    a = _denominator([_recent(first), *parts])
+    # The initial state is that of the whole of the first record, of which the end is fitted.
+    whole = [first._replace(y=np.where(np.arange(len(first.y)) < begin, np.nan, first.y)), *parts]
+    fitted, simulated = _solved(a, whole)
+    order, nu = len(a) - 1, first.u.shape[1]
+    b, c = fitted[: nu * len(a)].reshape(nu, -1), fitted[nu * len(a) : nu * len(a) + order]
+    constant = float(fitted[-1])
+    ends = np.cumsum([len(part.y) for part in whole])[:-1]
+    runs = np.split(simulated - constant, ends)
+    errors = np.split(_joined(whole) - simulated, ends)
+    pairs = [(run, part.u) for run, part in zip(runs, whole, strict=True)]
+    states = States.of(a, b, pairs, errors).scaled(scale)
+    return Channel(a, scale * b, scale * c, offset + scale * constant, states)
 
 
-def _denominator(y: Array, u: Array) -> Array:
+def _recent(part: _Part, longest: int = LONGEST) -> _Part:
+    """The part from the sample on that `naive.recent` begins with."""
+    if not len(known(part.y)):
+        return part
+    begin, end = recent(part.y[:, None], longest)
+    return _Part(end[:, 0], part.u[begin:])
+
+
+def _joined(parts: Sequence[_Part]) -> Array:
+    return np.concatenate([part.y for part in parts])
+
+
+def _denominator(parts: Sequence[_Part]) -> Array:
     """The denominator A, of the lowest order that forecasts held-out samples well."""
-    most = max((len(known(y)) // 3 - u.shape[1] - 1) // (2 + u.shape[1]), 1)
-    errors = {order: _held_out(y, u, order) for order in ORDERS if order <= most}
+    nu = parts[0].u.shape[1]
+    most = max((len(known(_joined(parts))) // 3 - nu - 1) // (2 + nu), 1)
+    errors = {order: _held_out(parts, order) for order in ORDERS if order <= most}
     enough = (1 + WORTH_POLES) ** 2 * min(errors.values())
     order = next(order for order, error in errors.items() if error <= enough)
-    return _refined(_of_order(y, u, order), y, u)
+    return _refined(_of_order(parts, order), parts)
 
 
-def _held_out(y: Array, u: Array, order: int) -> float:
+def _held_out(parts: Sequence[_Part], order: int) -> float:
     """Mean squared error of the forecasts of held-out samples, over several cuts."""
-    errors, rows = [], known(y)
+    errors = []
     for share in _CUTS:
-        later = rows[max(int(share * len(rows)), 1) :]
-        if len(later):
-            a = _of_order(y[: later[0]], u[: later[0]], order)
-            fitted = np.where(np.arange(len(y)) < later[0], y, np.nan)
-            errors.append((y - _solved(a, fitted, u)[1])[later] ** 2)
+        ends = [_end(part.y, share) for part in parts]
+        begun = [part._replace(y=np.where(np.arange(len(part.y)) < end, part.y, np.nan))
+                 for part, end in zip(parts, ends, strict=True)]  # fmt: skip
+        later = np.isnan(_joined(begun)) & ~np.isnan(_joined(parts))
+        if later.any():
+            cut = [_Part(part.y[:end], part.u[:end])
+                   for part, end in zip(parts, ends, strict=True)]  # fmt: skip
+            simulated = _solved(_of_order(cut, order), begun)[1]
+            errors.append((_joined(parts) - simulated)[later] ** 2)
     return float(np.mean(np.concatenate(errors))) if errors else 0.0
 
 
-def _of_order(y: Array, u: Array, order: int) -> Array:
+def _end(y: Array, share: float) -> int:
+    """The index of the first measured sample after this share of them, or the length of `y`."""
+    later = known(y)[max(int(share * len(known(y))), 1) :]
+    return int(later[0]) if len(later) else len(y)
+
+
+def _of_order(parts: Sequence[_Part], order: int) -> Array:
     """The denominator of this order that fits best, out of those that are tried."""
-    return min(_tried(y, u, order), key=lambda at: at[0])[1]
+    return min(_tried(parts, order), key=lambda at: at[0])[1]
 
 
-def _tried(y: Array, u: Array, order: int) -> Iterator[tuple[float, Array]]:
+def _tried(parts: Sequence[_Part], order: int) -> Iterator[tuple[float, Array]]:
     """Mean squared errors and denominators, by the iteration of Steiglitz and McBride (1965).
 
     Output, inputs and offset are filtered by 1/A, and the next A is fitted to the filtered signals
     by least squares. Gaps of y are filled by the simulation of the model before, by straight lines
     at first. It ends early where the denominator does not change any more.
     """
-    whole = np.interp(np.arange(len(y)), known(y), y[known(y)])
+    y = _joined(parts)
+    whole = np.concatenate([_filled(part.y) for part in parts])
+    ends = np.cumsum([len(part.y) for part in parts])[:-1]
     a = np.append(1.0, np.zeros(order))
     for _ in range(ROUNDS):
-        passed = scipy.signal.lfilter([1.0], a, whole)
-        past = np.stack([_delayed(passed, k) for k in range(1, order + 1)], axis=1)
-        constant = scipy.signal.lfilter([1.0], a, np.ones(len(y)))
-        explained = np.hstack([-past, _driven(a, u), constant[:, None]])
-        fitted = np.linalg.lstsq(explained, passed, rcond=_RANK)[0]
+        passed = [scipy.signal.lfilter([1.0], a, part) for part in np.split(whole, ends)]
+        past = np.concatenate([
+            np.stack([_delayed(part, k) for k in range(1, order + 1)], axis=1) for part in passed
+        ])  # fmt: skip
+        constant = np.concatenate(
+            [scipy.signal.lfilter([1.0], a, np.ones(len(part))) for part in passed]
+        )
+        explained = np.hstack([-past, _driven(a, parts), constant[:, None]])
+        fitted = np.linalg.lstsq(explained, np.concatenate(passed), rcond=_RANK)[0]
         before, a = a, _stable(np.append(1.0, fitted[:order]))
-        simulated = _solved(a, y, u)[1]
+        simulated = _solved(a, parts)[1]
         whole = np.where(np.isnan(y), simulated, y)
         yield float(np.nanmean((y - simulated) ** 2)), a
         if abs(a - before).max() <= CONVERGED:
             return
 
 
-def _refined(a: Array, y: Array, u: Array) -> Array:
+def _filled(y: Array) -> Array:
+    """With straight lines across gaps."""
+    rows = known(y)
+    return np.interp(np.arange(len(y)), rows, y[rows]) if len(rows) else np.zeros_like(y)
+
+
+def _refined(a: Array, parts: Sequence[_Part]) -> Array:
     """The denominator nearby that fits best."""
+    y = _joined(parts)
 
     def left(moved: Array) -> Array:
-        simulated = _solved(_stable(np.append(1.0, moved)), y, u)[1]
+        simulated = _solved(_stable(np.append(1.0, moved)), parts)[1]
         return np.nan_to_num(y - simulated)
 
     minimum = scipy.optimize.least_squares(left, a[1:], x_scale="jac", max_nfev=20)
     return _stable(np.append(1.0, minimum.x))
 
 
-def _solved(a: Array, y: Array, u: Array, begin: int = 0) -> tuple[Array, Array]:
-    """B, C and offset that fit y from `begin` on best, given A, and the simulation with them."""
+def _solved(a: Array, parts: Sequence[_Part]) -> tuple[Array, Array]:
+    """B, C of each part and offset that fit best, given A, and the simulation with them."""
+    y = _joined(parts)
     rows = known(y)
-    rows = rows[rows >= begin]
-    basis = np.hstack([_driven(a, u), np.ones((len(u), 1))])
+    basis = np.hstack([_driven(a, parts), np.ones((len(y), 1))])
     fitted = basis[rows]
-    # Where the response to the initial state has died out before `begin`, the samples do not
-    # determine C, which is set to 0.
-    of_c = slice(-len(a), -1)
+    # Where the response to an initial state has died out before the first measured sample, the
+    # samples do not determine C, which is set to 0.
+    of_c = slice(parts[0].u.shape[1] * len(a), -1)
     gone = abs(fitted[:, of_c]).max(axis=0) < _GONE * abs(basis[:, of_c]).max(axis=0)
     fitted[:, of_c] = np.where(gone, 0.0, fitted[:, of_c])
     coefficients = np.linalg.lstsq(fitted, y[rows], rcond=_RANK)[0]
     return coefficients.astype(np.float64), np.asarray(basis @ coefficients)
 
 
-def _driven(a: Array, u: Array) -> Array:
-    """Regressors `(time, ...)` of the coefficients of B, input by input, and of C."""
+def _driven(a: Array, parts: Sequence[_Part]) -> Array:
+    """Regressors `(time, ...)` of the coefficients of B, input by input, and of each part's C."""
     order = len(a) - 1
-    passed = scipy.signal.lfilter([1.0], a, np.hstack([u, _impulse(u)[:, None]]), axis=0).T
-    return np.stack(
-        [_delayed(x, k) for x in passed[:-1] for k in range(order + 1)]
-        + [_delayed(passed[-1], k) for k in range(order)],
-        axis=1,
-    )
+    forced, free = [], []
+    for _, u in parts:
+        passed = scipy.signal.lfilter([1.0], a, np.hstack([u, _impulse(u)[:, None]]), axis=0).T
+        forced.append([_delayed(x, k) for x in passed[:-1] for k in range(order + 1)])
+        free.append(np.stack([_delayed(passed[-1], k) for k in range(order)], axis=1))
+    driven = np.concatenate([np.stack(columns, axis=1) for columns in forced])
+    return np.hstack([driven, scipy.linalg.block_diag(*free)])
 
 
 def _impulse(u: Array) -> Array:
@@ -236,3 +344,14 @@ def _stable(a: Array) -> Array:
     while (largest := abs(np.roots(a)).max(initial=0.0)) > 1:
         a = a * (0.999 / largest) ** np.arange(len(a))
     return a
+
+
+def input_delays(*signals: Array) -> tuple[int, ...]:
+    """Return the dead time of each input in samples, as the linear model has it.
+
+    `signals` are `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each record in turn.
+    """
+    first, *others = zip(signals[::2], signals[1::2], strict=True)
+    if not any(candidates([first, *others])):
+        return (0,) * first[1].shape[1]
+    return OutputError.fit(*first, others).delays

@@ -124,6 +124,7 @@ def fit(
         "start": as_json(training.start),
         "columns": list(training.columns),
         "inputs": list(training.inputs),
+        "input_delays": list(forecaster.delays),
         "setup": setup.as_json(),
         "training": training_in_words,
         "calibration": None if calibration is None else asdict(calibration),

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import typer
 
+from splitband.baselines.delays import delayed
 from splitband.cli import devices, records, showing
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Device
@@ -58,6 +59,14 @@ def simulate(
     future_inputs: FutureInputs = None,
     gaps: GapsOption = "refuse",
     time_column: TimeColumn = None,
+    other_run: Annotated[
+        bool,
+        typer.Option(
+            "--other-run",
+            help="The history is of another run: its time stamps are not compared with those of "
+            "the training record. Refused where a forecast depends on them.",
+        ),
+    ] = False,
     device: Device = "cpu",
 ) -> None:
     """Simulate a saved model beyond a measured history.
@@ -65,9 +74,10 @@ def simulate(
     A model with a simulator also needs --simulator, which reaches --steps samples beyond the
     history. Where training record and history have time stamps, the model knows how much later the
     history begins: a function or an FMU is run from the beginning of the training record on, and
-    periods, trends and a calibrated delay or clock count from there. Otherwise the history is taken
-    to begin where the training record did. An exported trajectory has to cover the warm-up and what
-    follows, by its time stamps. The CSV has a column `time`, which goes on with the time stamps of
+    periods, trends and a calibrated delay or clock count from there. Otherwise, and with
+    --other-run, the history is taken to begin where the training record did. An exported trajectory
+    has to cover the warm-up and what follows, by its time stamps. The CSV has a column `time`,
+    which goes on with the time stamps of
     the history (without any: seconds after its last sample), and one for each measured channel.
     """
     if out.is_dir():
@@ -75,9 +85,12 @@ def simulate(
     saved, known = _opened(model_dir)
     past = _history(history, known, time_column, gaps)
     u = records.inputs_ahead(future_inputs, past, steps, time_column)
+    doubts: tuple[str, ...] = ()
     with showing.without_warnings():  # warned of below, by the inputs' names
         if isinstance(saved, Model):
             model = devices.model_on_device(saved, device)
+            if other_run:
+                known.start = past.start
             y = _simulated(model, known, past, steps, u, simulator, time_column)
             beyond = [] if u is None else saved.extrapolations(u)
         else:
@@ -85,7 +98,8 @@ def simulate(
                 opened = opened_simulator(simulator, past, time_column)
                 with showing.warnings_as_lines():
                     saved = forecasters.load(model_dir, opened)
-            y = devices.on_device(saved, device).predict(steps, past, u).y
+            found = devices.on_device(saved, device).predict(steps, past, u, other_record=other_run)
+            y, doubts = found.y, found.doubts
             beyond = saved.require_fitted().inputs_beyond(u)
     prediction = Prediction(y, past.grid.after(steps), tuple(known.columns))
     output_folder(out.parent, "--out")
@@ -96,6 +110,8 @@ def simulate(
     if left is not None:
         showing.console.print(leaving(left))
     showing.warn_of_inputs(beyond, known.inputs)
+    for doubt in doubts:
+        showing.warn(doubt)
     written = {"model": str(model_dir), "method": known.method, "steps": steps, "file": str(out)}
     showing.as_json(written | {"leaves_range_after": left})
 
@@ -140,7 +156,7 @@ def _simulated(
         trained = Trained(known.start, known.calibration)
         y_sim = simulated_again(opened, simulator, past, first, steps, trained)
     if u is not None and past.u is not None:
-        u = np.concatenate([past.u[first:], u])
+        u = delayed(np.concatenate([past.u, u]), known.delays)[first:]
     y: Array = model.simulate(past.y[first:start], since + steps, u, y_sim)[since:]
     return y
 
@@ -184,6 +200,7 @@ class _Facts:
             self.warmup = int(facts["setup"]["settings"]["warmup"])
             # Models saved by older versions have neither, and are simulated without these checks.
             self.start = from_json(facts.get("start"))
+            self.delays = [int(delay) for delay in facts.get("input_delays", [])]
             nothing = [[0.0] * ny] * 2
             self.range = np.array(facts.get("range", nothing), dtype=np.float64)
             self.calibration = Calibration.from_fields(**(facts["calibration"] or {}))

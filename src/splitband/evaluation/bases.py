@@ -34,19 +34,19 @@ def on_baseline(
     ahead: int,
     seeds: Sequence[int],
     work: Work,
-    tested: bool,
+    others: Sequence[Trajectory] = (),
 ) -> tuple[Trial, SearchResult]:
     """The trial and the methods, with a network on the best baseline where that pays.
 
     Parameters
     ----------
     record : The training part, and nothing else.
-    trial, searched : What has been found of all other methods.
+    trial, searched : What has been found of all other methods; `trial.left_out` are no bases.
     setup : Its `search` says whether this is wanted.
     ahead : Samples to be forecast after all.
     seeds : Of the network, whose mean is scored.
     work : Processes, progress and checkpoints.
-    tested : Whether methods are asked about other records, too, where some have nothing to say.
+    others : Further training records.
     """
     networks = {f.name: f for f in searched.forecasters if isinstance(f, Network)}
     best = trial.best_network
@@ -56,7 +56,7 @@ def on_baseline(
         if isinstance(f, Periodic | Harmonic | Linear)
         and f.name in BASES
         and f.name in trial.scores
-        and not (tested and f.anchored)
+        and f.name not in trial.left_out
     ]
     if setup.search is None or not setup.search.bases or best not in networks or not able:
         return trial, searched
@@ -68,11 +68,12 @@ def on_baseline(
     settings = networks[best].settings
     assert settings is not None
     network = network.trained_as(settings).to(networks[best].device)
-    cost = training_cost(network, record, ())
+    cost = training_cost(network, record, others)
     spent = len(seeds) * (1 - HELD_OUT) * cost
     if network.name in trial.scores or spent + cost > searched.left:
         return trial, searched
-    found = try_out(record, [network], ahead, seeds, work.for_stage(STAGE), need_one=False)
+    stage = work.for_stage(STAGE)
+    found = try_out(record, [network], ahead, seeds, stage, others, need_one=False)
     score = found.scores.get(network.name)
     attempt = Attempt(network.name, network.training_in_words(), len(seeds), score)
     searched = replace(searched, attempts=(*searched.attempts, attempt), left=searched.left - spent)

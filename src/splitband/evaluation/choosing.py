@@ -6,6 +6,7 @@ No measured sample after the training part is looked at.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from splitband.data import Trajectory
 from splitband.evaluation.bases import on_baseline
@@ -68,9 +69,11 @@ def choose(
     trial = try_out(
         record, searched.forecasters, ahead, tried, work.for_stage(TRIAL), others, searched.done
     )
-    if others:  # a baseline is fitted to one record
-        return trial, searched
-    return on_baseline(record, trial, searched, setup, ahead, tried, work, tested)
+    if tested or others:  # what goes on in the time of one record is no base for several
+        anchored = frozenset(f.name for f in searched.forecasters if f.anchored)
+        trial = replace(trial, left_out=anchored)
+    trial, searched = on_baseline(record, trial, searched, setup, ahead, tried, work, others)
+    return replace(trial, left_out=frozenset()), searched
 
 
 def seeds_of(

@@ -46,7 +46,7 @@ class Comparison:
     setup : What they shared.
     runs : Of each method, one for each seed.
     trial : What they did on held-out training samples; None where none has been made.
-    others : Further records that networks were trained on.
+    others : Further records that were trained on.
     tests : Records that nothing was fitted to, simulated from their first samples.
     attempts : What has been tried to find out how networks are trained.
     forecasters : The methods with all that has been chosen for them, by name, not fitted.
@@ -198,7 +198,7 @@ def compare(
     methods : Forecasters, or names of those that have one (`splitband methods`); what they leave
         open is as in `setup`. By default what is worth comparing on such a record. How the first
         network is trained is searched most thoroughly.
-    others : Further records of the same system, to train networks on.
+    others : Further records of the same system, to train on.
     tests : Records of the same system that nothing is fitted to: each is simulated to its end by
         what warms up on its first samples.
     seeds : Trainings of each network; by default as many as the budget of `setup.search` pays for,

@@ -146,7 +146,7 @@ def compare_methods(
     setup : How many samples are trained on, and the warm-up of what has none of its own.
     seeds : Each gives one run of each forecaster that draws something; by name where these differ.
     work : How it is computed.
-    others : Further records of the same system that networks train on too.
+    others : Further records of the same system to train on.
     tests : Records that nothing is fitted to, to be simulated from their first samples.
 
     Raises
@@ -270,7 +270,8 @@ def check(
     """Find what is wrong with a comparison before anything is computed.
 
     Samples to predict must follow the training part, unless there are test records or what lies
-    `beyond` the record is asked for.
+    `beyond` the record is asked for. A method that cannot be fitted does not keep the others from
+    it: its reason is raised only where none can be, and is in its row otherwise.
     """
     if not forecasters:
         raise ValueError("methods must be one or several, got none")
@@ -305,7 +306,11 @@ def check(
         predicted = record.truth[part]
         if len(predicted) and np.isnan(predicted).all(axis=0).any():
             raise ValueError(f"the {name} part must have a measured sample in every channel")
-    if others and not any(forecaster.random for forecaster in forecasters):
-        raise ValueError(f"further records are for networks, got {', '.join(names)}")
+    wrong: list[ValueError] = []
     for forecaster in forecasters:
-        forecaster.check(record[: setup.train], *(others if forecaster.random else ()))
+        try:
+            forecaster.check(record[: setup.train], *others)
+        except ValueError as error:
+            wrong.append(error)
+    if len(wrong) == len(forecasters):
+        raise wrong[0]

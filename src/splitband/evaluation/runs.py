@@ -83,8 +83,8 @@ def run_all(
     """What each forecaster says with each seed, by name; and what could not be fitted.
 
     `questions` are by name, too, and so are `seeds` where methods differ in them. A forecaster that
-    is not random is fitted once, and to the first record alone. With `need_one`, ValueError is
-    raised when nothing could be fitted at all.
+    is not random is fitted once. With `need_one`, ValueError is raised when nothing could be fitted
+    at all.
     """
     seeds_of = {f.name: _seeds_of(f, seeds) for f in forecasters}
     stage = None if work.progress is None else work.stage
@@ -196,8 +196,6 @@ def _work(
     CALIBRATIONS.learn(calibrations)
     watch = None if stage is None else _reporter(name, seed, stage, report)
     forecaster, question = forecasters[name], questions[name]
-    if not forecaster.random:
-        question = replace(question, others=())
     if place is None or not forecaster.random:
         return name, seed, _outcome(forecaster, question, seed, watch, None), {}
     with place.at_work(job.files) as (folder, changed):

@@ -193,7 +193,9 @@ def search(
     budget : How much may be spent.
     work, others : See `protocols.compare_methods`.
     """
-    free = [f for f in forecasters if isinstance(f, Network) and f.free]
+    free = [
+        f for f in forecasters if isinstance(f, Network) and f.free and _fits(f, record, others)
+    ]
     if not free:
         return SearchResult([*forecasters], left=budget.core_seconds)
     makes = {f.name: partial(_candidate, f, record, others) for f in free}
@@ -245,6 +247,15 @@ def search(
         budget.core_seconds - trials.spent,
         max(MOST_SEEDS, round(MOST_SEEDS * budget.core_seconds / CORE_SECONDS)),
     )
+
+
+def _fits(network: Network, record: Trajectory, others: Sequence[Trajectory]) -> bool:
+    """Whether it can be trained on these records; its row says why not."""
+    try:
+        network.check(record, *others)
+    except ValueError:
+        return False
+    return True
 
 
 class _Trials:

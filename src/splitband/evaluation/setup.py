@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -101,8 +102,9 @@ def default_setup(
     ----------
     record, train : No measured sample after the first `train` is looked at.
     recipe, settings : How to train; by default as the recipe says.
-    bands : What is decided of them already; the rest is chosen, see `Bands.chosen`: for hybrid
-        models, if there are any and the simulator helps, otherwise for networks alone.
+    bands : What is decided of them already; the rest is chosen, see `Bands.chosen`, where methods
+        need it: for hybrid models, if there are any and the simulator helps, otherwise for networks
+        alone.
     methods : What the setup is for, or names of it; by default `default_names`.
     """
     search = None
@@ -117,16 +119,22 @@ def default_setup(
         simulation = next((f for f in beside if f.calibrated), beside[0]).copy()
         simulation.fit(record[:train])
         y_sim = simulation.on(record[:train]).y_sim
-    bands = (bands or Bands()).chosen(
-        record[:train].y, record.sampling_rate, settings.warmup, y_sim
-    )
+    bands = bands or Bands()
+    if any(each.shares_bands for each in _made(methods)):
+        # What has no band to split off is said by the methods that need one.
+        with suppress(ValueError):
+            bands = bands.chosen(record[:train].y, record.sampling_rate, settings.warmup, y_sim)
     sizes = Sizes() if recipe == "paper" else Sizes(hidden_high=32, hidden_low=16)
     return Setup(train, settings, bands, sizes, search=search)
 
 
+def _made(methods: Sequence[Forecaster | str]) -> list[Forecaster]:
+    return [named(each) if isinstance(each, str) else each for each in methods]
+
+
 def _simulations(methods: Sequence[Forecaster | str]) -> list[Simulation]:
     """The simulators that networks among the methods stand beside."""
-    made = [named(each) if isinstance(each, str) else each for each in methods]
+    made = _made(methods)
     members = [each.member if isinstance(each, Ensemble) else each for each in made]
     bases = [each.base for each in members if isinstance(each, Filtered | Residual)]
     return [base for base in bases if isinstance(base, Simulation)]

@@ -43,10 +43,13 @@ class Forecaster(ABC):
     Attributes
     ----------
     fitted : What is remembered of the training records; None before `fit`.
+    delays : By how many samples each input acts late, as found in training; empty where that is
+        not asked.
     held_out : How well copies of it forecast known samples, once an interval has been asked for.
     """
 
     fitted: Fitted | None = None
+    delays: tuple[int, ...] = ()
     held_out: HeldOut | None = None
 
     @property
@@ -70,6 +73,11 @@ class Forecaster(ABC):
 
         Such a forecaster cannot be asked about a record that has nothing to do with that time.
         """
+        return False
+
+    @property
+    def shares_bands(self) -> bool:
+        """Whether it takes the bands that a comparison chooses, see `with_defaults`."""
         return False
 
     @property
@@ -185,9 +193,9 @@ class Forecaster(ABC):
         Parameters
         ----------
         steps : How many.
-        history : Measured samples up to the origin; by default the (first) training record. By its
-            time stamps it is known how much later than that record it begins; without any it is
-            taken to begin with it.
+        history : Measured samples up to the origin; by default the (first) training record. The
+            state that a forecast begins with is estimated from them. By its time stamps it is known
+            how much later than that record it begins; without any it is taken to begin with it.
         u : Known inputs of the samples to come, `(steps, nu)`; by default what the history says of
             them (`u_beyond`), as a slice of a longer record does.
         y_sim : A simulator's output of the samples to come, `(steps or more, ny)`, likewise
@@ -210,7 +218,8 @@ class Forecaster(ABC):
         -----
         ExtrapolationWarning
             For inputs beyond their range in training, for a simulator's output that ends too early,
-            and for a prediction that leaves the range of the training samples by far.
+            for a function of time that disagrees with the history, and for a prediction that leaves
+            the range of the training samples by far.
         """
         fitted = self.require_fitted()
         steps = whole("steps", steps)
@@ -306,7 +315,8 @@ class Forecaster(ABC):
                 raise ValueError(f"history must bring a simulator's output (y_sim) for {self.name}")
             ahead = past.beyond if y_sim is None else y_sim
             simulated = continued("y_sim", past.y_sim, ahead, steps, more=True)
-        return Known(past.seen, steps, begin, inputs, simulated, past.grid), past
+        own = history is None and not other_record
+        return Known(past.seen, steps, begin, inputs, simulated, past.grid, own), past
 
     def _tried_out(self) -> HeldOut:
         """How well it forecasts known samples, which is found out once."""

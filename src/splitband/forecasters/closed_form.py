@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
@@ -16,9 +17,15 @@ from splitband.baselines.periodic import PeriodicRegression
 from splitband.baselines.seasonal import SeasonalNaive as LastPeriod
 from splitband.data import Trajectory
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.fitted import first_only
 from splitband.forecasters.known import Known
 
 Array = npt.NDArray[np.float64]
+
+SEVERAL = 3.0
+"""Multiple of its error in training from which on a function of time disagrees with a history."""
+_EXACT = 1e-6
+"""Of the range of a channel: a smaller error in training is that of rounding."""
 
 
 @final
@@ -29,7 +36,7 @@ class Mean(Forecaster):
 
     def learn(self, records: Sequence[Trajectory], **_: Any) -> None:
         """See `Forecaster`."""
-        self.level = np.nanmean(records[0].seen, axis=0)
+        self.level = np.nanmean(np.concatenate([record.seen for record in records]), axis=0)
 
     def extrapolate(self, known: Known) -> Array:
         """See `Forecaster`."""
@@ -63,6 +70,8 @@ class _ByTime(Forecaster):
     """A function of the time since the training record began, fitted to its measured samples."""
 
     baseline: ByTime
+    error: Array
+    """RMSE of each channel in training, `(ny,)`."""
 
     @abstractmethod
     def fit_to(self, y: Array) -> ByTime:
@@ -75,7 +84,9 @@ class _ByTime(Forecaster):
 
     def learn(self, records: Sequence[Trajectory], **_: Any) -> None:
         """See `Forecaster`; of several records the first one is fitted."""
-        self.baseline = self.fit_to(records[0].seen)
+        seen = records[0].seen
+        self.baseline = self.fit_to(seen)
+        self.error = _rmse_of_channels(seen - self.baseline.predict(0, len(seen)))
 
     def extrapolate(self, known: Known) -> Array:
         """See `Forecaster`."""
@@ -85,9 +96,24 @@ class _ByTime(Forecaster):
         """Over the history, too, `(time + steps, ny)`."""
         return self.baseline.predict(_whole(known.begin), len(known.y) + known.steps)
 
+    def doubts(self, known: Known) -> list[str]:
+        """See `Forecaster`: a history with which it disagrees is none of the training record."""
+        if known.own:
+            return []
+        found = _rmse_of_channels(known.y - self.trajectory(replace(known, steps=0)))
+        usual = np.maximum(self.error, _EXACT * np.ptp(self.require_fitted().y_range, axis=0))
+        worst = int(np.argmax(found / usual))
+        if found[worst] <= SEVERAL * usual[worst]:
+            return []
+        return [
+            f"{self.name} disagrees with the history, RMSE {found[worst]:.3g} where it was "
+            f"{self.error[worst]:.3g} in training: its periods and trends count from the training "
+            "record on, which the history does not seem to continue"
+        ]
+
     def describe(self) -> str:
         """See `Forecaster`."""
-        return str(self.baseline)
+        return str(self.baseline) + first_only(self.require_fitted())
 
 
 @final
@@ -125,34 +151,45 @@ class Periodic(_ByTime):
 
 @final
 class Linear(Forecaster):
-    """An output-error model of the known inputs (`baselines.linear`)."""
+    """An output-error model of the known inputs (`baselines.linear`).
+
+    Several records are fitted together, each with an initial state of its own.
+    """
 
     name = "linear"
     needs = frozenset({"inputs"})
 
     def learn(self, records: Sequence[Trajectory], **_: Any) -> None:
-        """See `Forecaster`; of several records the first one is fitted."""
-        self.u = _inputs(records[0].u)
-        self.model = OutputError.fit(records[0].seen, self.u)
+        """See `Forecaster`."""
+        first, *others = [(record.seen, _inputs(record.u)) for record in records]
+        self.u = first[1]
+        self.model = OutputError.fit(*first, others)
+        self.delays = self.model.delays
 
     def extrapolate(self, known: Known) -> Array:
         """See `Forecaster`."""
         return self.trajectory(known)[len(known.y) :]
 
     def trajectory(self, known: Known) -> Array:
-        """Over the history, too, `(time + steps, ny)`, simulated from the training record's start.
+        """Over the history, too, `(time + steps, ny)`, from a state that the history tells.
 
-        Where what the inputs were since then is not known, of another record for instance, the
-        history tells the initial state.
+        Where inputs are known from the beginning of the training record on, as for a history that
+        is a part of it, the state to which they lead is what the history is compared with.
         """
         begin = -1 if known.begin is None or known.begin % 1 else int(known.begin)
-        if not 0 <= begin <= len(self.u):
-            return self.model.simulate(_inputs(known.u), known.y)
-        return self.model.simulate(np.concatenate([self.u[:begin], _inputs(known.u)]))[begin:]
+        before = self.u[:begin] if 0 <= begin <= len(self.u) else None
+        y = np.full_like(known.y, np.nan) if known.own else known.y  # the fit has told its state
+        return self.model.continued(_inputs(known.u), y, before)
 
     def describe(self) -> str:
         """See `Forecaster`."""
-        return str(self.model)
+        late = self.require_fitted().late_inputs(self.delays)
+        return "; ".join(filter(None, [str(self.model), late]))
+
+
+def _rmse_of_channels(errors: Array) -> Array:
+    """The RMSE of each channel, `(ny,)`; 0 where nothing was measured."""
+    return np.sqrt(np.nansum(errors**2, axis=0) / np.maximum((~np.isnan(errors)).sum(axis=0), 1))
 
 
 def _whole(begin: float | None) -> float:

@@ -88,6 +88,11 @@ class Ensemble(Forecaster):
         return self.member.anchored
 
     @property
+    def shares_bands(self) -> bool:
+        """Whether the members do."""
+        return self.member.shares_bands
+
+    @property
     def warmup(self) -> int:
         """The members'."""
         return max([m.warmup for m in self.members], default=self.member.warmup)
@@ -140,6 +145,7 @@ class Ensemble(Forecaster):
             own = seed * (max(self.seeds) + 1) + of_first
             member.fit(*records, seed=own, progress=watch, checkpoint=of_member)
             self.members.append(member)
+        self.delays = self.members[0].delays
         reports = [member.require_fitted().report for member in self.members]
         notes = tuple(f"seed {r.seed}: {note}" for r in reports for note in r.notes)
         report = FitReport(seed, sum(r.seconds for r in reports), reports[0].losses, notes)

@@ -66,6 +66,11 @@ class Fitted:
         """Check what may come from a file."""
         whole("begin", self.begin, 0)
 
+    @property
+    def several(self) -> bool:
+        """Whether there were further training records."""
+        return bool(self.others) or not self.whole
+
     @classmethod
     def of(cls, records: Sequence[Trajectory], seed: int) -> Fitted:
         """What is known before anything is computed."""
@@ -89,9 +94,21 @@ class Fitted:
         begin = seconds_between(self.start, history.start) / step
         return float(round(begin)) if abs(begin - round(begin)) < NEAR_ROW else begin
 
+    def late_inputs(self, delays: Sequence[int]) -> str:
+        """Return in words which inputs act late; empty for none."""
+        step, names = self.record.sampling_time, self.record.inputs
+        said = [f"{name}: {delay} samples ({delay * step:.4g} s)"
+                for name, delay in zip(names, delays, strict=False) if delay]  # fmt: skip
+        return f"input delay {', '.join(said)}" if said else ""
+
     def inputs_beyond(self, u: Array | None) -> list[Extrapolation]:
         """Which inputs `u` `(time, nu)` go beyond those that were trained on."""
         if u is None or self.u_range is None:
             return []
         low, high = self.u_range
         return extrapolations(low, high, u)
+
+
+def first_only(fitted: Fitted) -> str:
+    """Return the end of a description that says that further training records were not used."""
+    return "; fitted to the first record only" if fitted.several else ""

@@ -65,12 +65,21 @@ class _Hybrid(Banded):
         """Whether the base is."""
         return self.base.anchored
 
+    @property
+    def shares_bands(self) -> bool:
+        """See `Forecaster`: beside the simulator that a record brings, or where the base does."""
+        beside_simulator = "simulator" in self.base.needs
+        return (super().shares_bands and beside_simulator) or self.base.shares_bands
+
     def check(self, *records: Trajectory) -> None:
         """See `Forecaster`."""
         super().check(*records)
         self.base.check(*records)
-        if len(records) > 1 and not isinstance(self.base, Simulation):
-            raise ValueError(f"several records need a simulator, the base is {self.base.name}")
+        if len(records) > 1 and self.base.anchored:
+            raise ValueError(
+                f"{self.name} cannot be fitted to several records: its base, {self.base.name}, "
+                "depends on the time since the first one began"
+            )
 
     def prepare(self, record: Trajectory) -> None:
         """See `Forecaster`."""
@@ -136,9 +145,12 @@ class _Hybrid(Banded):
         self.base.fit(*records, seed=seed)
         if isinstance(self.base, Simulation):
             return [self.base.on(record) for record in records]
-        (record,) = records
-        known = Known(record.seen, 0, 0.0, record.u, record.y_sim, record.grid)
-        return [replace(record, y_sim=self._slow(known), beyond=None)]
+        seen = []
+        for i, record in enumerate(records):
+            begin = None if i else 0.0
+            known = Known(record.seen, 0, begin, record.u, record.y_sim, record.grid)
+            seen.append(replace(record, y_sim=self._slow(known), beyond=None))
+        return seen
 
     def _slow(self, known: Known) -> Array:
         base: Any = self.base  # the constructor has checked that it has a `trajectory`

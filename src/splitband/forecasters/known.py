@@ -25,6 +25,7 @@ class Known:
     u : The inputs over both, `(time + steps, nu)`, where there are any.
     y_sim : A simulator's output over both, `(time + steps or more, ny)`, where there is one.
     grid : When `y` was measured, by the clock of its record.
+    own : Whether `y` is the training record, or its end: nothing is to be learned from it again.
     """
 
     y: Array
@@ -33,6 +34,7 @@ class Known:
     u: Array | None = None
     y_sim: Array | None = None
     grid: Grid | None = None
+    own: bool = False
 
 
 def continued(

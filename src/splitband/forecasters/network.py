@@ -16,12 +16,15 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from splitband.baselines.delays import delayed
+from splitband.baselines.linear import input_delays
 from splitband.data import Trajectory
 from splitband.data.gaps import first_after, last_before
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster, total
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.known import Known
+from splitband.forecasters.remembering import Remembered
 from splitband.models import Model
 from splitband.networks import Cell
 from splitband.runtime.threads import drawn_from
@@ -31,6 +34,9 @@ from splitband.training.settings import SHORTEST_WINDOW, longest_window
 from splitband.training.windows import windows_in
 
 Array = npt.NDArray[np.float64]
+
+DELAYS = Remembered(input_delays)
+"""Many trainings ask for the delays of the same records."""
 
 
 @runtime_checkable
@@ -171,6 +177,7 @@ class Network(Forecaster):
         """See `Forecaster`."""
         super().forget()
         self.model = self.trained_by = None
+        self.delays = ()
 
     def learn(
         self,
@@ -182,7 +189,7 @@ class Network(Forecaster):
     ) -> None:
         """See `Forecaster`."""
         settings = self.trained_by = self._settings_for(records[0])
-        seen = self._seen(records, seed)
+        seen = self._inputs_shifted(records, self._seen(records, seed))
         self._decide(seen[0], settings)
         self.model = self._built(seen[0], settings, seed).to(self.device)
         history = fit(self.model, seen, settings, seed, progress, checkpoint)
@@ -205,8 +212,9 @@ class Network(Forecaster):
 
     def describe(self) -> str:
         """See `Forecaster`."""
-        training = [self.training_in_words()] if self.free else []
-        return "; ".join([*training, *self.require_fitted().report.notes])
+        fitted = self.require_fitted()
+        said = [self.training_in_words() if self.free else "", fitted.late_inputs(self.delays)]
+        return "; ".join(filter(None, [*said, *fitted.report.notes]))
 
     def trajectory(self, known: Known) -> Array:
         """Over the history, too, `(time + steps, ny)`: a free run from its first warm-up on.
@@ -223,6 +231,18 @@ class Network(Forecaster):
         steps = len(known.y) + known.steps - start
         begun = replace(known, y=known.y[:start], steps=steps)
         return np.concatenate([known.y[:start], total([*self.extrapolate(begun).values()])])
+
+    def _inputs_shifted(
+        self, records: Sequence[Trajectory], seen: Sequence[Trajectory]
+    ) -> list[Trajectory]:
+        """The records as the model sees them, with inputs that act at once."""
+        self.delays = ()
+        if records[0].u is not None:
+            self.delays = DELAYS(*(x for r in records for x in (r.seen, r.u)))
+        return [
+            each if each.u is None else replace(each, u=delayed(each.u, self.delays))
+            for each in seen
+        ]
 
     def _seen(self, records: Sequence[Trajectory], seed: int) -> list[Trajectory]:
         """The records as the model learns from them."""
@@ -267,7 +287,8 @@ class Network(Forecaster):
         """What `Model.simulate` takes: warm-up, steps, inputs and the slow part."""
         start = self._start(known)
         begin = start - self.warmup
-        u, slow = (None if s is None else s[begin:] for s in (known.u, self._slow(known)))
+        u = None if known.u is None else delayed(known.u, self.delays)
+        u, slow = (None if s is None else s[begin:] for s in (u, self._slow(known)))
         return known.y[begin:start], len(known.y) + known.steps - start, u, slow
 
 

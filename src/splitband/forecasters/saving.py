@@ -26,6 +26,7 @@ from splitband.baselines.linear import Channel, OutputError
 from splitband.baselines.modes import Modes
 from splitband.baselines.periodic import PeriodicRegression
 from splitband.baselines.seasonal import SeasonalNaive as LastPeriod
+from splitband.baselines.states import States
 from splitband.baselines.trend import Shape, Trend
 from splitband.data import Trajectory
 from splitband.data.gaps import last_before
@@ -62,7 +63,7 @@ SHORT = 20_000
 _DTYPES = "float64", "float32", "int64", "int32", "bool"
 _PLAIN = (
     Absent, Bands, Calibration, Candidate, Channel, Choice, FitReport, Fitted, HarmonicRegression,
-    HeldOut, LastPeriod, Modes, OutputError, PeriodicRegression, Recorded, Settings, Shape,
+    HeldOut, LastPeriod, Modes, OutputError, PeriodicRegression, Recorded, Settings, Shape, States,
     Trajectory, Trend,
 )  # fmt: skip
 """Classes that are built from their fields."""
@@ -286,6 +287,7 @@ def _end(forecaster: Forecaster) -> Fitted:
     if warmup:
         start = last_before(record.complete, warmup, len(record))
         first = min(first, (warmup if start is None else start) - warmup)
+    first -= max(forecaster.delays, default=0)
     first = max(0, min(first, len(record) - 2))
     if _network_below(forecaster) is not None:
         first = 0  # it runs freely from the beginning of the record on

@@ -10,10 +10,10 @@ from typing import Any, Self, final
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Grid, Stamp, Trajectory
+from splitband.data import Grid, Stamp, Trajectory, check_alike
 from splitband.data.timing import stamp_after
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.fitted import NEAR_ROW
+from splitband.forecasters.fitted import NEAR_ROW, first_only
 from splitband.forecasters.known import Known
 from splitband.forecasters.remembering import Remembered
 from splitband.simulators import Recorded, Simulator, run
@@ -115,6 +115,12 @@ class Simulation(Forecaster):
         """See `Forecaster`; the calibration is fitted to the first record."""
         self.calibration = self._calibration(records[0])
 
+    def check(self, *records: Trajectory) -> None:
+        """See `Forecaster`: of several records only the first one needs a simulator's output."""
+        super().check(*records[:1])
+        for other in records[1:]:
+            check_alike(other, records[0], other.name or "another record")
+
     def prepare(self, record: Trajectory) -> None:
         """See `Forecaster`."""
         if self.calibrated is not False:
@@ -194,7 +200,8 @@ class Simulation(Forecaster):
 
     def describe(self) -> str:
         """See `Forecaster`."""
-        return str(self.calibration)
+        alone = self.calibrated is not False and self.fitted is not None
+        return str(self.calibration) + (first_only(self.require_fitted()) if alone else "")
 
     def _calibration(self, record: Trajectory) -> Calibration:
         """Of the simulator to a training record."""

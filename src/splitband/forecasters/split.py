@@ -29,11 +29,16 @@ class Banded(Network):
         super().__init__(settings, name)
         self.bands, self.conditioned = bands or Bands(), conditioned
 
+    @property
+    def shares_bands(self) -> bool:
+        """See `Forecaster`."""
+        return self.bands == Bands()
+
     def with_defaults(self, settings: Settings, bands: Bands) -> Self:
         """See `Forecaster`."""
         new = super().with_defaults(settings, bands)
         # What is left open beside a cut-off or an order that is given has to be chosen to suit it.
-        if self.bands == Bands():
+        if self.shares_bands:
             new = new.copy()
             new.bands = bands
         return new

@@ -7,6 +7,7 @@ lies in the folder, and what comes of it goes there.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import runpy

@@ -1,0 +1,104 @@
+"""Dead time: by how many samples an input acts late.
+
+An input that acts only after many samples needs as many parameters of a linear model, or a memory
+as long of a network. Shifted by its delay it needs neither.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from splitband.baselines.naive import recent
+
+Array = npt.NDArray[np.float64]
+
+SHORTEST = 4
+"""Samples: a shorter delay is left to a model's own coefficients."""
+LONGEST_DELAY = 200
+"""Samples: no longer delay is looked for."""
+_COEFFICIENTS = 400
+"""Most coefficients of the model in which delays are looked for."""
+_SAMPLES_EACH = 5
+"""Fewest samples for each of them."""
+_PAST = 4
+"""Past outputs in that model."""
+_CHANCE = 1e-3
+"""Probability that an input without any effect is found to have one."""
+
+
+def delayed(u: Array, delays: Sequence[int]) -> Array:
+    """Return inputs `(time, nu)`, each late by its delay in samples; at first its value is held."""
+    if not any(delays):
+        return u
+    rows = np.arange(len(u))[:, None] - np.asarray(delays)
+    return np.asarray(np.take_along_axis(u, np.maximum(rows, 0), axis=0))
+
+
+def candidates(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
+    """Return for each input the first delay at which it has a significant effect.
+
+    That is the first significant coefficient of an input in a linear regression of the output on
+    all inputs up to a longest delay, and on its own past, which whitens the errors: ARX. It is 0
+    for an input without a significant effect, for one that acts after fewer than `SHORTEST`
+    samples, and where there are too few samples.
+
+    Parameters
+    ----------
+    records : `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each.
+    """
+    nu = records[0][1].shape[1]
+    ends = [recent(y)[0] for y, _ in records]
+    records = [(y[begin:], u[begin:]) for (y, u), begin in zip(records, ends, strict=True)]
+    samples = sum(len(y) for y, _ in records)
+    shortest = min(len(y) for y, _ in records)
+    lags = min(LONGEST_DELAY, _COEFFICIENTS // nu, (samples // _SAMPLES_EACH - _PAST) // nu,
+               shortest // 2) - 1  # fmt: skip
+    if lags < SHORTEST:
+        return (0,) * nu
+    found = [
+        _significant([(y[:, i], u) for y, u in records], lags)
+        for i in range(records[0][0].shape[1])
+    ]
+    first = [min(of_input) for of_input in zip(*found, strict=True)]
+    return tuple(lag if SHORTEST <= lag <= lags else 0 for lag in first)
+
+
+def _significant(records: Sequence[tuple[Array, Array]], lags: int) -> list[int]:
+    """The first significant lag of each input; `lags + 1` where there is none."""
+    nu = records[0][1].shape[1]
+    rows = [_regressors(y, u, lags) for y, u in records]
+    x, y = np.concatenate([x for x, _ in rows]), np.concatenate([y for _, y in rows])
+    none = [lags + 1] * nu
+    freedom = len(y) - x.shape[1]
+    if freedom < x.shape[1]:
+        return none
+    scale = np.linalg.norm(x, axis=0)
+    used = scale > 0
+    outer, size, inner = np.linalg.svd(x[:, used] / scale[used], full_matrices=False)
+    kept = size > 1e-8 * size[0]
+    outer, size, inner = outer[:, kept], size[kept], inner[kept]
+    projected = outer.T @ y
+    error = float(np.sum((y - outer @ projected) ** 2)) / freedom
+    deviation = np.sqrt(error * np.sum((inner / size[:, None]) ** 2, axis=0))
+    t = np.zeros(x.shape[1])
+    t[used] = (inner.T @ (projected / size)) / np.maximum(deviation, np.finfo(float).tiny)
+    limit = scipy.stats.t.isf(_CHANCE / (2 * nu * (lags + 1)), freedom)
+    late = (abs(t[: nu * (lags + 1)]) > limit).reshape(nu, lags + 1)
+    return [int(of_input.argmax()) if of_input.any() else lags + 1 for of_input in late]
+
+
+def _regressors(y: Array, u: Array, lags: int) -> tuple[Array, Array]:
+    """Lagged inputs, input by input, past outputs and 1; and the outputs, where all are known."""
+    begin = max(lags, _PAST)
+    index = np.arange(begin, len(y))[:, None]
+    inputs = [x[index - np.arange(lags + 1)] for x in u.T]
+    past = y[index - np.arange(1, _PAST + 1)]
+    x = np.hstack([*inputs, past, np.ones((len(index), 1))]) if len(index) else np.empty((0, 0))
+    if not len(index):
+        return np.empty((0, u.shape[1] * (lags + 1) + _PAST + 1)), y[:0]
+    measured = ~np.isnan(y[begin:]) & ~np.isnan(past).any(axis=1)
+    return x[measured], y[begin:][measured]

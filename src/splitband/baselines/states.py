@@ -1,0 +1,129 @@
+"""The initial state of a linear model: which states are usual, and what a history says of it.
+
+The state is written as the polynomial C of `baselines.linear`, `(n,)`: without inputs the output
+is C / A. It is what `scipy.signal.lfilter` calls `zi`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from splitband.baselines.naive import known
+
+Array = npt.NDArray[np.float64]
+
+_FACTORS = np.geomspace(1e-4, 1e6, 41)
+"""Multiples of the usual covariance by which an initial state may differ from what is expected."""
+_SURPRISING = 8.0
+"""By how much twice the log-likelihood must rise for a factor other than the usual one."""
+_EXACT = 1e-9
+"""Of the usual response to a state: a smaller error of a model is that of rounding."""
+_MOST_CORRELATED = 0.999
+
+
+class States(NamedTuple):
+    """The states that a linear model had in training, and how well it fitted.
+
+    Attributes
+    ----------
+    mean, root : Of the states: their mean, `(n,)`, and rows of which random multiples with
+        deviation 1 add up to deviations from it, `(n, n)`.
+    error : RMSE of the simulation of the training records.
+    correlation : Of two neighbouring errors, 0 to 1.
+    """
+
+    mean: Array
+    root: Array
+    error: float
+    correlation: float
+
+    @classmethod
+    def of(
+        cls, a: Array, b: Array, runs: Sequence[tuple[Array, Array]], errors: Sequence[Array]
+    ) -> States:
+        """Return the states of simulations.
+
+        Parameters
+        ----------
+        a : A, `(n + 1,)`.
+        b : B of each input, `(nu, n + 1)`.
+        runs : Of each simulation the output without the offset, `(time,)`, and the inputs,
+            `(time, nu)`.
+        errors : Of each, `(time,)`; NaN where nothing was measured.
+        """
+        states = np.concatenate([_states(a, b, y, u) for y, u in runs])
+        mean = states.mean(axis=0)
+        _, size, directions = np.linalg.svd(states - mean, full_matrices=False)
+        root = np.zeros((len(a) - 1, len(a) - 1))
+        root[: len(size)] = (size / np.sqrt(len(states)))[:, None] * directions
+        power = float(np.nanmean(np.concatenate(errors) ** 2))
+        pairs = np.concatenate([e[1:] * e[:-1] for e in errors])
+        pairs = pairs[~np.isnan(pairs)]
+        correlation = float(pairs.mean()) / power if len(pairs) and power else 0.0
+        return cls(mean, root, float(np.sqrt(power)), min(max(correlation, 0.0), _MOST_CORRELATED))
+
+    def scaled(self, scale: float) -> States:
+        """Return them for outputs that are `scale` times as large."""
+        return self._replace(
+            mean=scale * self.mean, root=scale * self.root, error=scale * self.error
+        )
+
+    def correction(self, left: Array, samples: int, a: Array, expected: bool) -> Array:
+        """Return by how much a simulation changes with its initial state, `(samples,)`.
+
+        The state is the most probable one for normal errors, neighbouring ones correlated as in
+        training, and a state that differs from the assumed one by the usual covariance times a
+        factor. The factor is the most probable one (empirical Bayes) where the first samples are
+        surprising, so that noise alone does not move a state that was expected.
+
+        Parameters
+        ----------
+        left : By how much the first samples are above the simulation from the assumed state,
+            `(any time,)`; NaN where nothing was measured.
+        samples : From the first of `left` on.
+        a : A, `(n + 1,)`.
+        expected : Whether that state was simulated, so that a factor of 0 is usual; otherwise it
+            is the mean, and the factor 1 is.
+        """
+        impulse = np.asarray(np.arange(samples) == 0, dtype=np.float64)
+        answers = np.stack([scipy.signal.lfilter(c, a, impulse) for c in self.root], axis=1)
+        rows = known(left)
+        both = self._whitened(np.hstack([answers[rows], left[rows, None]]), rows)
+        outer, size, inner = np.linalg.svd(both[:, :-1], full_matrices=False)
+        if not size.any():
+            return np.zeros(samples)
+        seen = outer.T @ both[:, -1]
+        noise = max(self.error, _EXACT * float(abs(answers).max())) ** 2
+
+        def unlikely(factor: float) -> float:
+            variance = noise + factor * size**2
+            return float(np.sum(np.log(variance) + seen**2 / variance))
+
+        usual = 0.0 if expected else 1.0
+        factor = min(_FACTORS, key=unlikely)
+        if unlikely(factor) + _SURPRISING > unlikely(usual):
+            factor = usual
+        return np.asarray(answers @ (inner.T @ (factor * size * seen / (noise + factor * size**2))))
+
+    def _whitened(self, x: Array, rows: npt.NDArray[np.int_]) -> Array:
+        """Samples at these rows, `(rows, any)`, without what the error before makes probable."""
+        kept = self.correlation ** np.diff(rows)[:, None]
+        return np.concatenate([x[:1], (x[1:] - kept * x[:-1]) / np.sqrt(1 - kept**2)])
+
+
+def _states(a: Array, b: Array, y: Array, u: Array) -> Array:
+    """The state before each sample from the n-th on, `(time, n)`; 0 for fewer samples."""
+    order, samples = len(a) - 1, len(y)
+    if samples <= order:
+        return np.zeros((1, order))
+    states = np.zeros((samples - order, order))
+    for k in range(order):
+        for j in range(k + 1, order + 1):
+            past = slice(order + k - j, samples + k - j)
+            states[:, k] += u[past] @ b[:, j] - a[j] * y[past]
+    return states

@@ -1,0 +1,109 @@
+"""Dead time: found by the linear model, and taken out of what networks see."""
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import scipy.signal
+
+import splitband as sb
+from benchmarks import inputs as records
+from splitband import Settings, Trajectory
+from splitband.baselines.delays import candidates, delayed
+from splitband.metrics import rmse
+
+Array = npt.NDArray[np.float64]
+TRAIN, SAMPLES, DT = 600, 900, 0.02
+
+
+def late(*delays: int, seed: int = 0) -> Trajectory:
+    """One pole under steps of each input, which act late, with noise of 0.01."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.standard_normal((SAMPLES // 10, len(delays))), 10, axis=0)
+    y = sum(
+        scipy.signal.lfilter([0.0] * delay + [0.05 * (i + 1)], [1, -0.95], u[:, i])
+        for i, delay in enumerate(delays)
+    )
+    noise = 0.01 * rng.standard_normal(SAMPLES)
+    return Trajectory(np.asarray(y) + noise, DT, u=u, y_true=np.asarray(y))
+
+
+@pytest.mark.parametrize("delay", [8, 12, 20, 40])
+def test_a_late_input_costs_no_accuracy(delay: int) -> None:
+    found = []
+    for record in (late(0), late(delay)):
+        model = sb.Linear().fit(record[:TRAIN])
+        y = model.predict(SAMPLES - TRAIN, record[:TRAIN]).y
+        found.append(rmse(np.asarray(y), record.truth[TRAIN:]))
+    assert model.delays == (delay,)
+    assert f"input delay u: {delay} samples ({delay * DT:g} s)" in model.describe()
+    assert found[1] < 2 * found[0]
+    assert found[1] < 2e-3
+
+
+def test_each_input_has_a_delay_of_its_own() -> None:
+    model = sb.Linear().fit(late(0, 25))
+    assert model.delays == (0, 25)
+    assert "input delay u1: 25 samples" in model.describe()
+
+
+@pytest.mark.parametrize("make", [*records.RECORDS, *records.MIXED])
+def test_a_record_without_dead_time_has_none(make: object) -> None:
+    assert callable(make)
+    record = make(np.random.default_rng(0))[:1200]
+    assert candidates([(record.seen, record.u)]) == (0,)
+
+
+def test_a_delay_is_found_from_several_records_and_beside_gaps() -> None:
+    one, other = late(15)[:300], late(15, seed=1)[:300]
+    seen = other.seen.copy()
+    seen[50:80] = np.nan
+    assert one.u is not None
+    assert other.u is not None
+    assert candidates([(one.seen, one.u), (seen, other.u)]) == (15,)
+
+
+@pytest.mark.parametrize("samples", [2, 5, 30])
+def test_of_a_short_record_no_delay_is_asked(samples: int) -> None:
+    record = late(8)[:samples]
+    assert sb.Linear().fit(record).delays == (0,)
+
+
+def test_inputs_are_shifted_and_the_first_value_held() -> None:
+    u = np.arange(8.0).reshape(4, 2)
+    np.testing.assert_array_equal(delayed(u, (0, 2)), [[0, 1], [2, 1], [4, 1], [6, 3]])
+
+
+def test_a_network_sees_what_acts_late_when_it_acts(tmp_path: Path) -> None:
+    """As one that is given the shifted input, and saved it does the same."""
+    record, settings = late(20), Settings(60, 10, 1)
+    model = sb.Single(sb.GRU(3), settings).fit(record[:TRAIN], seed=1)
+    assert model.delays == (20,)
+    assert "input delay u: 20 samples" in model.describe()
+    assert record.u is not None
+    shifted = Trajectory(record.y, DT, u=delayed(record.u, (20,)))
+    by_hand = sb.Single(sb.GRU(3), settings).fit(shifted[:TRAIN], seed=1)
+    assert by_hand.delays == (0,)
+    y = model.predict(50).y
+    np.testing.assert_array_equal(y, by_hand.predict(50).y)
+    at = TRAIN + 9
+    np.testing.assert_array_equal(
+        model.predict(50, record[:at]).y, by_hand.predict(50, shifted[:at]).y
+    )
+    model.save(tmp_path / "model")
+    loaded = sb.load(tmp_path / "model")
+    np.testing.assert_array_equal(loaded.predict(50, u=record.u[TRAIN : TRAIN + 50]).y, y)
+    assert loaded.describe() == model.describe()
+
+
+def test_no_output_depends_on_a_later_input() -> None:
+    record = late(20)
+    model = sb.Linear().fit(record[:TRAIN])
+    assert record.u is not None
+    u = record.u[TRAIN:].copy()
+    expected = np.asarray(model.predict(100, record[:TRAIN], u=u).y)
+    u[50:] *= -0.5
+    found = np.asarray(model.predict(100, record[:TRAIN], u=u).y)
+    np.testing.assert_array_equal(found[:70], expected[:70])
+    assert (found[71:] != expected[71:]).all()

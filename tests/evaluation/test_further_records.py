@@ -1,0 +1,79 @@
+"""Further training records are for baselines, too; and what cannot be fitted has a reason."""
+
+import numpy as np
+import pytest
+import scipy.signal
+
+import splitband as sb
+from splitband import Bands, Settings, Setup, Trajectory
+from splitband.baselines.linear import OutputError
+from splitband.metrics import ExtrapolationWarning, rmse
+
+SHORT = Settings(40, 10, 1)
+SETUP = Setup(300, SHORT, Bands(0.6, 1, 2))
+
+
+def driven(seed: int, amplitude: float = 1.0) -> Trajectory:
+    rng = np.random.default_rng(seed)
+    u = amplitude * np.repeat(rng.standard_normal(40), 10)
+    y = scipy.signal.lfilter([0.1], [1, -0.9], u) + 0.01 * rng.standard_normal(400)
+    return Trajectory(np.asarray(y) + 3, 0.1, u=u, name=f"run {seed}")
+
+
+STILL, MOVED, TEST = driven(0, 0.0), driven(1), driven(2)
+
+
+def test_baselines_learn_from_all_records() -> None:
+    found = sb.compare(STILL, 300, ["linear", "mean"], others=[MOVED], tests=[TEST], setup=SETUP)
+    errors = {name: run.errors.tests[0] for name, (run,) in found.runs.items()}
+    alone = sb.Linear().fit(MOVED).predict(390, TEST[:10], other_record=True).y
+    assert errors["linear"] == pytest.approx(rmse(alone, TEST.y[10:]), rel=0.1)
+    assert errors["linear"] < 0.1 * errors["mean"]
+    both = np.concatenate([STILL.y[:300], MOVED.y]).mean()
+    assert found.runs["mean"][0].tests[0].y[0, 0] == pytest.approx(both)
+
+
+def test_an_input_within_the_range_of_any_training_record_is_not_warned_of() -> None:
+    prediction = sb.Linear().fit(STILL, MOVED).predict(20, MOVED[:300])
+    assert not prediction.warnings
+    with pytest.warns(ExtrapolationWarning, match="input u"):
+        sb.Linear().fit(STILL).predict(20, MOVED[:300])
+
+
+def test_what_depends_on_the_time_says_that_it_knows_but_one_record() -> None:
+    found = sb.compare(STILL, 300, ["harmonic", "linear"], others=[MOVED], setup=SETUP)
+    assert "fitted to the first record only" in found.table["note"]["harmonic"]
+    assert "first record" not in found.table["note"]["linear"]
+
+
+def test_a_network_stands_on_a_linear_model_of_all_records() -> None:
+    model = sb.Residual(sb.Linear(), sb.GRU(3), settings=SHORT).fit(STILL, MOVED)
+    expected = sb.Linear().fit(STILL, MOVED).predict(30, TEST[:50], other_record=True).y
+    slow = model.predict(30, TEST[:50], other_record=True).components["linear"]
+    np.testing.assert_allclose(slow, np.reshape(expected, slow.shape))
+
+
+def test_records_of_one_run_say_what_the_whole_of_it_says() -> None:
+    """Each part has an initial state of its own."""
+    u = np.random.default_rng(0).standard_normal((600, 1))
+    y = scipy.signal.lfilter([0.3, 0.1], [1, -1.5, 0.7], u, axis=0)
+    found = OutputError.fit(y[:200], u[:200], [(y[200:400], u[200:400]), (y[400:], u[400:])])
+    np.testing.assert_allclose(found.simulate(u), y, atol=1e-6)
+
+
+def test_a_constant_record_needs_no_band_where_no_method_has_one() -> None:
+    constant = Trajectory(np.full(200, 7.0), 0.1, u=TEST.u[:200] if TEST.u is not None else None)
+    found = sb.compare(constant, 150, ["linear", "mean"])
+    for runs in found.runs.values():
+        np.testing.assert_allclose(runs[0].ahead, 7.0)
+    assert found.setup.bands == Bands()
+
+
+def test_a_method_that_cannot_be_fitted_does_not_take_the_others_along() -> None:
+    constant = Trajectory(np.full(200, 7.0), 0.1)
+    methods = [sb.Split(sb.GRU(2), sb.GRU(2), settings=SHORT), sb.Mean()]
+    found = sb.compare(constant, 150, methods, seeds=1)
+    assert found.recommended == "mean"
+    assert "there is no band to split off" in found.table["note"]["split-gru"]
+    with pytest.raises(ValueError, match="no band to split off"):
+        sb.compare(constant, 150, methods[:1], seeds=1)

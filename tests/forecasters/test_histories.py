@@ -1,0 +1,90 @@
+"""A forecast begins with the state that the history tells, of whichever run it is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import splitband as sb
+from benchmarks import inputs as records
+from splitband import Settings, Trajectory
+from splitband.metrics import ExtrapolationWarning, rmse, spread
+
+STEPS, BEGUN = 300, 200
+
+
+def run(seed: int, begin: float, start: float | None = None) -> Trajectory:
+    """Of a slow pole, from a state of its own."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.choice([-1.0, 0.5, 1.0], 60), 10)
+    y = np.full(600, begin)
+    for n in range(1, 600):
+        y[n] = 0.995 * y[n - 1] + 0.05 * u[n]
+    return Trajectory(y + 0.01 * rng.standard_normal(600), 0.1, u=u, y_true=y, start=start)
+
+
+@pytest.fixture(scope="module")
+def linear() -> sb.Linear:
+    return sb.Linear().fit(run(0, 0.0, start=0.0))
+
+
+@pytest.mark.parametrize("start", [None, 0.0, 35.0, 1e6])
+@pytest.mark.parametrize("samples", [3, 30, BEGUN])
+def test_the_state_of_another_run_is_that_of_its_history(
+    linear: sb.Linear, samples: int, start: float | None
+) -> None:
+    other = run(1, 4.0, start)
+    for other_record in (False, True):
+        y = linear.predict(STEPS, other[:samples], other_record=other_record).y
+        assert rmse(np.asarray(y), other.truth[samples : samples + STEPS]) < 0.02
+
+
+def test_so_it_is_for_a_network_on_a_linear_model() -> None:
+    model = sb.Residual(sb.Linear(), sb.GRU(3), settings=Settings(40, 10, 1))
+    model.fit(run(0, 0.0))
+    other = run(1, 4.0)
+    slow = model.predict(STEPS, other[:BEGUN]).components["linear"]
+    assert rmse(slow, other.truth[BEGUN : BEGUN + STEPS]) < 0.02
+
+
+@pytest.mark.parametrize("make", [records.two_masses, records.tanks])
+@pytest.mark.parametrize("at", [3, 10, 600, 1200])
+def test_noise_does_not_move_the_state_of_the_training_record(make: object, at: int) -> None:
+    """From any origin in it the forecast is what the fit has found."""
+    assert callable(make)
+    record = make(np.random.default_rng(0))
+    model = sb.Linear().fit(record[:1200])
+    assert record.u is not None
+    scale = spread(record.truth)
+    expected = rmse((model.model.simulate(record.u) / scale)[at:], (record.truth / scale)[at:])
+    y = np.asarray(model.predict(len(record) - at, record[:at]).y)
+    found = rmse(y.reshape(-1, record.ny) / scale, (record.truth / scale)[at:])
+    assert found <= 1.01 * expected
+
+
+def test_a_few_samples_of_another_run_do_not_make_up_a_state() -> None:
+    """Least squares alone has an error of 0.72 deviations here."""
+    record = records.two_masses(np.random.default_rng(0))
+    model, scale = sb.Linear().fit(record[:1200]), spread(record.truth)
+    y = np.asarray(model.predict(800, record[1195:1200], other_record=True).y)
+    assert rmse(y / scale, record.truth[1200:] / scale) < 0.25
+
+
+def cycle(phase: float, begin: float = 0.0, level: float = 0.0) -> Trajectory:
+    rng, t = np.random.default_rng(7), np.arange(300)
+    y = level + np.exp(np.sin(2 * np.pi * t / 40 + phase)) + 0.02 * rng.standard_normal(300)
+    return Trajectory(y, 1.0, start=begin)
+
+
+@pytest.mark.parametrize("make", [sb.Periodic, sb.Harmonic, sb.SeasonalNaive])
+@pytest.mark.parametrize("other", [cycle(2.0), cycle(0.0, level=3.0)], ids=["phase", "level"])
+def test_a_function_of_time_warns_of_a_history_that_it_disagrees_with(
+    make: type[sb.Periodic], other: Trajectory
+) -> None:
+    model = make().fit(cycle(0.0))
+    with pytest.warns(ExtrapolationWarning, match="disagrees with the history"):
+        found = model.predict(20, other[:120])
+    assert found.doubts
+    later = cycle(2 * np.pi * 300 / 40, begin=300.0)  # as the first one would go on
+    for history in (None, cycle(0.0)[:120], later[:120], replace(later, start=300.0)[20:90]):
+        assert not model.predict(20, history).doubts
