@@ -20,9 +20,8 @@ from typing import Any
 
 import splitband as sb
 from benchmarks import public_page
-from benchmarks.public_page import CORES, errors_of
+from benchmarks.public_page import CORES, FOR_TRAINING, errors_of
 from benchmarks.sets import SETS, Benchmark, load
-from splitband.evaluation.costs import FOR_TRAINING
 from splitband.evaluation.runs import Work
 from splitband.evaluation.search import Search
 from splitband.evaluation.setup import default_setup

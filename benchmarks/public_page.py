@@ -16,7 +16,6 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from benchmarks import against, pendulum
 from benchmarks.sets import SETS, Benchmark
 from benchmarks.study import table
-from splitband.evaluation.costs import FOR_TRAINING
 from splitband.runtime.files import replacing
 
 CORES = 2
@@ -26,6 +25,9 @@ LONGER = 1.5
 """Budgets above this multiple of tsfast's longest training have none to be compared with."""
 NARROW = 2.0
 """Highest to lowest error that an axis shows at least."""
+FOR_TRAINING = 0.8
+"""Share of the time of these cores that a minute of these budgets counts as work: they are given as
+work (`--effort`), so that the errors do not depend on the machine."""
 
 Facts = dict[str, Any]
 Found = dict[str, dict[float, Facts]]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 
 from splitband import Forecaster, Trajectory
 from splitband.evaluation.protocols import Run, Runs, compare_methods
@@ -119,3 +120,24 @@ def with_other_samples(record: Trajectory, start: int, stop: int | None = None) 
     y = record.y.copy()
     y[start:stop] += 25.0
     return replace(record, y=y)
+
+
+class SlowClock:
+    """Stands in for the module `time`: a machine on which each look at the clock takes a while.
+
+    Deadlines (`runtime.deadlines`) are then over after so many looks, however fast the machine is.
+    """
+
+    def __init__(self, tick: float) -> None:
+        self.tick, self.at = tick, 1e9
+
+    def time(self) -> float:
+        self.at += self.tick
+        return self.at
+
+
+def slowed(monkeypatch: pytest.MonkeyPatch, tick: float) -> SlowClock:
+    """Let deadlines look at a slow clock."""
+    clock = SlowClock(tick)
+    monkeypatch.setattr("splitband.runtime.deadlines.time", clock)
+    return clock

@@ -27,9 +27,9 @@ LAYERS = (
     "runtime",
     "metrics",
 )
-# These import nothing from the package but compiled code and measures of error.
+# These import nothing from the package but compiled code, measures of error and deadlines.
 LEAVES = ("filters", "baselines", "runtime", "metrics", "kernels")
-BELOW_LEAVES = {"kernels", "metrics"}
+BELOW_LEAVES = {"kernels", "metrics", "runtime"}
 ONLY_IN = {
     "matplotlib": {"report"},
     "bokeh": {"report"},

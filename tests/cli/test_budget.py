@@ -32,12 +32,11 @@ def test_a_budget_and_a_training_of_ones_own_exclude_each_other(
     assert_fails(f"compare record.csv --columns a --budget 1m {option}", says, capsys)
 
 
-def test_the_budget_decides_what_is_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_effort_decides_what_is_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("splitband.evaluation.search.LADDER", (3, 6))
     monkeypatch.setattr("splitband.evaluation.search.FIRST_STEPS", 4)
     monkeypatch.setattr("splitband.training.settings.STEPS", 20)
-    monkeypatch.setattr("splitband.cli.setups.reference_seconds", lambda wall, cores: wall * cores)
-    line = "compare record.csv --columns a --methods gru,mean --jobs 1 --budget"
+    line = "compare record.csv --columns a --methods gru,mean --jobs 1 --effort"
     tried = []
     for budget in ("0.3s", "3s"):
         call(f"{line} {budget}", tmp_path / budget)

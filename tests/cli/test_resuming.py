@@ -124,7 +124,7 @@ def assert_same(command: str, folder: Path, whole: Path) -> None:
 def without_times(found: Any) -> Any:
     """Facts without what an interruption changes (times, mark, folder), and without the commit."""
     if isinstance(found, dict):
-        kept = found.keys() - {"seconds", "cpu_seconds", "resumed", "out", "commit"}
+        kept = found.keys() - {"seconds", "cpu_seconds", "resumed", "out", "commit", "time"}
         return {key: without_times(found[key]) for key in sorted(kept, key=str)}
     return [*map(without_times, found)] if isinstance(found, list | tuple) else found
 

@@ -19,6 +19,7 @@ from splitband.baselines.delays import candidates, delayed
 from splitband.baselines.naive import LONGEST, known, recent, units
 from splitband.baselines.states import States
 from splitband.metrics import spread
+from splitband.runtime.deadlines import check
 
 Array = npt.NDArray[np.float64]
 
@@ -262,6 +263,7 @@ def _tried(parts: Sequence[_Part], order: int) -> Iterator[tuple[float, Array]]:
     ends = np.cumsum([len(part.y) for part in parts])[:-1]
     a = np.append(1.0, np.zeros(order))
     for _ in range(ROUNDS):
+        check()
         passed = [scipy.signal.lfilter([1.0], a, part) for part in np.split(whole, ends)]
         past = np.concatenate([
             np.stack([_delayed(part, k) for k in range(1, order + 1)], axis=1) for part in passed

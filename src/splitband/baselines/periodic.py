@@ -7,6 +7,7 @@ noise; this takes the mean of all periods, which need not be a whole number of s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,10 +16,17 @@ import numpy.typing as npt
 from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.modes import Modes
 from splitband.baselines.naive import known, recent, units
-from splitband.baselines.seasonal import all_around, last_period, seasons, self_similar_lags
+from splitband.baselines.seasonal import (
+    all_around,
+    last_period,
+    seasons,
+    self_similar_lags,
+    self_similarity,
+)
 from splitband.baselines.trend import Shape, described, find
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int_]
 
 MOST_HARMONICS = 30
 VIBRATIONS = 4
@@ -26,6 +34,9 @@ VIBRATIONS = 4
 _WORTH = 0.5
 """A candidate with more freedom must have less than this share of the held-out error of one with
 less: a slightly wrong period and needless vibrations cost the more, the longer the forecast."""
+_SIMILAR = 0.25
+"""Correlation of a record with itself (`seasonal.self_similarity`) below which it has no period
+unless held-out samples say so. What is random reaches it by chance in a long record."""
 _CUTS = (0.75, 0.8, 0.85, 0.9)
 """Shares of the samples that are fitted, to see how well the rest is forecast. They are near 1, so
 that nearly as many periods are seen as by the final fit."""
@@ -83,33 +94,51 @@ class PeriodicRegression:
 
 
 def _fit_channel(y: Array) -> Modes:
-    """The fit of one channel, made with the channel scaled to its range."""
+    """The fit of one channel, made with the channel scaled to its range.
+
+    There is none where the period forecasts held-out samples no better than a constant and the
+    record hardly resembles itself. That is seen before the period is moved, which takes most of the
+    time.
+    """
     offset, scale = units(y)
     scaled = (y - offset) / scale
     trend = find(scaled)
     shape = trend.shape if trend else None
-    stiffest, *freer = zip(_candidates(scaled, shape), _held_out(scaled, shape), strict=True)
-    best, least = stiffest
-    for candidate, error in freer:
+    series = _best_series(scaled, shape)
+    parts = _parts(scaled)
+    beginnings = [_best_series(fitted, shape) for fitted, _ in parts]
+    levels = [Modes.none(fitted, shape) for fitted, _ in parts]
+    worse = _error(scaled, parts, beginnings) >= _error(scaled, parts, levels)
+    if worse and self_similarity(Modes.none(scaled, shape).residual(scaled)) < _SIMILAR:
+        return Modes.none(scaled, shape).in_units(offset, scale)
+    choices = [
+        _candidates(of, y) for of, y in zip([series, *beginnings], [scaled, *(f for f, _ in parts)],
+                                            strict=True)
+    ]  # fmt: skip
+    whole, *on_parts = choices
+    errors = [_error(scaled, parts, fits) for fits in zip(*on_parts, strict=True)]
+    best, least = whole[0], errors[0]
+    for candidate, error in zip(whole[1:], errors[1:], strict=True):
         if error < _WORTH * least:
             best, least = candidate, error
     return best.in_units(offset, scale)
 
 
-def _held_out(y: Array, shape: Shape | None) -> list[float]:
-    """The mean RMSE of each candidate on held-out samples, over several cuts."""
-    errors, index = [], known(y)
-    for share in _CUTS:
-        later = index[int(share * len(index)) :]
-        fitted = _candidates(y[: max(later[0], index[0] + 1)], shape)
-        left = [y[later] - candidate.predict(later) for candidate in fitted]
-        errors.append([np.sqrt(np.mean(error**2)) for error in left])
-    return [float(error) for error in np.mean(errors, axis=0)]
+def _parts(y: Array) -> list[tuple[Array, Index]]:
+    """What is fitted to forecast the rest, and the indices of the rest, for each cut."""
+    index = known(y)
+    later = [index[int(share * len(index)) :] for share in _CUTS]
+    return [(y[: max(held[0], index[0] + 1)], held) for held in later]
 
 
-def _candidates(y: Array, shape: Shape | None) -> tuple[Modes, Modes, Modes]:
+def _error(y: Array, parts: Sequence[tuple[Array, Index]], fits: Sequence[Modes]) -> float:
+    """The mean RMSE on held-out samples of fits to each of the parts."""
+    left = [y[held] - fit.predict(held) for (_, held), fit in zip(parts, fits, strict=True)]
+    return float(np.mean([np.sqrt(np.mean(error**2)) for error in left]))
+
+
+def _candidates(series: Modes, y: Array) -> tuple[Modes, Modes, Modes]:
     """The series of a whole lag; with its period moved; with vibrations as well."""
-    series = _best_series(y, shape)
     if not len(series.frequencies):
         return series, series, series
     refined = dying = modes = series.refined(y)

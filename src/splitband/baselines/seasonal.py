@@ -74,8 +74,30 @@ def last_period(y: Array) -> Array:
 def self_similar_lags(y: Array, most: int = 200) -> list[int]:
     """Lags at which the mean of (y_n - y_{n+lag})^2 has a local minimum, the least one first.
 
-    They are half of `y` at most. The mean is over pairs of measured samples; channels are added,
-    each in units of its variance.
+    They are half of `y` at most.
+    """
+    difference = _differences(y)
+    # With infinity behind it, the last lag can be a minimum too.
+    minima = scipy.signal.argrelmin(np.append(difference, np.inf))[0]
+    ranked = minima[np.argsort(difference[minima], kind="stable")]
+    return [1 + int(i) for i in ranked[:most]] or [len(difference)]
+
+
+def self_similarity(y: Array) -> float:
+    """The highest correlation of a channel `(time,)` with itself at lags from a quarter to half.
+
+    A period of up to a quarter of the record has a multiple there, at which it is as similar to
+    itself as at the first; what repeats itself for a while only is not.
+    """
+    difference = _differences(y[:, None])
+    return 1 - float(difference[len(y) // 4 - 1 :].min(initial=np.inf)) / 2
+
+
+def _differences(y: Array) -> Array:
+    """The mean of (y_n - y_{n+lag})^2 for the lags 1, 2, ... to half of `y` `(time, ny)`.
+
+    The mean is over pairs of measured samples, and infinite where there are few; channels are
+    added, each in units of its variance.
     """
     n = len(y)
     lags = np.arange(1, n // 2 + 1)
@@ -97,10 +119,7 @@ def self_similar_lags(y: Array, most: int = 200) -> list[int]:
         doubtful |= pairs < ENOUGH_PAIRS * pairs.max()
         difference += (before + after - 2 * products) / np.maximum(pairs, 1)
     difference[doubtful] = np.inf
-    # With infinity behind it, the last lag can be a minimum too.
-    minima = scipy.signal.argrelmin(np.append(difference, np.inf))[0]
-    ranked = minima[np.argsort(difference[minima], kind="stable")]
-    return [int(lags[i]) for i in ranked[:most]] or [int(lags[-1])]
+    return difference
 
 
 def seasons(y: Array, lag: int) -> Array:

@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
 from splitband import __version__
+from splitband.cli import clock
 
 COMMANDS = {
     "demo": ("demo", "Show what the package does, in under a minute."),
@@ -57,6 +58,7 @@ class Commands(TyperGroup):
         if self.listing:
             return typer.core.TyperCommand(cmd_name, help=line)
         command = getattr(import_module(f"splitband.cli.{module}"), cmd_name)
+        clock.loaded()
         if isinstance(command, typer.Typer):
             return typer.main.get_group(command)
         alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
@@ -129,6 +131,7 @@ INTERRUPTED = 130
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; bad input is one line on the error stream and exit status 2."""
+    clock.begin(own_process=arguments is None)
     given = _global_first(sys.argv[1:] if arguments is None else arguments)
     try:
         status = typer.main.get_command(app).main(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,6 +23,7 @@ from splitband.cli.output import refuse_inputs, replaced
 from splitband.cli.usage import usage
 from splitband.report import benchmark as report
 from splitband.report import page, pictures, results
+from splitband.runtime.deadlines import now
 from splitband.runtime.files import CHECKPOINTS, replacing
 from splitband.runtime.outputs import staged, write_facts
 
@@ -106,11 +106,11 @@ def _row(case: Case, folder: Path, workers: Crew) -> report.Row:
         found = _finished(case.name, folder, identity)
         if found is not None:
             return found
-        began = time.perf_counter()
+        began = now()
         request = case.request
         task = prepared(request, workers.cores)
-        result = carried_out(task, request.seeds, workers, folder, case.name)
-        seconds = time.perf_counter() - began
+        result = carried_out(task, request.seeds, workers, folder, case.name, began)
+        seconds = now() - began
         save(result, folder, {"command": "benchmark", **identity, "seconds": seconds})
         return report.Row.of(case.name, _read(folder))
     except ConnectionError:

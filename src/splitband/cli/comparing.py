@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from splitband.cli import devices, naming, records, setups, showing
+from splitband.cli import devices, naming, records, setups, showing, timing
 from splitband.cli.crew import Crew
 from splitband.cli.options.models import AUTO, ModelOptions
 from splitband.cli.options.records import FurtherRecords, RecordOptions, TestRecords
@@ -112,11 +112,17 @@ def prepared(request: Request, cores: int, ahead: int | None = None) -> Task:
 
 
 def carried_out(
-    task: Task, seeds: int | None, workers: Crew, out: Path, label: str = "training"
+    task: Task,
+    seeds: int | None,
+    workers: Crew,
+    out: Path,
+    label: str = "comparing",
+    began: float | None = None,
 ) -> Comparison:
     """The comparison; what is cut off goes on from checkpoints in the folder `out`.
 
-    `label` stands beside the progress bar.
+    `label` stands beside the progress bar. A budget of time counts from when it `began`, by default
+    from when the command did.
     """
     record, setup, others, tests = task.record, task.setup, task.others, task.tests
     methods = [devices.on_device(setup.forecaster(name), task.device) for name in task.names]
@@ -124,7 +130,9 @@ def carried_out(
     check(record, methods, setup, others, tests)
     check_trial(record, methods, setup, others)
     output_folder(out, "--out")
-    with showing.progress(label) as progress:
+    numbers = (len(record) + sum(map(len, tests))) * record.ny * 2 * len(methods)
+    plan = timing.planned(setup, workers.cores, numbers, began)
+    with showing.progress(label, plan, showing.kept(out / CHECKPOINTS)) as progress:
         return compare_forecasters(
             record,
             methods=methods,
@@ -132,7 +140,7 @@ def carried_out(
             tests=tests,
             seeds=seeds,
             setup=setup,
-            work=workers.work(progress, out),
+            work=workers.work(progress, out, plan),
         )
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from splitband.cli import showing
+from splitband.evaluation.plan import Plan
 from splitband.evaluation.runs import RunProgress, Work
 from splitband.runtime.cluster import Cluster, silence
 from splitband.runtime.files import CHECKPOINTS
@@ -22,9 +23,10 @@ class Crew:
     cores: int
     executor: Executor | None = None
 
-    def work(self, progress: Callable[[RunProgress], None], out: Path) -> Work:
+    def work(self, progress: Callable[[RunProgress], None], out: Path, plan: Plan) -> Work:
         """How a comparison is computed by them, with checkpoints in the folder `out`."""
-        return Work(self.cores, progress, out / CHECKPOINTS, executor=self.executor)
+        checkpoints = out / CHECKPOINTS
+        return Work(self.cores, progress, checkpoints, executor=self.executor, plan=plan)
 
 
 @contextmanager

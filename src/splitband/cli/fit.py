@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
@@ -10,16 +11,18 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from splitband.cli import devices, naming, records, setups, showing
+from splitband.cli import devices, naming, records, setups, showing, timing
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Conditioned, ModelOptions, SettingsFile
 from splitband.cli.options.records import FurtherRecords, Record, RecordOptions
 from splitband.cli.options.simulators import Calibrate, SimulatorOrBaseOptions
 from splitband.cli.options.workers import Jobs
 from splitband.cli.simulators import each_with_simulator, with_simulator
+from splitband.data import Trajectory
 from splitband.data.timing import as_json
+from splitband.evaluation.plan import SEARCH
 from splitband.evaluation.runs import RunProgress, Work
-from splitband.evaluation.search import search
+from splitband.evaluation.search import Search, search
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.base import Forecaster
@@ -28,6 +31,7 @@ from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import Simulation
 from splitband.metrics import rmse
 from splitband.report import results
+from splitband.runtime import deadlines
 from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import staged, write_facts
 from splitband.runtime.threads import available_cores
@@ -95,18 +99,20 @@ def fit(
     training = trajectory[: setup.train]
     naming.check_needs([forecaster], training)
     forecaster.check(training, *others)
-    with showing.progress(f"training {method}") as bar:
+    plan = timing.planned(setup, cores, 0)
+    with showing.progress("fitting", plan, showing.kept(out / CHECKPOINTS)) as bar:
 
         def update(at: Progress) -> None:
-            bar(RunProgress(f"{method}, {at.task}", seed, at.share, at.loss))
+            overall = SEARCH + at.share * (1 - SEARCH)
+            bar(RunProgress(f"{method}, {at.task}", seed, at.share, at.loss, overall=overall))
 
         if setup.search is not None:
-            work = Work(cores, bar, out / CHECKPOINTS)
-            searched = search(training, [forecaster], 0, setup.search, work, others)
-            forecaster = searched.forecasters[0]
+            work = Work(cores, bar, out / CHECKPOINTS, plan=plan)
+            forecaster = _searched(training, forecaster, setup.search, work, others)
         (out / CHECKPOINTS).mkdir(exist_ok=True)
         checkpoint = Checkpoint(out / CHECKPOINTS / f"{method}-{seed}.safetensors")
-        forecaster.fit(training, *others, seed=seed, progress=update, checkpoint=checkpoint)
+        with deadlines.within(plan.deadline):
+            forecaster.fit(training, *others, seed=seed, progress=update, checkpoint=checkpoint)
     fitted = forecaster.require_fitted()
     training_in_words = ""
     if isinstance(forecaster, Network):
@@ -150,6 +156,20 @@ def fit(
         + f"model: {out}/",
     )
     showing.results_file(out / "results.json")
+
+
+def _searched(
+    training: Trajectory,
+    forecaster: Forecaster,
+    allowed: Search,
+    work: Work,
+    others: Sequence[Trajectory],
+) -> Forecaster:
+    """The forecaster with the training that has been found for it."""
+    with work.staffed() as staff:
+        until = work.plan.share(SEARCH)
+        stage = replace(staff, deadline=until, span=(0.0, SEARCH))
+        return search(training, [forecaster], 0, allowed, stage, others).forecasters[0]
 
 
 def _training_error(forecaster: Forecaster) -> float | None:

@@ -9,11 +9,19 @@ from typing import Annotated
 
 import typer
 
-from splitband.cli import devices, naming, records, setups, showing
+from splitband.cli import devices, naming, records, setups, showing, timing
 from splitband.cli.comparing import arguments
 from splitband.cli.crew import crew
 from splitband.cli.options.groups import with_groups
-from splitband.cli.options.models import Budget, Device, Epochs, ModelOptions, Seeds, SettingsFile
+from splitband.cli.options.models import (
+    Budget,
+    Device,
+    Effort,
+    Epochs,
+    ModelOptions,
+    Seeds,
+    SettingsFile,
+)
 from splitband.cli.options.records import FurtherRecords, FutureInputs, Record, RecordOptions
 from splitband.cli.options.simulators import SimulatorOrBaseOptions
 from splitband.cli.options.workers import Cluster, Jobs
@@ -52,6 +60,7 @@ def forecast(
     future_inputs: FutureInputs = None,
     epochs: Epochs = None,
     budget: Budget = None,
+    effort: Effort = None,
     device: Device = "cpu",
     settings: SettingsFile = None,
     cluster: Cluster = None,
@@ -64,7 +73,7 @@ def forecast(
     then still forecast the same. A simulator must reach --steps samples beyond the record; a
     record with known inputs needs --future-inputs.
     """
-    model = ModelOptions(epochs=epochs, budget=budget)
+    model = ModelOptions(epochs=epochs, budget=budget, effort=effort)
     tuned = setups.load_settings(settings, model)
     known = records.load_record(record, reading, tuned)
     hybrid = simulator.simulator is not None or known.y_sim is not None
@@ -89,10 +98,12 @@ def forecast(
         naming.check_needs(methods, known)
         check(known, methods, setup, others, beyond=True)
         check_trial(known, methods, setup, others)
-        with showing.progress() as progress:
+        numbers = steps * known.ny * len(methods)
+        plan = timing.planned(setup, workers.cores, numbers)
+        with showing.progress("forecasting", plan, showing.kept(out / CHECKPOINTS)) as progress:
             result = forecast_record(
                 known, steps, methods,
-                others=others, seeds=seeds, setup=setup, work=workers.work(progress, out),
+                others=others, seeds=seeds, setup=setup, work=workers.work(progress, out, plan),
             )  # fmt: skip
     found = results.found_in(result.forecaster, out)
     given = arguments(context.params)
@@ -104,6 +115,7 @@ def forecast(
 
 
 def _say(result: Forecast, steps: int, out: Path) -> None:
+    showing.console.print(timing.in_words(result.plan, result.search))
     trial, record = result.trial, result.record
     said = dict.fromkeys(trial.errors, "") | {
         name: f"could not be fitted: {reason}" for name, reason in trial.failed.items()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from splitband.cli import showing
+from splitband.cli import showing, timing
 from splitband.data import Trajectory
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.setup import Setup
@@ -20,6 +20,7 @@ def show(result: Comparison, names: list[str], out: Path, used: Usage) -> None:
     record, setup, trial = result.record, result.setup, result.require_trial()
     best = result.recommended
     showing.methods(_title(record, setup), columns(result), remarks(result), best)
+    showing.console.print(timing.in_words(result.plan, result.search))
     why = words.why(trial, setup.train, len(record) - setup.train)
     showing.console.print(f"recommended: {best}. {' '.join(why)}")
     if result.left_out:

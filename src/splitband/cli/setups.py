@@ -12,7 +12,6 @@ from splitband.cli.naming import names
 from splitband.cli.options.models import AUTO, ModelOptions
 from splitband.data import Trajectory
 from splitband.data.named import RECORDS
-from splitband.evaluation.costs import reference_seconds
 from splitband.evaluation.protocols import check_train
 from splitband.evaluation.search import Search
 from splitband.evaluation.setup import Setup, default_setup
@@ -78,11 +77,11 @@ def load_settings(path: Path | None, options: ModelOptions) -> Tuned | None:
         return None
     if not path.is_file():
         raise FileNotFoundError(f"--settings must be a file that `tune` wrote, got {path}")
-    if options.budget is not None:
-        raise ValueError(
-            f"--budget is for finding out how to train, which --settings decides, got "
-            f"{options.budget}"
-        )
+    for option, limit in (("--budget", options.budget), ("--effort", options.effort)):
+        if limit is not None:
+            raise ValueError(
+                f"{option} is for finding out how to train, which --settings decides, got {limit}"
+            )
     if options.recipe != "default":
         raise ValueError(f"--recipe and --settings exclude each other, got {options.recipe}")
     return Tuned.read(path)
@@ -98,7 +97,7 @@ def check_model_options(options: ModelOptions) -> None:
         check_device(options.device)
 
 
-def seconds(duration: str) -> float:
+def seconds(duration: str, option: str = "--budget") -> float:
     """Of a duration such as 90s, 10m or 1h; raises ValueError for another text."""
     number, unit = duration.strip()[:-1], duration.strip()[-1:].lower()
     try:
@@ -106,7 +105,7 @@ def seconds(duration: str) -> float:
     except (KeyError, ValueError):
         length = 0.0
     if not 0 < length < float("inf"):
-        raise ValueError(f"--budget must be a time such as 90s, 10m or 1h, got {duration}")
+        raise ValueError(f"{option} must be a time such as 90s, 10m or 1h, got {duration}")
     return length
 
 
@@ -137,17 +136,27 @@ def _search(options: ModelOptions, cores: int) -> Search | None:
         "--recipe": None if options.recipe == "default" else options.recipe,
     }
     decided = [option for option, value in said.items() if value is not None]
+    limits = {"--budget": options.budget, "--effort": options.effort}
+    limit = next((name for name, value in limits.items() if value is not None), None)
+    if None not in limits.values():
+        raise ValueError(
+            "--budget and --effort exclude each other (the one limits the time, the other the "
+            f"work), got {options.budget} and {options.effort}"
+        )
     if decided:
-        if options.budget is not None:
+        if limit is not None:
             raise ValueError(
-                f"--budget is for finding out how to train, which {decided[0]} decides, got "
-                f"{options.budget}"
+                f"{limit} is for finding out how to train, which {decided[0]} decides, got "
+                f"{limits[limit]}"
             )
         return None
-    search = Search(sizes=options.hidden is None)
+    sizes = options.hidden is None
+    if options.effort is not None:
+        work = seconds(options.effort, "--effort")
+        return Search(work, sizes=sizes)
     if options.budget is None:
-        return search
-    return replace(search, core_seconds=reference_seconds(seconds(options.budget), cores))
+        return replace(Search.usual(), sizes=sizes)
+    return replace(Search.within(seconds(options.budget), cores), sizes=sizes)
 
 
 def _trained(settings: Settings, options: ModelOptions) -> Settings:

@@ -10,15 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 from rich.text import Text
 
+from splitband.evaluation.plan import Plan
 from splitband.evaluation.protocols import Runs
 from splitband.evaluation.runs import RunProgress
 from splitband.metrics import Extrapolation, ExtrapolationWarning
 from splitband.report.page.parts import entry
 from splitband.report.table import Column
+from splitband.runtime.deadlines import now
 from splitband.runtime.files import to_json
 
 console = Console(
@@ -105,41 +107,61 @@ def _lines(of_channels: Sequence[Column], method: str) -> Text:
 
 @contextmanager
 def progress(
-    label: str = "training", total: int | None = None
+    label: str = "training", plan: Plan | None = None, said: str = "", total: int | None = None
 ) -> Iterator[Callable[[RunProgress], None]]:
-    """A bar over all trainings, and one for each that runs; silent where nobody watches.
+    """One bar for the whole command, with the phase by name; silent where nobody watches.
 
-    Where it depends on results how many there will be, the first bar counts those that are done.
+    It shows what is done by reckoned costs, the time that has passed since the command began, and
+    what remains by both: no more than is left until the plan's deadline. Where there are a `total`
+    of trainings, it shows their share. What is `said` is printed first.
     """
+    watched = sys.stderr.isatty() and not console.quiet
+    if said and not console.quiet:
+        Console(stderr=True).print(said, markup=False, highlight=False)
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[loss]}"),
+        TextColumn("{task.fields[times]}"),
         console=Console(stderr=True),
         transient=True,
-        disable=console.quiet or not sys.stderr.isatty(),
+        disable=not watched,
     )
+    began = now() if plan is None else plan.began
     with bar:
-        overall = bar.add_task(label, total=total, loss="")
-        rows: dict[tuple[str, str, int], TaskID] = {}
+        whole = bar.add_task(label, total=1.0, times="")
         shares: dict[tuple[str, str, int], float] = {}
+        reached = 0.0
 
         def update(at: RunProgress) -> None:
-            key = at.stage, at.method, at.seed
-            if key not in rows:
-                rows[key] = bar.add_task(f"  {at.method}, seed {at.seed}", total=1.0, loss="")
-            shares[key] = at.share
-            bar.update(rows[key], completed=at.share, loss=f"loss {at.loss:.4g}")
-            bar.update(rows[key], visible=at.share < 1)
-            if total is None:
-                done = sum(share >= 1 for share in shares.values())
-                bar.update(overall, description=f"{label}: {at.stage}, {done} done")
-            else:
-                bar.update(overall, completed=sum(shares.values()))
+            nonlocal reached
+            shares[at.stage, at.method, at.seed] = at.share
+            share = at.overall if total is None else sum([*shares.values()]) / total
+            reached = max(reached, share)
+            elapsed = now() - began
+            remains = elapsed * (1 / reached - 1) if reached else None
+            if remains is not None and plan is not None and plan.limited:
+                remains = min(remains, max(plan.deadline.left, 0.0))
+            left = "" if remains is None else f", {_clock(remains)} left"
+            bar.update(
+                whole,
+                completed=reached,
+                description=f"{label}: {at.stage}, {at.method}",
+                times=f"{_clock(elapsed)}{left}",
+            )
 
         yield update
+
+
+def kept(checkpoints: Path) -> str:
+    """What is said where a command goes on from what an earlier one has left; else nothing."""
+    count = len([*checkpoints.rglob("*.safetensors")])
+    return f"resuming: {count} training{'s' if count != 1 else ''} kept" if count else ""
+
+
+def _clock(seconds: float) -> str:
+    """Minutes and seconds."""
+    return f"{int(seconds) // 60}:{int(seconds) % 60:02}"
 
 
 def warn_of_inputs(extrapolations: Sequence[Extrapolation], names: Sequence[str]) -> None:

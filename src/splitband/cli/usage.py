@@ -16,16 +16,16 @@ _FIT = (
     "columns", "inputs", "time_column", "sampling_time", "gaps", "simulator", "simulator_columns",
     "simulator_timeout", "simulator_cache", "simulator_reads", "more", "more_simulator",
     "cutoff", "order", "downsampling", "warmup", "window", "epochs", "recipe", "learning_rate",
-    "lr_milestones", "hidden", "budget", "settings", "device",
+    "lr_milestones", "hidden", "budget", "effort", "settings", "device",
 )  # fmt: skip
-_FORECAST = (*_FIT[:12], "epochs", "budget", "settings", "device")
+_FORECAST = (*_FIT[:12], "epochs", "budget", "effort", "settings", "device")
 _SIMULATE = (
     "simulator", "simulator_columns", "simulator_timeout", "simulator_cache", "simulator_reads",
     "time_column",
 )  # fmt: skip
 _FOUND = (
     "cutoff", "order", "downsampling", "warmup", "window", "epochs", "recipe", "learning_rate",
-    "lr_milestones", "hidden", "budget",
+    "lr_milestones", "hidden", "budget", "effort",
 )  # fmt: skip
 """What a file of settings says."""
 _USUAL = {"gaps": "refuse", "recipe": "default", "device": "cpu",

@@ -72,6 +72,9 @@ def on_baseline(
     spent = len(seeds) * (1 - HELD_OUT) * cost
     if network.name in trial.scores or spent + cost > searched.left:
         return trial, searched
+    if spent > work.plan.reckoned(work.deadline):
+        work.plan.narrowed(f"{network.name} (not tried)")
+        return trial, searched
     stage = work.for_stage(STAGE)
     found = try_out(record, [network], ahead, seeds, stage, others, need_one=False)
     score = found.scores.get(network.name)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,19 +13,28 @@ import numpy as np
 import pandas as pd
 
 from splitband.data import Trajectory
-from splitband.evaluation.choosing import FINAL, as_trained, candidates, choose, seeds_of
+from splitband.evaluation.choosing import (
+    as_trained,
+    candidates,
+    choose,
+    last_stages,
+    last_trainings,
+    timed,
+    within,
+)
+from splitband.evaluation.plan import Plan
 from splitband.evaluation.protocols import (
     TRAINING_SHARE,
     Run,
     Runs,
     check,
     check_train,
-    compare_methods,
     inputs_beyond,
     mean_run,
+    run_methods,
 )
 from splitband.evaluation.runs import Work
-from splitband.evaluation.search import Attempt
+from splitband.evaluation.search import Attempt, Search, SearchResult
 from splitband.evaluation.selection import LEVEL, Trial, check_trial
 from splitband.evaluation.setup import Setup, default_setup
 from splitband.forecasters.base import Forecaster
@@ -50,6 +59,7 @@ class Comparison:
     tests : Records that nothing was fitted to, simulated from their first samples.
     attempts : What has been tried to find out how networks are trained.
     forecasters : The methods with all that has been chosen for them, by name, not fitted.
+    plan : The time that it took, and what was left out for want of time.
     """
 
     record: Trajectory
@@ -60,6 +70,12 @@ class Comparison:
     tests: tuple[Trajectory, ...] = ()
     attempts: tuple[Attempt, ...] = ()
     forecasters: Mapping[str, Forecaster] = field(default_factory=dict)
+    plan: Plan = field(default_factory=Plan)
+
+    @property
+    def search(self) -> Search | None:
+        """How much was allowed for; None where nothing was searched."""
+        return self.setup.search
 
     @property
     def recommended(self) -> str:
@@ -184,6 +200,7 @@ def compare(
     tests: Sequence[Trajectory] = (),
     seeds: int | None = None,
     setup: Setup | None = None,
+    budget: float | None = None,
     work: Work | None = None,
 ) -> Comparison:
     """Compare forecasters on a record, as `splitband compare` does.
@@ -205,6 +222,8 @@ def compare(
         and `SEEDS` of what is not searched.
     setup : Settings, bands and sizes; by default chosen by the training samples, and how networks
         are trained by trials on the last quarter of them (`Setup.search`).
+    budget : Seconds of wall time for all of it, kept on a busy machine, too: see `Search.within`.
+        By default the setup's: two minutes at most.
     work : Processes, progress and checkpoints.
 
     Raises
@@ -229,23 +248,19 @@ def compare(
         setup = default_setup(record, train, methods=methods)
     elif train not in (None, setup.train):
         raise ValueError(f"train must be that of setup, {setup.train}, got {train}")
-    chosen, setup = candidates(record, setup, methods)
+    work = work or Work()
+    chosen, setup = candidates(record, within(setup, budget, work), methods)
     check(record, chosen, setup, others, tests)
     check_trial(record, chosen, setup, others)
     tests = _called_apart(tests)
-    work, ahead = work or Work(), len(record) - setup.train
-    training = record[: setup.train]
-    trial, searched = choose(training, chosen, ahead, setup, seeds, work, others, bool(tests))
-    fitted = [method for method in searched.forecasters if method.name in trial.errors]
-    runs = compare_methods(
-        record,
-        fitted,
-        setup,
-        seeds_of(searched, trial.scores, seeds),
-        work.for_stage(FINAL),
-        others,
-        tests,
-    )
+    training, ahead = record[: setup.train], len(record) - setup.train
+    with timed(work, setup).staffed() as staff:
+        trial, searched = choose(training, chosen, ahead, setup, seeds, staff, others, bool(tests))
+        fitted = [method for method in searched.forecasters if method.name in trial.errors]
+        run = partial(run_methods, record, setup=setup, others=others, tests=tests)
+        asked = ahead + len(record) + sum(map(len, tests))
+        stages = last_stages(staff, asked, setup.train, ahead)
+        runs = _last_runs(run, fitted, searched, trial, seeds, stages)
     comparison = Comparison(
         record,
         setup,
@@ -254,9 +269,36 @@ def compare(
         tests=tuple(tests),
         attempts=searched.attempts,
         forecasters={method.name: method for method in fitted if method.name in runs},
+        plan=staff.plan,
     )
     trial = replace(trial, left_out=frozenset(comparison.left_out))
-    return replace(comparison, trial=trial.settled(runs.ahead, runs.failed))
+    failed = staff.plan.left_out | runs.failed
+    return replace(comparison, trial=trial.settled(runs.ahead, failed))
+
+
+def _last_runs(
+    run: Callable[..., Runs],
+    methods: Sequence[Forecaster],
+    searched: SearchResult,
+    trial: Trial,
+    seeds: int | None,
+    stages: tuple[Work, Work],
+) -> Runs:
+    """The methods on the whole training part: what needs no training, then networks."""
+    of_quick, of_slow = stages
+    with of_quick.plan.phase("final trainings"):
+        quick = [f for f in methods if not f.random]
+        runs = run(
+            forecasters=quick, seeds=(0,), work=of_quick, need_one=len(quick) == len(methods)
+        )
+        wanted = last_trainings([f for f in methods if f.random], searched, trial, seeds, of_slow)
+        if not wanted:
+            return runs
+        slow = [next(f for f in methods if f.name == name) for name in wanted]
+        trained = run(forecasters=slow, seeds=wanted, work=of_slow, need_one=not runs)
+    every = {**runs, **trained}
+    ordered = {f.name: every[f.name] for f in methods if f.name in every}
+    return Runs(ordered, (*runs.failures, *trained.failures))
 
 
 def _called_apart(tests: Sequence[Trajectory]) -> list[Trajectory]:

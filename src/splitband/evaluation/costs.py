@@ -5,33 +5,49 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
+from functools import cache
 
 import torch
 
 from splitband.data import Trajectory
+from splitband.forecasters.backtest import Question
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.ensemble import Ensemble
 from splitband.forecasters.network import Network
 from splitband.networks import GRU, rollout
 from splitband.runtime.threads import one_thread
 from splitband.training.quasi_newton import samples_in_a_step
 
-FOR_TRAINING = 0.8
-"""Share of a budget of wall time that goes into networks; the rest is for all other work."""
+FOR_TRAINING, STARTING = 0.4, 8.0
+"""Share of a budget of wall time that is planned for networks, and the seconds of it in which the
+command begins and writes its results. The rest is for all other work, and for what trainings take
+longer than reckoned."""
 REFERENCE_SIZE, REFERENCE_BATCH, REFERENCE_STEPS = 32, 25, 400
 """Hidden units, windows and samples of the gradient by which a machine's speed is measured."""
 SAMPLE, WEIGHT = 0.09e-6, 0.25e-9
 """Seconds of a reference core for a sample, forwards and backwards, and as much more per weight."""
 GRADIENT = 4e-3
 """Seconds of a reference core for each gradient besides that, however small it is."""
+QUICK = 0.5
+"""Seconds of a reference core for a fit in closed form, for progress bars."""
 EVALUATIONS = 1.2
 """Gradients to an iteration of L-BFGS."""
 
 
 def reference_seconds(wall: float, cores: int) -> float:
-    """What a wall time on so many cores of this machine is in seconds of a reference core.
+    """The work that is planned for a wall time on so many cores, in seconds of a reference core.
 
-    A small network's gradient is timed for it. The factor is rounded to half a power of two, so
-    that the same machine mostly gives the same answer.
+    The speed of a core is rounded to half a power of two, so that the same machine mostly gives the
+    same answer. It is as much as is done well before the time is over, so that the work and not the
+    clock decides what is tried, unless the machine is busy.
     """
+    rounded = 2 ** (round(2 * math.log2(speed())) / 2)
+    return FOR_TRAINING * max(wall - STARTING, wall / 2) * cores * rounded
+
+
+@cache
+def speed() -> float:
+    """How fast a core of this machine is, relative to the reference: a gradient is timed once."""
     network = GRU(REFERENCE_SIZE)
     y = torch.zeros(REFERENCE_BATCH, REFERENCE_STEPS, 1)
     took = []
@@ -42,8 +58,17 @@ def reference_seconds(wall: float, cores: int) -> float:
             took.append(time.perf_counter() - began)
     weights = sum(weight.numel() for weight in network.parameters())
     usual = GRADIENT + (SAMPLE + WEIGHT * weights) * REFERENCE_BATCH * REFERENCE_STEPS
-    speed = 2 ** (round(2 * math.log2(usual / min(took))) / 2)
-    return FOR_TRAINING * wall * cores * speed
+    return usual / min(took)
+
+
+def job_cost(forecaster: Forecaster, question: Question) -> float:
+    """Seconds of a reference core to fit a forecaster and ask it, roughly; see `training_cost`."""
+    samples = max(origin.fitted for origin in question.origins)
+    if isinstance(forecaster, Ensemble):
+        return forecaster.count * job_cost(forecaster.member, question)
+    if not isinstance(forecaster, Network) or forecaster.settings is None:
+        return QUICK * len({origin.fitted for origin in question.origins})
+    return training_cost(forecaster, question.record[:samples], question.others)
 
 
 def training_cost(network: Network, record: Trajectory, others: Sequence[Trajectory]) -> float:

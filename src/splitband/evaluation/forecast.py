@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 
 from splitband.data import Trajectory
-from splitband.evaluation.choosing import FINAL, as_trained, candidates, choose, seeds_of
+from splitband.evaluation.choosing import (
+    as_trained,
+    candidates,
+    choose,
+    last_stages,
+    last_trainings,
+    timed,
+    within,
+)
+from splitband.evaluation.plan import Plan
 from splitband.evaluation.protocols import check, inputs_beyond
-from splitband.evaluation.runs import Work, run_all
+from splitband.evaluation.runs import Failure, Work, run_all
+from splitband.evaluation.search import Search
 from splitband.evaluation.selection import LEVEL, Trial, check_trial
 from splitband.evaluation.setup import Setup, default_setup
-from splitband.forecasters.backtest import Origin, Question
+from splitband.forecasters.backtest import Backtest, Origin, Question
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import Prediction, mean_of
 from splitband.metrics import Extrapolation, leaves_range
@@ -35,6 +45,7 @@ class Forecast:
     description : What its fit has settled on.
     leaves : Samples before the forecast leaves the range of the training samples by far.
     inputs_beyond_training : Which inputs to come go beyond those that were trained on.
+    plan, search : See `Comparison`.
     """
 
     record: Trajectory
@@ -46,6 +57,8 @@ class Forecast:
     description: str
     leaves: int | None
     inputs_beyond_training: list[Extrapolation]
+    plan: Plan = field(default_factory=Plan)
+    search: Search | None = None
 
     def report(self, path: str | Path) -> None:
         """Write one HTML file with the forecast, what was tried and settings, to send on."""
@@ -60,6 +73,7 @@ def forecast(
     others: Sequence[Trajectory] = (),
     seeds: int | None = None,
     setup: Setup | None = None,
+    budget: float | None = None,
     work: Work | None = None,
 ) -> Forecast:
     """What comes after the end of a record, by the method that its own last quarter recommends.
@@ -69,7 +83,7 @@ def forecast(
     record : All of it is trained on. Its known inputs, and its simulator's output, must reach
         `steps` samples beyond it (`u_beyond`, `beyond`).
     steps : How many samples.
-    methods, others, seeds, setup, work : See `compare`.
+    methods, others, seeds, setup, budget, work : See `compare`.
 
     Raises
     ------
@@ -91,26 +105,39 @@ def forecast(
         raise ValueError(
             f"train of setup must be all {len(record)} samples of the record, got {setup.train}"
         )
-    chosen, setup = candidates(record, setup, methods)
+    work = work or Work()
+    chosen, setup = candidates(record, within(setup, budget, work), methods)
     check(record, chosen, setup, others, beyond=True)
     check_trial(record, chosen, setup, others)
-    work = work or Work()
-    trial, searched = choose(record, chosen, steps, setup, seeds, work, others)
-    # Training is slow: of the networks, only the best one is trained on all of the record.
-    fitted = [m for m in searched.forecasters if m.name in trial.errors]
-    fitted = [m for m in fitted if not m.random or m.name == trial.best_network]
-    origin = Origin(len(record), len(record))
-    question = Question(record, [origin], len(record) + steps, others)
-    questions = {method.name: question for method in fitted}
-    scores = {method.name: trial.scores[method.name] for method in fitted}
-    all_seeds = seeds_of(searched, scores, seeds)
-    backtests, failures = run_all(fitted, questions, all_seeds, work.for_stage(FINAL))
+    with timed(work, setup).staffed() as staff:
+        trial, searched = choose(record, chosen, steps, setup, seeds, staff, others)
+        # Training is slow: of the networks, only the best one is trained on all of the record.
+        fitted = [m for m in searched.forecasters if m.name in trial.errors]
+        fitted = [m for m in fitted if not m.random or m.name == trial.best_network]
+        origin = Origin(len(record), len(record))
+        question = Question(record, [origin], len(record) + steps, others)
+        stages = last_stages(staff, steps, len(record), steps)
+        best = [m for m in fitted if m.random]
+        all_seeds = last_trainings(best, searched, trial, seeds, stages[1])
+        backtests: dict[str, dict[int, Backtest]] = {}
+        failures: list[Failure] = []
+        with staff.plan.phase("final trainings"):
+            for part, stage in zip(
+                ([m for m in fitted if not m.random], best), stages, strict=True
+            ):
+                asked = {method.name: question for method in part}
+                need_one = part == fitted or (part == best and not any(backtests.values()))
+                done, lost = run_all(part, asked, all_seeds, stage, need_one and bool(part))
+                backtests |= done
+                failures += lost
+    backtests = {method.name: backtests[method.name] for method in fitted}
     means = {
         name: mean_of([backtest.predictions[origin] for backtest in of_method.values()])
         for name, of_method in backtests.items()
         if of_method
     }
     failed = {f.method: f.reason for f in failures[::-1] if f.method not in means}
+    failed = staff.plan.left_out | failed
     final = {
         name: [backtest.predictions[origin].y for backtest in backtests[name].values()]
         for name in means
@@ -130,6 +157,8 @@ def forecast(
         next(iter(done.values())).description,
         min((samples for samples in left if samples is not None), default=None),
         inputs_beyond([record, *others], None if u is None else u[:steps]),
+        staff.plan,
+        setup.search,
     )
 
 

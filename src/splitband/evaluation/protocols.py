@@ -155,13 +155,27 @@ def compare_methods(
         Before anything is computed, for what `check` finds; and where every method fails.
     """
     check(record, forecasters, setup, others, tests)
+    return run_methods(record, forecasters, setup, seeds, work or Work(), others, tests)
+
+
+def run_methods(
+    record: Trajectory,
+    forecasters: Sequence[Forecaster],
+    setup: Setup,
+    seeds: Sequence[int] | Mapping[str, Sequence[int]],
+    work: Work,
+    others: Sequence[Trajectory] = (),
+    tests: Sequence[Trajectory] = (),
+    need_one: bool = True,
+) -> Runs:
+    """Do what `compare_methods` does, for what has been checked; `need_one` as in `run_all`."""
     questions = {
         f.name: Question(
             record, _origins(f, record, setup), len(record), others, tests, setup.settings.warmup
         )
         for f in forecasters
     }
-    backtests, failures = run_all(forecasters, questions, seeds, work or Work())
+    backtests, failures = run_all(forecasters, questions, seeds, work, need_one)
     runs = {
         name: [as_run(name, questions[name], setup.train, each) for each in done.values()]
         for name, done in backtests.items()

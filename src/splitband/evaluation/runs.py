@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import dataclass, replace
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
+from splitband.evaluation.costs import job_cost
+from splitband.evaluation.plan import Plan
 from splitband.forecasters.backtest import Backtest, Question, backtest
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.simulation import CALIBRATIONS
+from splitband.runtime.deadlines import Deadline, OverError, now, within
 from splitband.runtime.places import Files, Place
-from splitband.runtime.processes import over
+from splitband.runtime.processes import Processes, over
 from splitband.simulators.calibration import Calibration
 from splitband.training import Checkpoint, Progress
 
@@ -33,6 +36,7 @@ class RunProgress:
     share: float
     loss: float
     stage: str = "whole"
+    overall: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,10 @@ class Work:
     stage : What the progress is reported as.
     executor : What carries out the jobs in place of processes of this machine: any executor of
         `concurrent.futures`, Dask's (`Cluster`) or mpi4py's, for instance. It stays open.
+    plan : The time of the whole command, and what is known of the machine's pace.
+    deadline : When the trainings of this stage end with what they have, and what has not begun yet
+        is left out.
+    span : Shares of the whole command that are done before this stage and after it, for `progress`.
     """
 
     jobs: int = 1
@@ -57,11 +65,47 @@ class Work:
     checkpoints: str | Path | None = None
     stage: str = "whole"
     executor: Executor | None = None
+    plan: Plan = field(default_factory=Plan)
+    deadline: Deadline = field(default_factory=Deadline)
+    span: tuple[float, float] = (0.0, 1.0)
 
-    def for_stage(self, stage: str) -> Work:
+    @property
+    def cores(self) -> int:
+        """Trainings side by side."""
+        return max(self.jobs, getattr(self.executor, "cores", 1))
+
+    def for_stage(
+        self,
+        stage: str,
+        deadline: Deadline | None = None,
+        span: tuple[float, float] | None = None,
+    ) -> Work:
         """For one of several parts of the work, with a folder of its own for checkpoints."""
         below = None if self.checkpoints is None else Path(self.checkpoints) / stage
-        return replace(self, checkpoints=below, stage=stage)
+        return replace(
+            self,
+            checkpoints=below,
+            stage=stage,
+            deadline=deadline or self.deadline,
+            span=span or self.span,
+        )
+
+    def alone(self) -> Work:
+        """In this process, where starting others would take longer than the work."""
+        return replace(self, jobs=1, executor=None)
+
+    @contextmanager
+    def staffed(self) -> Iterator[Work]:
+        """With processes that carry out one stage after the other, as starting them takes time."""
+        if self.executor is not None or self.jobs == 1:
+            yield self
+            return
+        if not self.plan.allows_processes(self.plan.share(HALF)):
+            self.plan.cores = 1
+            yield self.alone()
+            return
+        with Processes(self.jobs) as processes:
+            yield replace(self, executor=processes)
 
 
 @dataclass(frozen=True)
@@ -71,6 +115,14 @@ class Failure:
     method: str
     seed: int
     reason: str
+    late: bool = False
+    """Whether it is for want of time."""
+
+
+LATE = "left out, as the time was over"
+HALF = 0.5
+PATIENCE = 2.0
+"""Seconds after its deadline, and what the forecasts take, until a job is given up."""
 
 
 def run_all(
@@ -95,20 +147,45 @@ def run_all(
             ready[f.name] = _prepared(f, questions[f.name])
         except ValueError as error:
             done |= {(f.name, s): Failure(f.name, s, str(error)) for s in seeds_of[f.name]}
+    costs = {name: job_cost(f, questions[name]) for name, f in ready.items()}
     with _place(work) as place:
-        # The longest first, so that no process is left with one of them at the end.
+        # Of each method one seed first. Networks take longest: no process is left with one of them
+        # at the end.
+        ordered = sorted(
+            [(f, i, seed) for f in ready.values() for i, seed in enumerate(seeds_of[f.name])],
+            key=lambda each: (not each[0].random, each[1]),
+        )
         todo = [
-            _Job(f.name, seed, place.files(_file(f.name, seed)) if place and f.random else {})
-            for f in sorted(forecasters, key=lambda f: not f.random)
-            for seed in seeds_of[f.name]
-            if f.name in ready
+            _Job(
+                f.name,
+                seed,
+                place.files(_file(f.name, seed)) if place and f.random else {},
+                work.deadline,
+                need_one and at == 0,
+            )
+            for at, (f, _, seed) in enumerate(ordered)
         ]
         job = partial(_work, ready, questions, stage, place, dict(CALIBRATIONS.results))
         workers = work.executor or work.jobs
-        for name, seed, outcome, files in over(job, todo, workers, work.progress):
-            done[name, seed] = outcome
+        watch = _Watch(work, {(each.name, each.seed): costs[each.name] for each in todo})
+        # What needs no training looks at the deadline by itself, and is what there is in any case.
+        trains = any(f.random for f in ready.values())
+        late = Deadline(work.deadline.at + PATIENCE + work.plan.asking)
+        patience = late if trains else Deadline()
+        for done_job in over(job, todo, workers, watch.report, patience):
+            key = done_job.name, done_job.seed
+            done[key] = done_job.outcome
+            if done_job.fresh:
+                work.plan.measured(costs[done_job.name], done_job.seconds)
+            if done_job.fresh and isinstance(done_job.outcome, Backtest):
+                asking = done_job.seconds - done_job.outcome.report.seconds
+                work.plan.asking = max(work.plan.asking, asking)
+            watch.finished(key, done_job.outcome)
             if place is not None:
-                place.keep(files)
+                place.keep(done_job.files)
+    for each in todo:
+        done.setdefault((each.name, each.seed), Failure(each.name, each.seed, LATE, late=True))
+    _note(work, done)
     results, failures = _sorted_out(seeds_of, done)
     if need_one and not any(results.values()):
         reasons = dict.fromkeys(f"{f.method}: {f.reason}" for f in failures)
@@ -120,7 +197,8 @@ def _place(work: Work) -> AbstractContextManager[Place | None]:
     """Where checkpoints are, while jobs are carried out."""
     if work.checkpoints is None:
         return nullcontext()
-    return Place.opened(Path(work.checkpoints), anywhere=work.executor is not None)
+    elsewhere = work.executor is not None and not isinstance(work.executor, Processes)
+    return Place.opened(Path(work.checkpoints), anywhere=elsewhere)
 
 
 def _sorted_out(
@@ -169,6 +247,43 @@ def _prepared(forecaster: Forecaster, asked: Question) -> Forecaster:
     return forecaster
 
 
+def _note(work: Work, done: Mapping[tuple[str, int], Backtest | Failure]) -> None:
+    """Write down what the deadline has changed."""
+    for (name, seed), outcome in done.items():
+        late = isinstance(outcome, Failure) and outcome.late
+        if late or (isinstance(outcome, Backtest) and outcome.report.cut):
+            work.plan.narrowed(f"{name}, {f'seed {seed}, ' if seed else ''}{work.stage}")
+
+
+class _Watch:
+    """What is done of a stage, as a share of the whole command."""
+
+    def __init__(self, work: Work, costs: Mapping[tuple[str, int], float]) -> None:
+        self._work, self._costs = work, costs
+        self._shares: dict[tuple[str, int], float] = {}
+
+    def report(self, at: RunProgress) -> None:
+        """Tell of an epoch."""
+        self._shares[at.method, at.seed] = at.share
+        self._tell(at)
+
+    def finished(self, key: tuple[str, int], outcome: Backtest | Failure) -> None:
+        """Tell of a job that has no epochs, too."""
+        told = self._shares.get(key, 0.0)
+        self._shares[key] = 1.0
+        if told < 1.0:
+            loss = float("nan")
+            self._tell(RunProgress(*key, 1.0, loss, self._work.stage))
+
+    def _tell(self, at: RunProgress) -> None:
+        if self._work.progress is None:
+            return
+        done = sum(share * self._costs.get(key, 0.0) for key, share in [*self._shares.items()])
+        first, last = self._work.span
+        share = done / max(sum(self._costs.values()), 1e-9)
+        self._work.progress(replace(at, overall=first + min(share, 1.0) * (last - first)))
+
+
 @dataclass(frozen=True)
 class _Job:
     """A forecaster with a seed, and what there is of its training already."""
@@ -176,6 +291,30 @@ class _Job:
     name: str
     seed: int
     files: Files
+    deadline: Deadline
+    needed: bool
+    """Whether it is begun however late it is."""
+
+
+@dataclass(frozen=True)
+class _Done:
+    """What became of a job.
+
+    Attributes
+    ----------
+    name, seed : Which it was.
+    outcome : What it has come to.
+    files : What has changed of its checkpoint, elsewhere.
+    seconds : It took.
+    fresh : Whether it trained from the beginning to the end, so that its time tells the pace.
+    """
+
+    name: str
+    seed: int
+    outcome: Backtest | Failure
+    files: Files
+    seconds: float
+    fresh: bool = False
 
 
 def _file(name: str, seed: int) -> str:
@@ -191,17 +330,25 @@ def _work(
     calibrations: Mapping[str, Calibration],
     job: _Job,
     report: Callable[[RunProgress], None],
-) -> tuple[str, int, Backtest | Failure, Files]:
-    name, seed = job.name, job.seed
+) -> _Done:
+    began, name, seed = now(), job.name, job.seed
+    # What needs no training is begun however late it is, so that there is a result.
+    if job.deadline.over and forecasters[name].random and not job.needed:
+        return _Done(name, seed, Failure(name, seed, LATE, late=True), {}, 0.0)
     CALIBRATIONS.learn(calibrations)
     watch = None if stage is None else _reporter(name, seed, stage, report)
     forecaster, question = forecasters[name], questions[name]
-    if place is None or not forecaster.random:
-        return name, seed, _outcome(forecaster, question, seed, watch, None), {}
-    with place.at_work(job.files) as (folder, changed):
-        checkpoint = Checkpoint(folder / f"{_file(name, seed)}.safetensors")
-        outcome = _outcome(forecaster, question, seed, watch, checkpoint)
-    return name, seed, outcome, changed
+    with within(job.deadline):
+        if place is None or not forecaster.random:
+            outcome = _outcome(forecaster, question, seed, watch, None)
+            trained, changed = forecaster.random, dict[str, bytes]()
+        else:
+            with place.at_work(job.files) as (folder, changed):
+                checkpoint = Checkpoint(folder / f"{_file(name, seed)}.safetensors")
+                trained = not checkpoint.path.exists()
+                outcome = _outcome(forecaster, question, seed, watch, checkpoint)
+    whole = isinstance(outcome, Backtest) and not outcome.report.cut
+    return _Done(name, seed, outcome, changed, now() - began, trained and whole)
 
 
 def _outcome(
@@ -213,6 +360,8 @@ def _outcome(
 ) -> Backtest | Failure:
     try:
         return backtest(forecaster, question, seed, watch, checkpoint)
+    except OverError as error:
+        return Failure(forecaster.name, seed, str(error), late=True)
     except OSError:
         raise  # a full disk, or a process ended from outside, concerns every method
     except Exception as error:

@@ -3,9 +3,12 @@
 Not in the paper. The first network is trained in several ways for a short time; the better half of
 them is trained for four times as long, and so on (successive halving: Jamieson and Talwalkar,
 2016), until longer training makes the errors larger or the budget is used up. The other networks
-are trained in the two ways that gave the first one its lowest errors, and likewise for longer. The
-result depends on the record and the budget, not on the speed of the machine: costs are counted in
-seconds of a reference core.
+are trained in the two ways that gave the first one its lowest errors, and likewise for longer.
+
+What is tried depends on the record and on the work that may be done, counted in seconds of a
+reference core, so that the same command tries the same on every run. A limit of wall time, where
+there is one, comes before that: what would not be done by then on this machine is not begun, and
+the plan of the command (`evaluation.plan`) says so.
 """
 
 from __future__ import annotations
@@ -15,7 +18,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from splitband.data import Trajectory
-from splitband.evaluation.costs import training_cost
+from splitband.evaluation.costs import reference_seconds, training_cost
+from splitband.evaluation.plan import ONE
 from splitband.evaluation.runs import Work, run_all
 from splitband.forecasters.backtest import (
     HELD_OUT,
@@ -31,12 +35,13 @@ from splitband.forecasters.backtest import (
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.network import Network
 from splitband.metrics import spread
+from splitband.runtime.threads import available_cores
 from splitband.training import Settings
 
 SEARCHING = "search"
 """Name of the stage of the work, followed by the number of the round."""
-CORE_SECONDS = 240.0
-"""The default budget: about two minutes of two cores."""
+CORE_SECONDS, SECONDS = 240.0, 120.0
+"""The default: work that two cores of any recent machine do in less than these two minutes."""
 SEARCHED, TRAINED = 0.55, 0.3
 """Shares of the budget: for this search, and at most for a single training of a candidate."""
 FREE_RUNS = 50, 100
@@ -74,12 +79,17 @@ class Search:
 
     Attributes
     ----------
-    core_seconds : Of a reference core, for a whole comparison.
+    core_seconds : Work for a whole comparison, in seconds of a reference core, reckoned and not
+        timed, so that the same comparison finds the same on every run.
+    seconds : Of wall time for a whole comparison, however busy the machine is; None: no limit.
+        Trainings that are not done by then end with what they have, and what has not begun is left
+        out. See `within`.
     sizes : Whether networks that go by a name may be smaller than usual.
     bases : Whether a network may be tried on top of a baseline that does better than all networks.
     """
 
     core_seconds: float = field(default_factory=lambda: CORE_SECONDS)
+    seconds: float | None = None
     sizes: bool = True
     bases: bool = False
 
@@ -87,6 +97,24 @@ class Search:
         """Check ranges."""
         if not 0 < self.core_seconds < float("inf"):
             raise ValueError(f"core_seconds must be positive, got {self.core_seconds}")
+        if self.seconds is not None and not 0 < self.seconds < float("inf"):
+            raise ValueError(f"seconds must be positive or None, got {self.seconds}")
+
+    @classmethod
+    def usual(cls) -> Search:
+        """Return the default: two minutes at most, of which a quiet machine needs less."""
+        return cls(seconds=SECONDS)
+
+    @classmethod
+    def within(cls, seconds: float, cores: int | None = None) -> Search:
+        """Return what fits into so many seconds of wall time, on cores of this machine.
+
+        Its speed is measured once, and as much work is planned as is done well before the time is
+        over.
+        """
+        if not 0 < seconds < float("inf"):
+            raise ValueError(f"seconds must be positive, got {seconds}")
+        return cls(reference_seconds(seconds, cores or available_cores()), seconds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,15 +184,16 @@ class SearchResult:
     left: float = 0.0
     most_seeds: int = MOST_SEEDS
 
-    def seeds(self, scores: Mapping[str, float]) -> dict[str, range]:
+    def seeds(self, scores: Mapping[str, float], left: float | None = None) -> dict[str, range]:
         """How many seeds of each method are worth their training, by held-out `scores`.
 
         One of each; of the good ones more, as the mean of several is better than one, as long as
-        the budget lasts.
+        what is `left` lasts, by default of the work.
         """
         ranked = sorted([name for name in self.costs if name in scores], key=lambda n: scores[n])
         counts = dict.fromkeys(ranked, 1)
-        left = self.left - sum(self.costs[name] for name in ranked)
+        left = self.left if left is None else min(left, self.left)
+        left -= sum(self.costs[name] for name in ranked)
         good = [name for name in ranked if scores[name] <= GOOD * scores[ranked[0]]]
         for names, most in ((good, USUAL_SEEDS), (ranked[:1], self.most_seeds)):
             for name in names:
@@ -199,8 +228,10 @@ def search(
     if not free:
         return SearchResult([*forecasters], left=budget.core_seconds)
     makes = {f.name: partial(_candidate, f, record, others) for f in free}
-    trials = _Trials(record, steps, work, others)
     for_search, for_one = (share * budget.core_seconds for share in (SEARCHED, TRAINED))
+    trials = _Trials(record, steps, work, others, for_search)
+    plan, until = work.plan, work.deadline
+    for_one = min(for_one, plan.reckoned_alone(plan.share(ONE)))
 
     tried: list[Candidate] = []
 
@@ -208,6 +239,11 @@ def search(
         """Try them, then the promising ones for longer, and so on."""
         while candidates:
             left = allowed - trials.spent
+            in_time = plan.reckoned(until)
+            if in_time < min(left, sum(_in_trials(c, len(TRIED)) for c in candidates)):
+                plan.narrowed("the search")
+                left = min(left, in_time)
+                candidates = sorted(candidates, key=lambda c: c.cost)
             affordable = _within(candidates, len(TRIED), SEVERAL * left, for_one)
             seeds: Sequence[int] = TRIED
             if len(affordable) < len(candidates):
@@ -222,7 +258,8 @@ def search(
             ]
 
     first, *rest = free
-    of_first = [makes[first.name](*way) for way in ways(first, len(record))]
+    of_usual = ways(first, len(record))
+    of_first = [makes[first.name](*way) for way in of_usual]
     climb(of_first, (OF_FIRST if rest else 1.0) * for_search)
     best = _ranked(tried, trials.scores)[:TRANSFERRED]
     climb([makes[f.name](c.settings, c.size) for c in best for f in rest], for_search)
@@ -239,10 +276,14 @@ def search(
     )
     ranked = _ranked(tried, trials.scores)
     chosen = {c.method: c for c in reversed(ranked)}
+    if plan.cut and not tried:  # there is no time to try anything: what is done soonest
+        chosen = {
+            f.name: min((makes[f.name](*w) for w in of_usual), key=lambda c: c.cost) for f in free
+        }
     return SearchResult(
         [chosen[f.name].network if f.name in chosen else f for f in forecasters],
         tuple(trials.attempts),
-        {name: trials.done[candidate.label] for name, candidate in chosen.items()},
+        {name: trials.done.get(candidate.label, {}) for name, candidate in chosen.items()},
         {name: candidate.cost for name, candidate in chosen.items()},
         budget.core_seconds - trials.spent,
         max(MOST_SEEDS, round(MOST_SEEDS * budget.core_seconds / CORE_SECONDS)),
@@ -262,7 +303,12 @@ class _Trials:
     """Candidates on the held-out end of a training record."""
 
     def __init__(
-        self, record: Trajectory, steps: int, work: Work, others: Sequence[Trajectory]
+        self,
+        record: Trajectory,
+        steps: int,
+        work: Work,
+        others: Sequence[Trajectory],
+        most: float,
     ) -> None:
         self._record, self._end = replace(record, y_true=None), len(record) + steps
         self._work, self._others = work, others
@@ -273,6 +319,7 @@ class _Trials:
         """By label: of the mean of the seeds; none of what could not be trained."""
         self.spent = 0.0
         self._rounds = 0
+        self._most = most
 
     def run(self, candidates: Sequence[Candidate], seeds: Sequence[int]) -> None:
         """Train each with all seeds, and score the mean of their forecasts."""
@@ -285,16 +332,25 @@ class _Trials:
             for label, network in networks.items()
         }
         self._rounds += 1
-        work = self._work.for_stage(f"{SEARCHING} {self._rounds}")
+        spent = self.spent + sum(_in_trials(c, len(seeds)) for c in candidates)
+        work = self._work.for_stage(f"{SEARCHING} {self._rounds}", span=self._span(spent))
         results, _ = run_all([*networks.values()], questions, seeds, work, need_one=False)
+        self.spent = spent
         for c in candidates:
-            self.spent += len(seeds) * (1 - HELD_OUT) * c.cost
             self.done[c.label] = results[c.label]
             if results[c.label]:
                 self.scores[c.label] = held_out_score(self._record, [*results[c.label].values()])
             score = self.scores.get(c.label)
             training = c.network.training_in_words()
             self.attempts.append(Attempt(c.method, training, len(results[c.label]), score))
+
+    def _span(self, spent: float) -> tuple[float, float]:
+        """The shares of the command that are done before and after the next trials."""
+        first, last = self._work.span
+        before, after = (
+            first + min(share / self._most, 1.0) * (last - first) for share in (self.spent, spent)
+        )
+        return before, after
 
 
 def ways(forecaster: Network, samples: int) -> list[tuple[Settings, float]]:
@@ -325,13 +381,18 @@ def _candidate(
     return Candidate(forecaster.name, network, size, training_cost(network, record, others))
 
 
+def _in_trials(candidate: Candidate, seeds: int) -> float:
+    """What it costs to try a candidate with so many seeds."""
+    return seeds * (1 - HELD_OUT) * candidate.cost
+
+
 def _within(
     candidates: Sequence[Candidate], seeds: int, left: float, for_one: float
 ) -> list[Candidate]:
     """The candidates that what is left of the budget pays for, taken in their order."""
     kept = []
     for candidate in candidates:
-        cost = seeds * (1 - HELD_OUT) * candidate.cost
+        cost = _in_trials(candidate, seeds)
         if cost <= left and candidate.cost <= for_one:
             kept.append(candidate)
             left -= cost

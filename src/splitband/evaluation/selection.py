@@ -185,7 +185,7 @@ def try_out(
     end = len(record) + steps
     questions = {f.name: Question(record, held_out_origins(f, record), end, others) for f in todo}
     fitted, failures = run_all(
-        todo, questions, seeds, work or Work(), need_one=need_one and not any(done)
+        todo, questions, seeds, work or Work(), need_one=need_one and not any(done.values())
     )
     made = {**done, **fitted}
     forecasts = {f.name: mean_forecasts([*made[f.name].values()]) for f in shorter if made[f.name]}

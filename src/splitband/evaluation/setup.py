@@ -110,7 +110,7 @@ def default_setup(
     search = None
     if settings is None:
         settings = recipe_settings(recipe, record[:train])
-        search = Search() if recipe == "default" else None
+        search = Search.usual() if recipe == "default" else None
     if methods is None:
         methods = default_names(record.y_sim is not None)
     beside = [f for f in _simulations(methods) if f.needs]

@@ -7,7 +7,7 @@ forecast are made of these forecasts.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import TypeVar
 
@@ -22,6 +22,7 @@ from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import ExtrapolationWarning, rmse, spread
+from splitband.runtime.deadlines import OverError, current
 from splitband.runtime.threads import without_warnings
 from splitband.training import Checkpoint, Progress
 
@@ -62,8 +63,9 @@ class Question:
     Attributes
     ----------
     record : What is known. No prediction sees a measured sample after its origin.
-    origins : From where it is to be forecast. The forecaster is fitted to the beginning of the
-        record, once for each number of samples among them.
+    origins : From where it is to be forecast, what matters most first. The forecaster is fitted to
+        the beginning of the record, once for each number of samples among them; those that share
+        one stand together.
     end : To which sample, exclusively. It may lie beyond the record, as far as its inputs and its
         simulator's output are known (`u_beyond`, `beyond`).
     others : Further training records.
@@ -112,29 +114,49 @@ def backtest(
 ) -> Backtest:
     """Forecast a record from several origins on, with copies of a forecaster.
 
+    It is fitted for one origin after the other, in their order. Where the deadline of the job comes
+    before the last fit, what has been forecast so far is the result.
+
     `seed`, `progress` and `checkpoint` are those of `Forecaster.fit`.
     """
     record, end = question.record, question.end
     predictions: dict[Origin, Prediction] = {}
     unfiltered: dict[Origin, Mapping[str, Array]] = {}
-    for samples, of_fit in groupby(sorted(question.origins), key=lambda origin: origin.fitted):
-        fitted = forecaster.copy().fit(
-            record[:samples],
-            *question.others,
-            seed=seed,
-            progress=progress,
-            checkpoint=checkpoint,
-        )
+    cut = False
+    last: Forecaster | None = None
+    for samples, of_fit in groupby(question.origins, key=lambda origin: origin.fitted):
+        try:
+            fitted = forecaster.copy().fit(
+                record[:samples],
+                *question.others,
+                seed=seed,
+                progress=progress,
+                checkpoint=checkpoint,
+            )
+        except OverError:
+            if last is None:
+                raise
+            cut = True
+            break
         for origin in of_fit:
             history = record[: origin.at]
             with without_warnings(ExtrapolationWarning):  # they are kept with the prediction
                 predictions[origin] = fitted.predict(end - origin.at, history)
             if isinstance(fitted, Network):
                 unfiltered[origin] = fitted.unfiltered(end - origin.at, history)
+        if last is None or len(fitted.require_fitted().record) > len(last.require_fitted().record):
+            last = fitted
+        if current().over and len(predictions) < len(question.origins):
+            cut = True
+            break
+    if last is None:
+        raise ValueError("origins must be one or several, got none")
+    fitted = last
     tests, untested = _tested(fitted, question)
     known, said = fitted.require_fitted(), [fitted.describe(), untested]
     description = "; ".join(filter(None, said))
-    return Backtest(predictions, tests, known.report, known.y_range, description, unfiltered)
+    report = replace(known.report, cut=known.report.cut or cut)
+    return Backtest(predictions, tests, report, known.y_range, description, unfiltered)
 
 
 def tested_by(forecaster: Forecaster, test: Trajectory) -> bool:
@@ -209,13 +231,13 @@ def held_out_origins(forecaster: Forecaster, record: Trajectory) -> list[Origin]
     if forecaster.random:
         held = samples - fitted
         return sorted({Origin(fitted, fitted + i * held // 3) for i in range(3)})
-    ends = {samples - max(1, round(share * samples)) for share in REFITS}
+    ends = [samples - max(1, round(share * samples)) for share in REFITS]
     measured = ~np.isnan(record.seen)
     for share in LONGER_REFITS:
         end = samples - round(share * samples)
         if (measured[:end].sum(axis=0) >= FEWEST_FITTED).all():
-            ends.add(end)
-    return sorted(Origin(end, end) for end in ends)
+            ends.append(end)
+    return [Origin(end, end) for end in dict.fromkeys(ends)]
 
 
 def held_out_errors(record: Trajectory, forecasts: Mapping[Origin, Array]) -> list[Array]:

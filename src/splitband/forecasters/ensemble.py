@@ -148,7 +148,13 @@ class Ensemble(Forecaster):
         self.delays = self.members[0].delays
         reports = [member.require_fitted().report for member in self.members]
         notes = tuple(f"seed {r.seed}: {note}" for r in reports for note in r.notes)
-        report = FitReport(seed, sum(r.seconds for r in reports), reports[0].losses, notes)
+        report = FitReport(
+            seed,
+            sum(r.seconds for r in reports),
+            reports[0].losses,
+            notes,
+            any(r.cut for r in reports),
+        )
         self.fitted = replace(self.require_fitted(), report=report)
 
     def extrapolate(self, known: Known) -> dict[str, Array]:

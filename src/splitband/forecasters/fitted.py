@@ -29,12 +29,14 @@ class FitReport:
     seconds : How long it took.
     losses : Mean training loss of each epoch, by network.
     notes : What went wrong in training and was mended.
+    cut : Whether a deadline ended the training before its time.
     """
 
     seed: int = 0
     seconds: float = 0.0
     losses: Mapping[str, Sequence[float]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    cut: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -194,7 +194,7 @@ class Network(Forecaster):
         self.model = self._built(seen[0], settings, seed).to(self.device)
         history = fit(self.model, seen, settings, seed, progress, checkpoint)
         notes = (*self._remarks(seen[0]), *history.notes)
-        report = FitReport(seed, history.seconds, history.losses, notes)
+        report = FitReport(seed, history.seconds, history.losses, notes, history.cut)
         self.fitted = replace(self.require_fitted(), report=report)
 
     def extrapolate(self, known: Known) -> dict[str, Array]:

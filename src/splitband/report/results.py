@@ -28,6 +28,7 @@ from splitband.forecasters.prediction import time_header
 from splitband.metrics import rmse
 from splitband.report import pictures, tested
 from splitband.report.table import columns, tried
+from splitband.runtime.deadlines import now
 from splitband.runtime.files import replacing
 from splitband.runtime.outputs import staged, write_facts
 
@@ -58,6 +59,7 @@ def _write(
     comparison: Comparison, folder: Path, facts: dict[str, Any], usage: Usage | None
 ) -> None:
     record, setup = comparison.record, comparison.setup
+    began = now()
     with replacing(folder / "predictions.csv") as temporary:
         predictions(comparison).to_csv(temporary, index=False)
     pictures.save(pictures.rollouts(comparison), folder / "rollouts.png")
@@ -74,7 +76,8 @@ def _write(
         tested.save_predictions(comparison, folder)
         pictures.save(tested.picture(comparison), folder / "tests.png")
     save_found(comparison.forecaster(), record, folder)
-    write_facts(folder, facts | results(comparison))
+    comparison.plan.used["writing"] = now() - began
+    write_facts(folder, facts | results(comparison) | {"time": time_facts(comparison)})
 
 
 def found_in(forecaster: Forecaster, folder: Path) -> Path | None:
@@ -130,6 +133,18 @@ def results(comparison: Comparison) -> dict[str, Any]:
     }
 
 
+def time_facts(result: Comparison | Forecast) -> dict[str, Any]:
+    """What was limited, the time or the work, what was asked for, and what was used."""
+    search = result.search
+    limited = "nothing" if search is None else "work" if search.seconds is None else "time"
+    return {
+        "limited": limited,
+        "asked_seconds": None if search is None else search.seconds,
+        "asked_core_seconds": None if search is None else search.core_seconds,
+        **result.plan.as_json(),
+    }
+
+
 def deviation(record: Trajectory) -> float:
     """The RMSE of the record's own mean, all channels as in `metrics.rmse`: 0 for constant ones."""
     y = record.seen
@@ -177,7 +192,8 @@ def save_forecast(
         pictures.save(pictures.forecast(result), new / "forecast.png")
         page.write(result, new / page.NAME, usage)
         save_found(result.forecaster, result.record, new)
-        write_facts(new, forecast_facts(result, others))
+        facts = forecast_facts(result, others) | {"time": time_facts(result)}
+        write_facts(new, facts)
 
 
 def forecast_facts(result: Forecast, others: Sequence[str]) -> dict[str, Any]:

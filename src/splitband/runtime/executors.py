@@ -9,6 +9,7 @@ from concurrent.futures import CancelledError, Executor, Future, as_completed
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any, ParamSpec, TypeVar, final
 
+from splitband.runtime.deadlines import Deadline
 from splitband.runtime.threads import one_thread
 
 Job = TypeVar("Job")
@@ -75,8 +76,12 @@ def given_to(
     work: Work[Job, Message, Result],
     jobs: Sequence[Job],
     progress: Callable[[Message], None],
+    patience: Deadline | None = None,
 ) -> Iterator[Result]:
-    """Yield `work(job, report)` for each job as it is done by the executor, each on one thread."""
+    """Yield `work(job, report)` for each job as it is done by the executor, each on one thread.
+
+    What is not done when the `patience` is over is given up.
+    """
     workers = executor if isinstance(executor, Workers) else Strangers(executor)
     waiting: set[Future[tuple[Result, list[Message]]]] = set()
     try:
@@ -84,18 +89,30 @@ def given_to(
             shared = workers.shared(work)
             for job in jobs:
                 waiting.add(workers.submit(_done, shared, report, job))
-            for future in as_completed([*waiting]):
+            for future in _until(patience, [*waiting]):
                 waiting.remove(future)
                 result, unsent = future.result()
                 for message in unsent:
                     progress(message)
                 yield result
+        if waiting:
+            workers.abandon([*waiting])
     except BaseException as error:  # or nobody asks for the other results
         workers.abandon([*waiting])
         explained = workers.explained(error)
         if explained is error:
             raise
         raise explained from error
+
+
+def _until(patience: Deadline | None, jobs: Sequence[Future[Any]]) -> Iterator[Future[Any]]:
+    """The jobs as they are done, as long as somebody waits for them."""
+    limited = patience is not None and patience != Deadline()
+    timeout = max(patience.left, 0.0) if patience is not None and limited else None
+    try:
+        yield from as_completed(jobs, timeout)
+    except TimeoutError:
+        return
 
 
 def _done(

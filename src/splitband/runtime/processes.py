@@ -14,6 +14,7 @@ from multiprocessing.connection import wait
 from multiprocessing.queues import SimpleQueue
 from typing import Any, final
 
+from splitband.runtime.deadlines import Deadline
 from splitband.runtime.executors import (
     Job,
     Message,
@@ -32,6 +33,7 @@ def over(
     jobs: Sequence[Job],
     workers: int | Executor = 1,
     progress: Callable[[Message], None] | None = None,
+    patience: Deadline | None = None,
 ) -> Iterator[Result]:
     """Yield `work(job, report)` for each job as it is done, each on one thread.
 
@@ -41,6 +43,7 @@ def over(
     jobs : In the order in which they are begun.
     workers : Processes of this machine, of which 1 is this one; or any executor.
     progress : Called in this process with whatever the work reports.
+    patience : Jobs of other processes that are not done then are given up, without a result.
 
     Raises
     ------
@@ -49,10 +52,10 @@ def over(
     """
     progress = progress or _ignore
     if isinstance(workers, Executor):
-        yield from given_to(workers, work, jobs, progress)
+        yield from given_to(workers, work, jobs, progress, patience)
     elif workers > 1 and len(jobs) > 1:
         with Processes(min(workers, len(jobs))) as processes:
-            yield from given_to(processes, work, jobs, progress)
+            yield from given_to(processes, work, jobs, progress, patience)
     else:
         for job in jobs:
             with one_thread():
@@ -74,9 +77,13 @@ class Processes(Workers):
     """
 
     def __init__(self, count: int) -> None:
+        self._count = count
+        self._begin()
+
+    def _begin(self) -> None:
         context = multiprocessing.get_context("spawn")
         self._queue: SimpleQueue[Any] = context.SimpleQueue()
-        self._pool = ProcessPoolExecutor(count, context, _start_worker, (self._queue,))
+        self._pool = ProcessPoolExecutor(self._count, context, _start_worker, (self._queue,))
 
     def submit(
         self,
@@ -101,9 +108,12 @@ class Processes(Workers):
             listener.join()
 
     def abandon(self, jobs: Sequence[Future[Any]]) -> None:
-        """See `Workers`; the processes are ended."""
-        for worker in [*(self._pool._processes or {}).values()]:
+        """See `Workers`; the processes are ended, and others begun for what comes next."""
+        ended = [*(self._pool._processes or {}).values()]
+        for worker in ended:
             worker.terminate()
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        self._begin()  # with a queue of its own: who is ended may have held the old one's lock
 
     def explained(self, error: BaseException) -> BaseException:
         """See `Workers`."""

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from splitband.data import Trajectory
 from splitband.models import Model, Task
+from splitband.runtime.deadlines import Deadline, current
 from splitband.runtime.threads import one_torch_thread
 from splitband.training import quasi_newton
 from splitband.training.checkpoints import Checkpoint, State, key_of
@@ -56,6 +57,8 @@ class History:
     seconds: float = 0.0
     notes: list[str] = field(default_factory=list)
     """What went wrong and was mended."""
+    cut: bool = False
+    """Whether a deadline ended it before its time."""
 
 
 def fit(
@@ -70,7 +73,9 @@ def fit(
 
     A window lies in one record, its warm-up in measured samples, and its loss counts what was
     measured. An epoch whose loss is no longer finite, or diverges (see `DIVERGED`), is repeated
-    from where it began with half the learning rate; the history says so.
+    from where it began with half the learning rate; the history says so. Where the deadline of the
+    job (`runtime.deadlines`) comes first, the training ends with the weights that it has then; of
+    several networks each gets an equal part of the time that is left.
 
     Parameters
     ----------
@@ -112,24 +117,28 @@ def fit(
     states: State = {}
     for done, task in enumerate(tasks):
         # Each network gets the same seed, so that its training does not depend on the others.
-        training = _Training(task, places, settings, seed)
+        deadline = _share_of(current(), len(tasks) - done)
+        training = _Training(task, places, settings, seed, deadline)
         prefix = f"{done}."
         if f"{prefix}losses" in saved:
             training.restore({k.removeprefix(prefix): v for k, v in saved.items()
                               if k.startswith(prefix)})  # fmt: skip
         losses = history.losses[task.name] = training.losses
         epochs = settings.epochs + settings.rounds
-        while not training.done:
+        while not training.over:
             training.advance()
             if progress is not None:
-                share = (done + (1 if training.done else len(losses) / epochs)) / len(tasks)
+                part = 1 if training.over else len(losses) / epochs
+                share = (done + part) / len(tasks)
                 progress(Progress(task.name, len(losses), epochs, losses[-1], share))
-            if checkpoint is not None:
+            # What a deadline has cut short is not kept: with more time it goes on from before.
+            if checkpoint is not None and not training.cut:
                 last = done + 1 == len(tasks) and training.done
                 now = partial(_prefixed, states, prefix, training)
                 checkpoint.offer(key, now, last)
         states = _prefixed(states, prefix, training)
         history.notes += [f"{task.name}: {note}" for note in training.notes]
+        history.cut |= training.cut
     history.seconds = time.perf_counter() - began
     return history
 
@@ -142,6 +151,13 @@ def _built(model: Model) -> list[tuple[str, dict[str, Any]]]:
     ]
 
 
+def _share_of(deadline: Deadline, trainings: int) -> Deadline:
+    """The deadline of the first of several trainings that have the same time each."""
+    return (
+        Deadline(deadline.at - deadline.left * (1 - 1 / trainings)) if trainings > 1 else deadline
+    )
+
+
 def _prefixed(before: State, prefix: str, training: _Training) -> State:
     """The states of earlier networks, and of this one as it is now."""
     return before | {prefix + name: value for name, value in training.state().items()}
@@ -150,7 +166,17 @@ def _prefixed(before: State, prefix: str, training: _Training) -> State:
 class _Training:
     """One network's training, epoch by epoch; an epoch depends on `state` and on nothing else."""
 
-    def __init__(self, task: Task, places: WindowSet, settings: Settings, seed: int) -> None:
+    def __init__(
+        self,
+        task: Task,
+        places: WindowSet,
+        settings: Settings,
+        seed: int,
+        deadline: Deadline | None = None,
+    ) -> None:
+        self.deadline = deadline or Deadline()
+        self.cut = False
+        """Whether the deadline has come before the end of the training."""
         self.task, self.settings, self.starts = task, settings, places.starts
         self.known, self.target = windows(task, settings.window, settings.warmup)
         self.measured: Tensor | None = None
@@ -171,7 +197,7 @@ class _Training:
         if settings.quasi_newton:
             chosen = quasi_newton.end_to_end(places.starts, settings.window, settings.warmup)
             error = partial(self._mean_square, chosen)
-            self.finish = quasi_newton.QuasiNewton(parameters, error)
+            self.finish = quasi_newton.QuasiNewton(parameters, error, self.deadline)
 
     @property
     def notes(self) -> list[str]:
@@ -180,7 +206,10 @@ class _Training:
             f"the loss diverged in epoch {epoch}, repeated with half the learning rate"
             for epoch in self.restarts
         ]
-        share = self.losses[-1] / self.target_rms
+        epochs = self.settings.epochs + self.settings.rounds
+        if self.cut:
+            said.append(f"the time was over after {len(self.losses)} of {epochs} epochs and rounds")
+        share = self.losses[-1] / self.target_rms if self.losses else 1.0
         if share > UNLEARNED and self.steps() >= ENOUGH_STEPS:
             said.append(f"nothing was learned: {share:.0%} of the signal is left in training")
         return said
@@ -191,12 +220,24 @@ class _Training:
         settled = self.finish is not None and self.finish.settled
         return settled or len(self.losses) >= self.settings.epochs + self.settings.rounds
 
+    @property
+    def over(self) -> bool:
+        """Whether all of it is done, or there is no time left."""
+        return self.done or self.cut
+
     def advance(self) -> None:
-        """Train for one epoch or, when all epochs are over, for one round of L-BFGS."""
+        """Train for one epoch or, when all epochs are over, for one round of L-BFGS.
+
+        There is one step of gradients at least, however late it is, so that there is a loss.
+        """
+        if self.losses and self.deadline.over:
+            self.cut = True
+            return
         if self.finish is None or len(self.losses) < self.settings.epochs:
             self.epoch()
             return
         self.losses.append(self.finish.round())
+        self.cut = self.finish.cut
 
     def steps(self) -> int:
         """Gradient steps so far, an iteration of L-BFGS counted as one."""
@@ -259,7 +300,7 @@ class _Training:
     def _pass(self) -> float:
         """One pass over all windows; the mean loss."""
         settings, epoch = self.settings, len(self.losses)
-        total, slower = 0.0, 0.5 ** len(self.restarts)
+        total, seen_windows, slower = 0.0, 0, 0.5 ** len(self.restarts)
         order = torch.randperm(len(self.starts), generator=self.generator)
         if settings.most_batches is not None:
             order = order[: settings.most_batches * settings.batch_size]
@@ -282,8 +323,11 @@ class _Training:
                 self.optimizer.step()
             if epoch == 0 and i == 0 and math.isfinite(loss.item()):
                 self.first_loss = loss.item()
-            total += loss.item() * len(batch)
-        return total / len(order)
+            total, seen_windows = total + loss.item() * len(batch), seen_windows + len(batch)
+            if self.deadline.over and i + 1 < len(batches):
+                self.cut = True
+                break
+        return total / seen_windows
 
     def _mean_square(self, starts: Tensor) -> Tensor:
         """Of the errors in the windows that begin there, as a function of the weights."""

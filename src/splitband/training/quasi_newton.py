@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor, nn
 
+from splitband.runtime.deadlines import Deadline
 from splitband.training.checkpoints import State
 
 ROUND = 20
@@ -64,6 +65,10 @@ def _hop(places: int, window: int, warmup: int) -> int:
     return max(1, (window - warmup) // (2 if places <= HALVED else 1))
 
 
+class _OverError(Exception):
+    """The time is over in the middle of a round."""
+
+
 class QuasiNewton:
     """L-BFGS with a line search for the strong Wolfe conditions, round by round.
 
@@ -71,11 +76,19 @@ class QuasiNewton:
     ----------
     parameters : What is changed.
     mean_square : The mean squared error of all windows, as a function of them.
+    deadline : A round that it ends keeps the best weights that it has come to.
     """
 
     def __init__(
-        self, parameters: Sequence[nn.Parameter], mean_square: Callable[[], Tensor]
+        self,
+        parameters: Sequence[nn.Parameter],
+        mean_square: Callable[[], Tensor],
+        deadline: Deadline | None = None,
     ) -> None:
+        self._deadline = deadline or Deadline()
+        self._best: tuple[float, list[Tensor]] | None = None
+        self.cut = False
+        """Whether the deadline has ended the last round."""
         self.parameters, self._mean_square = [*parameters], mean_square
         self.scale = 0.0
         """Mean square at the beginning, by which the loss is divided: torch's tolerances suit a
@@ -99,15 +112,26 @@ class QuasiNewton:
         """
         before = [p.detach().clone() for p in self.parameters]
         self.scale = self.scale or self._error() or 1.0
-        began = self.scale * self._optimizer.step(self._closure)
+        self._best = None
+        try:
+            began = self.scale * self._optimizer.step(self._closure)
+        except _OverError:
+            assert self._best is not None
+            self.cut = True
+            lowest, values = self._best
+            self._put(values)
+            return float((self.scale * lowest) ** 0.5)
         reached = self._error()
         if not reached <= began:
-            with torch.no_grad():
-                for p, value in zip(self.parameters, before, strict=True):
-                    p.copy_(value)
+            self._put(before)
             reached = began
         self.settled = not reached < (1 - SETTLED) * began
         return float(reached**0.5)
+
+    def _put(self, values: Sequence[Tensor]) -> None:
+        with torch.no_grad():
+            for p, value in zip(self.parameters, values, strict=True):
+                p.copy_(value)
 
     def _error(self) -> float:
         with torch.no_grad():
@@ -117,7 +141,12 @@ class QuasiNewton:
         self._optimizer.zero_grad(set_to_none=True)
         loss = self._mean_square() / self.scale
         loss.backward()
-        return loss.item()
+        value = loss.item()
+        if self._best is None or value < self._best[0]:
+            self._best = value, [p.detach().clone() for p in self.parameters]
+        if self._deadline.over:
+            raise _OverError
+        return value
 
     def state(self) -> State:
         """All that the next round depends on but the weights."""

@@ -105,13 +105,25 @@ Budget = Annotated[
     str | None,
     typer.Option(
         metavar="TIME",
-        help="What the search and the training of networks aim at on the cores there are, such as "
-        "90s, 10m or 1h; baselines, pictures and a last training come on top. More of "
-        "it means longer trials, larger ones and more seeds. Windows, sizes and steps of networks "
-        "are found on held-out training samples, unless --window, --epochs, --learning-rate, "
-        "--lr-milestones or --recipe paper decides how to train.",
+        help="Wall time for the whole command, such as 90s, 10m or 1h, from its start to its last "
+        "file: it is kept on a busy machine, too. Trainings that are not done by then end with "
+        "what they have, and methods that there is no time for are left out by name. More of it "
+        "means longer trials, larger ones and more seeds. Windows, sizes and steps of networks are "
+        "found on held-out training samples, unless --window, --epochs, --learning-rate, "
+        "--lr-milestones or --recipe paper decides how to train; then there is no limit.",
         rich_help_panel=_TRAINING,
-        show_default="about two minutes of two cores, as much as 2.5m there",
+        show_default="2m, of which a quiet machine needs less",
+    ),
+]
+Effort = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TIME",
+        help="In place of --budget: work for the search and the training of networks, as reckoned "
+        "for a reference core, such as 4m. The work is limited, not the clock, so that the same "
+        "command finds the same on every run, however long it takes.",
+        rich_help_panel=_TRAINING,
+        show_default=False,
     ),
 ]
 RecipeOption = Annotated[
@@ -184,4 +196,5 @@ class ModelOptions:
     lr_milestones: Milestones = None
     hidden: Hidden = None
     budget: Budget = None
+    effort: Effort = None
     device: Device = "cpu"

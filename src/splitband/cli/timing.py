@@ -1,0 +1,50 @@
+"""How much of the time of a command is kept for writing its results, and what is said of it."""
+
+from __future__ import annotations
+
+from splitband.cli import clock
+from splitband.evaluation.plan import Plan
+from splitband.evaluation.search import Search
+from splitband.evaluation.setup import Setup
+
+WRITING, AS_STARTING = 1.0, 1.5
+"""Seconds for pictures and page, besides so many times what the command took to start: both are
+work of the same kind on the same machine, whatever else it does."""
+NUMBER, USUAL_START = 3e-6, 3.0
+"""Seconds for a number in the tables, where a command starts within so many."""
+MOST = 0.4
+"""Share of the time that is kept for writing, at most."""
+
+
+def planned(setup: Setup, cores: int, numbers: int, began: float | None = None) -> Plan:
+    """The plan of a command that will write so many numbers; by default from its own beginning."""
+    search = setup.search
+    if search is None or search.seconds is None:
+        return Plan.of(None, cores, clock.began() if began is None else began)
+    slow = max(clock.starting() / USUAL_START, 1.0)
+    writing = AS_STARTING * clock.starting() + slow * (WRITING + NUMBER * numbers)
+    return Plan.of(
+        search.seconds,
+        cores,
+        clock.began() if began is None else began,
+        min(writing, MOST * search.seconds),
+    )
+
+
+def in_words(plan: Plan, search: Search | None) -> str:
+    """A line below the table: what was planned and used, and what the clock has changed."""
+    used = plan.as_json()["used_seconds"]
+    phases = ", ".join(f"{name} {seconds:.0f}" for name, seconds in plan.used.items())
+    said = f"time: {used:.0f} s ({phases})"
+    if search is not None and search.seconds is not None:
+        said = f"time: {used:.0f} of {search.seconds:.0f} s ({phases})"
+    elif search is not None:
+        said += f", not limited; the work was, to {search.core_seconds:.0f} s of a reference core"
+    if plan.reproducible:
+        return said
+    changed = [*plan.cut, *(f"{name} left out" for name in plan.left_out)]
+    listed = ", ".join(changed[:6]) + (f" and {len(changed) - 6} more" if len(changed) > 6 else "")
+    return (
+        f"{said}\nthe clock changed what was done ({listed}): another run may find something else; "
+        "a longer --budget avoids that, --effort limits the work in place of the time"
+    )

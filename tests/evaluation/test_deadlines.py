@@ -1,0 +1,133 @@
+"""A comparison within a budget of time: there is a result whatever the deadline is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+import splitband as sb
+from splitband.evaluation import search as searching
+from splitband.evaluation.comparison import Comparison, compare
+from splitband.evaluation.forecast import forecast
+from splitband.evaluation.plan import Plan
+from splitband.evaluation.runs import RunProgress, Work
+from splitband.evaluation.search import Search
+from splitband.runtime.deadlines import Deadline
+from tests.records import QUICK, SETUP, TRAIN, record
+from tests.support import slowed
+
+METHODS = ["gru", "mean", "persistence", "harmonic"]
+SEARCHED = replace(SETUP, settings=replace(QUICK, most_batches=2), search=Search(4.0, 1e6))
+
+
+@pytest.fixture(autouse=True)
+def short_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(searching, "LADDER", (3,))
+    monkeypatch.setattr(searching, "FREE_RUNS", (10,))
+    monkeypatch.setattr(searching, "FIRST_STEPS", 4)
+    monkeypatch.setattr("splitband.evaluation.plan.speed", lambda: 1.0)
+
+
+def compared(plan: Plan) -> Comparison:
+    return compare(record(), TRAIN, METHODS, setup=SEARCHED, work=Work(plan=plan))
+
+
+@pytest.mark.parametrize("looks", [-10, 3, 100, 1000])
+def test_there_is_a_result_whatever_the_deadline(
+    looks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = slowed(monkeypatch, 1.0)
+    began = clock.at
+    result = compared(Plan(Deadline(began + looks), began=began))
+    assert {"mean", "persistence"} <= set(result.runs)
+    assert result.recommended in result.runs
+    assert set(result.table.index) == set(METHODS)
+    missing = set(METHODS) - set(result.runs)
+    notes = result.table["note"]
+    assert all("time" in notes[name] or "left" in notes[name] for name in missing)
+    # What follows the deadline are the forecasts of what runs then, and baselines.
+    assert clock.at - began <= max(looks, 0) + 200
+    if missing:
+        assert not result.plan.reproducible
+
+
+def test_a_forecast_has_a_result_whatever_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = slowed(monkeypatch, 1.0)
+    setup = replace(SEARCHED, train=TRAIN)
+    for looks in (-1, 300):
+        work = Work(plan=Plan(Deadline(clock.at + looks)))
+        found = forecast(record()[:TRAIN], 10, ["gru", "mean"], setup=setup, work=work)
+        assert found.method in ("gru", "mean")
+        assert found.prediction.y.shape == (10, 1)
+
+
+def test_networks_alone_have_a_result_however_late_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = slowed(monkeypatch, 1.0)
+    plan = Plan(Deadline(clock.at - 5))
+    result = compare(record(), TRAIN, ["gru", "split-gru"], setup=SEARCHED, work=Work(plan=plan))
+    assert result.recommended == "gru"
+    assert [*result.plan.left_out] == ["split-gru"]
+
+
+def test_where_the_clock_changes_nothing_the_work_alone_decides() -> None:
+    by_time = compare(record(), TRAIN, METHODS, setup=SEARCHED)
+    by_work = compare(record(), TRAIN, METHODS, setup=replace(SEARCHED, search=Search(4.0)))
+    assert by_time.plan.reproducible
+    assert not by_work.plan.limited
+    assert by_time.attempts == by_work.attempts
+    columns = [name for name in by_work.table.columns if name != "fit (s)"]
+    assert by_time.table[columns].equals(by_work.table[columns])
+
+
+def test_a_slower_machine_tries_less_and_the_plan_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = []
+    for tick in (1e-6, 1.0):
+        with monkeypatch.context() as patch:
+            clock = slowed(patch, tick)
+            result = compared(Plan(Deadline(clock.at + 1500), began=clock.at))
+        tried.append(len(result.attempts))
+        assert result.plan.reproducible == (tick < 1)
+    assert tried[1] < tried[0]
+
+
+def test_the_phases_add_up_to_the_time_that_is_used() -> None:
+    plan = compare(record(), TRAIN, METHODS, setup=SEARCHED).plan
+    assert [*plan.used] == [
+        "start", "baselines", "search", "trial", "on a baseline", "final trainings"
+    ]  # fmt: skip
+    facts = plan.as_json()
+    assert sum(facts["phases"].values()) == pytest.approx(facts["used_seconds"], abs=0.5)
+    assert facts["left_out"] == {}
+
+
+def test_the_share_that_is_done_never_falls_and_ends_near_one() -> None:
+    seen: list[RunProgress] = []
+    compare(record(), TRAIN, METHODS, setup=SEARCHED, work=Work(progress=seen.append))
+    shares = [at.overall for at in seen]
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(0.95)
+
+
+def test_a_budget_is_planned_on_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(searching, "reference_seconds", lambda wall, cores: wall * cores / 10)
+    limit = Search.within(600.0, 2)
+    assert (limit.core_seconds, limit.seconds) == (120.0, 600.0)
+    found = sb.compare(record(), TRAIN, ["mean"], setup=SEARCHED, budget=30.0)
+    assert found.search is not None
+    assert found.search.seconds == 30.0
+    with pytest.raises(ValueError, match="budget needs a setup with a search, got 30"):
+        sb.compare(record(), TRAIN, ["mean"], setup=SETUP, budget=30.0)
+    with pytest.raises(ValueError, match="seconds must be positive, got 0"):
+        Search.within(0.0)
+
+
+def test_the_pace_is_learned_from_what_trainings_took() -> None:
+    plan = Plan(Deadline.after(100.0), cores=2)
+    assert plan.reckoned(plan.deadline) == pytest.approx(160.0, rel=0.01)
+    for _ in range(20):
+        plan.measured(2.0, 8.0)
+    assert plan.pace == pytest.approx(4.0, rel=0.01)
+    assert plan.reckoned(plan.deadline) == pytest.approx(40.0, rel=0.02)
+    assert math.isinf(Plan().reckoned(Deadline()))
