@@ -23,9 +23,12 @@ class Crew:
     cores: int
     executor: Executor | None = None
 
-    def work(self, progress: Callable[[RunProgress], None], out: Path, plan: Plan) -> Work:
+    def work(
+        self, progress: Callable[[RunProgress], None], out: Path, plan: Plan | None = None
+    ) -> Work:
         """How a comparison is computed by them, with checkpoints in the folder `out`."""
         checkpoints = out / CHECKPOINTS
+        plan = plan or Plan()
         return Work(self.cores, progress, checkpoints, executor=self.executor, plan=plan)
 
 

@@ -117,18 +117,17 @@ def forecast(
         origin = Origin(len(record), len(record))
         question = Question(record, [origin], len(record) + steps, others)
         stages = last_stages(staff, steps, len(record), steps)
-        best = [m for m in fitted if m.random]
-        all_seeds = last_trainings(best, searched, trial, seeds, stages[1])
+        networks = [m for m in fitted if m.random]
+        all_seeds = last_trainings(networks, searched, trial, seeds, stages[1])
         backtests: dict[str, dict[int, Backtest]] = {}
         failures: list[Failure] = []
         with staff.plan.phase("final trainings"):
-            for part, stage in zip(
-                ([m for m in fitted if not m.random], best), stages, strict=True
-            ):
+            quick = [m for m in fitted if not m.random]
+            for part, stage in zip((quick, networks), stages, strict=True):
                 asked = {method.name: question for method in part}
-                need_one = part == fitted or (part == best and not any(backtests.values()))
-                done, lost = run_all(part, asked, all_seeds, stage, need_one and bool(part))
-                backtests |= done
+                need_one = part == fitted or (part == networks and not any(backtests.values()))
+                found, lost = run_all(part, asked, all_seeds, stage, need_one and bool(part))
+                backtests |= found
                 failures += lost
     backtests = {method.name: backtests[method.name] for method in fitted}
     means = {
