@@ -7,7 +7,7 @@ from splitband.evaluation.plan import Plan
 from splitband.evaluation.search import Search
 from splitband.evaluation.setup import Setup
 
-WRITING, AS_STARTING = 1.0, 1.5
+WRITING, AS_STARTING = 2.0, 1.5
 """Seconds for pictures and page, besides so many times what the command took to start: both are
 work of the same kind on the same machine, whatever else it does."""
 NUMBER, USUAL_START = 3e-6, 3.0
