@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import pytest
 
-import splitband as sb
 from splitband.evaluation import search as searching
 from splitband.evaluation.comparison import Comparison, compare
 from splitband.evaluation.forecast import forecast
@@ -113,11 +112,6 @@ def test_a_budget_is_planned_on_this_machine(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(searching, "reference_seconds", lambda wall, cores: wall * cores / 10)
     limit = Search.within(600.0, 2)
     assert (limit.core_seconds, limit.seconds) == (120.0, 600.0)
-    found = sb.compare(record(), TRAIN, ["mean"], setup=SEARCHED, budget=30.0)
-    assert found.search is not None
-    assert found.search.seconds == 30.0
-    with pytest.raises(ValueError, match="budget needs a setup with a search, got 30"):
-        sb.compare(record(), TRAIN, ["mean"], setup=SETUP, budget=30.0)
     with pytest.raises(ValueError, match="seconds must be positive, got 0"):
         Search.within(0.0)
 

@@ -14,7 +14,7 @@ from splitband.evaluation.costs import job_cost
 from splitband.evaluation.plan import BASE, BASELINES, SEARCH, Plan
 from splitband.evaluation.plan import TRIAL as TRIAL_OVER
 from splitband.evaluation.runs import Work
-from splitband.evaluation.search import Search, SearchResult, search
+from splitband.evaluation.search import SearchResult, search
 from splitband.evaluation.selection import TRIED, Trial, try_out
 from splitband.evaluation.setup import Setup, trying_bases, usual_names
 from splitband.forecasters.backtest import Origin, Question, held_out_from
@@ -42,17 +42,6 @@ def candidates(
         methods, setup = usual_names(record, setup), trying_bases(setup)
     made = [setup.forecaster(each) if isinstance(each, str) else each for each in methods]
     return [method.with_defaults(setup.settings, setup.bands) for method in made], setup
-
-
-def within(setup: Setup, budget: float | None, work: Work) -> Setup:
-    """The setup with a budget of wall time, where one is given."""
-    if budget is None:
-        return setup
-    if setup.search is None:
-        raise ValueError(f"budget needs a setup with a search, got {budget}")
-    found = Search.within(budget, work.cores)
-    limited = replace(setup.search, core_seconds=found.core_seconds, seconds=found.seconds)
-    return replace(setup, search=limited)
 
 
 def timed(work: Work, setup: Setup) -> Work:

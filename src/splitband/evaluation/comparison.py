@@ -20,7 +20,6 @@ from splitband.evaluation.choosing import (
     last_stages,
     last_trainings,
     timed,
-    within,
 )
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.protocols import (
@@ -200,7 +199,6 @@ def compare(
     tests: Sequence[Trajectory] = (),
     seeds: int | None = None,
     setup: Setup | None = None,
-    budget: float | None = None,
     work: Work | None = None,
 ) -> Comparison:
     """Compare forecasters on a record, as `splitband compare` does.
@@ -221,9 +219,7 @@ def compare(
     seeds : Trainings of each network; by default as many as the budget of `setup.search` pays for,
         and `SEEDS` of what is not searched.
     setup : Settings, bands and sizes; by default chosen by the training samples, and how networks
-        are trained by trials on the last quarter of them (`Setup.search`).
-    budget : Seconds of wall time for all of it, kept on a busy machine, too: see `Search.within`.
-        By default the setup's: two minutes at most.
+        are trained by trials on the last quarter of them (`Setup.search`), within two minutes.
     work : Processes, progress and checkpoints.
 
     Raises
@@ -249,7 +245,7 @@ def compare(
     elif train not in (None, setup.train):
         raise ValueError(f"train must be that of setup, {setup.train}, got {train}")
     work = work or Work()
-    chosen, setup = candidates(record, within(setup, budget, work), methods)
+    chosen, setup = candidates(record, setup, methods)
     check(record, chosen, setup, others, tests)
     check_trial(record, chosen, setup, others)
     tests = _called_apart(tests)

@@ -15,7 +15,6 @@ from splitband.evaluation.choosing import (
     last_stages,
     last_trainings,
     timed,
-    within,
 )
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.protocols import check, inputs_beyond
@@ -73,7 +72,6 @@ def forecast(
     others: Sequence[Trajectory] = (),
     seeds: int | None = None,
     setup: Setup | None = None,
-    budget: float | None = None,
     work: Work | None = None,
 ) -> Forecast:
     """What comes after the end of a record, by the method that its own last quarter recommends.
@@ -83,7 +81,7 @@ def forecast(
     record : All of it is trained on. Its known inputs, and its simulator's output, must reach
         `steps` samples beyond it (`u_beyond`, `beyond`).
     steps : How many samples.
-    methods, others, seeds, setup, budget, work : See `compare`.
+    methods, others, seeds, setup, work : See `compare`.
 
     Raises
     ------
@@ -106,7 +104,7 @@ def forecast(
             f"train of setup must be all {len(record)} samples of the record, got {setup.train}"
         )
     work = work or Work()
-    chosen, setup = candidates(record, within(setup, budget, work), methods)
+    chosen, setup = candidates(record, setup, methods)
     check(record, chosen, setup, others, beyond=True)
     check_trial(record, chosen, setup, others)
     with timed(work, setup).staffed() as staff:
