@@ -171,7 +171,7 @@ def measured(record: Sequence[str], budget: str, seconds: float, busy: bool) -> 
         "kept": took <= ALLOWED * seconds,
         "recommended": None if found is None else found["recommended"],
         "held_out": _held_out(found),
-        "budget": None if found is None else found.get("budget"),
+        "time": None if found is None else found.get("time"),
     }
 
 

@@ -115,7 +115,7 @@ def forecast(
 
 
 def _say(result: Forecast, steps: int, out: Path) -> None:
-    showing.console.print(timing.in_words(result.plan, result.search))
+    showing.console.print(timing.in_words(result.plan))
     trial, record = result.trial, result.record
     said = dict.fromkeys(trial.errors, "") | {
         name: f"could not be fitted: {reason}" for name, reason in trial.failed.items()

@@ -20,7 +20,7 @@ def show(result: Comparison, names: list[str], out: Path, used: Usage) -> None:
     record, setup, trial = result.record, result.setup, result.require_trial()
     best = result.recommended
     showing.methods(_title(record, setup), columns(result), remarks(result), best)
-    showing.console.print(timing.in_words(result.plan, result.search))
+    showing.console.print(timing.in_words(result.plan))
     why = words.why(trial, setup.train, len(record) - setup.train)
     showing.console.print(f"recommended: {best}. {' '.join(why)}")
     if result.left_out:

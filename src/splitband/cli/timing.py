@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from splitband.cli import clock
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.search import Search
 from splitband.evaluation.setup import Setup
 
 WRITING, AS_STARTING = 2.0, 1.5
@@ -31,15 +30,16 @@ def planned(setup: Setup, cores: int, numbers: int, began: float | None = None) 
     )
 
 
-def in_words(plan: Plan, search: Search | None) -> str:
+def in_words(plan: Plan) -> str:
     """A line below the table: what was planned and used, and what the clock has changed."""
     used = plan.as_json()["used_seconds"]
     phases = ", ".join(f"{name} {seconds:.0f}" for name, seconds in plan.used.items())
     said = f"time: {used:.0f} s ({phases})"
-    if search is not None and search.seconds is not None:
-        said = f"time: {used:.0f} of {search.seconds:.0f} s ({phases})"
-    elif search is not None:
-        said += f", not limited; the work was, to {search.core_seconds:.0f} s of a reference core"
+    wall, work = plan.asked
+    if wall is not None:
+        said = f"time: {used:.0f} of {wall:.0f} s ({phases})"
+    elif work is not None:
+        said += f", not limited; the work was, to {work:.0f} s of a reference core"
     if plan.reproducible:
         return said
     changed = [*plan.cut, *(f"{name} left out" for name in plan.left_out)]

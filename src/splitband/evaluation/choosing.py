@@ -48,7 +48,9 @@ def timed(work: Work, setup: Setup) -> Work:
     """The work with a plan of its time: the caller's, or from now on what the setup allows."""
     plan = work.plan
     if not plan.limited and setup.search is not None:
-        plan = Plan.of(setup.search.seconds, work.cores)
+        plan = Plan.of(setup.search.seconds, work.cores, plan.began)
+    if setup.search is not None:
+        plan.asked = setup.search.seconds, setup.search.core_seconds
     return replace(work, plan=plan, deadline=plan.deadline)
 
 

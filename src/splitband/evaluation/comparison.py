@@ -33,7 +33,7 @@ from splitband.evaluation.protocols import (
     run_methods,
 )
 from splitband.evaluation.runs import Work
-from splitband.evaluation.search import Attempt, Search, SearchResult
+from splitband.evaluation.search import Attempt, SearchResult
 from splitband.evaluation.selection import LEVEL, Trial, check_trial
 from splitband.evaluation.setup import Setup, default_setup
 from splitband.forecasters.base import Forecaster
@@ -70,11 +70,6 @@ class Comparison:
     attempts: tuple[Attempt, ...] = ()
     forecasters: Mapping[str, Forecaster] = field(default_factory=dict)
     plan: Plan = field(default_factory=Plan)
-
-    @property
-    def search(self) -> Search | None:
-        """How much was allowed for; None where nothing was searched."""
-        return self.setup.search
 
     @property
     def recommended(self) -> str:

@@ -19,7 +19,6 @@ from splitband.evaluation.choosing import (
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.protocols import check, inputs_beyond
 from splitband.evaluation.runs import Failure, Work, run_all
-from splitband.evaluation.search import Search
 from splitband.evaluation.selection import LEVEL, Trial, check_trial
 from splitband.evaluation.setup import Setup, default_setup
 from splitband.forecasters.backtest import Backtest, Origin, Question
@@ -44,7 +43,7 @@ class Forecast:
     description : What its fit has settled on.
     leaves : Samples before the forecast leaves the range of the training samples by far.
     inputs_beyond_training : Which inputs to come go beyond those that were trained on.
-    plan, search : See `Comparison`.
+    plan : See `Comparison`.
     """
 
     record: Trajectory
@@ -57,7 +56,6 @@ class Forecast:
     leaves: int | None
     inputs_beyond_training: list[Extrapolation]
     plan: Plan = field(default_factory=Plan)
-    search: Search | None = None
 
     def report(self, path: str | Path) -> None:
         """Write one HTML file with the forecast, what was tried and settings, to send on."""
@@ -155,7 +153,6 @@ def forecast(
         min((samples for samples in left if samples is not None), default=None),
         inputs_beyond([record, *others], None if u is None else u[:steps]),
         staff.plan,
-        setup.search,
     )
 
 

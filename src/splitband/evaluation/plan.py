@@ -50,6 +50,8 @@ class Plan:
     left_out : Methods for which there was no time, and why.
     cut : Trainings that the deadline ended, and choices that it narrowed.
     used : Seconds of each phase, in their order.
+    asked : Seconds of wall time, and of work of a reference core, that were allowed; None where
+        there was no such limit.
     """
 
     deadline: Deadline = field(default_factory=Deadline)
@@ -60,6 +62,7 @@ class Plan:
     left_out: dict[str, str] = field(default_factory=dict)
     cut: list[str] = field(default_factory=list)
     used: dict[str, float] = field(default_factory=dict)
+    asked: tuple[float | None, float | None] = (None, None)
 
     @classmethod
     def of(
@@ -128,8 +131,13 @@ class Plan:
             self.used[name] = self.used.get(name, 0.0) + now() - began
 
     def as_json(self) -> dict[str, Any]:
-        """What result files say of it."""
+        """What result files say of it: what was limited, what was asked for, and what was used."""
+        seconds, work = self.asked
+        limited = "nothing" if work is None else "work" if seconds is None else "time"
         return {
+            "limited": limited,
+            "asked_seconds": seconds,
+            "asked_core_seconds": work,
             "used_seconds": round(now() - self.began, 2),
             "phases": {name: round(seconds, 2) for name, seconds in self.used.items()},
             "changed_by_the_clock": [*self.cut],

@@ -77,7 +77,7 @@ def _write(
         pictures.save(tested.picture(comparison), folder / "tests.png")
     save_found(comparison.forecaster(), record, folder)
     comparison.plan.used["writing"] = now() - began
-    write_facts(folder, facts | results(comparison) | {"time": time_facts(comparison)})
+    write_facts(folder, facts | results(comparison) | {"time": comparison.plan.as_json()})
 
 
 def found_in(forecaster: Forecaster, folder: Path) -> Path | None:
@@ -133,18 +133,6 @@ def results(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def time_facts(result: Comparison | Forecast) -> dict[str, Any]:
-    """What was limited, the time or the work, what was asked for, and what was used."""
-    search = result.search
-    limited = "nothing" if search is None else "work" if search.seconds is None else "time"
-    return {
-        "limited": limited,
-        "asked_seconds": None if search is None else search.seconds,
-        "asked_core_seconds": None if search is None else search.core_seconds,
-        **result.plan.as_json(),
-    }
-
-
 def deviation(record: Trajectory) -> float:
     """The RMSE of the record's own mean, all channels as in `metrics.rmse`: 0 for constant ones."""
     y = record.seen
@@ -192,7 +180,7 @@ def save_forecast(
         pictures.save(pictures.forecast(result), new / "forecast.png")
         page.write(result, new / page.NAME, usage)
         save_found(result.forecaster, result.record, new)
-        facts = forecast_facts(result, others) | {"time": time_facts(result)}
+        facts = forecast_facts(result, others) | {"time": result.plan.as_json()}
         write_facts(new, facts)
 
 
