@@ -35,8 +35,7 @@ class Forecast:
     Attributes
     ----------
     record : It goes on from.
-    method : Which was recommended.
-    forecaster : The same, not fitted: to be fitted again, and saved.
+    forecaster : The recommended method, not fitted: to be fitted again, and saved.
     prediction : Its forecast, the mean over seeds, with the interval.
     trial : What was tried, and how it did.
     seeds : Of the recommended method.
@@ -47,7 +46,6 @@ class Forecast:
     """
 
     record: Trajectory
-    method: str
     forecaster: Forecaster
     prediction: Prediction
     trial: Trial
@@ -56,6 +54,11 @@ class Forecast:
     leaves: int | None
     inputs_beyond_training: list[Extrapolation]
     plan: Plan = field(default_factory=Plan)
+
+    @property
+    def method(self) -> str:
+        """The name of the recommended method."""
+        return self.forecaster.name
 
     def report(self, path: str | Path) -> None:
         """Write one HTML file with the forecast, what was tried and settings, to send on."""
@@ -144,7 +147,6 @@ def forecast(
     u = record.u_beyond
     return Forecast(
         record,
-        best,
         as_trained(next(f for f in fitted if f.name == best), [*done]),
         replace(mean, lower=mean.y - half, upper=mean.y + half, level=LEVEL),
         trial,
