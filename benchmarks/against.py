@@ -30,7 +30,7 @@ import torch
 import splitband as sb
 from benchmarks.peers import installed
 from benchmarks.sets import SETS, load
-from splitband import Trajectory
+from splitband import Record
 from splitband.report.results import environment
 from splitband.runtime.files import write_json
 from splitband.runtime.threads import use_one_thread
@@ -106,7 +106,7 @@ def ours(name: str, seed: int, minutes: list[float], keep: Callable[[Point], Non
         keep(_point(OURS, seed, each, seconds, errors, iterations=done))
 
 
-def _free_run(network: sb.Forecaster, test: Trajectory) -> float:
+def _free_run(network: sb.Forecaster, test: Record) -> float:
     steps = len(test) - LEFT_OUT
     predicted = network.predict(steps, test[:LEFT_OUT], other_record=True)
     return sb.rmse(test.y[LEFT_OUT:], predicted.y)
@@ -151,7 +151,7 @@ def tsfasts(name: str, seed: int, minutes: float) -> Point:
     return _point(TSFAST, seed, minutes, seconds, errors, steps=epochs * (steps // epochs))
 
 
-def _write(record: Trajectory, path: Path) -> None:
+def _write(record: Record, path: Path) -> None:
     """As tsfast reads records: a column each."""
     import h5py  # noqa: PLC0415
 

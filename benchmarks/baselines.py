@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.forecasters.backtest import Origin, Question, backtest
 from splitband.forecasters.names import QUICK, named
 from splitband.metrics import rmse
@@ -40,7 +40,7 @@ TRAINING, AHEAD = (250, 600), 500
 DEVELOPMENT, REPORT = range(6), range(100, 106)
 
 
-class Record(NamedTuple):
+class Sampled(NamedTuple):
     """Samples `(time,)`, training and future, and the oracle's forecast of the future."""
 
     y: Array
@@ -127,37 +127,37 @@ def constant(n: Array, train: int, rng: Rng) -> Array:
     return np.full(len(n), _level(rng))
 
 
-def of_time(signal: Callable[[Array, int, Rng], Array]) -> Callable[[int, Rng], Record]:
+def of_time(signal: Callable[[Array, int, Rng], Array]) -> Callable[[int, Rng], Sampled]:
     """A function of the sample's index and white noise; the oracle knows the function."""
 
-    def record(train: int, rng: Rng) -> Record:
+    def record(train: int, rng: Rng) -> Sampled:
         y = signal(np.arange(train + AHEAD, dtype=np.float64), train, rng)
-        return Record(y + _noise(rng) * rng.normal(size=len(y)), y[train:])
+        return Sampled(y + _noise(rng) * rng.normal(size=len(y)), y[train:])
 
     return record
 
 
-def autoregression(pole: float, drift: float = 0.0) -> Callable[[int, Rng], Record]:
+def autoregression(pole: float, drift: float = 0.0) -> Callable[[int, Rng], Sampled]:
     """y_n = pole * y_(n-1) + drift + noise; a random walk for a pole of 1."""
 
-    def record(train: int, rng: Rng) -> Record:
+    def record(train: int, rng: Rng) -> Sampled:
         shocks = drift + rng.normal(size=train + AHEAD + 500)
         y = scipy.signal.lfilter([1.0], [1.0, -pole], shocks)[500:]
         response = scipy.signal.lfilter([1.0], [1.0, -pole], np.full(AHEAD, drift))
-        return Record(y, y[train - 1] * pole ** np.arange(1, AHEAD + 1) + response)
+        return Sampled(y, y[train - 1] * pole ** np.arange(1, AHEAD + 1) + response)
 
     return record
 
 
-def steps(train: int, rng: Rng) -> Record:
+def steps(train: int, rng: Rng) -> Sampled:
     """A level that jumps two to five times in the training part, and a season."""
     n = np.arange(train + AHEAD, dtype=np.float64)
     at = rng.integers(0, int(0.9 * train), rng.integers(2, 6))
     y = season(n, train, rng) + (n[:, None] >= at) @ rng.normal(scale=2, size=len(at))
-    return Record(y + _noise(rng, high=0.2) * rng.normal(size=len(y)), y[train:])
+    return Sampled(y + _noise(rng, high=0.2) * rng.normal(size=len(y)), y[train:])
 
 
-KINDS: dict[str, Callable[[int, Rng], Record]] = {
+KINDS: dict[str, Callable[[int, Rng], Sampled]] = {
     "part of a cycle": of_time(part_of_a_cycle),
     "slow and fast sine": of_time(slow_and_fast_sine),
     "cooling": of_time(cooling),
@@ -183,7 +183,7 @@ def _measured(job: tuple[str, int], report: object) -> dict[str, Any]:
     kind, seed = job
     train = TRAINING[seed % len(TRAINING)]
     made = KINDS[kind](train, np.random.default_rng([seed, *kind.encode()]))
-    record = Trajectory(made.y[:, None], 1.0, name=kind)
+    record = Record(made.y[:, None], 1.0, name=kind)
     future, found, origin = record.y[train:], {}, Origin(train, train)
     began = time.process_time()
     for name in BASELINES:

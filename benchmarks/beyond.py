@@ -24,7 +24,7 @@ import numpy.typing as npt
 from benchmarks.comparing import compared, forecasters
 from reproduction.settings import HYBRID, LEARNING_BASED
 from reproduction.systems import MassSpringOracle, double_torsion_pendulum
-from splitband.data import Trajectory, double_torsion, drill_string
+from splitband.data import Record, double_torsion, drill_string
 from splitband.data.named import double_mass_spring, van_der_pol
 from splitband.evaluation.comparison import compare
 from splitband.evaluation.protocols import compare_methods
@@ -50,13 +50,13 @@ Facts = dict[str, Any]
 class System:
     """A record, its training part, and what the paper reached."""
 
-    record: Callable[[], Trajectory]
+    record: Callable[[], Record]
     train: int
     column: str = ""
     paper: str = ""
 
 
-def _van_der_pol() -> Trajectory:
+def _van_der_pol() -> Record:
     """With more of its simulator than the record is long, for the clock."""
     record = van_der_pol()
     samples = samples_needed(len(record), len(record))
@@ -131,7 +131,7 @@ def measured(name: str, seeds: int, jobs: int) -> Facts:
     return facts
 
 
-def _after(record: Trajectory, setup: Setup, predicted: Array) -> float:
+def _after(record: Record, setup: Setup, predicted: Array) -> float:
     """RMSE over the samples after the training part, whenever the prediction began."""
     steps = len(record) - setup.train
     return rmse(record.truth[-steps:], predicted[-steps:])

@@ -28,7 +28,7 @@ from benchmarks import study
 from benchmarks.high_band import HP, double_filtering, high_band, high_band_section
 from reproduction import published
 from reproduction.settings import LEARNING_BASED
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.data.named import double_mass_spring
 from splitband.evaluation.setup import Setup
 from splitband.filters.resampling import downsample
@@ -109,7 +109,7 @@ class Best:
             network.load_state_dict(self.weights[name])
 
 
-def built(record: Trajectory, setup: Setup, method: str, reading: Reading, seed: int) -> Model:
+def built(record: Record, setup: Setup, method: str, reading: Reading, seed: int) -> Model:
     """The untrained model, with the weights that the package's own would begin with."""
     torch.manual_seed(seed)
     high, low = setup.sizes.hidden_high, setup.sizes.hidden_low

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from splitband import Comparison, Forecaster, Trajectory
+from splitband import Comparison, Forecaster, Record
 from splitband.evaluation.protocols import compare_methods
 from splitband.evaluation.runs import Work
 from splitband.evaluation.selection import try_out
@@ -20,7 +20,7 @@ def forecasters(names: Sequence[Forecaster | str], setup: Setup) -> list[Forecas
 
 
 def compared(
-    record: Trajectory, names: Sequence[str], setup: Setup, seeds: Sequence[int], jobs: int
+    record: Record, names: Sequence[str], setup: Setup, seeds: Sequence[int], jobs: int
 ) -> Comparison:
     """Like `splitband.compare`, without its search, and with all seeds tried out instead of two."""
     methods, work = forecasters(names, setup), Work(jobs)
@@ -29,7 +29,7 @@ def compared(
     return Comparison(record, setup, runs, trial.settled(runs.ahead, runs.failed))
 
 
-def held_out(record: Trajectory, setup: Setup) -> tuple[Trajectory, Setup]:
+def held_out(record: Record, setup: Setup) -> tuple[Record, Setup]:
     """The training part as a record of its own, the last quarter of it to be predicted.
 
     Long training windows shrink with what is left to train on.

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from benchmarks.beyond import SYSTEMS
 from benchmarks.comparing import held_out
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.setup import Setup, default_setup
 from splitband.metrics import rmse, spread
 from splitband.models import Split
@@ -42,7 +42,7 @@ class ToldTheMeasurement(Split):
         return self._simulate(band, known, steps, known.y_sim[:, warmup : warmup + samples])
 
 
-def error(part: Trajectory, setup: Setup, kind: type[Split], seed: int) -> dict[str, float]:
+def error(part: Record, setup: Setup, kind: type[Split], seed: int) -> dict[str, float]:
     """RMSE on the held-out part, and the last training loss, in standard deviations."""
     pair, sizes = setup.bands.pair(part.sampling_rate), setup.sizes
     assert setup.bands.downsampling is not None

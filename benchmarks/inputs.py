@@ -20,7 +20,7 @@ import numpy.typing as npt
 import scipy
 
 import splitband as sb
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.runs import Work
 from splitband.report.results import results
 from splitband.runtime.files import CHECKPOINTS, write_json
@@ -29,7 +29,7 @@ Array = npt.NDArray[np.float64]
 SAMPLES, TRAINING = 2000, 1200
 
 
-def two_masses(rng: np.random.Generator) -> Trajectory:
+def two_masses(rng: np.random.Generator) -> Record:
     """Springs and dampers, linear, driven by coloured noise; both positions, 2 % noise."""
     a = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-900, 400, -2, 0.5], [400, -600, 0.5, -1.5]])
     b = np.array([[0.0], [0], [1], [0]])
@@ -37,10 +37,10 @@ def two_masses(rng: np.random.Generator) -> Trajectory:
     u = scipy.signal.lfilter([6.0], [1, -0.8], rng.standard_normal(SAMPLES))
     t = step * np.arange(SAMPLES)
     y = scipy.signal.lsim((a, b, np.eye(2, 4), np.zeros((2, 1))), u, t, interp=False)[1]
-    return Trajectory(_noisy(y, 0.02, rng), step, u=u, y_true=y, name="two masses")
+    return Record(_noisy(y, 0.02, rng), step, u=u, y_true=y, name="two masses")
 
 
-def tanks(rng: np.random.Generator) -> Trajectory:
+def tanks(rng: np.random.Generator) -> Record:
     """Two in a row, emptied by their own weight (the root of the level), a pump that steps."""
     step, fine = 4.0, 20
     u = np.repeat(rng.uniform(1, 5, SAMPLES // 20), 20)
@@ -52,10 +52,10 @@ def tanks(rng: np.random.Generator) -> Trajectory:
             levels = np.clip(levels + step / fine * rate, 0, 10)
         found.append(levels[1])
     y = np.array(found)
-    return Trajectory(_noisy(y, 0.02, rng), step, u=u, y_true=y, name="tanks")
+    return Record(_noisy(y, 0.02, rng), step, u=u, y_true=y, name="tanks")
 
 
-def duffing(rng: np.random.Generator) -> Trajectory:
+def duffing(rng: np.random.Generator) -> Record:
     """A spring that hardens to twice its stiffness, 25 tones as the force, 1 % noise."""
     step, frequency, phase = 0.02, rng.uniform(0.2, 6, 25), rng.uniform(0, 2 * np.pi, 25)
 
@@ -68,16 +68,16 @@ def duffing(rng: np.random.Generator) -> Trajectory:
     t = step * np.arange(SAMPLES)
     solved = scipy.integrate.solve_ivp(slope, (0, t[-1]), [0, 0], t_eval=t, rtol=1e-8, atol=1e-10)
     y, u = solved.y[0], np.array([force(at) for at in t])
-    return Trajectory(_noisy(y, 0.01, rng), step, u=u, y_true=y, name="Duffing")
+    return Record(_noisy(y, 0.01, rng), step, u=u, y_true=y, name="Duffing")
 
 
-def tanks_and_cycle(rng: np.random.Generator) -> Trajectory:
+def tanks_and_cycle(rng: np.random.Generator) -> Record:
     """The two tanks, whose level also follows a cycle of 600 s that the pump knows nothing of."""
     record = tanks(rng)
     phase = 2 * np.pi * np.arange(SAMPLES) / 150 + rng.uniform(0, 2 * np.pi)
     cycle = np.exp(np.sin(phase)) + 0.3 * np.cos(2 * phase)
     y = record.truth + (record.y.std() * (cycle - cycle.mean()))[:, None]
-    return Trajectory(
+    return Record(
         _noisy(y, 0.02, rng), record.sampling_time, u=record.u, y_true=y, name="tanks and cycle"
     )
 
@@ -86,8 +86,8 @@ def _noisy(y: Array, share: float, rng: np.random.Generator) -> Array:
     return np.asarray(y + share * y.std(axis=0) * rng.standard_normal(y.shape))
 
 
-RECORDS: tuple[Callable[[np.random.Generator], Trajectory], ...] = (two_masses, tanks, duffing)
-MIXED: tuple[Callable[[np.random.Generator], Trajectory], ...] = (tanks_and_cycle,)
+RECORDS: tuple[Callable[[np.random.Generator], Record], ...] = (two_masses, tanks, duffing)
+MIXED: tuple[Callable[[np.random.Generator], Record], ...] = (tanks_and_cycle,)
 """With a part that the inputs explain, and one that they do not."""
 
 

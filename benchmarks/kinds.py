@@ -14,7 +14,7 @@ import numpy.typing as npt
 import scipy
 
 from benchmarks import inputs
-from splitband.data import Trajectory
+from splitband.data import Record
 
 Array = npt.NDArray[Any]
 SAMPLES = 2000
@@ -134,12 +134,12 @@ KINDS: dict[str, Callable[[np.random.Generator], Array]] = {
 }
 
 
-def drawn(kind: str, seed: int, samples: int) -> Trajectory:
+def drawn(kind: str, seed: int, samples: int) -> Record:
     """The first `samples` of one of the `KINDS`."""
-    return Trajectory(KINDS[kind](np.random.default_rng(seed))[:samples], 0.1, name=kind)
+    return Record(KINDS[kind](np.random.default_rng(seed))[:samples], 0.1, name=kind)
 
 
-def driven(make: Callable[[np.random.Generator], Trajectory], seed: int) -> Trajectory:
+def driven(make: Callable[[np.random.Generator], Record], seed: int) -> Record:
     """One of the systems with known inputs, in another draw than `benchmarks.inputs` has."""
     return make(np.random.default_rng(seed))
 

@@ -29,7 +29,7 @@ SAMPLES, TRAINING, STEP = 2750, 1000, 0.02
 STIFFNESS, DAMPING, ANGLE, NOISE = 64.2, 0.055, 1.6, 0.005
 
 
-def pendulum(draw: int) -> sb.Trajectory:
+def pendulum(draw: int) -> sb.Record:
     """The angle in rad, with the noise of a draw."""
 
     def slope(_: float, state: npt.NDArray[np.float64]) -> Sequence[float]:
@@ -39,7 +39,7 @@ def pendulum(draw: int) -> sb.Trajectory:
     solved = scipy.integrate.solve_ivp(slope, (0, t[-1]), [ANGLE, 0], t_eval=t, rtol=1e-9)
     y = solved.y[0]
     noise = NOISE * np.random.default_rng(draw).standard_normal(SAMPLES)
-    return sb.Trajectory(y + noise, STEP, y_true=y, name=f"pendulum, draw {draw}")
+    return sb.Record(y + noise, STEP, y_true=y, name=f"pendulum, draw {draw}")
 
 
 def measure(draw: int, work: Work) -> dict[str, object]:

@@ -35,7 +35,7 @@ from benchmarks.comparing import compared
 from benchmarks.kinds import DEVELOPMENT, KINDS, REPORTED, WITH_INPUTS, drawn, driven
 from reproduction.systems import double_torsion_pendulum
 from splitband import Comparison, compare
-from splitband.data import Trajectory, double_torsion, drill_string
+from splitband.data import Record, double_torsion, drill_string
 from splitband.data.named import double_mass_spring, van_der_pol
 from splitband.evaluation.selection import Trial
 from splitband.evaluation.setup import default_setup, usual_names
@@ -64,7 +64,7 @@ class Job:
 
     kind: str
     name: str
-    record: Callable[[], Trajectory]
+    record: Callable[[], Record]
     train: int
     methods: str
     parts: Path
@@ -86,7 +86,7 @@ def jobs(seeds: Sequence[int], others: bool, methods: str, parts: Path) -> list[
         for kind, system in WITH_INPUTS.items():
             make = partial(driven, system, seed)
             found.append(Job(kind, f"{kind} {seed}", make, inputs.TRAINING, methods, parts))
-    paper: list[tuple[str, Callable[[], Trajectory], int]] = [
+    paper: list[tuple[str, Callable[[], Record], int]] = [
         ("double torsion", double_torsion, 600),
         *((f"pendulum {row}", partial(double_torsion_pendulum, row), 600) for row in _ROWS),
         ("v", van_der_pol, 600),
@@ -127,7 +127,7 @@ def _measured(job: Job, report: object) -> Facts:
     return facts
 
 
-def _comparison(record: Trajectory, job: Job) -> Comparison:
+def _comparison(record: Record, job: Job) -> Comparison:
     if job.methods == DEFAULT:
         return compare(record, job.train)
     setup = default_setup(record, job.train)

@@ -27,7 +27,7 @@ UNITS = 16
 SEED = 150  # of the records
 
 
-def scores(record: sb.Trajectory, most: int) -> dict[str, float]:
+def scores(record: sb.Record, most: int) -> dict[str, float]:
     """By the number of seeds: the held-out error of their mean, on average over disjoint sets."""
     usual = sb.Settings.of(len(record))
     epochs = max(1, round(FIRST_STEPS / usual.batches_of(len(record))))

@@ -10,7 +10,7 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from splitband import Trajectory
+from splitband import Record
 from splitband.data.reading import read
 
 
@@ -86,7 +86,7 @@ SETS = {
 }  # fmt: skip
 
 
-def load(file: tuple[str, str]) -> Trajectory:
+def load(file: tuple[str, str]) -> Record:
     """A file of the data folder, if it is the published one."""
     name, digest = file
     path = Path(os.environ["SPLITBAND_DATA_DIR"]) / "benchmarks" / f"{name}.csv"

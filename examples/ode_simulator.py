@@ -18,7 +18,7 @@ angle = run(pendulum, SAMPLES, SAMPLING_TIME)
 # The record is made up here; `splitband.read("record.csv")` reads a measured one.
 frame = 0.3 * np.sin(2 * np.pi * 2.5 * SAMPLING_TIME * np.arange(SAMPLES))
 noise = np.random.default_rng(0).normal(0, 0.02, SAMPLES)
-record = sb.Trajectory(angle[:, 0] + frame + noise, SAMPLING_TIME)
+record = sb.Record(angle[:, 0] + frame + noise, SAMPLING_TIME)
 
 # Below 1.5 Hz the simulator, above it the network: L(simulator) + H(network) with L + H = 1.
 bands = sb.Bands(cutoff=1.5, order=1, downsampling=1)

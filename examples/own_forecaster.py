@@ -13,7 +13,7 @@ class Drift(sb.Forecaster):
 
     name = "drift"
 
-    def learn(self, records: Sequence[sb.Trajectory], **_: Any) -> None:
+    def learn(self, records: Sequence[sb.Record], **_: Any) -> None:
         """Keep the slope of the (first) training record."""
         y = records[0].y
         self.slope = (y[-1] - y[0]) / (len(y) - 1)
@@ -25,7 +25,7 @@ class Drift(sb.Forecaster):
 
 if __name__ == "__main__":
     rng = np.random.default_rng(0)
-    record = sb.Trajectory(0.01 * np.arange(400) + 0.1 * rng.standard_normal(400), 0.1)
+    record = sb.Record(0.01 * np.arange(400) + 0.1 * rng.standard_normal(400), 0.1)
     result = sb.compare(record, 300, [Drift(), sb.Mean(), sb.Persistence()])
     print(result.table[["held out", "forecast"]].round(3).to_string())
     print(f"recommended: {result.recommended}")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from reproduction.settings import HYBRID, LEARNING_BASED, Hybrid, LearningBased, in_hz
 from reproduction.systems import double_torsion_pendulum
-from splitband.data import Trajectory, double_torsion, drill_string, read
+from splitband.data import Record, double_torsion, drill_string, read
 from splitband.data.named import double_mass_spring, van_der_pol
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.names import NAMES, QUICK
@@ -36,17 +36,17 @@ class System:
 
     title: str
     column: LearningBased | Hybrid
-    record: Callable[[int], Trajectory]
+    record: Callable[[int], Record]
 
 
-def _torsion(row: str, _: int) -> Trajectory:
+def _torsion(row: str, _: int) -> Record:
     """The record of a row where SPLITBAND_DATA_DIR has it, otherwise the one that is public."""
     folder = os.environ.get("SPLITBAND_DATA_DIR")
     own = Path(folder or ".") / f"double_torsion_{row}.csv"
     if folder is None or not own.is_file():
         return double_torsion()
     y = read(own, sampling_time=0.01).y[:2000]
-    return Trajectory((y - y.mean(axis=0)) / y.std(axis=0), 0.01, name=own.stem, columns=("phi2",))
+    return Record((y - y.mean(axis=0)) / y.std(axis=0), 0.01, name=own.stem, columns=("phi2",))
 
 
 SYSTEMS = {
@@ -124,11 +124,11 @@ class Job:
         return SYSTEMS[self.system].column.epochs_of(self.method)
 
     @property
-    def record(self) -> Trajectory:
+    def record(self) -> Record:
         """What it learns from and is measured on."""
         return SYSTEMS[self.system].record(self.draw)
 
-    def setup(self, record: Trajectory) -> Setup:
+    def setup(self, record: Record) -> Setup:
         """The paper's settings with what this job changes."""
         setup = SYSTEMS[self.system].column.setup(record.sampling_rate, self.method)
         if self.epochs is not None:

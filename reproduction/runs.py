@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from reproduction.jobs import ORACLE, Job
 from reproduction.systems import MassSpringOracle
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.protocols import Errors, Run
 from splitband.evaluation.protocols import as_run as run_of
 from splitband.evaluation.runs import RunProgress
@@ -119,7 +119,7 @@ def load(job: Job, folder: Path) -> dict[str, Any]:
     return facts
 
 
-def as_run(facts: dict[str, Any], record: Trajectory) -> Run:
+def as_run(facts: dict[str, Any], record: Record) -> Run:
     """A loaded run with the predictions that its file holds, of its job's record."""
 
     def prediction(values: Array, parts: dict[str, Array]) -> Prediction:
@@ -194,7 +194,7 @@ class _Sent:
     """All that a job needs, wherever it is run: its record, and what there is of its training."""
 
     job: Job
-    record: Trajectory
+    record: Record
     files: Files
 
     @classmethod
@@ -225,7 +225,7 @@ def _work(
 
 def run(
     job: Job,
-    record: Trajectory,
+    record: Record,
     setup: Setup,
     progress: Callable[[RunProgress], None] | None = None,
     checkpoints: Path | None = None,
@@ -276,7 +276,7 @@ def _time(wall: float, processor: float, resumed: bool) -> dict[str, Any]:
     return facts | {"resumed": True} if resumed else facts
 
 
-def _identity(job: Job, record: Trajectory, setup: Setup) -> dict[str, Any]:
+def _identity(job: Job, record: Record, setup: Setup) -> dict[str, Any]:
     """What must agree for a file to be this job's."""
     return {
         "format": FORMAT,

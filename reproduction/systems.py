@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.known import Known
 from splitband.simulators import Ode, run
@@ -25,7 +25,7 @@ class MassSpringOracle(Forecaster):
 
     name = "oracle"
 
-    def learn(self, records: Sequence[Trajectory], **_: Any) -> None:
+    def learn(self, records: Sequence[Record], **_: Any) -> None:
         """See `Forecaster`."""
         self.step, y = records[0].sampling_time, records[0].y
         time = self._time(0, len(y))
@@ -69,7 +69,7 @@ TORSION_DRIVES = {"ii": (0.625, 24.0), "iii": (0.9, 40.0), "iv": (1.8, 150.0)}
 """Frequency in Hz and amplitude in 1/s^2 of the simulated pendulum's excitations, by row."""
 
 
-def double_torsion_pendulum(row: str, samples: int = 2000, seed: int = 0) -> Trajectory:
+def double_torsion_pendulum(row: str, samples: int = 2000, seed: int = 0) -> Record:
     """A double-torsion pendulum in place of the paper's unpublished records (ii) to (iv).
 
     Two discs of inertia 1: a spring to the frame and a sinusoidal torque on the first, a spring
@@ -105,4 +105,4 @@ def double_torsion_pendulum(row: str, samples: int = 2000, seed: int = 0) -> Tra
     y = (angle - angle.mean(axis=0)) / angle.std(axis=0)
     noise = np.random.default_rng(seed).normal(0.0, 0.01, y.shape)
     name = f"double-torsion-pendulum-{row}"
-    return Trajectory(y + noise, dt, y_true=y, name=name, columns=("phi2",))
+    return Record(y + noise, dt, y_true=y, name=name, columns=("phi2",))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from splitband import Settings, Trajectory
+from splitband import Record, Settings
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
@@ -20,7 +20,7 @@ QUICK = Settings(window=40, warmup=WARMUP, epochs=1, batch_size=16)
 SETUP = Setup(TRAIN, QUICK, bands=Bands(0.6, 2, 2), sizes=Sizes(hidden_high=5, hidden_low=3))
 
 
-def record(ny: int = 1, nu: int = 0, seed: int = 0) -> Trajectory:
+def record(ny: int = 1, nu: int = 0, seed: int = 0) -> Record:
     """Two sinusoids in each channel under a little noise, with a simulator of the slower one."""
     rng = np.random.default_rng(seed)
     t = DT * np.arange(LENGTH)[:, None]
@@ -28,7 +28,7 @@ def record(ny: int = 1, nu: int = 0, seed: int = 0) -> Trajectory:
     y = np.sin(2 * np.pi * 0.2 * t + phase[0]) + 0.4 * np.sin(2 * np.pi * 1.1 * t + phase[1])
     y_sim = 0.8 * np.sin(2 * np.pi * 0.2 * t + phase[0]) + 0.3
     u = rng.standard_normal((LENGTH, nu)) if nu else None
-    return Trajectory(y + 0.05 * rng.standard_normal(y.shape), DT, u=u, y_sim=y_sim)
+    return Record(y + 0.05 * rng.standard_normal(y.shape), DT, u=u, y_sim=y_sim)
 
 
 def holed(y: Array, *rows: Any, channel: Any = slice(None)) -> Array:
@@ -39,15 +39,15 @@ def holed(y: Array, *rows: Any, channel: Any = slice(None)) -> Array:
     return y
 
 
-def with_gaps(y: Array, **others: Any) -> Trajectory:
+def with_gaps(y: Array, **others: Any) -> Record:
     """A record of which NaN was not measured."""
-    return Trajectory.with_gaps(y, DT, **others)
+    return Record.with_gaps(y, DT, **others)
 
 
-def standing_in(y: Array, value: float, **others: Any) -> Trajectory:
+def standing_in(y: Array, value: float, **others: Any) -> Record:
     """The record of `y`, with one value in all of its gaps."""
     known = np.isfinite(y)
-    return Trajectory(np.where(known, y, value), DT, measured=known, **others)
+    return Record(np.where(known, y, value), DT, measured=known, **others)
 
 
 def rms(*errors: Array) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from splitband import Forecaster, Trajectory
+from splitband import Forecaster, Record
 from splitband.evaluation.protocols import Run, Runs, compare_methods
 from splitband.evaluation.protocols import as_run as run_of
 from splitband.evaluation.runs import RunProgress, Work
@@ -32,7 +32,7 @@ def forecasters(names: Sequence[Forecaster | str], setup: Setup) -> list[Forecas
     return [each.with_defaults(setup.settings, setup.bands) for each in made]
 
 
-def untrained(name: str, record: Trajectory, setup: Setup, seed: int) -> Model:
+def untrained(name: str, record: Record, setup: Setup, seed: int) -> Model:
     """The model of a method, its weights drawn from the seed."""
     network = setup.forecaster(name)
     assert isinstance(network, Network)
@@ -41,11 +41,11 @@ def untrained(name: str, record: Trajectory, setup: Setup, seed: int) -> Model:
 
 def asked(
     name: str,
-    record: Trajectory,
+    record: Record,
     setup: Setup,
     seed: int = 0,
     later: Sequence[int] = (),
-    others: Sequence[Trajectory] = (),
+    others: Sequence[Record] = (),
     checkpoint: Path | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Backtest:
@@ -59,10 +59,10 @@ def asked(
 
 def question_of(
     name: str,
-    record: Trajectory,
+    record: Record,
     setup: Setup,
     later: Sequence[int] = (),
-    others: Sequence[Trajectory] = (),
+    others: Sequence[Record] = (),
 ) -> Question:
     """Both protocols, and forecasts from `later` samples by the same fit."""
     origins = {
@@ -73,20 +73,20 @@ def question_of(
     return Question(record, sorted(origins), len(record), others)
 
 
-def run(name: str, record: Trajectory, setup: Setup, seed: int = 0) -> Run:
+def run(name: str, record: Record, setup: Setup, seed: int = 0) -> Run:
     """One method with one seed under both protocols."""
     done = asked(name, record, setup, seed)
     return run_of(name, question_of(name, record, setup), setup.train, done)
 
 
 def compare(
-    record: Trajectory,
+    record: Record,
     names: Sequence[Forecaster | str],
     setup: Setup,
     seeds: Sequence[int] = (0,),
     jobs: int = 1,
     progress: Watch | None = None,
-    others: Sequence[Trajectory] = (),
+    others: Sequence[Record] = (),
     checkpoints: Path | None = None,
 ) -> Runs:
     """Methods by name, under both protocols."""
@@ -95,13 +95,13 @@ def compare(
 
 
 def try_out(
-    record: Trajectory,
+    record: Record,
     names: Sequence[Forecaster | str],
     setup: Setup,
     seeds: Sequence[int] = (0,),
     jobs: int = 1,
     progress: Watch | None = None,
-    others: Sequence[Trajectory] = (),
+    others: Sequence[Record] = (),
     checkpoints: Path | None = None,
 ) -> Trial:
     """Methods by name, on the held-out end of the training part."""
@@ -115,7 +115,7 @@ def settled(trial: Trial, runs: Runs) -> Trial:
     return trial.settled(runs.ahead, runs.failed)
 
 
-def with_other_samples(record: Trajectory, start: int, stop: int | None = None) -> Trajectory:
+def with_other_samples(record: Record, start: int, stop: int | None = None) -> Record:
     """A record of which other samples were measured from index `start` on."""
     y = record.y.copy()
     y[start:stop] += 25.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from splitband import GRU, EulerMLP, Settings, Trajectory
+from splitband import GRU, EulerMLP, Record, Settings
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
@@ -40,12 +40,12 @@ def test_what_was_measured_lies_where_the_target_does() -> None:
     assert targets(torch.ones(40, 1, dtype=torch.bool), task, 30, 10).device == y.device
 
 
-def record(gaps: bool) -> Trajectory:
+def record(gaps: bool) -> Record:
     t = 0.1 * np.arange(120)[:, None]
     y = np.sin(1.3 * t) + 0.1 * np.random.default_rng(0).standard_normal(t.shape)
     if gaps:
         y[[25, 60]] = np.nan
-    return Trajectory.with_gaps(y, 0.1, y_sim=np.sin(1.3 * t))
+    return Record.with_gaps(y, 0.1, y_sim=np.sin(1.3 * t))
 
 
 @gpu

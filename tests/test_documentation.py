@@ -22,7 +22,7 @@ from splitband.cli import COMMANDS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 EXAMPLES = (
-    "ComplementaryPair", "Ensemble", "Filtered", "Residual", "Single", "Split", "Trajectory",
+    "ComplementaryPair", "Ensemble", "Filtered", "Residual", "Single", "Split", "Record",
     "compare", "forecast", "load", "read", "rmse", "rollout",
 )  # fmt: skip
 """Public names whose docstrings must have an example."""

@@ -156,7 +156,7 @@ def test_only_the_command_line_prints() -> None:
 
 MOST_PARAMETERS, MOST_FIELDS = 8, 9
 LARGER = {
-    "Trajectory",  # the one data container: a field for each signal, and what it is called
+    "Record",  # the one data container: a field for each signal, and what it is called
     "Settings",  # the paper's hyperparameters of a training and ours, named in every run file
 }  # fmt: skip
 

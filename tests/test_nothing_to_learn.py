@@ -8,7 +8,7 @@ import pytest
 import scipy.signal
 
 import splitband as sb
-from splitband import GRU, Bands, Settings, Trajectory
+from splitband import GRU, Bands, Record, Settings
 from splitband.filters.spectrum import oracle
 from tests.cli.support import call, results
 
@@ -21,11 +21,11 @@ AHEAD = -np.angle(
 )
 
 
-def record(ahead: float) -> Trajectory:
+def record(ahead: float) -> Record:
     """A slow oscillation and a fast one; the simulator knows the slow one, with another phase."""
     slow, fast = 2 * np.pi * SLOW * TIME, 2 * np.pi * 2.0 * TIME
     y = np.sin(slow) + 0.05 * np.sin(fast)
-    return Trajectory(y[:, None], DT, y_sim=np.sin(slow + ahead)[:, None], name="r")
+    return Record(y[:, None], DT, y_sim=np.sin(slow + ahead)[:, None], name="r")
 
 
 def fitted(ahead: float, calibrated: bool = False) -> sb.Forecaster:

@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from splitband.data import Grid, Trajectory, read
+    from splitband.data import Grid, Record, read
     from splitband.evaluation.comparison import Comparison, compare
     from splitband.evaluation.forecast import Forecast, forecast
     from splitband.evaluation.runs import Work
@@ -43,7 +43,7 @@ __version__ = "0.2.0"
 
 # Loaded on first use: torch and pandas take seconds.
 _MODULES = {
-    "data": ("Grid", "Trajectory", "read"),
+    "data": ("Grid", "Record", "read"),
     "evaluation.comparison": ("Comparison", "compare"),
     "evaluation.forecast": ("Forecast", "forecast"),
     "evaluation.runs": ("Work",),
@@ -106,6 +106,7 @@ __all__ = [
     "Prediction",
     "Progress",
     "Question",
+    "Record",
     "Recorded",
     "Residual",
     "Search",
@@ -117,7 +118,6 @@ __all__ = [
     "Single",
     "Sizes",
     "Split",
-    "Trajectory",
     "Tuned",
     "Tuning",
     "Work",

@@ -9,7 +9,7 @@ import scipy.signal
 
 import splitband as sb
 from benchmarks import inputs as records
-from splitband import Settings, Trajectory
+from splitband import Record, Settings
 from splitband.baselines.delays import candidates, delayed
 from splitband.metrics import rmse
 
@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 TRAIN, SAMPLES, DT = 600, 900, 0.02
 
 
-def late(*delays: int, seed: int = 0) -> Trajectory:
+def late(*delays: int, seed: int = 0) -> Record:
     """One pole under steps of each input, which act late, with noise of 0.01."""
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.standard_normal((SAMPLES // 10, len(delays))), 10, axis=0)
@@ -26,7 +26,7 @@ def late(*delays: int, seed: int = 0) -> Trajectory:
         for i, delay in enumerate(delays)
     )
     noise = 0.01 * rng.standard_normal(SAMPLES)
-    return Trajectory(np.asarray(y) + noise, DT, u=u, y_true=np.asarray(y))
+    return Record(np.asarray(y) + noise, DT, u=u, y_true=np.asarray(y))
 
 
 @pytest.mark.parametrize("delay", [8, 12, 20, 40])
@@ -82,7 +82,7 @@ def test_a_network_sees_what_acts_late_when_it_acts(tmp_path: Path) -> None:
     assert model.delays == (20,)
     assert "input delay u: 20 samples" in model.describe()
     assert record.u is not None
-    shifted = Trajectory(record.y, DT, u=delayed(record.u, (20,)))
+    shifted = Record(record.y, DT, u=delayed(record.u, (20,)))
     by_hand = sb.Single(sb.GRU(3), settings).fit(shifted[:TRAIN], seed=1)
     assert by_hand.delays == (0,)
     y = model.predict(50).y

@@ -9,7 +9,7 @@ import pytest
 import scipy.optimize
 import scipy.stats
 
-from splitband import Trajectory
+from splitband import Record
 from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.naive import LONGEST, ByTime, recent
 from splitband.baselines.periodic import PeriodicRegression
@@ -126,7 +126,7 @@ def test_a_sparse_channel_does_not_make_the_others_longer() -> None:
 @pytest.mark.parametrize("name", ["mean", "seasonal-naive", "periodic"])
 def test_a_baseline_of_a_record_without_gaps_is_that_of_its_samples(name: str) -> None:
     r = record()
-    same = Trajectory(r.y, DT, measured=np.ones_like(r.y, dtype=np.bool_))
+    same = Record(r.y, DT, measured=np.ones_like(r.y, dtype=np.bool_))
     a, b = (named(name).fit(each[:TRAIN]).predict(20).y for each in (r, same))
     np.testing.assert_array_equal(a, b)
 

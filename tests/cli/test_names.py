@@ -81,10 +81,10 @@ def test_a_history_of_other_names_is_refused_by_command_and_in_python(
         (("temp", "b"), ("force",), "training record, a, b, got temp, b"),
         (("a", "b"), ("rpm",), "training record, force, got rpm"),
     ):
-        other = sb.Trajectory(y, DT, u=u, columns=columns, inputs=inputs, start=0.0)
+        other = sb.Record(y, DT, u=u, columns=columns, inputs=inputs, start=0.0)
         with pytest.raises(ValueError, match=both):
             forecaster.predict(3, other, coming)
-    nameless = forecaster.predict(3, sb.Trajectory(y, DT, u=u, start=0.0), coming)
+    nameless = forecaster.predict(3, sb.Record(y, DT, u=u, start=0.0), coming)
     named = sb.read("history.csv", columns=["a", "b"], inputs="force")
     np.testing.assert_allclose(nameless.y, forecaster.predict(3, named, coming).y)
 

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 import scipy.signal
 
-from splitband import Trajectory, read
+from splitband import Record, read
 from splitband.cli import main
 from splitband.cli.options.records import FurtherRecords, RecordOptions
 from splitband.cli.options.simulators import SimulatorOptions
@@ -102,17 +102,17 @@ def simulator_error(simulator: str, time_column: str | None = None) -> float:
 
 
 def test_time_stamps_go_through_slices_and_replacements() -> None:
-    record = Trajectory(np.arange(50.0), DT, start=20)
+    record = Record(np.arange(50.0), DT, start=20)
     np.testing.assert_allclose(record.time, times(20, samples=50))
     part = replace(record[10:40][5:-1], name="part")
     assert part.start == pytest.approx(21.5)
     np.testing.assert_array_equal(part.stamps, np.round(times(21.5, samples=24), 9))
     assert record[-3:].start == pytest.approx(24.7)
-    assert Trajectory(np.arange(5.0), DT)[2:].start is None
+    assert Record(np.arange(5.0), DT)[2:].start is None
 
 
 def test_dates_go_through_slices_and_time_counts_from_the_first() -> None:
-    record = Trajectory(np.arange(50.0), 0.25, start=pd.Timestamp("2024-02-29 23:59:59", tz="UTC"))
+    record = Record(np.arange(50.0), 0.25, start=pd.Timestamp("2024-02-29 23:59:59", tz="UTC"))
     part = record[6:]
     expected = pd.date_range("2024-03-01 00:00:00.5", periods=44, freq="250ms", tz="UTC")
     assert part.start == expected[0]
@@ -123,7 +123,7 @@ def test_dates_go_through_slices_and_time_counts_from_the_first() -> None:
 @pytest.mark.parametrize("start", [np.nan, np.inf, "soon", pd.NaT])
 def test_what_is_no_time_stamp_is_refused(start: Any) -> None:
     with pytest.raises(ValueError, match="a time stamp must be"):
-        Trajectory(np.arange(5.0), DT, start=start)
+        Record(np.arange(5.0), DT, start=start)
 
 
 @pytest.mark.parametrize("gaps", ["refuse", "mask"])
@@ -305,7 +305,7 @@ def test_a_record_is_resampled_with_all_its_signals() -> None:
     time = times(20, 0.1009)
     measured = np.ones((SAMPLES, 1), dtype=np.bool_)
     measured[100] = False
-    record = Trajectory(signal(time), 0.1009, u=time, y_true=signal(time), y_sim=2 * signal(time),
+    record = Record(signal(time), 0.1009, u=time, y_true=signal(time), y_sim=2 * signal(time),
                         measured=measured, start=20.0)  # fmt: skip
     found = resampled(record, DT)
     assert (found.start, found.sampling_time) == (20.0, DT)
@@ -321,7 +321,7 @@ def test_a_record_is_resampled_with_all_its_signals() -> None:
 
 
 def test_an_exported_trajectory_runs_beside_a_record_by_its_time_stamps() -> None:
-    exported = Recorded.of(Trajectory(signal(times(15)), DT, start=15.0))
+    exported = Recorded.of(Record(signal(times(15)), DT, start=15.0))
     found = run(exported, 100, DT, start=20.0)
     np.testing.assert_allclose(found[:, 0], signal(times(20, samples=100)), atol=1e-12)
     with pytest.raises(ValueError, match=r"must cover 0 s to 9\.9 s"):
@@ -403,7 +403,7 @@ def test_a_function_runs_on_the_time_stamps_of_the_record(
 def test_further_records_are_resampled_and_have_simulators_of_their_own_time(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    record = Trajectory(signal(times(20)), DT, start=20.0)
+    record = Record(signal(times(20)), DT, start=20.0)
     other = times(50, 0.1009)
     write(Path("more.csv"), other, y=signal(other))
     write(Path("sim.csv"), times(48, samples=400), y=signal(times(48, samples=400)))

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from splitband import Trajectory
+from splitband import Record
 from tests.records import (
     DT,
     NAN,
@@ -77,7 +77,7 @@ def test_the_noise_free_signal_is_known_in_gaps_too() -> None:
         (lambda: with_gaps(np.ones(5), u=np.full(5, NAN)), "u must have a finite value"),
         (lambda: with_gaps(np.ones(5), u=np.ones(4)), "u must have as many samples as y"),
         (
-            lambda: Trajectory(np.ones(5), DT, measured=np.ones((5, 2), np.bool_)),
+            lambda: Record(np.ones(5), DT, measured=np.ones((5, 2), np.bool_)),
             r"the shape of y, \(5, 1\): it is \(5, 2\)",
         ),
     ],

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from splitband.data import Trajectory, read
+from splitband.data import Record, read
 from splitband.data.reading import ReadingWarning
 from tests.data.support import U, iso, message, stamped, text_file
 
@@ -199,7 +199,7 @@ def test_days_and_months_are_not_mistaken_for_each_other(
 
 def test_a_date_of_numpy_is_a_time_stamp() -> None:
     start = np.datetime64("2024-01-01T10:00", "ns")
-    found: Any = Trajectory(np.arange(3.0), 0.1, start=start)  # type: ignore[arg-type]
+    found: Any = Record(np.arange(3.0), 0.1, start=start)  # type: ignore[arg-type]
     assert found.start == pd.Timestamp("2024-01-01 10:00")
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy
 
-from splitband import Settings, Trajectory
+from splitband import Record, Settings
 from splitband.evaluation.bases import on_baseline
 from splitband.evaluation.runs import Work
 from splitband.evaluation.search import Search, SearchResult
@@ -22,12 +22,12 @@ SETUP = Setup(SAMPLES, SHORT, sizes=Sizes(hidden_high=4, hidden_low=2))
 WANTED = Search(bases=True)
 
 
-def record(nonlinear: float) -> Trajectory:
+def record(nonlinear: float) -> Record:
     """A slow response to the input, as a linear model has it, and a share of the input's square."""
     rng = np.random.default_rng(0)
     u = scipy.signal.lfilter([0.5], [1, -0.5], rng.normal(size=SAMPLES + STEPS))
     y = scipy.signal.lfilter([0.02], [1, -1.96, 0.97], u) + nonlinear * u**2
-    return Trajectory(y + 0.01 * rng.normal(size=len(u)), 0.1, u=u)[:SAMPLES]
+    return Record(y + 0.01 * rng.normal(size=len(u)), 0.1, u=u)[:SAMPLES]
 
 
 @cache

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy
 
-from splitband import Settings, Trajectory
+from splitband import Record, Settings
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.protocols import Errors, Run, by_channel, mean_run
 from splitband.evaluation.selection import Trial
@@ -30,12 +30,12 @@ SETUP = Setup(
 SINES = ("persistence", "seasonal-naive", "harmonic")
 
 
-def record(seed: int = 0, noise: float = 0.05) -> Trajectory:
+def record(seed: int = 0, noise: float = 0.05) -> Record:
     rng = np.random.default_rng(seed)
     t = DT * np.arange(LENGTH)[:, None]
     y = np.sin(2 * np.pi * 0.2 * t) + 0.4 * np.sin(2 * np.pi * 1.13 * t)
     y_sim = 0.5 * y + 0.3
-    return Trajectory(y + noise * rng.standard_normal(y.shape), DT, y_true=y, y_sim=y_sim)
+    return Record(y + noise * rng.standard_normal(y.shape), DT, y_true=y, y_sim=y_sim)
 
 
 def test_the_held_out_part_is_the_end_of_the_training_part() -> None:
@@ -246,7 +246,7 @@ def test_fits_to_too_few_samples_do_not_widen_an_interval() -> None:
     """A period of 40 samples is not found in 75, which hold less than two of them."""
     noise = 0.02 * np.random.default_rng(3).standard_normal((LENGTH, 1))
     season = np.sin(2 * np.pi * np.arange(LENGTH) / 40)[:, None] ** 3
-    r = Trajectory(season + noise, DT)
+    r = Record(season + noise, DT)
     interval = try_out(r, ["seasonal-naive"], SETUP).intervals["seasonal-naive"]
     assert interval.half_widths(1).max() < 0.15
 
@@ -278,7 +278,7 @@ def test_errors_of_several_seeds_cancel_in_their_mean() -> None:
 def test_channels_of_different_units_have_errors_and_scales_of_their_own() -> None:
     r = record()
     units = np.array([1.0, 1e4])
-    both = Trajectory(np.hstack([r.y, r.y[::-1]]) * units + [0, 1e5], DT, columns=("V", "Pa"))
+    both = Record(np.hstack([r.y, r.y[::-1]]) * units + [0, 1e5], DT, columns=("V", "Pa"))
     runs = compare(both, ["mean", "harmonic"], SETUP)
     for (found,) in runs.values():
         of_channels = by_channel(both, found.from_start.y)

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 import splitband.forecasters.network
-from splitband import GRU, Settings, Trajectory
+from splitband import GRU, Record, Settings
 from splitband.cli import main
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.setup import Setup
@@ -29,7 +29,7 @@ from tests.support import compare, settled, try_out
 DT, TRAIN, LENGTH = 0.1, 120, 200
 TIME = DT * np.arange(LENGTH)[:, None]
 SIMULATED = np.sin(2 * np.pi * 0.2 * TIME) + 0.4 * np.sin(2 * np.pi * 1.13 * TIME)
-RECORD = Trajectory(np.round(2 * SIMULATED + 1, 4), DT, y_sim=SIMULATED)
+RECORD = Record(np.round(2 * SIMULATED + 1, 4), DT, y_sim=SIMULATED)
 QUICK = Settings(40, 10, 3, 16)
 SETUP = Setup(TRAIN, QUICK, bands=Bands(0.6, 1, 2), sizes=Sizes(hidden_high=4, hidden_low=3))
 DIVERGING = Single(GRU(7), replace(QUICK, learning_rate=1e30))

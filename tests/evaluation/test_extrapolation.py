@@ -12,7 +12,7 @@ import pytest
 import safetensors.torch
 import torch
 
-from splitband import GRU, Settings, Trajectory
+from splitband import GRU, Record, Settings
 from splitband.cli import main
 from splitband.metrics import ExtrapolationWarning, extrapolations
 from splitband.models import Recurrent
@@ -52,7 +52,7 @@ def test_a_model_warns_of_inputs_that_it_was_not_trained_on(tmp_path: Path) -> N
     rng = np.random.default_rng(0)
     u = rng.uniform(-1, 1, (LENGTH, 1))
     model = Recurrent(GRU(4, 1, 1))
-    training = Trajectory(np.cumsum(u, axis=0), 0.1, u=u)
+    training = Record(np.cumsum(u, axis=0), 0.1, u=u)
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # not trained yet: no range is known
         model.simulate(training.y[:10], 20, 1e4 * u)

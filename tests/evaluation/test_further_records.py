@@ -5,7 +5,7 @@ import pytest
 import scipy.signal
 
 import splitband as sb
-from splitband import Bands, Settings, Setup, Trajectory
+from splitband import Bands, Record, Settings, Setup
 from splitband.baselines.linear import OutputError
 from splitband.metrics import ExtrapolationWarning, rmse
 
@@ -13,11 +13,11 @@ SHORT = Settings(40, 10, 1)
 SETUP = Setup(300, SHORT, Bands(0.6, 1, 2))
 
 
-def driven(seed: int, amplitude: float = 1.0) -> Trajectory:
+def driven(seed: int, amplitude: float = 1.0) -> Record:
     rng = np.random.default_rng(seed)
     u = amplitude * np.repeat(rng.standard_normal(40), 10)
     y = scipy.signal.lfilter([0.1], [1, -0.9], u) + 0.01 * rng.standard_normal(400)
-    return Trajectory(np.asarray(y) + 3, 0.1, u=u, name=f"run {seed}")
+    return Record(np.asarray(y) + 3, 0.1, u=u, name=f"run {seed}")
 
 
 STILL, MOVED, TEST = driven(0, 0.0), driven(1), driven(2)
@@ -62,7 +62,7 @@ def test_records_of_one_run_say_what_the_whole_of_it_says() -> None:
 
 
 def test_a_constant_record_needs_no_band_where_no_method_has_one() -> None:
-    constant = Trajectory(np.full(200, 7.0), 0.1, u=TEST.u[:200] if TEST.u is not None else None)
+    constant = Record(np.full(200, 7.0), 0.1, u=TEST.u[:200] if TEST.u is not None else None)
     found = sb.compare(constant, 150, ["linear", "mean"])
     for runs in found.runs.values():
         np.testing.assert_allclose(runs[0].ahead, 7.0)
@@ -70,7 +70,7 @@ def test_a_constant_record_needs_no_band_where_no_method_has_one() -> None:
 
 
 def test_a_method_that_cannot_be_fitted_does_not_take_the_others_along() -> None:
-    constant = Trajectory(np.full(200, 7.0), 0.1)
+    constant = Record(np.full(200, 7.0), 0.1)
     methods = [sb.Split(sb.GRU(2), sb.GRU(2), settings=SHORT), sb.Mean()]
     found = sb.compare(constant, 150, methods, seeds=1)
     assert found.recommended == "mean"

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from splitband import Trajectory
+from splitband import Record
 from splitband.forecasters.backtest import Origin
 from splitband.training import fit
 from tests.records import (
@@ -33,7 +33,7 @@ def test_errors_and_coverage_do_not_depend_on_what_stands_in_for_later_gaps() ->
     for value in (0.0, 300.0):
         standing = np.where(np.arange(LENGTH) < TRAIN, 0.0, value)[:, None]
         known = np.isfinite(y)
-        records.append(Trajectory(np.where(known, y, standing), DT, measured=known))
+        records.append(Record(np.where(known, y, standing), DT, measured=known))
     first, other = (compare(each, methods, SETUP) for each in records)
     trials = [settled(try_out(each, methods, SETUP), first) for each in records]
     for method in methods:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import splitband as sb
-from splitband import GRU, Bands, Forecaster, Known, Settings, Setup, Trajectory
+from splitband import GRU, Bands, Forecaster, Known, Record, Settings, Setup
 from splitband.evaluation.setup import default_setup
 from splitband.forecasters.prediction import mean_of
 from splitband.metrics import ExtrapolationWarning
@@ -22,9 +22,9 @@ SETTINGS = Settings(40, WARMUP, 1, 16)
 SETUP = Setup(TRAIN, SETTINGS, Bands(0.6, 1, 2), sb.Sizes(hidden_high=4, hidden_low=3))
 
 
-def record(samples: int = 200) -> Trajectory:
+def record(samples: int = 200) -> Record:
     t = DT * np.arange(samples)
-    return Trajectory(np.sin(1.3 * t) + 0.2 * np.sin(8 * t), DT)
+    return Record(np.sin(1.3 * t) + 0.2 * np.sin(8 * t), DT)
 
 
 @cache
@@ -104,7 +104,7 @@ def test_a_first_warm_up_after_the_training_part_does_not_hide_the_forecast() ->
     y = record().y.copy()
     y[5:TRAIN:10] = np.nan
     measured = ~np.isnan(y)
-    gaps = Trajectory(np.nan_to_num(y), DT, measured=measured)
+    gaps = Record(np.nan_to_num(y), DT, measured=measured)
     setup = replace(SETUP, settings=replace(SETTINGS, warmup=20))
     result = sb.compare(gaps, methods=["mean"], setup=setup)
     (run,) = result.runs["mean"]
@@ -117,7 +117,7 @@ def test_a_channel_that_ends_before_the_held_out_part_is_named() -> None:
     y = np.concatenate([record().y, record().y], axis=1)
     measured = np.ones(y.shape, bool)
     measured[110:, 1] = False
-    broken = Trajectory(y, DT, columns=("a", "b"), measured=measured)
+    broken = Record(y, DT, columns=("a", "b"), measured=measured)
     with pytest.raises(ValueError, match="b must have a measured sample among the last 40"):
         sb.tune(broken, TRAIN, ["gru"], effort=sb.Effort(trials=1), setup=SETUP)
 
@@ -127,7 +127,7 @@ class _Diverging(Forecaster):
 
     name, random = "diverging", True
 
-    def learn(self, records: Sequence[Trajectory], *, seed: int, **_: Any) -> None:
+    def learn(self, records: Sequence[Record], *, seed: int, **_: Any) -> None:
         if seed == 1:
             raise FloatingPointError("it diverged")
         self.value = float(seed)
@@ -149,7 +149,7 @@ def test_the_seeds_that_did_not_diverge_are_handed_out() -> None:
 def test_a_calibration_is_the_same_wherever_it_is_fitted() -> None:
     """Of a simulator whose output ends with the record."""
     t = DT * np.arange(400)
-    simulated = Trajectory(np.sin(1.03 * t), DT, y_sim=np.sin(t))
+    simulated = Record(np.sin(1.03 * t), DT, y_sim=np.sin(t))
     setup = replace(SETUP, train=300)
     result = sb.compare(simulated, methods=[sb.Simulation(calibrated=True)], setup=setup)
     with pytest.warns(ExtrapolationWarning, match="output ends too early"):

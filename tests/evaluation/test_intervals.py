@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 import scipy
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.selection import Trial
 from splitband.evaluation.setup import default_setup
 from splitband.forecasters.intervals import FARTHEST, Interval
@@ -223,7 +223,7 @@ def test_noise_that_a_forecast_repeats_is_counted_once() -> None:
     inside, widths = [], []
     for seed in range(4):
         y = SEASON + 0.2 * np.random.default_rng(seed).standard_normal(1000)
-        record = Trajectory(y[:, None], 0.1)
+        record = Record(y[:, None], 0.1)
         setup = default_setup(record, 400)
         runs = compare(record, ["seasonal-naive"], setup)
         found = settled(try_out(record, ["seasonal-naive"], setup), runs)

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 import splitband as sb
-from splitband import GRU, Bands, Settings, Trajectory
+from splitband import GRU, Bands, Record, Settings
 
 DT, WARMUP = 0.1, 12
 SETTINGS = Settings(40, WARMUP, 1, 16)
@@ -22,13 +22,13 @@ def slow(time: np.ndarray) -> np.ndarray:
     return np.sin(0.7 * time)
 
 
-def rig(samples: int, begin: float) -> Trajectory:
+def rig(samples: int, begin: float) -> Record:
     time = begin + DT * np.arange(samples)
     y = slow(time) + 0.2 * np.sin(8 * time)
-    return Trajectory(y, DT, start=begin, name=f"from {begin:g}")
+    return Record(y, DT, start=begin, name=f"from {begin:g}")
 
 
-def known(record: Trajectory) -> Trajectory:
+def known(record: Record) -> Record:
     """The record with the output of its simulator."""
     assert isinstance(record.start, float)
     return replace(record, y_sim=slow(record.start + DT * np.arange(len(record)))[:, None])
@@ -76,8 +76,8 @@ def test_an_export_that_covers_both_days_says_each_of_them() -> None:
     first, second = pd.Timestamp("2024-05-01"), pd.Timestamp("2024-05-02")
     days = np.arange(2 * 86400 // 60) / 60.0
     model = sb.Simulation(sb.Recorded(np.sin(days), 60.0, first))
-    record = Trajectory(np.sin(days[:200]), 60.0, start=first)
-    test = Trajectory(np.sin(days[1440:1540]), 60.0, start=second)
+    record = Record(np.sin(days[:200]), 60.0, start=first)
+    test = Record(np.sin(days[1440:1540]), 60.0, start=second)
     found = model.fit(record).predict(88, test[:12], other_record=True)
     np.testing.assert_allclose(found.y[:, 0], np.sin(days[1452:1540]), atol=1e-9)
 

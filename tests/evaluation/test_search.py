@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import splitband as sb
-from splitband import Settings, Trajectory
+from splitband import Record, Settings
 from splitband.evaluation import search as searching
 from splitband.evaluation.costs import reference_seconds, training_cost
 from splitband.evaluation.runs import Work
@@ -44,7 +44,7 @@ def methods(setup: Setup, *names: str) -> list[Forecaster]:
 
 
 def searched_by(
-    training: Trajectory,
+    training: Record,
     names: Sequence[str] = ("gru", "split-gru"),
     budget: Search | None = None,
     work: Work | None = None,

@@ -10,7 +10,7 @@ import threadpoolctl
 import torch
 
 import splitband.forecasters.simulation
-from splitband import Settings, Trajectory
+from splitband import Record, Settings
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
@@ -26,7 +26,7 @@ DT, TRAIN, LENGTH = 0.1, 120, 200
 TIME = DT * np.arange(LENGTH)[:, None]
 SIMULATED = np.sin(2 * np.pi * 0.2 * TIME) + 0.4 * np.sin(2 * np.pi * 1.13 * TIME)
 NOISE = 0.05 * np.random.default_rng(0).standard_normal((LENGTH, 1))
-RECORD = Trajectory(2 * SIMULATED + 1 + NOISE, DT, y_sim=SIMULATED)
+RECORD = Record(2 * SIMULATED + 1 + NOISE, DT, y_sim=SIMULATED)
 SETUP = Setup(
     TRAIN, Settings(40, 10, 1, 16), bands=Bands(0.6, 1, 2), sizes=Sizes(hidden_high=4, hidden_low=3)
 )

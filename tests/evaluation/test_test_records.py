@@ -9,7 +9,7 @@ import pytest
 import scipy.signal
 
 import splitband as sb
-from splitband import Bands, Settings, Setup, Trajectory
+from splitband import Bands, Record, Settings, Setup
 from splitband.metrics import rmse
 
 DT, TRAIN, WARMUP = 0.1, 160, 12
@@ -18,14 +18,12 @@ QUICK = Settings(40, WARMUP, 1, 16)
 SETUP = Setup(TRAIN, QUICK, Bands(0.6, 1, 2))
 
 
-def driven(samples: int, seed: int, begin: float = 0.0) -> Trajectory:
+def driven(samples: int, seed: int, begin: float = 0.0) -> Record:
     """A second-order system under a random input, from a state of its own."""
     rng = np.random.default_rng(seed)
     u = rng.uniform(-1, 1, (samples + 50, 1))
     y = scipy.signal.lfilter([0.0, 0.3, 0.1], [1.0, -1.5, 0.7], u[:, 0]) + 2.0
-    return Trajectory(
-        y[50:, None], DT, u=u[50:], inputs=("force",), start=begin, name=f"rig {seed}"
-    )
+    return Record(y[50:, None], DT, u=u[50:], inputs=("force",), start=begin, name=f"rig {seed}")
 
 
 TESTS = (driven(90, 1), driven(70, 2, begin=100.0))
@@ -75,7 +73,7 @@ def test_what_goes_on_in_the_time_of_the_training_record_is_left_out_by_name(
 
 
 def test_a_hybrid_model_needs_the_simulator_of_the_test_record() -> None:
-    def simulated(record: Trajectory) -> Trajectory:
+    def simulated(record: Record) -> Record:
         return replace(record, y_sim=0.9 * record.y)
 
     tests = [simulated(test) for test in TESTS]
@@ -89,7 +87,7 @@ def test_a_hybrid_model_needs_the_simulator_of_the_test_record() -> None:
 
 
 def test_all_of_the_record_is_trained_on_and_nothing_is_learned_from_tests() -> None:
-    def forecast(tests: tuple[Trajectory, ...]) -> np.ndarray:
+    def forecast(tests: tuple[Record, ...]) -> np.ndarray:
         methods = [sb.Single(sb.GRU(4), settings=QUICK)]
         found = sb.compare(driven(TRAIN, 0), methods=methods, tests=tests, seeds=1)
         assert found.setup.train == TRAIN
@@ -136,7 +134,7 @@ def test_a_test_record_that_a_method_cannot_warm_up_on_costs_no_other_result() -
     """The network below runs freely from the first sample on, which was not measured here."""
     y = TESTS[0].y.copy()
     y[:5] = np.nan
-    gap = Trajectory.with_gaps(y, DT, TESTS[0].u, name="gap", inputs=("force",))
+    gap = Record.with_gaps(y, DT, TESTS[0].u, name="gap", inputs=("force",))
     below = sb.Residual(sb.Single(sb.GRU(3), QUICK), sb.GRU(3), settings=QUICK, name="below")
     record = driven(TRAIN + 40, 0)
     result = sb.compare(record, TRAIN, [below, sb.Mean()], tests=[gap], seeds=1, setup=SETUP)
@@ -150,7 +148,7 @@ def test_a_test_record_that_a_method_cannot_warm_up_on_costs_no_other_result() -
 def test_a_channel_that_is_not_measured_after_the_warm_up_is_refused_at_once() -> None:
     y = TESTS[0].y.copy()
     y[40:] = np.nan
-    empty = Trajectory.with_gaps(y, DT, TESTS[0].u, name="empty", inputs=("force",))
+    empty = Record.with_gaps(y, DT, TESTS[0].u, name="empty", inputs=("force",))
     lost = replace(empty, measured=np.arange(len(y))[:, None] < WARMUP)
     with pytest.raises(ValueError, match="every channel of the test record empty must be measured"):
         sb.compare(driven(TRAIN, 0), methods=[sb.Mean()], tests=[lost], setup=SETUP)
@@ -168,7 +166,7 @@ def test_test_records_of_one_name_are_told_apart() -> None:
 def test_what_can_be_tested_is_recommended() -> None:
     """Of a sine, harmonic regression knows more, but nothing of another record."""
     t = DT * np.arange(200)
-    record, test = (Trajectory(np.sin(1.3 * t + phase), DT) for phase in (0.0, 2.0))
+    record, test = (Record(np.sin(1.3 * t + phase), DT) for phase in (0.0, 2.0))
     result = sb.compare(record, 160, [sb.Harmonic(), sb.Mean()], tests=[test], setup=SETUP)
     assert result.require_trial().errors["harmonic"] < result.require_trial().errors["mean"]
     assert result.recommended == "mean"

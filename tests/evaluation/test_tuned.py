@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from splitband import GRU, Ensemble, Forecaster, Mean, Single
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.tuned import Tuned
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import TRAINED, Sizes
@@ -119,9 +119,9 @@ def test_what_is_no_settings_file_is_refused(text: str, tmp_path: Path) -> None:
         Tuned.read(path)
 
 
-def record(columns: tuple[str, ...], inputs: tuple[str, ...]) -> Trajectory:
+def record(columns: tuple[str, ...], inputs: tuple[str, ...]) -> Record:
     y, u = np.zeros((9, len(columns))), np.zeros((9, len(inputs)))
-    return Trajectory(y, 1, u=u if inputs else None, columns=columns, inputs=inputs)
+    return Record(y, 1, u=u if inputs else None, columns=columns, inputs=inputs)
 
 
 def test_settings_know_the_columns_and_inputs_they_are_for(tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ def test_settings_know_the_columns_and_inputs_they_are_for(tmp_path: Path) -> No
     tuned = Tuned.read(tmp_path / "s.json")
     assert (tuned.columns, tuned.inputs) == (("pos", "angle"), ("force", "valve"))
     tuned.check(record(("angle", "pos"), ("valve", "force")))
-    tuned.check(Trajectory(np.zeros((9, 2)), 1, u=np.zeros((9, 2))))  # without names
+    tuned.check(Record(np.zeros((9, 2)), 1, u=np.zeros((9, 2))))  # without names
     for columns, inputs in (
         (("pos", "angle"), ("force",)),
         (("pos", "angle", "valve"), ("force",)),

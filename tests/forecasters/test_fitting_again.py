@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import splitband as sb
-from splitband import GRU, Bands, Settings, Trajectory
+from splitband import GRU, Bands, Record, Settings
 from splitband.forecasters.network import Network
 
 SETTINGS = Settings(window=40, warmup=16, epochs=1)
@@ -18,9 +18,9 @@ OPEN = {
 }
 
 
-def tones(step: float, samples: int = 160) -> Trajectory:
+def tones(step: float, samples: int = 160) -> Record:
     t = step * np.arange(samples)
-    return Trajectory(np.sin(2 * t) + 0.3 * np.sin(31 * t), step)
+    return Record(np.sin(2 * t) + 0.3 * np.sin(31 * t), step)
 
 
 @pytest.mark.parametrize("name", OPEN)

@@ -16,7 +16,7 @@ import pytest
 import torch
 
 import splitband as sb
-from splitband import GRU, Bands, Forecaster, Known, Recorded, Settings, Trajectory
+from splitband import GRU, Bands, Forecaster, Known, Record, Recorded, Settings
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.names import NAMES, TRAINED, Sizes
 from splitband.forecasters.network import Network
@@ -34,7 +34,7 @@ SETUP = Setup(
 )
 
 
-def record() -> Trajectory:
+def record() -> Record:
     """Time stamps, an input that has an effect, and a simulator that is late and too small."""
     rng = np.random.default_rng(4)
     t = DT * np.arange(LENGTH)[:, None]
@@ -42,7 +42,7 @@ def record() -> Trajectory:
     slow = np.sin(2 * np.pi * 0.25 * t)
     y = 1.0 + 2.0 * slow + 0.3 * np.cumsum(u, axis=0) / np.sqrt(1 + t)
     y_sim = np.sin(2 * np.pi * 0.25 * (t - 0.3))
-    return Trajectory(y + 0.02 * rng.standard_normal(y.shape), DT, u, y_sim=y_sim, start=START)
+    return Record(y + 0.02 * rng.standard_normal(y.shape), DT, u, y_sim=y_sim, start=START)
 
 
 def recorded() -> Recorded:
@@ -252,7 +252,7 @@ class Drift(Forecaster):
 
 
 def test_a_forecaster_of_ones_own_needs_a_name_and_what_comes_next(tmp_path: Path) -> None:
-    line = Trajectory(np.arange(40.0), DT, start=2.0)
+    line = Record(np.arange(40.0), DT, start=2.0)
     forecaster = Drift().fit(line[:30])
     found = forecaster.predict(10, level=0.9)
     np.testing.assert_allclose(found.y, line.y[30:])
@@ -274,11 +274,11 @@ def test_slices_know_what_is_known_after_them() -> None:
     np.testing.assert_array_equal(part[:20].u_beyond, r.u[30:])
 
 
-def plain() -> Trajectory:
+def plain() -> Record:
     return replace(record(), u=None, y_sim=None, inputs=())
 
 
-def two_channels() -> Trajectory:
+def two_channels() -> Record:
     r = plain()
     return replace(r, y=np.hstack([r.y, r.y]), columns=())
 
@@ -355,7 +355,7 @@ def test_a_simulation_that_ends_too_early_for_its_clock_is_said_to(several: bool
     """Its clock is a twentieth too slow, and nothing is known beyond the record."""
     t = DT * np.arange(300)
     y, y_sim = np.sin(1.04 * t), np.sin(t)
-    whole = Trajectory(y, DT, y_sim=y_sim)
+    whole = Record(y, DT, y_sim=y_sim)
     model: Forecaster = sb.Filtered(
         sb.Simulation(calibrated=["clock"]), GRU(3), BANDS, settings=SETTINGS
     )
@@ -377,7 +377,7 @@ def test_a_network_below_another_one_runs_from_the_beginning_of_a_long_record(
     quick = replace(SETTINGS, epochs=1, batch_size=4096)
     y = np.random.default_rng(0).standard_normal(20_200).cumsum() / 100
     model = sb.Residual(sb.Single(GRU(2), quick), GRU(2), settings=quick)
-    model.fit(Trajectory(y, DT), seed=0)
+    model.fit(Record(y, DT), seed=0)
     model.save(tmp_path / "model")
     found = sb.load(tmp_path / "model").predict(STEPS).y
     np.testing.assert_array_equal(found, model.predict(STEPS).y)
@@ -455,10 +455,10 @@ def test_before_the_training_record_a_simulator_begins_with_the_history() -> Non
     def output(time: Any) -> Any:
         return np.cos(0.3 * time)
 
-    known = Trajectory(output(begin + t), DT, start=begin)
+    known = Record(output(begin + t), DT, start=begin)
     model = sb.Simulation(sb.Function(output)).fit(known)
     for start, samples in ((20.0, 100), (38.5, 40)):
-        history = Trajectory(output(start + DT * np.arange(samples)), DT, start=start)
+        history = Record(output(start + DT * np.arange(samples)), DT, start=start)
         expected = output(start + DT * np.arange(samples, samples + STEPS))
         found = model.predict(STEPS, history).y[:, 0]
         np.testing.assert_allclose(found, expected, atol=1e-9)
@@ -480,7 +480,7 @@ def test_a_history_has_the_channels_of_the_training_record(
     other: dict[str, Any], message: str
 ) -> None:
     values = np.random.default_rng(1).standard_normal((60, 2))
-    known = Trajectory(values, DT, values, columns=("a", "b"), inputs=("v", "w"))
+    known = Record(values, DT, values, columns=("a", "b"), inputs=("v", "w"))
     model = sb.Linear().fit(known)
     with pytest.raises(ValueError, match=message):
         model.predict(5, replace(known, **other), u=values[:5])
@@ -489,10 +489,10 @@ def test_a_history_has_the_channels_of_the_training_record(
 def test_the_time_since_the_training_record_asks_for_its_sampling() -> None:
     """A two-hundredth is off by five samples after a thousand."""
     t: Array = DT * np.arange(1000, dtype=np.float64)
-    harmonic = sb.Harmonic().fit(Trajectory(np.sin(t), DT))
+    harmonic = sb.Harmonic().fit(Record(np.sin(t), DT))
     with pytest.raises(ValueError, match=r"for harmonic, .* every 0.1 s, got every 0.1005 s"):
-        harmonic.predict(5, Trajectory(np.sin(1.005 * t), 1.005 * DT))
-    assert sb.Mean().fit(Trajectory(np.sin(t), DT)).predict(5, Trajectory(t, 1.005 * DT))
+        harmonic.predict(5, Record(np.sin(1.005 * t), 1.005 * DT))
+    assert sb.Mean().fit(Record(np.sin(t), DT)).predict(5, Record(t, 1.005 * DT))
 
 
 @pytest.mark.parametrize("name", ["gru", "linear"])
@@ -502,7 +502,7 @@ def test_inputs_to_come_are_numbers(name: str) -> None:
 
 
 def test_further_training_records_are_of_the_same_system() -> None:
-    one, two = Trajectory(np.ones(9), DT), Trajectory(np.ones((9, 2)), DT, name="other")
+    one, two = Record(np.ones(9), DT), Record(np.ones((9, 2)), DT, name="other")
     with pytest.raises(ValueError, match=r"other must have the training record's 1 channel\(s\)"):
         sb.Mean().fit(one, two)
 

@@ -15,7 +15,7 @@ import splitband as sb
 
 DT = 0.1
 TIME = DT * np.arange(80)
-RECORD = sb.Trajectory(np.sin(TIME) + 0.2 * np.sin(9 * TIME), DT)
+RECORD = sb.Record(np.sin(TIME) + 0.2 * np.sin(9 * TIME), DT)
 SHORT = sb.Settings(window=30, warmup=12, epochs=1)
 BANDS = sb.Bands(0.5, 1, 2)
 MADE: dict[str, Any] = {

@@ -7,20 +7,20 @@ import pytest
 
 import splitband as sb
 from benchmarks import inputs as records
-from splitband import Settings, Trajectory
+from splitband import Record, Settings
 from splitband.metrics import ExtrapolationWarning, rmse, spread
 
 STEPS, BEGUN = 300, 200
 
 
-def run(seed: int, begin: float, start: float | None = None) -> Trajectory:
+def run(seed: int, begin: float, start: float | None = None) -> Record:
     """Of a slow pole, from a state of its own."""
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.choice([-1.0, 0.5, 1.0], 60), 10)
     y = np.full(600, begin)
     for n in range(1, 600):
         y[n] = 0.995 * y[n - 1] + 0.05 * u[n]
-    return Trajectory(y + 0.01 * rng.standard_normal(600), 0.1, u=u, y_true=y, start=start)
+    return Record(y + 0.01 * rng.standard_normal(600), 0.1, u=u, y_true=y, start=start)
 
 
 @pytest.fixture(scope="module")
@@ -70,16 +70,16 @@ def test_a_few_samples_of_another_run_do_not_make_up_a_state() -> None:
     assert rmse(y / scale, record.truth[1200:] / scale) < 0.25
 
 
-def cycle(phase: float, begin: float = 0.0, level: float = 0.0) -> Trajectory:
+def cycle(phase: float, begin: float = 0.0, level: float = 0.0) -> Record:
     rng, t = np.random.default_rng(7), np.arange(300)
     y = level + np.exp(np.sin(2 * np.pi * t / 40 + phase)) + 0.02 * rng.standard_normal(300)
-    return Trajectory(y, 1.0, start=begin)
+    return Record(y, 1.0, start=begin)
 
 
 @pytest.mark.parametrize("make", [sb.Periodic, sb.Harmonic, sb.SeasonalNaive])
 @pytest.mark.parametrize("other", [cycle(2.0), cycle(0.0, level=3.0)], ids=["phase", "level"])
 def test_a_function_of_time_warns_of_a_history_that_it_disagrees_with(
-    make: type[sb.Periodic], other: Trajectory
+    make: type[sb.Periodic], other: Record
 ) -> None:
     model = make().fit(cycle(0.0))
     with pytest.warns(ExtrapolationWarning, match="disagrees with the history"):

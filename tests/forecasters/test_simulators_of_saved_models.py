@@ -17,7 +17,7 @@ import splitband as sb
 from splitband.cli import main
 
 DT, TRAIN, STEPS = 0.1, 60, 10
-RECORD = sb.Trajectory(np.sin(DT * np.arange(TRAIN)), DT)
+RECORD = sb.Record(np.sin(DT * np.arange(TRAIN)), DT)
 SHORT = sb.Settings(window=30, warmup=5, epochs=1)
 Change = Callable[[dict[str, Any]], Any]
 

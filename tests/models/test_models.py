@@ -11,7 +11,7 @@ import scipy.signal
 import torch
 from torch import Tensor, nn
 
-from splitband import GRU, ComplementaryPair, EulerMLP, Trajectory
+from splitband import GRU, ComplementaryPair, EulerMLP, Record
 from splitband.filters import butterworth
 from splitband.forecasters.backtest import Origin, first_origin
 from splitband.forecasters.names import BASED, TRAINED
@@ -22,7 +22,7 @@ from tests.records import DT, LENGTH, SETUP, TRAIN, WARMUP, record
 from tests.support import asked, untrained, with_other_samples
 
 
-def y_sim_of(trajectory: Trajectory) -> npt.NDArray[np.float64]:
+def y_sim_of(trajectory: Record) -> npt.NDArray[np.float64]:
     assert trajectory.y_sim is not None
     return trajectory.y_sim
 
@@ -30,14 +30,14 @@ def y_sim_of(trajectory: Trajectory) -> npt.NDArray[np.float64]:
 BANDS = [ComplementaryPair.butterworth(cutoff, 1 / DT, 2) for cutoff in (0.3, 0.9)]
 
 
-def three_bands(trajectory: Trajectory) -> Model:
+def three_bands(trajectory: Record) -> Model:
     torch.manual_seed(1)
     told = trajectory.nu + 2 * trajectory.ny
     networks = [GRU(4, trajectory.ny, nu) for nu in (trajectory.nu, told, told)]
     return Split(networks, BANDS, [4, 2], conditioned=True)
 
 
-def trained(method: str, trajectory: Trajectory) -> Model:
+def trained(method: str, trajectory: Record) -> Model:
     three = method == "three-bands-conditioned"
     model = three_bands(trajectory) if three else untrained(method, trajectory, SETUP, seed=1)
     fit(model, trajectory[:TRAIN], SETUP.settings, seed=1)
@@ -53,7 +53,7 @@ def model_of(method: str) -> Model:
     return trained(method, record())
 
 
-def predict(model: Model, r: Trajectory, begin: int, start: int) -> dict[str, Any]:
+def predict(model: Model, r: Record, begin: int, start: int) -> dict[str, Any]:
     """Warm up on `begin`..`start - 1`, simulate to the end of the record; by component."""
     u, y_sim = (None if s is None else s[begin:] for s in (r.u, r.y_sim))
     return model.simulate_components(r.y[begin:start], len(r) - start, u, y_sim)
@@ -62,7 +62,7 @@ def predict(model: Model, r: Trajectory, begin: int, start: int) -> dict[str, An
 @pytest.mark.parametrize("start", [WARMUP, TRAIN, TRAIN + 7])
 @pytest.mark.parametrize("method", NAMES)
 def test_a_prediction_sees_the_samples_of_its_warm_up_and_no_other(method: str, start: int) -> None:
-    def predicted(trajectory: Trajectory) -> npt.NDArray[np.float64]:
+    def predicted(trajectory: Record) -> npt.NDArray[np.float64]:
         parts = predict(model_of(method), trajectory, start - WARMUP, start)
         return np.concatenate([*parts.values()])
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import safetensors.torch
 
-from splitband import GRU, ComplementaryPair, EulerMLP, Settings, Trajectory
+from splitband import GRU, ComplementaryPair, EulerMLP, Record, Settings
 from splitband.filters import butterworth
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
 from splitband.models.saving import load, save
@@ -20,7 +20,7 @@ from splitband.training import fit
 RATE, WARMUP, STEPS = 10.0, 15, 40
 NY, NU = 2, 1
 RNG = np.random.default_rng(3)
-RECORD = Trajectory(
+RECORD = Record(
     RNG.standard_normal((80, NY)) + 5,
     1 / RATE,
     u=RNG.standard_normal((80, NU)),

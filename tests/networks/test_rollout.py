@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.filters import ComplementaryPair
 from splitband.models import Model, Recurrent, Split
 from splitband.networks import GRU, Backend, Cell, EulerMLP, free_run, rollout
@@ -368,7 +368,7 @@ def test_a_user_s_cell_is_trained_in_any_model(
     u = np.cos(phase)[:, None] if nu else None
     model = make_model(LSTM(NY, 8, nu))
     settings = Settings(window=28, warmup=16, epochs=30, batch_size=22, learning_rate=2e-2)
-    history = fit(model, Trajectory(y, 1.0, u=u), settings)
+    history = fit(model, Record(y, 1.0, u=u), settings)
     assert len(history.losses) == (2 if isinstance(model, Split) else 1)
     for losses in history.losses.values():
         assert len(losses) == 30

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from splitband import Settings, Trajectory
+from splitband import Record, Settings
 from splitband.evaluation.comparison import Comparison, compare
 from splitband.evaluation.forecast import Forecast, forecast
 from splitband.evaluation.protocols import Runs
@@ -23,19 +23,19 @@ NASTY = "<script>alert(1)</script> $$x^2$$ & \"quoted\" 'single'"
 """A name that would be a script, a formula that would be loaded, and the end of an attribute."""
 
 
-def record(length: int = LENGTH, ny: int = 1, nu: int = 0, **others: Any) -> Trajectory:
+def record(length: int = LENGTH, ny: int = 1, nu: int = 0, **others: Any) -> Record:
     rng = np.random.default_rng(0)
     t = DT * np.arange(length)[:, None]
     y = np.sin(2 * np.pi * 0.2 * t + np.arange(ny)) + 0.1 * rng.standard_normal((length, ny))
     u = np.cos(t + np.arange(nu)) if nu else None
-    return Trajectory(y, DT, u=u, **{"name": "rig", **others})
+    return Record(y, DT, u=u, **{"name": "rig", **others})
 
 
 def compared(
-    r: Trajectory,
+    r: Record,
     methods: Sequence[str] = ("mean", "persistence", "seasonal-naive"),
     train: int = TRAIN,
-    tests: Sequence[Trajectory] = (),
+    tests: Sequence[Record] = (),
 ) -> Comparison:
     """Compared for real; of other methods than these the colours would be others."""
     setup = Setup(train, Settings(30, WARMUP, 1), Bands(0.5, 1, 2))
@@ -59,7 +59,7 @@ def everything() -> Comparison:
     plain = record(ny=2, nu=1)
     y = plain.y.copy()
     y[50:60, 0] = np.nan
-    r = Trajectory.with_gaps(
+    r = Record.with_gaps(
         y, DT, plain.u, y_sim=0.9 * plain.y, name=NASTY, columns=("angle (rad)", NASTY),
         inputs=("force",), start=pd.Timestamp("2024-03-01 08:00"),
     )  # fmt: skip

@@ -10,7 +10,7 @@ import html5lib
 import numpy as np
 import pytest
 
-from splitband import Trajectory
+from splitband import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.filters.spectrum import periodogram
 from splitband.report import page as report
@@ -180,6 +180,6 @@ def test_single_precision_is_used_only_where_nobody_sees_it() -> None:
 def test_a_diverging_method_is_drawn_to_the_edge(tmp_path: Path) -> None:
     """Numbers that no canvas takes, as of a simulation that has exploded."""
     r = comparisons.record()
-    r = Trajectory(r.y, r.sampling_time, y_sim=np.where(np.arange(len(r)) > 250, 1e60, 0.0))
+    r = Record(r.y, r.sampling_time, y_sim=np.where(np.arange(len(r)) > 250, 1e60, 0.0))
     comparisons.compared(r, ("mean", "simulator")).report(tmp_path / "page.html")
     parsed(tmp_path / "page.html")

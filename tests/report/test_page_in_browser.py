@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from splitband import Trajectory
+from splitband import Record
 from splitband.report import page as report
 from tests.report import comparisons
 
@@ -201,7 +201,7 @@ def test_a_long_record_is_drawn_soon(browser: Browser, tmp_path: Path) -> None:
     r = comparisons.record(LONG)
     y = r.y.copy()
     y[123_456] = 9.0
-    r = Trajectory(y, comparisons.DT)
+    r = Record(y, comparisons.DT)
     path = tmp_path / "page.html"
     report.write(comparisons.compared(r, ("mean", "persistence"), 150_000), path)
     milliseconds = float("inf")

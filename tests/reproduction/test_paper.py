@@ -21,7 +21,7 @@ from reproduction.settings import HYBRID
 from reproduction.specs import SPECS, lines
 from reproduction.systems import MassSpringOracle, double_torsion_pendulum
 from reproduction.tables import table
-from splitband import Trajectory
+from splitband import Record
 from splitband.data.named import double_mass_spring, van_der_pol
 from splitband.evaluation.runs import RunProgress
 from splitband.forecasters.known import Known
@@ -318,7 +318,7 @@ def test_an_own_record_takes_the_place_of_an_unpublished_one(
     assert abs(record.y.mean()) < 1e-12
 
 
-def oracle_on(record: Trajectory) -> Array:
+def oracle_on(record: Record) -> Array:
     """What the oracle that knows 250 samples says of the whole record."""
     known = Known(record.y[:0], len(record))
     return MassSpringOracle().fit(record[:250]).extrapolate(known)

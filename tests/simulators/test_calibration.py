@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from splitband import Trajectory
+from splitband import Record
 from splitband.data import drill_string
 from splitband.data.named import van_der_pol
 from splitband.forecasters.hybrids import Filtered, Residual
@@ -59,8 +59,8 @@ def measured(
     return np.asarray(y + NOISE * np.random.default_rng(seed).standard_normal(y.shape))
 
 
-def record(y: Array, y_sim: Array) -> Trajectory:
-    return Trajectory(y, DT, y_sim=y_sim[: len(y)], beyond=y_sim[len(y) :])
+def record(y: Array, y_sim: Array) -> Record:
+    return Record(y, DT, y_sim=y_sim[: len(y)], beyond=y_sim[len(y) :])
 
 
 # ---------------------------------------------------------------- affine_fit
@@ -176,7 +176,7 @@ def test_the_simulator_of_the_drill_string_keeps_its_clock() -> None:
 # ---------------------------------------------------------------- what may be known
 
 
-def seen_by(simulation: Simulation, r: Trajectory) -> tuple[Trajectory, Calibration]:
+def seen_by(simulation: Simulation, r: Record) -> tuple[Record, Calibration]:
     """The record with the simulator fitted to its training part, and the calibration."""
     simulation.fit(r[:TRAIN])
     return simulation.on(r), simulation.calibration
@@ -229,7 +229,7 @@ def test_a_simulation_that_ends_with_the_record_is_calibrated_all_the_same(
     y, y_sim = measured(1, (), (), delay, clock), simulation(SAMPLES + spare)
     simulator = Recorded(y_sim, DT) if recorded else None
     model = Simulation(simulator, calibrated=True)
-    model.fit((Trajectory(y, DT) if recorded else record(y, y_sim))[:TRAIN])
+    model.fit((Record(y, DT) if recorded else record(y, y_sim))[:TRAIN])
     found = model.calibration
     assert found.delay == pytest.approx(delay, abs=WITHIN["delay"])
     assert found.clock == pytest.approx(clock, abs=WITHIN["clock"])

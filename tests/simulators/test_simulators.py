@@ -14,7 +14,7 @@ import numpy.typing as npt
 import pytest
 import scipy.integrate
 
-from splitband import Trajectory
+from splitband import Record
 from splitband.data.named import van_der_pol
 from splitband.metrics import rmse
 from splitband.simulators import Fmu, Function, Ode, Recorded, run
@@ -62,7 +62,7 @@ def test_a_recorded_trajectory_is_cut_to_the_record() -> None:
 
 
 def test_a_recorded_trajectory_comes_from_a_record_that_was_read() -> None:
-    record = Trajectory(np.arange(6.0), 0.2)
+    record = Record(np.arange(6.0), 0.2)
     np.testing.assert_array_equal(run(Recorded.of(record), 6, 0.2), record.y)
 
 
@@ -446,11 +446,11 @@ def test_an_fmu_that_raises_or_hangs_does_not_take_the_process_with_it(
 
 
 @pytest.fixture(scope="module")
-def system_v() -> Trajectory:
+def system_v() -> Record:
     return van_der_pol()
 
 
-def test_the_driven_oscillator_agrees_with_another_solver(system_v: Trajectory) -> None:
+def test_the_driven_oscillator_agrees_with_another_solver(system_v: Record) -> None:
     solution = scipy.integrate.solve_ivp(
         lambda t, s: [s[1], -s[0] + 5 * (1 - s[0] ** 2) * s[1] + 80 * 0.31 * np.cos(7 * t)],
         (0, system_v.time[-1]), [-2.0, 1.0], "DOP853", t_eval=system_v.time,
@@ -459,20 +459,20 @@ def test_the_driven_oscillator_agrees_with_another_solver(system_v: Trajectory) 
     np.testing.assert_allclose(system_v.y[:, 0], solution.y[0], atol=1e-6)
 
 
-def test_the_simulator_of_the_driven_oscillator_is_0405_off(system_v: Trajectory) -> None:
+def test_the_simulator_of_the_driven_oscillator_is_0405_off(system_v: Record) -> None:
     assert system_v.y_sim is not None
     assert (len(system_v), system_v.sampling_time) == (2000, 0.05)
     assert rmse(system_v.y, system_v.y_sim) == pytest.approx(0.405, abs=1e-4)
 
 
-def test_a_loose_tolerance_moves_the_simulators_error_to_the_papers(system_v: Trajectory) -> None:
+def test_a_loose_tolerance_moves_the_simulators_error_to_the_papers(system_v: Record) -> None:
     loose = van_der_pol(simulator_rtol=1e-3)
     np.testing.assert_array_equal(loose.y, system_v.y)
     assert loose.y_sim is not None
     assert rmse(loose.y, loose.y_sim) == pytest.approx(0.4185, abs=2e-4)
 
 
-def test_the_named_simulator_is_that_of_the_record(system_v: Trajectory) -> None:
+def test_the_named_simulator_is_that_of_the_record(system_v: Record) -> None:
     np.testing.assert_array_equal(
         run(van_der_pol_simulator(), 2000, system_v.sampling_time), system_v.y_sim
     )

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from splitband import Settings, Trajectory
+from splitband import Record, Settings
 from splitband.models import Model
 from splitband.training import fit
 from tests.records import (
@@ -57,10 +57,8 @@ def starts_of(ys: Sequence[Array], window: int, warmup: int) -> list[int]:
 GAPS = (slice(30, 36), 70)
 
 
-def fitted(
-    records: Trajectory | Sequence[Trajectory], method: str = "gru", **changes: Any
-) -> Model:
-    one = records if isinstance(records, Trajectory) else records[0]
+def fitted(records: Record | Sequence[Record], method: str = "gru", **changes: Any) -> Model:
+    one = records if isinstance(records, Record) else records[0]
     model = untrained(method, one, SETUP, 2)
     fit(model, records, Settings(**{**vars(QUICK), "epochs": 3, **changes}), seed=2)
     return model

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from splitband import Settings, Trajectory
+from splitband import Record, Settings
 from splitband.evaluation.setup import Setup
 from splitband.models import Model
 from splitband.training import History, Progress, fit
@@ -32,7 +32,7 @@ def trained(
     checkpoint: Checkpoint | None = None,
     die_after: int | None = None,
     seed: int = 3,
-    training: Trajectory | None = None,
+    training: Record | None = None,
     settings: Settings = RECIPE,
     setup: Setup = SETUP,
 ) -> tuple[Model, History, list[Progress]]:

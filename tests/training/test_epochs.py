@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from splitband import GRU, Settings, Trajectory
+from splitband import GRU, Record, Settings
 from splitband.models import Recurrent, Signals, Task
 from splitband.training import fit
 from splitband.training.settings import MOST_BATCHES, STEPS
@@ -41,7 +41,7 @@ class _Watched(Recurrent):
 def watched(most: int | None, epochs: int = 4) -> _Watched:
     torch.manual_seed(0)
     model = _Watched()
-    count = Trajectory(np.arange(100.0), DT)
+    count = Record(np.arange(100.0), DT)
     few = Settings(20, 5, epochs, 10, 1e-4, normalize=False, most_batches=most)
     history = fit(model, count, few, seed=1)
     assert np.isfinite(history.losses["network"]).all()
@@ -75,7 +75,7 @@ def test_the_loss_of_an_epoch_is_the_mean_of_the_windows_that_were_taken() -> No
         for parameter in model.parameters():
             parameter.zero_()
     few = Settings(20, 5, 3, 10, learning_rate=1e-30, normalize=False, most_batches=2)
-    history = fit(model, Trajectory(np.full(100, 0.5), DT), few)
+    history = fit(model, Record(np.full(100, 0.5), DT), few)
     assert history.losses["network"] == pytest.approx([0.5] * 3, rel=1e-6)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from splitband import GRU, Settings, Trajectory
+from splitband import GRU, Record, Settings
 from splitband.models import Recurrent
 from splitband.training import fit
 from tests.records import DT, LENGTH, TRAIN, holed, record, standing_in, with_gaps
@@ -22,7 +22,7 @@ def test_what_stands_in_for_a_gap_moves_no_weight(channel: Any) -> None:
         assert torch.equal(parameters(other), parameters(first))
         assert torch.equal(other.y_mean, first.y_mean)
         assert torch.equal(other.y_std, first.y_std)
-    without = fitted(Trajectory(np.where(np.isfinite(y), y, 2.0), DT, u=r.u))
+    without = fitted(Record(np.where(np.isfinite(y), y, 2.0), DT, u=r.u))
     assert not torch.equal(parameters(without), parameters(first))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from splitband import GRU, Progress, Trajectory
+from splitband import GRU, Progress, Record
 from splitband.evaluation.protocols import check
 from splitband.forecasters.backtest import Origin
 from splitband.models import Recurrent
@@ -68,7 +68,7 @@ def test_a_record_shorter_than_a_window_is_refused_with_its_length() -> None:
         (record()[:30], "of 30 samples, got 40"),
     ],
 )
-def test_other_records_must_be_of_the_same_kind(other: Trajectory, words: str) -> None:
+def test_other_records_must_be_of_the_same_kind(other: Record, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         check(record(), forecasters(["gru"], SETUP), SETUP, [other])
     with pytest.raises(ValueError, match="are for networks, got mean"):

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from splitband import GRU, Progress, Settings, Trajectory
+from splitband import GRU, Progress, Record, Settings
 from splitband.models import Model, Recurrent, Signals, Task
 from splitband.training import History, fit
 from splitband.training.windows import windows
@@ -171,7 +171,7 @@ def test_progress_reports_every_epoch_of_every_network() -> None:
 
 
 def test_a_constant_channel_trains_without_nan() -> None:
-    flat = Trajectory(np.full(60, 7.0), 0.1)
+    flat = Record(np.full(60, 7.0), 0.1)
     model = Recurrent(GRU(4, 1))
     history = fit(model, flat, Settings(window=20, warmup=5, epochs=3))
     assert np.isfinite(history.losses["network"]).all()

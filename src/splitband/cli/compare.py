@@ -11,7 +11,13 @@ from splitband.cli.comparing import Request, arguments, carried_out, prepared, s
 from splitband.cli.crew import crew
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Conditioned, ModelOptions, Seeds, SettingsFile
-from splitband.cli.options.records import FurtherRecords, Record, RecordOptions, TestRecords, Train
+from splitband.cli.options.records import (
+    FurtherRecords,
+    RecordArgument,
+    RecordOptions,
+    TestRecords,
+    Train,
+)
 from splitband.cli.options.simulators import Calibrate, SimulatorOrBaseOptions
 from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.outcome import show
@@ -21,7 +27,7 @@ from splitband.evaluation.setup import default_names
 @with_groups
 def compare(
     context: typer.Context,
-    record: Record,
+    record: RecordArgument,
     reading: RecordOptions,
     simulator: SimulatorOrBaseOptions,
     further: FurtherRecords,

@@ -15,7 +15,7 @@ from splitband.cli.options.records import FurtherRecords, RecordOptions, TestRec
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import each_with_simulator, tests_with_simulator, with_simulator
 from splitband.cli.usage import usage
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.comparison import compare as compare_forecasters
 from splitband.evaluation.protocols import check
@@ -59,11 +59,11 @@ class Task:
     device : Of the networks.
     """
 
-    record: Trajectory
+    record: Record
     names: list[str]
     setup: Setup
-    others: list[Trajectory]
-    tests: list[Trajectory]
+    others: list[Record]
+    tests: list[Record]
     device: str
 
 

@@ -14,11 +14,11 @@ import typer
 from splitband.cli import devices, naming, records, setups, showing, timing
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Conditioned, ModelOptions, SettingsFile
-from splitband.cli.options.records import FurtherRecords, Record, RecordOptions
+from splitband.cli.options.records import FurtherRecords, RecordArgument, RecordOptions
 from splitband.cli.options.simulators import Calibrate, SimulatorOrBaseOptions
 from splitband.cli.options.workers import Jobs
 from splitband.cli.simulators import each_with_simulator, with_simulator
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.data.timing import as_json
 from splitband.evaluation.plan import SEARCH
 from splitband.evaluation.runs import RunProgress, Work
@@ -44,7 +44,7 @@ FITTED = tuple(name for name in NAMES if not name.startswith("simulator"))
 
 @with_groups
 def fit(
-    record: Record,
+    record: RecordArgument,
     reading: RecordOptions,
     simulator: SimulatorOrBaseOptions,
     further: FurtherRecords,
@@ -159,11 +159,11 @@ def fit(
 
 
 def _searched(
-    training: Trajectory,
+    training: Record,
     forecaster: Forecaster,
     allowed: Search,
     work: Work,
-    others: Sequence[Trajectory],
+    others: Sequence[Record],
 ) -> Forecaster:
     """The forecaster with the training that has been found for it."""
     with work.staffed() as staff:

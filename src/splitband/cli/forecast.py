@@ -22,7 +22,12 @@ from splitband.cli.options.models import (
     Seeds,
     SettingsFile,
 )
-from splitband.cli.options.records import FurtherRecords, FutureInputs, Record, RecordOptions
+from splitband.cli.options.records import (
+    FurtherRecords,
+    FutureInputs,
+    RecordArgument,
+    RecordOptions,
+)
 from splitband.cli.options.simulators import SimulatorOrBaseOptions
 from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.simulators import each_with_simulator, with_simulator
@@ -42,7 +47,7 @@ from splitband.runtime.files import CHECKPOINTS
 @with_groups
 def forecast(
     context: typer.Context,
-    record: Record,
+    record: RecordArgument,
     reading: RecordOptions,
     simulator: SimulatorOrBaseOptions,
     further: FurtherRecords,

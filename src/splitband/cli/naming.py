@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES
 
@@ -37,7 +37,7 @@ def check_names(option: str, asked: Sequence[str], possible: Iterable[str]) -> N
     )
 
 
-def check_needs(methods: Sequence[Forecaster], record: Trajectory) -> None:
+def check_needs(methods: Sequence[Forecaster], record: Record) -> None:
     """Raise ValueError, which names the option, where a record lacks what a method needs."""
     for what, need, given in (
         ("a simulator", "simulator", record.y_sim),

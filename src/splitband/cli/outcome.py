@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from splitband.cli import showing, timing
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.setup import Setup
 from splitband.filters.spectrum import periodogram
@@ -53,7 +53,7 @@ def show(result: Comparison, names: list[str], out: Path, used: Usage) -> None:
     showing.results_file(out / "results.json")
 
 
-def _title(record: Trajectory, setup: Setup) -> str:
+def _title(record: Record, setup: Setup) -> str:
     truth = "the noise-free signal" if record.y_true is not None else "the measurement"
     return (
         f"{record.name}: free-run RMSE against {truth}, {setup.train} samples to train on, "

@@ -14,18 +14,18 @@ import numpy.typing as npt
 from splitband.cli import showing
 from splitband.cli.naming import names
 from splitband.cli.options.records import RecordOptions
-from splitband.data import Trajectory, aligned, read, resampled
+from splitband.data import Record, aligned, read, resampled
 from splitband.data.gaps import places
 from splitband.data.named import RECORDS
 from splitband.data.reading import ColumnError, ReadingWarning
+from splitband.data.record import described
 from splitband.data.timing import near_sampling, same_sampling
-from splitband.data.trajectory import described
 from splitband.evaluation.tuned import Tuned
 
 
 def load_record(
     record: str, reading: RecordOptions | None = None, tuned: Tuned | None = None
-) -> Trajectory:
+) -> Record:
     """Return a named record, or read a file, and print what its channels and inputs are.
 
     Columns and inputs that no option names are those of --settings (`tuned`). Raises ValueError
@@ -39,7 +39,7 @@ def load_record(
     return trajectory
 
 
-def announce(record: Trajectory, name: str) -> None:
+def announce(record: Record, name: str) -> None:
     """Print what a record holds, on one line."""
     showing.console.print(
         f"{name}: {described(record.columns, record.inputs)}; {len(record)} samples every "
@@ -47,7 +47,7 @@ def announce(record: Trajectory, name: str) -> None:
     )
 
 
-def read_file(path: str | Path, needed: str = "", **options: Any) -> Trajectory:
+def read_file(path: str | Path, needed: str = "", **options: Any) -> Record:
     """Read a file, and print what its reader warns of.
 
     Where a column is not there, the error ends with what is `needed`.
@@ -63,7 +63,7 @@ def read_file(path: str | Path, needed: str = "", **options: Any) -> Trajectory:
     return record
 
 
-def _file(record: str, reading: RecordOptions, tuned: Tuned | None) -> Trajectory:
+def _file(record: str, reading: RecordOptions, tuned: Tuned | None) -> Record:
     if not Path(record).exists():
         raise FileNotFoundError(
             f"RECORD must be a file or one of {', '.join(RECORDS)}, got {record}"
@@ -95,7 +95,7 @@ def _file(record: str, reading: RecordOptions, tuned: Tuned | None) -> Trajector
     return trajectory
 
 
-def _named(record: str, reading: RecordOptions) -> Trajectory:
+def _named(record: str, reading: RecordOptions) -> Record:
     for option, value in (
         ("--columns", reading.columns),
         ("--inputs", reading.inputs),
@@ -109,7 +109,7 @@ def _named(record: str, reading: RecordOptions) -> Trajectory:
 
 def read_beside(
     path: str | Path, sampling_time: float, time_column: str | None, **others: Any
-) -> Trajectory:
+) -> Record:
     """Read a file that is put beside a record of that sampling time.
 
     Its time column is the record's, or one with a usual name where it has no such column.
@@ -123,7 +123,7 @@ def read_beside(
         return read_file(path, **others)
 
 
-def like(record: Trajectory, sampling_time: float, what: str) -> Trajectory:
+def like(record: Record, sampling_time: float, what: str) -> Record:
     """The record at a sampling time from which its own differs by 1 % at most.
 
     It is left as it is where both end within half a sample.
@@ -138,8 +138,8 @@ def like(record: Trajectory, sampling_time: float, what: str) -> Trajectory:
 
 
 def load_further(
-    files: Sequence[str] | None, option: str, record: Trajectory, reading: RecordOptions
-) -> list[Trajectory]:
+    files: Sequence[str] | None, option: str, record: Record, reading: RecordOptions
+) -> list[Record]:
     """The records of --more or --test, with the columns of `record`."""
     records = []
     for file in files or []:
@@ -161,7 +161,7 @@ def load_further(
 
 
 def inputs_ahead(
-    file: Path | None, known: Trajectory, steps: int, time_column: str | None
+    file: Path | None, known: Record, steps: int, time_column: str | None
 ) -> npt.NDArray[np.float64] | None:
     """Known inputs of the samples after a record, `(steps, nu)`, where there are any."""
     inputs = known.inputs

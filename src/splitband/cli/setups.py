@@ -10,7 +10,7 @@ from typing import Any
 from splitband.cli.devices import check_device
 from splitband.cli.naming import names
 from splitband.cli.options.models import AUTO, ModelOptions
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.data.named import RECORDS
 from splitband.evaluation.protocols import check_train
 from splitband.evaluation.search import Search
@@ -24,7 +24,7 @@ from splitband.training.recipes import recipe_settings
 
 def setup(
     record: str,
-    trajectory: Trajectory,
+    trajectory: Record,
     train: int | None,
     options: ModelOptions,
     methods: Sequence[str] | None = None,
@@ -57,7 +57,7 @@ def setup(
 
 
 def setup_ahead(
-    known: Trajectory,
+    known: Record,
     methods: Sequence[str],
     options: ModelOptions,
     cores: int,
@@ -111,7 +111,7 @@ def seconds(duration: str, option: str = "--budget") -> float:
 
 def _as_tuned(
     tuned: Tuned,
-    trajectory: Trajectory,
+    trajectory: Record,
     train: int,
     options: ModelOptions,
     bands: Bands,

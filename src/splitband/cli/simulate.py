@@ -18,10 +18,10 @@ from splitband.cli.options.models import Device
 from splitband.cli.options.records import FutureInputs, GapsOption, TimeColumn
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import Trained, opened_simulator, simulated_again
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.data.gaps import Gaps, last_before
+from splitband.data.record import described
 from splitband.data.timing import from_json, near_sampling
-from splitband.data.trajectory import described
 from splitband.forecasters import saving as forecasters
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASED
@@ -132,7 +132,7 @@ def _opened(folder: Path) -> tuple[Model | Forecaster, _Facts]:
 def _simulated(
     model: Model,
     known: _Facts,
-    past: Trajectory,
+    past: Record,
     steps: int,
     u: Array | None,
     simulator: SimulatorOptions,
@@ -161,7 +161,7 @@ def _simulated(
     return y
 
 
-def _history(file: Path, known: _Facts, time_column: str | None, gaps: Gaps) -> Trajectory:
+def _history(file: Path, known: _Facts, time_column: str | None, gaps: Gaps) -> Record:
     """The measured samples up to now, at the model's sampling time."""
     past = records.read_file(
         file,

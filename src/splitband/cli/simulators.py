@@ -17,7 +17,7 @@ from splitband.cli.naming import names
 from splitband.cli.options.records import FurtherRecords, RecordOptions, TestRecords
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.records import read_beside
-from splitband.data import Grid, Trajectory
+from splitband.data import Grid, Record
 from splitband.data.alignment import NEAR
 from splitband.data.timing import Stamp, in_words, seconds_between, stamp_after
 from splitband.forecasters.names import BASES, CALIBRATED, HYBRIDS
@@ -46,12 +46,12 @@ LONGEST = 10**8
 
 
 def with_simulator(
-    record: Trajectory,
+    record: Record,
     options: SimulatorOptions,
     reading: RecordOptions,
     ahead: int = 0,
     beyond: bool = False,
-) -> Trajectory:
+) -> Record:
     """The record with the trajectory of the simulator that the options name.
 
     It has to reach `ahead` samples beyond the record. `beyond` asks for more, for its calibration;
@@ -123,7 +123,7 @@ def _named(simulator: str) -> Iterator[None]:
 def simulated_again(
     opened: Simulator,
     options: SimulatorOptions,
-    past: Trajectory,
+    past: Record,
     warm: int,
     steps: int,
     trained: Trained,
@@ -165,7 +165,7 @@ def simulated_again(
 
 
 def _since_training(
-    past: Trajectory, origin: Stamp | None, calibration: Calibration
+    past: Record, origin: Stamp | None, calibration: Calibration
 ) -> tuple[float, Stamp | None]:
     """How many samples after the training record a history begins, and when that record began."""
     if origin is None or past.start is None:
@@ -201,12 +201,12 @@ def _check_length(begin: float) -> None:
 
 
 def each_with_simulator(
-    records: Sequence[Trajectory],
+    records: Sequence[Record],
     methods: Sequence[str],
     further: FurtherRecords,
     options: SimulatorOptions,
     reading: RecordOptions,
-) -> list[Trajectory]:
+) -> list[Record]:
     """The records of --more, with their simulators where a method is a hybrid model."""
     simulators = further.more_simulator or []
     hybrid = any(method in HYBRIDS for method in methods)
@@ -225,11 +225,11 @@ def each_with_simulator(
 
 
 def tests_with_simulator(
-    tests: Sequence[Trajectory],
+    tests: Sequence[Record],
     testing: TestRecords,
     options: SimulatorOptions,
     reading: RecordOptions,
-) -> list[Trajectory]:
+) -> list[Record]:
     """The records of --test, each with its simulator where there is one."""
     simulators = testing.test_simulator or []
     if simulators and len(simulators) != len(tests):
@@ -246,7 +246,7 @@ def tests_with_simulator(
 
 
 def opened_simulator(
-    options: SimulatorOptions, record: Trajectory, time_column: str | None = None
+    options: SimulatorOptions, record: Record, time_column: str | None = None
 ) -> Simulator:
     """What --simulator names; of a file with the columns that --simulator-columns chooses."""
     text, timeout = options.simulator or "", options.simulator_timeout
@@ -285,9 +285,7 @@ def _times(grid: Grid) -> str:
     return f"the record's time stamps, {grid}"
 
 
-def _exported(
-    path: str, record: Trajectory, columns: list[str], time_column: str | None
-) -> Simulator:
+def _exported(path: str, record: Record, columns: list[str], time_column: str | None) -> Simulator:
     exported = read_beside(path, record.sampling_time, time_column, columns=columns or None)
     if not columns and set(record.columns) <= set(exported.columns):
         chosen = [exported.columns.index(name) for name in record.columns]

@@ -15,11 +15,11 @@ from splitband.cli import records, setups, showing
 from splitband.cli.comparing import arguments
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Cutoff, ModelOptions, Order
-from splitband.cli.options.records import Record, RecordOptions
+from splitband.cli.options.records import RecordArgument, RecordOptions
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import refuse_bases, with_simulator
 from splitband.cli.usage import usage
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
 from splitband.forecasters.simulation import Simulation
 from splitband.metrics import rmse
@@ -30,7 +30,7 @@ from splitband.runtime.outputs import staged, write_facts
 @with_groups
 def spectrum(
     context: typer.Context,
-    record: Record,
+    record: RecordArgument,
     reading: RecordOptions,
     simulator: SimulatorOptions,
     train: Annotated[
@@ -97,7 +97,7 @@ def spectrum(
     showing.results_file(out / "results.json")
 
 
-def _warn_of_nothing_to_learn(record: Trajectory, cutoff: float, order: int) -> dict[str, Any]:
+def _warn_of_nothing_to_learn(record: Record, cutoff: float, order: int) -> dict[str, Any]:
     """The oracle check of the training samples, and where it says so that of a calibrated one."""
     assert record.y_sim is not None
     rate = record.sampling_rate
@@ -120,7 +120,7 @@ def _warn_of_nothing_to_learn(record: Trajectory, cutoff: float, order: int) -> 
     return facts
 
 
-def _show_peaks(record: Trajectory, facts: dict[str, Any]) -> None:
+def _show_peaks(record: Record, facts: dict[str, Any]) -> None:
     table = Table(title=f"{record.name}: strongest peaks", title_justify="left")
     for heading in ("frequency (Hz)", "period (s)", "share of power"):
         table.add_column(heading, justify="right")
@@ -138,7 +138,7 @@ def _show_peaks(record: Trajectory, facts: dict[str, Any]) -> None:
 
 
 def _show_simulator(
-    record: Trajectory, y_sim: npt.NDArray[np.float64], cutoff: float, order: int
+    record: Record, y_sim: npt.NDArray[np.float64], cutoff: float, order: int
 ) -> dict[str, Any]:
     """Print and return how the simulator compares with the record."""
     rate, total = record.sampling_rate, rmse(record.seen, y_sim)

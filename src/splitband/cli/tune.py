@@ -15,7 +15,7 @@ from splitband.cli.comparing import Request, arguments, prepared
 from splitband.cli.crew import crew
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Device, ModelOptions, Warmup
-from splitband.cli.options.records import FurtherRecords, Record, RecordOptions, Train
+from splitband.cli.options.records import FurtherRecords, RecordArgument, RecordOptions, Train
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.simulators import refuse_bases
@@ -62,7 +62,7 @@ Storage = Annotated[
 @with_groups
 def tune(
     context: typer.Context,
-    record: Record,
+    record: RecordArgument,
     reading: RecordOptions,
     simulator: SimulatorOptions,
     further: FurtherRecords,

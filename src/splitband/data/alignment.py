@@ -8,8 +8,8 @@ import numpy as np
 import scipy
 
 from splitband.data.gaps import FloatArray
+from splitband.data.record import Record
 from splitband.data.timing import Grid, same_sampling, seconds_between
-from splitband.data.trajectory import Trajectory
 
 NEAR = 0.01
 """Of a sample: times that agree to this count as equal; rounded time stamps differ by as much."""
@@ -73,7 +73,7 @@ def reach(own: Grid, onto: Grid) -> int:
     return max(0, int(np.floor((own.samples - 1 - begin) * own.step / onto.step + NEAR)) + 1)
 
 
-def resampled(record: Trajectory, sampling_time: float) -> Trajectory:
+def resampled(record: Record, sampling_time: float) -> Record:
     """A record at another sampling time, from its first sample on.
 
     What was measured, and what a simulator says, is interpolated by a cubic spline, known inputs

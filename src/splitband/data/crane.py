@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import cumulative_trapezoid, solve_ivp
 
-from splitband.data.trajectory import Trajectory
+from splitband.data.record import Record
 
 Array = npt.NDArray[np.float64]
 
@@ -22,7 +22,7 @@ FASTEST_TROLLEY, FASTEST_HOIST = 2.0, 0.5
 """m/s."""
 
 
-def overhead_crane(samples: int = 4000, noise: float = 0.02, seed: int = 0) -> Trajectory:
+def overhead_crane(samples: int = 4000, noise: float = 0.02, seed: int = 0) -> Record:
     """The position of a crane's load, what its operator does, and a simulator without a swing.
 
     A trolley follows a commanded speed, and the load hangs from it on a rope whose length changes
@@ -40,7 +40,7 @@ def overhead_crane(samples: int = 4000, noise: float = 0.02, seed: int = 0) -> T
     speed, rope = _operated(samples, random)
     ideal = cumulative_trapezoid(speed, dx=STEP, initial=0)
     load = _swinging(speed, rope)
-    return Trajectory(
+    return Record(
         load + random.normal(0.0, noise, samples),
         STEP,
         u=np.column_stack([speed, rope]),

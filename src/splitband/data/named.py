@@ -11,14 +11,12 @@ from scipy.integrate import solve_ivp
 
 from splitband.data.crane import overhead_crane
 from splitband.data.public import double_torsion, drill_string
-from splitband.data.trajectory import Trajectory
+from splitband.data.record import Record
 
 Array = npt.NDArray[np.float64]
 
 
-def double_mass_spring(
-    samples: int = 1000, noise_variance: float = 0.1, seed: int = 0
-) -> Trajectory:
+def double_mass_spring(samples: int = 1000, noise_variance: float = 0.1, seed: int = 0) -> Record:
     """Return the paper's system (i): two superposed cosines and an offset (supplement, Sec. C.1).
 
     Parameters
@@ -30,10 +28,10 @@ def double_mass_spring(
     t = 0.1 * np.arange(samples)
     x = 1.28 * np.cos(2 * np.pi * 0.115 * t - 7.7) + 0.677 * np.cos(2 * np.pi * 0.57 * t) - 0.009
     noise = np.random.default_rng(seed).normal(0.0, np.sqrt(noise_variance), samples)
-    return Trajectory(x + noise, 0.1, y_true=x, name="double-mass-spring", columns=("x",))
+    return Record(x + noise, 0.1, y_true=x, name="double-mass-spring", columns=("x",))
 
 
-def van_der_pol(samples: int = 2000, simulator_rtol: float = 1e-10) -> Trajectory:
+def van_der_pol(samples: int = 2000, simulator_rtol: float = 1e-10) -> Record:
     """Return the paper's system (v), a driven Van der Pol oscillator, with an unforced simulator.
 
     Paper, supplement, Sec. C.2; omega and the initial states are not in it (docs/deviations.md).
@@ -60,7 +58,7 @@ def van_der_pol(samples: int = 2000, simulator_rtol: float = 1e-10) -> Trajector
             solve_ivp(derivative, ends, state, t_eval=time, rtol=rtol, atol=atol).y[0]
         )
 
-    return Trajectory(
+    return Record(
         solved(forced, [-2.0, 1.0, 0.31, 0.0], 1e-10, 1e-13),
         dt,
         y_sim=solved(unforced_van_der_pol, UNFORCED_START, simulator_rtol, 1e-3 * simulator_rtol),
@@ -89,7 +87,7 @@ class NamedRecord:
     train : Samples to train on where nobody says otherwise, the paper's; None: three quarters.
     """
 
-    make: Callable[[], Trajectory]
+    make: Callable[[], Record]
     train: int | None = None
 
 

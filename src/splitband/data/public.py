@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from splitband.data.reading import read
-from splitband.data.trajectory import Trajectory, one_line
+from splitband.data.record import Record, one_line
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def _download(record: PublicFile) -> Path:
     return Path(path)
 
 
-def double_torsion(samples: int = 2000) -> Trajectory:
+def double_torsion(samples: int = 2000) -> Record:
     """Return the first samples of a measured double-torsion pendulum, (samples, 1).
 
     Normalised by their own mean and standard deviation (ddof 0); 100 Hz; repeats every 160
@@ -170,10 +170,10 @@ def double_torsion(samples: int = 2000) -> Trajectory:
         raise ValueError(f"samples must be from 2 to {len(whole)}: got {samples}")
     y = whole[:samples]
     y = (y - y.mean()) / y.std()
-    return Trajectory(y, record.sampling_time, name="double-torsion", columns=("phi2",))
+    return Record(y, record.sampling_time, name="double-torsion", columns=("phi2",))
 
 
-def drill_string() -> Trajectory:
+def drill_string() -> Record:
     """Return measured drill-string torque and its physics simulation, 4001 samples at 100 Hz.
 
     System (vi) of the paper: samples 2000 to 6000, both signals normalised by the mean and
@@ -187,7 +187,7 @@ def drill_string() -> Trajectory:
         for name in ("drill_string_data", "drill_string_sim")
     )
     mean, std = y.mean(), y.std()
-    return Trajectory(
+    return Record(
         (y - mean) / std,
         step,
         y_sim=(y_sim - mean) / std,

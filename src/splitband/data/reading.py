@@ -21,10 +21,10 @@ from pandas.api.types import is_numeric_dtype
 
 from splitband.data.columns import Column, has_number, numbers
 from splitband.data.gaps import FloatArray, Gaps
+from splitband.data.record import Record, one_line, require_finite
 from splitband.data.stamps import TIME_NAMES, Spacing, also_time, spacing, time_name
 from splitband.data.text import check_different, read_table
 from splitband.data.timing import same_sampling
-from splitband.data.trajectory import Trajectory, one_line, require_finite
 
 MOST_BYTES = 2**31
 """That the numbers of a file may take, whatever it is packed in."""
@@ -78,7 +78,7 @@ def read(
     sampling_time: float | None = None,
     fallback_sampling_time: float | None = None,
     gaps: Gaps = "refuse",
-) -> Trajectory:
+) -> Record:
     """Read a record from CSV, TSV, Parquet, NPZ, NPY, MAT (up to v7.2) or plain text.
 
     Columns are chosen by name, or by position from 0 where a text or NPY file names none; a single
@@ -105,7 +105,7 @@ def read(
         a step over the record, else a scalar `sampling_time`, `dt` or `Ts` of the file.
     fallback_sampling_time : seconds, for a file that says nothing of time.
     gaps : "refuse" values that are not finite, and stamps with rows missing between them; "mask"
-        takes both for samples that were not measured, see `Trajectory.with_gaps`.
+        takes both for samples that were not measured, see `Record.with_gaps`.
 
     Raises
     ------
@@ -301,15 +301,13 @@ def _check_orientation(names: Sequence[str], rows: int) -> None:
         )
 
 
-def _assemble(
-    table: _Table, picked: _Picked, spaced: Spacing, gaps: Gaps, *, name: str
-) -> Trajectory:
+def _assemble(table: _Table, picked: _Picked, spaced: Spacing, gaps: Gaps, *, name: str) -> Record:
     """Check every cell of the columns, and make a record of them."""
     known, measured = picked.known, picked.measured
     y = _matrix(table, measured, gaps, spaced.places)
     u = _matrix(table, known, gaps, spaced.places) if known else None
     labels = (_NAMELESS,) if list(table) == ["0"] else tuple(measured)
-    make = Trajectory if gaps == "refuse" else Trajectory.with_gaps
+    make = Record if gaps == "refuse" else Record.with_gaps
     return make(
         y, spaced.step, u=u, name=name, columns=labels, inputs=tuple(known), start=spaced.start
     )

@@ -13,8 +13,8 @@ from pandas.api.types import is_timedelta64_dtype
 
 from splitband.data.columns import Column, has_number, numbers
 from splitband.data.gaps import FloatArray, Gaps
+from splitband.data.record import require_finite
 from splitband.data.timing import Stamp, stamp_after
-from splitband.data.trajectory import require_finite
 
 MOST_MISSING = 0.9
 """Share of a record's rows that may be missing between its time stamps."""

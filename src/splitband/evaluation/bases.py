@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.costs import training_cost
 from splitband.evaluation.runs import Work
 from splitband.evaluation.search import Attempt, SearchResult
@@ -27,14 +27,14 @@ STAGE = "on a baseline"
 
 
 def on_baseline(
-    record: Trajectory,
+    record: Record,
     trial: Trial,
     searched: SearchResult,
     setup: Setup,
     ahead: int,
     seeds: Sequence[int],
     work: Work,
-    others: Sequence[Trajectory] = (),
+    others: Sequence[Record] = (),
 ) -> tuple[Trial, SearchResult]:
     """The trial and the methods, with a network on the best baseline where that pays.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.bases import on_baseline
 from splitband.evaluation.costs import job_cost
 from splitband.evaluation.plan import BASE, BASELINES, SEARCH, Plan
@@ -31,7 +31,7 @@ SEEDS = 3
 
 
 def candidates(
-    record: Trajectory, setup: Setup, methods: Sequence[Forecaster | str] | None
+    record: Record, setup: Setup, methods: Sequence[Forecaster | str] | None
 ) -> tuple[list[Forecaster], Setup]:
     """The methods with what they leave open taken from the setup, and the setup they are for.
 
@@ -74,13 +74,13 @@ def last_stages(work: Work, asked: int, samples: int, ahead: int) -> tuple[Work,
 
 
 def choose(
-    record: Trajectory,
+    record: Record,
     forecasters: Sequence[Forecaster],
     ahead: int,
     setup: Setup,
     seeds: int | None,
     work: Work,
-    others: Sequence[Trajectory],
+    others: Sequence[Record],
     tested: bool = False,
 ) -> tuple[Trial, SearchResult]:
     """How networks are to be trained, and what all methods do on held-out samples.
@@ -145,11 +145,11 @@ def choose(
 
 
 def _in_time(
-    record: Trajectory,
+    record: Record,
     searched: SearchResult,
     seeds: Sequence[int],
     work: Work,
-    others: Sequence[Trajectory],
+    others: Sequence[Record],
     needed: bool,
 ) -> list[Forecaster]:
     """The networks that there is time to try; the others are left out by name.

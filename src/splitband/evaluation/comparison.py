@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.choosing import (
     as_trained,
     candidates,
@@ -61,12 +61,12 @@ class Comparison:
     plan : The time that it took, and what was left out for want of time.
     """
 
-    record: Trajectory
+    record: Record
     setup: Setup
     runs: Runs
     trial: Trial | None = None
-    others: tuple[Trajectory, ...] = ()
-    tests: tuple[Trajectory, ...] = ()
+    others: tuple[Record, ...] = ()
+    tests: tuple[Record, ...] = ()
     attempts: tuple[Attempt, ...] = ()
     forecasters: Mapping[str, Forecaster] = field(default_factory=dict)
     plan: Plan = field(default_factory=Plan)
@@ -186,12 +186,12 @@ class Comparison:
 
 
 def compare(
-    record: Trajectory,
+    record: Record,
     train: int | None = None,
     methods: Sequence[Forecaster | str] | None = None,
     *,
-    others: Sequence[Trajectory] = (),
-    tests: Sequence[Trajectory] = (),
+    others: Sequence[Record] = (),
+    tests: Sequence[Record] = (),
     seeds: int | None = None,
     setup: Setup | None = None,
     work: Work | None = None,
@@ -224,7 +224,7 @@ def compare(
 
     Examples
     --------
-    >>> record = sb.Trajectory(np.sin(0.3 * np.arange(400)), 0.1)
+    >>> record = sb.Record(np.sin(0.3 * np.arange(400)), 0.1)
     >>> result = sb.compare(record, 300, [sb.Mean(), sb.Persistence(), sb.Harmonic()])
     >>> result.recommended
     'harmonic'
@@ -292,7 +292,7 @@ def _last_runs(
     return Runs(ordered, (*runs.failures, *trained.failures))
 
 
-def _called_apart(tests: Sequence[Trajectory]) -> list[Trajectory]:
+def _called_apart(tests: Sequence[Record]) -> list[Record]:
     """The test records, each with a name of its own: those that share one are counted."""
     names: list[str] = []
     for i, test in enumerate(tests):

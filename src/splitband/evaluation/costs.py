@@ -9,7 +9,7 @@ from functools import cache
 
 import torch
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.forecasters.backtest import Question
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import Ensemble
@@ -71,7 +71,7 @@ def job_cost(forecaster: Forecaster, question: Question) -> float:
     return training_cost(forecaster, question.record[:samples], question.others)
 
 
-def training_cost(network: Network, record: Trajectory, others: Sequence[Trajectory]) -> float:
+def training_cost(network: Network, record: Record, others: Sequence[Record]) -> float:
     """Seconds of a reference core that a training takes, roughly; with that of a network below."""
     base = getattr(network, "base", None)
     below = training_cost(base, record, others) if isinstance(base, Network) else 0.0

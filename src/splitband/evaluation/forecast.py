@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.choosing import (
     as_trained,
     candidates,
@@ -45,7 +45,7 @@ class Forecast:
     plan : See `Comparison`.
     """
 
-    record: Trajectory
+    record: Record
     forecaster: Forecaster
     prediction: Prediction
     trial: Trial
@@ -66,11 +66,11 @@ class Forecast:
 
 
 def forecast(
-    record: Trajectory,
+    record: Record,
     steps: int,
     methods: Sequence[Forecaster | str] | None = None,
     *,
-    others: Sequence[Trajectory] = (),
+    others: Sequence[Record] = (),
     seeds: int | None = None,
     setup: Setup | None = None,
     work: Work | None = None,
@@ -91,7 +91,7 @@ def forecast(
 
     Examples
     --------
-    >>> record = sb.Trajectory(np.sin(0.3 * np.arange(400)), 0.1)
+    >>> record = sb.Record(np.sin(0.3 * np.arange(400)), 0.1)
     >>> found = sb.forecast(record, 50, [sb.Mean(), sb.Harmonic()])
     >>> found.method, found.prediction.y.shape, found.prediction.lower.shape
     ('harmonic', (50, 1), (50, 1))
@@ -158,7 +158,7 @@ def forecast(
     )
 
 
-def _check_ahead(record: Trajectory, steps: int) -> None:
+def _check_ahead(record: Record, steps: int) -> None:
     whole("steps", steps)
     for what, known, ahead in (
         ("known inputs", record.u, record.u_beyond),

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Trajectory, check_alike
+from splitband.data import Record, check_alike
 from splitband.data.gaps import first_after
 from splitband.evaluation.runs import Failure, Work, run_all
 from splitband.evaluation.setup import Setup
@@ -126,13 +126,13 @@ class Runs(dict[str, list[Run]]):
 
 
 def compare_methods(
-    record: Trajectory,
+    record: Record,
     forecasters: Sequence[Forecaster],
     setup: Setup,
     seeds: Sequence[int] | Mapping[str, Sequence[int]] = (0,),
     work: Work | None = None,
-    others: Sequence[Trajectory] = (),
-    tests: Sequence[Trajectory] = (),
+    others: Sequence[Record] = (),
+    tests: Sequence[Record] = (),
 ) -> Runs:
     """Fit every forecaster with every seed and predict under every protocol.
 
@@ -159,13 +159,13 @@ def compare_methods(
 
 
 def run_methods(
-    record: Trajectory,
+    record: Record,
     forecasters: Sequence[Forecaster],
     setup: Setup,
     seeds: Sequence[int] | Mapping[str, Sequence[int]],
     work: Work,
-    others: Sequence[Trajectory] = (),
-    tests: Sequence[Trajectory] = (),
+    others: Sequence[Record] = (),
+    tests: Sequence[Record] = (),
     need_one: bool = True,
 ) -> Runs:
     """Do what `compare_methods` does, for what has been checked; `need_one` as in `run_all`."""
@@ -189,7 +189,7 @@ def run_methods(
     return Runs(runs, failures)
 
 
-def _origins(forecaster: Forecaster, record: Trajectory, setup: Setup) -> list[Origin]:
+def _origins(forecaster: Forecaster, record: Record, setup: Setup) -> list[Origin]:
     """Of the two protocols; there is nothing to forecast where all of the record is trained on."""
     warmup = forecaster.warmup or setup.settings.warmup
     first = first_origin(record, setup.train, warmup)
@@ -217,7 +217,7 @@ def as_run(name: str, question: Question, train: int, done: Backtest) -> Run:
     return replace(run, errors=errors_of(run, question.record, train, question.tests))
 
 
-def errors_of(run: Run, record: Trajectory, train: int, tests: Sequence[Trajectory] = ()) -> Errors:
+def errors_of(run: Run, record: Record, train: int, tests: Sequence[Record] = ()) -> Errors:
     """The RMSE of a run's predictions against the truth where it is known."""
     truth, from_start = record.truth, run.from_start.y
     return Errors(
@@ -230,9 +230,7 @@ def errors_of(run: Run, record: Trajectory, train: int, tests: Sequence[Trajecto
     )
 
 
-def mean_run(
-    runs: Sequence[Run], record: Trajectory, train: int, tests: Sequence[Trajectory] = ()
-) -> Run:
+def mean_run(runs: Sequence[Run], record: Record, train: int, tests: Sequence[Record] = ()) -> Run:
     """The mean of the predictions of several seeds, with its own errors."""
     first = runs[0]
     if len(runs) == 1:
@@ -249,7 +247,7 @@ def mean_run(
     return replace(mean, errors=errors_of(mean, record, train, tests))
 
 
-def by_channel(record: Trajectory, predicted: Array) -> list[float]:
+def by_channel(record: Record, predicted: Array) -> list[float]:
     """The RMSE of each channel by itself, of a prediction `(time, ny)` that ends with the record.
 
     NaN for a channel that was not measured there.
@@ -258,13 +256,13 @@ def by_channel(record: Trajectory, predicted: Array) -> list[float]:
     return [rmse(y, x) for y, x in zip(truth.T, predicted.T, strict=True)]
 
 
-def inputs_beyond(training: Sequence[Trajectory], u: Array | None) -> list[Extrapolation]:
+def inputs_beyond(training: Sequence[Record], u: Array | None) -> list[Extrapolation]:
     """Which inputs `u` `(time, nu)` ahead go beyond those of the training records."""
     seen = [record.u for record in training if record.u is not None]
     return [] if u is None or not seen else extrapolations(*input_range(seen), u)
 
 
-def check_train(record: Trajectory, train: int, ahead: int = 1) -> None:
+def check_train(record: Record, train: int, ahead: int = 1) -> None:
     """Check that there is something to train on and `ahead` samples to predict."""
     if not 2 <= whole("train", train, None) <= len(record) - ahead:
         raise ValueError(
@@ -274,11 +272,11 @@ def check_train(record: Trajectory, train: int, ahead: int = 1) -> None:
 
 
 def check(
-    record: Trajectory,
+    record: Record,
     forecasters: Sequence[Forecaster],
     setup: Setup,
-    others: Sequence[Trajectory] = (),
-    tests: Sequence[Trajectory] = (),
+    others: Sequence[Record] = (),
+    tests: Sequence[Record] = (),
     beyond: bool = False,
 ) -> None:
     """Find what is wrong with a comparison before anything is computed.

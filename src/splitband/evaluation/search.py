@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.costs import reference_seconds, training_cost
 from splitband.evaluation.plan import ONE
 from splitband.evaluation.runs import Work, run_all
@@ -204,12 +204,12 @@ class SearchResult:
 
 
 def search(
-    record: Trajectory,
+    record: Record,
     forecasters: Sequence[Forecaster],
     steps: int,
     budget: Search,
     work: Work,
-    others: Sequence[Trajectory] = (),
+    others: Sequence[Record] = (),
 ) -> SearchResult:
     """Choose how the networks among some forecasters are trained, where that has been left open.
 
@@ -290,7 +290,7 @@ def search(
     )
 
 
-def _fits(network: Network, record: Trajectory, others: Sequence[Trajectory]) -> bool:
+def _fits(network: Network, record: Record, others: Sequence[Record]) -> bool:
     """Whether it can be trained on these records; its row says why not."""
     try:
         network.check(record, *others)
@@ -304,10 +304,10 @@ class _Trials:
 
     def __init__(
         self,
-        record: Trajectory,
+        record: Record,
         steps: int,
         work: Work,
-        others: Sequence[Trajectory],
+        others: Sequence[Record],
         most: float,
     ) -> None:
         self._record, self._end = replace(record, y_true=None), len(record) + steps
@@ -372,8 +372,8 @@ def ways(forecaster: Network, samples: int) -> list[tuple[Settings, float]]:
 
 def _candidate(
     forecaster: Network,
-    record: Trajectory,
-    others: Sequence[Trajectory],
+    record: Record,
+    others: Sequence[Record],
     settings: Settings,
     size: float,
 ) -> Candidate:
@@ -425,7 +425,7 @@ def _promoted(
     return _ranked(kept, scores)
 
 
-def held_out_score(record: Trajectory, done: Sequence[Backtest]) -> float:
+def held_out_score(record: Record, done: Sequence[Backtest]) -> float:
     """RMSE of the seeds' mean forecasts of a training record's last quarter, channels scaled."""
     check_held_out(record)
     mean = mean_forecasts(done)

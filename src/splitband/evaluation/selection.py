@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.protocols import check
 from splitband.evaluation.runs import Work, run_all
 from splitband.evaluation.setup import Setup
@@ -158,12 +158,12 @@ class Trial:
 
 
 def try_out(
-    record: Trajectory,
+    record: Record,
     forecasters: Sequence[Forecaster],
     steps: int,
     seeds: Sequence[int] = (0,),
     work: Work | None = None,
-    others: Sequence[Trajectory] = (),
+    others: Sequence[Record] = (),
     done: Mapping[str, Mapping[int, Backtest]] | None = None,
     need_one: bool = True,
 ) -> Trial:
@@ -208,10 +208,10 @@ def try_out(
 
 
 def check_trial(
-    record: Trajectory,
+    record: Record,
     forecasters: Sequence[Forecaster],
     setup: Setup,
-    others: Sequence[Trajectory] = (),
+    others: Sequence[Record] = (),
 ) -> None:
     """Find what is wrong with `try_out` before anything is computed."""
     part = replace(record[: setup.train], y_true=None)

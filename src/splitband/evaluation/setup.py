@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.search import Search
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
@@ -72,7 +72,7 @@ def default_names(with_simulator: bool, with_inputs: bool = False) -> list[str]:
     return ["gru", *networks, *simulator, *naive, *(["linear"] if with_inputs else [])]
 
 
-def usual_names(record: Trajectory, setup: Setup) -> list[str]:
+def usual_names(record: Record, setup: Setup) -> list[str]:
     """`default_names`, with the learned models where the record's simulator does not help."""
     names = default_names(record.y_sim is not None, record.nu > 0)
     if setup.bands.choice is None or setup.bands.choice.simulator_helps is not False:
@@ -89,7 +89,7 @@ def trying_bases(setup: Setup) -> Setup:
 
 
 def default_setup(
-    record: Trajectory,
+    record: Record,
     train: int,
     recipe: Recipe = "default",
     settings: Settings | None = None,

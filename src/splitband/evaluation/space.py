@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.search import SIZES, ways
 from splitband.evaluation.setup import Setup, default_names
 from splitband.evaluation.tuned import Tuned
@@ -53,7 +53,7 @@ class Draw(Protocol):
         """A number from `low` to `high`."""
 
 
-def tunable_names(record: Trajectory) -> list[str]:
+def tunable_names(record: Record) -> list[str]:
     """The networks that are worth searching for such a record: of the GRU, all kinds that apply."""
     brings = {"inputs": record.u is not None, "simulator": record.y_sim is not None}
     return [
@@ -65,7 +65,7 @@ def tunable_names(record: Trajectory) -> list[str]:
     ]
 
 
-def usual_networks(record: Trajectory, methods: Sequence[str]) -> list[str]:
+def usual_networks(record: Record, methods: Sequence[str]) -> list[str]:
     """Those of the methods that `compare` trains by default; the first one where there are none."""
     usual = default_names(record.y_sim is not None, record.nu > 0)
     return [name for name in methods if name in usual] or [*methods[:1]]
@@ -120,7 +120,7 @@ class Space:
             **({"bands": "usual"} if _has_bands(network) else {}),
         }
 
-    def beginnings(self, record: Trajectory) -> list[tuple[Parameters, bool]]:
+    def beginnings(self, record: Record) -> list[tuple[Parameters, bool]]:
         """Where to begin, and whether that is the default recipe.
 
         That is followed by what `search` tries first: of one network all short trainings, of the

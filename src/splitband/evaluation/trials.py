@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.search import held_out_score
 from splitband.evaluation.space import Space
 from splitband.evaluation.tuned import Tuned
@@ -52,9 +52,9 @@ class Job:
     limits : When it is enough.
     """
 
-    record: Trajectory
+    record: Record
     shares: tuple[float, ...]
-    others: tuple[Trajectory, ...]
+    others: tuple[Record, ...]
     space: Space
     device: str
     storage: str
@@ -88,11 +88,11 @@ class Attempt:
 
 
 def score(
-    record: Trajectory,
+    record: Record,
     share: float,
     network: Network,
     seed: int,
-    others: Sequence[Trajectory] = (),
+    others: Sequence[Record] = (),
     progress: Callable[[Progress], None] | None = None,
 ) -> float:
     """The held-out error of a network on the beginning of a training record.
@@ -106,7 +106,7 @@ def score(
     return held_out_score(part, [backtest(shorter, question, seed, progress)])
 
 
-def beginning(record: Trajectory, share: float) -> Trajectory:
+def beginning(record: Record, share: float) -> Record:
     """The first samples of a training record, without the truth."""
     return replace(record[: round(share * len(record))], y_true=None)
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
-from splitband.data.trajectory import Trajectory, described, same_names
+from splitband.data.record import Record, described, same_names
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import Ensemble
@@ -65,11 +65,11 @@ class Tuned:
         network.free = False
         return network
 
-    def for_record(self, record: Trajectory) -> Tuned:
+    def for_record(self, record: Record) -> Tuned:
         """Return the same network for records with the channels and inputs of this one."""
         return replace(self, columns=record.columns, inputs=record.inputs)
 
-    def check(self, record: Trajectory) -> None:
+    def check(self, record: Record) -> None:
         """Raise ValueError for a record with other channels or inputs, in whatever order."""
         pairs = ((record.columns, self.columns), (record.inputs, self.inputs))
         if self.columns and not all(same_names(sorted(a), sorted(b)) for a, b in pairs):

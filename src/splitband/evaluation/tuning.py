@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.protocols import TRAINING_SHARE, check_train
 from splitband.evaluation.runs import Work
 from splitband.evaluation.setup import Setup, default_setup
@@ -88,7 +88,7 @@ class Tuning:
         few trials.
     """
 
-    record: Trajectory
+    record: Record
     setup: Setup
     attempts: tuple[Attempt, ...]
     importances: Mapping[str, float] = field(default_factory=dict)
@@ -157,11 +157,11 @@ class Tuning:
 
 
 def tune(
-    record: Trajectory,
+    record: Record,
     train: int | None = None,
     methods: Sequence[str] | None = None,
     *,
-    others: Sequence[Trajectory] = (),
+    others: Sequence[Record] = (),
     effort: Effort | None = None,
     setup: Setup | None = None,
     work: Work | None = None,
@@ -224,7 +224,7 @@ def tune(
     return Tuning(training, setup, tuple(found), importances)
 
 
-def _methods(record: Trajectory, methods: Sequence[str] | None) -> tuple[str, ...]:
+def _methods(record: Record, methods: Sequence[str] | None) -> tuple[str, ...]:
     if methods is None:
         return tuple(tunable_names(record))
     methods = [methods] if isinstance(methods, str) else methods
@@ -235,7 +235,7 @@ def _methods(record: Trajectory, methods: Sequence[str] | None) -> tuple[str, ..
     return tuple(dict.fromkeys(methods))
 
 
-def _shares(record: Trajectory, space: Space, others: Sequence[Trajectory]) -> tuple[float, ...]:
+def _shares(record: Record, space: Space, others: Sequence[Record]) -> tuple[float, ...]:
     """The beginnings of the training part that are long enough for the default recipe."""
     shares: list[float] = []
     for share in SHARES:
@@ -256,9 +256,9 @@ def _shares(record: Trajectory, space: Space, others: Sequence[Trajectory]) -> t
 
 
 def _name(
-    record: Trajectory,
+    record: Record,
     shares: Sequence[float],
-    others: Sequence[Trajectory],
+    others: Sequence[Record],
     space: Space,
     effort: Effort,
 ) -> str:

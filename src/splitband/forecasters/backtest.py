@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.data.gaps import first_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
@@ -75,11 +75,11 @@ class Question:
         of its own (`Forecaster.warmup` is 0).
     """
 
-    record: Trajectory
+    record: Record
     origins: Sequence[Origin]
     end: int
-    others: Sequence[Trajectory] = ()
-    tests: Sequence[Trajectory] = ()
+    others: Sequence[Record] = ()
+    tests: Sequence[Record] = ()
     warmup: int = 1
 
 
@@ -159,7 +159,7 @@ def backtest(
     return Backtest(predictions, tests, report, known.y_range, description, unfiltered)
 
 
-def tested_by(forecaster: Forecaster, test: Trajectory) -> bool:
+def tested_by(forecaster: Forecaster, test: Record) -> bool:
     """Whether a forecaster can be asked about another record."""
     simulated = "simulator" not in forecaster.needs or test.y_sim is not None
     return simulated and not forecaster.anchored
@@ -181,7 +181,7 @@ def _tested(fitted: Forecaster, question: Question) -> tuple[list[Prediction], s
     return predictions, ""
 
 
-def first_origin(record: Trajectory, train: int, warmup: int) -> Origin:
+def first_origin(record: Record, train: int, warmup: int) -> Origin:
     """The first sample with `warmup` measured samples right before it (the paper's protocol).
 
     There are two at least, as a history is a record, which has no fewer.
@@ -197,7 +197,7 @@ def held_out_from(samples: int) -> int:
     return samples - max(1, round(HELD_OUT * samples))
 
 
-def check_held_out(record: Trajectory) -> None:
+def check_held_out(record: Record) -> None:
     """Check that something was measured in each channel of a record's last quarter."""
     held_out = record.seen[held_out_from(len(record)) :]
     for column, channel in zip(record.columns, held_out.T, strict=True):
@@ -218,7 +218,7 @@ def for_trial(
     return forecaster.for_samples(held_out_from(samples), training or samples)
 
 
-def held_out_origins(forecaster: Forecaster, record: Trajectory) -> list[Origin]:
+def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
     """From where forecasts of a record's own last quarter are tried.
 
     A network is trained once, and forecasts from the beginning of that quarter, from a third and
@@ -240,13 +240,13 @@ def held_out_origins(forecaster: Forecaster, record: Trajectory) -> list[Origin]
     return [Origin(end, end) for end in dict.fromkeys(ends)]
 
 
-def held_out_errors(record: Trajectory, forecasts: Mapping[Origin, Array]) -> list[Array]:
+def held_out_errors(record: Record, forecasts: Mapping[Origin, Array]) -> list[Array]:
     """Errors of forecasts of a record's last quarter, by horizon: those that count in a score."""
     first = held_out_from(len(record))
     return [e for at, e in _errors(record, forecasts) if at >= first]
 
 
-def held_out(record: Trajectory, forecasts: Mapping[Origin, Array]) -> HeldOut:
+def held_out(record: Record, forecasts: Mapping[Origin, Array]) -> HeldOut:
     """Return what intervals beyond a record follow from: how well its last part was forecast."""
     first = held_out_from(len(record))
     errors = _errors(record, forecasts)
@@ -293,7 +293,7 @@ def channel_errors(errors: Sequence[Array]) -> tuple[float, ...]:
     return tuple(root_mean_square([error]) for error in np.concatenate(errors).T[:, :, None])
 
 
-def _errors(record: Trajectory, forecasts: Mapping[Origin, Array]) -> list[tuple[int, Array]]:
+def _errors(record: Record, forecasts: Mapping[Origin, Array]) -> list[tuple[int, Array]]:
     """By index of the first sample, in its order."""
     seen = record.seen
     return [

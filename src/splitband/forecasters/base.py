@@ -15,7 +15,7 @@ from typing import Self, final
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Trajectory, check_alike
+from splitband.data import Record, check_alike
 from splitband.data.timing import same_sampling
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import Fitted
@@ -91,7 +91,7 @@ class Forecaster(ABC):
 
     def learn(
         self,
-        records: Sequence[Trajectory],
+        records: Sequence[Record],
         *,
         seed: int,
         progress: Callable[[Progress], None] | None,
@@ -116,18 +116,18 @@ class Forecaster(ABC):
         """For a part of the training record, of so many samples instead of all."""
         return self
 
-    def simulated(self, record: Trajectory, horizon: int, *others: Trajectory) -> Self:
+    def simulated(self, record: Record, horizon: int, *others: Record) -> Self:
         """With the output of a simulator of its own computed, which is the same in every process.
 
         That is over the training record and `horizon` samples more, and over other records.
         """
         return self
 
-    def prepare(self, record: Trajectory) -> None:
+    def prepare(self, record: Record) -> None:
         """Compute once what the fits of several forecasters and seeds to a record share."""
         return
 
-    def check(self, *records: Trajectory) -> None:
+    def check(self, *records: Record) -> None:
         """Raise ValueError for what is wrong with the training records, before anything runs."""
         if not records:
             raise ValueError("records must be one or several, got none")
@@ -142,7 +142,7 @@ class Forecaster(ABC):
     @final
     def fit(
         self,
-        *records: Trajectory,
+        *records: Record,
         seed: int = 0,
         progress: Callable[[Progress], None] | None = None,
         checkpoint: Checkpoint | None = None,
@@ -182,7 +182,7 @@ class Forecaster(ABC):
     def predict(
         self,
         steps: int,
-        history: Trajectory | None = None,
+        history: Record | None = None,
         u: npt.ArrayLike | None = None,
         y_sim: npt.ArrayLike | None = None,
         level: float | None = None,
@@ -285,11 +285,11 @@ class Forecaster(ABC):
     def _known(
         self,
         steps: int,
-        history: Trajectory | None,
+        history: Record | None,
         u: npt.ArrayLike | None,
         y_sim: npt.ArrayLike | None,
         other_record: bool = False,
-    ) -> tuple[Known, Trajectory]:
+    ) -> tuple[Known, Record]:
         """What may be known of `steps` samples, and the history."""
         fitted = self.require_fitted()
         past, begin = fitted.record, None if other_record else float(fitted.begin)
@@ -333,5 +333,5 @@ def total(parts: Sequence[Array]) -> Array:
     return np.nan_to_num(np.sum(parts, axis=0), nan=most, posinf=most, neginf=-most)
 
 
-def _named(record: Trajectory) -> str:
+def _named(record: Record) -> str:
     return record.name or "the record"

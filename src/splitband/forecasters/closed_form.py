@@ -15,7 +15,7 @@ from splitband.baselines.linear import OutputError
 from splitband.baselines.naive import ByTime
 from splitband.baselines.periodic import PeriodicRegression
 from splitband.baselines.seasonal import SeasonalNaive as LastPeriod
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import first_only
 from splitband.forecasters.known import Known
@@ -34,7 +34,7 @@ class Mean(Forecaster):
 
     name = "mean"
 
-    def learn(self, records: Sequence[Trajectory], **_: Any) -> None:
+    def learn(self, records: Sequence[Record], **_: Any) -> None:
         """See `Forecaster`."""
         self.level = np.nanmean(np.concatenate([record.seen for record in records]), axis=0)
 
@@ -82,7 +82,7 @@ class _ByTime(Forecaster):
         """See `Forecaster`."""
         return True
 
-    def learn(self, records: Sequence[Trajectory], **_: Any) -> None:
+    def learn(self, records: Sequence[Record], **_: Any) -> None:
         """See `Forecaster`; of several records the first one is fitted."""
         seen = records[0].seen
         self.baseline = self.fit_to(seen)
@@ -159,7 +159,7 @@ class Linear(Forecaster):
     name = "linear"
     needs = frozenset({"inputs"})
 
-    def learn(self, records: Sequence[Trajectory], **_: Any) -> None:
+    def learn(self, records: Sequence[Record], **_: Any) -> None:
         """See `Forecaster`."""
         first, *others = [(record.seen, _inputs(record.u)) for record in records]
         self.u = first[1]

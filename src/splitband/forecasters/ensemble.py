@@ -9,7 +9,7 @@ from typing import Any, Self, final
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
@@ -35,7 +35,7 @@ class Ensemble(Forecaster):
 
     Examples
     --------
-    >>> record = sb.Trajectory(np.sin(0.3 * np.arange(120)), 0.1)
+    >>> record = sb.Record(np.sin(0.3 * np.arange(120)), 0.1)
     >>> short = sb.Settings(window=40, warmup=10, epochs=1)
     >>> model = sb.Ensemble(sb.Single(sb.GRU(4), short), count=2).fit(record, seed=0)
     >>> model.name, model.predict(20).y.shape
@@ -112,7 +112,7 @@ class Ensemble(Forecaster):
         """See `Forecaster`."""
         return self._of(self.member.for_samples(samples, instead_of))
 
-    def simulated(self, record: Trajectory, horizon: int, *others: Trajectory) -> Self:
+    def simulated(self, record: Record, horizon: int, *others: Record) -> Self:
         """See `Forecaster`."""
         return self._of(self.member.simulated(record, horizon, *others))
 
@@ -121,17 +121,17 @@ class Ensemble(Forecaster):
         super().forget()
         self.members = []
 
-    def prepare(self, record: Trajectory) -> None:
+    def prepare(self, record: Record) -> None:
         """See `Forecaster`."""
         self.member.prepare(record)
 
-    def check(self, *records: Trajectory) -> None:
+    def check(self, *records: Record) -> None:
         """See `Forecaster`."""
         self.member.check(*records)
 
     def learn(
         self,
-        records: Sequence[Trajectory],
+        records: Sequence[Record],
         *,
         seed: int,
         progress: Callable[[Progress], None] | None,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.data.timing import Stamp, seconds_between
 from splitband.metrics import Extrapolation, extrapolations, input_range
 from splitband.runtime.arguments import whole
@@ -55,12 +55,12 @@ class Fitted:
     whole : Whether `others` are all that there were.
     """
 
-    record: Trajectory
+    record: Record
     begin: int
     start: Stamp | None
     y_range: Array
     u_range: Array | None
-    others: tuple[Trajectory, ...] = ()
+    others: tuple[Record, ...] = ()
     report: FitReport = field(default_factory=FitReport)
     whole: bool = True
 
@@ -74,7 +74,7 @@ class Fitted:
         return bool(self.others) or not self.whole
 
     @classmethod
-    def of(cls, records: Sequence[Trajectory], seed: int) -> Fitted:
+    def of(cls, records: Sequence[Record], seed: int) -> Fitted:
         """What is known before anything is computed."""
         seen = np.concatenate([record.seen for record in records])
         inputs = [record.u for record in records if record.u is not None]
@@ -88,7 +88,7 @@ class Fitted:
             FitReport(seed),
         )
 
-    def begins(self, history: Trajectory) -> float:
+    def begins(self, history: Record) -> float:
         """How many samples after the training record's first one a history begins."""
         step = self.record.sampling_time
         if self.start is None or history.start is None:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband import models
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.filters.spectrum import oracle
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
@@ -71,7 +71,7 @@ class _Hybrid(Banded):
         beside_simulator = "simulator" in self.base.needs
         return (super().shares_bands and beside_simulator) or self.base.shares_bands
 
-    def check(self, *records: Trajectory) -> None:
+    def check(self, *records: Record) -> None:
         """See `Forecaster`."""
         super().check(*records)
         self.base.check(*records)
@@ -81,11 +81,11 @@ class _Hybrid(Banded):
                 "depends on the time since the first one began"
             )
 
-    def prepare(self, record: Trajectory) -> None:
+    def prepare(self, record: Record) -> None:
         """See `Forecaster`."""
         self.base.prepare(record)
 
-    def simulated(self, record: Trajectory, horizon: int, *others: Trajectory) -> Self:
+    def simulated(self, record: Record, horizon: int, *others: Record) -> Self:
         """See `Forecaster`."""
         new = self.copy()
         new.base = self.base.simulated(record, horizon, *others)
@@ -127,7 +127,7 @@ class _Hybrid(Banded):
         """See `Forecaster`."""
         return self._labelled(super().extrapolate(known))
 
-    def unfiltered(self, steps: int, history: Trajectory) -> dict[str, Array]:
+    def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
         """See `Network`."""
         return self._labelled(super().unfiltered(steps, history))
 
@@ -140,7 +140,7 @@ class _Hybrid(Banded):
         return {label.replace(SLOW, slow, 1) if label.startswith(SLOW) else label: part
                 for label, part in parts.items()}  # fmt: skip
 
-    def _seen(self, records: Sequence[Trajectory], seed: int) -> list[Trajectory]:
+    def _seen(self, records: Sequence[Record], seed: int) -> list[Record]:
         """The records with the slow part as their simulator's output."""
         self.base.fit(*records, seed=seed)
         if isinstance(self.base, Simulation):
@@ -182,7 +182,7 @@ class Filtered(_Hybrid):
     Examples
     --------
     >>> time = 0.1 * np.arange(150)
-    >>> record = sb.Trajectory(np.sin(time) + 0.2 * np.sin(9 * time), 0.1)
+    >>> record = sb.Record(np.sin(time) + 0.2 * np.sin(9 * time), 0.1)
     >>> short = sb.Settings(window=40, warmup=10, epochs=1)
     >>> model = sb.Filtered(sb.Function(np.sin), sb.GRU(4), sb.Bands(0.5, 1, 1), settings=short)
     >>> prediction = model.fit(record[:120], seed=0).predict(30)
@@ -202,22 +202,22 @@ class Filtered(_Hybrid):
     ) -> None:
         super().__init__(base, cell, bands, calibrated, conditioned, settings, name)
 
-    def check(self, *records: Trajectory) -> None:
+    def check(self, *records: Record) -> None:
         """See `Forecaster`."""
         super().check(*records)
         check_warmup(self._settings_for(records[0]), (self.bands.order or 1) - 1, self.bands)
 
-    def build(self, record: Trajectory, settings: Settings) -> Model:
+    def build(self, record: Record, settings: Settings) -> Model:
         """See `Network`."""
         bands = self._bands_for(record, settings)
         cell = self.cell.sized(record.ny, self._told(record), settings.warmup)
         pair = bands.one_way_pair(record.sampling_rate)
         return models.Filtered(cell, pair, self.conditioned, record.nu > 0)
 
-    def _low_band(self, record: Trajectory) -> Array | None:
+    def _low_band(self, record: Record) -> Array | None:
         return record.y_sim
 
-    def _remarks(self, record: Trajectory) -> list[str]:
+    def _remarks(self, record: Record) -> list[str]:
         """See `Network`: whether the training samples reward a network that adds nothing."""
         bands = self._bands_for(record, self._settings_for(record))
         assert bands.cutoff is not None
@@ -246,7 +246,7 @@ class Residual(_Hybrid):
     Examples
     --------
     >>> time = 0.1 * np.arange(150)
-    >>> record = sb.Trajectory(np.sin(time) + 0.2 * np.sin(9 * time), 0.1)
+    >>> record = sb.Record(np.sin(time) + 0.2 * np.sin(9 * time), 0.1)
     >>> short = sb.Settings(window=40, warmup=10, epochs=1)
     >>> model = sb.Residual(sb.Function(np.sin), sb.GRU(4), settings=short)
     >>> model.fit(record[:120], seed=0).predict(30).y.shape
@@ -266,7 +266,7 @@ class Residual(_Hybrid):
         # chosen.
         super().__init__(base, cell, Bands(1.0, 1, 1), calibrated, conditioned, settings, name)
 
-    def build(self, record: Trajectory, settings: Settings) -> Model:
+    def build(self, record: Record, settings: Settings) -> Model:
         """See `Network`."""
         cell = self.cell.sized(record.ny, self._told(record), settings.warmup)
         return models.Residual(cell, self.conditioned, record.nu > 0)

@@ -18,7 +18,7 @@ import torch
 
 from splitband.baselines.delays import delayed
 from splitband.baselines.linear import input_delays
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.data.gaps import first_after, last_before
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster, total
@@ -97,7 +97,7 @@ class Network(Forecaster):
         """What it is made of, in a word."""
 
     @abstractmethod
-    def build(self, record: Trajectory, settings: Settings) -> Model:
+    def build(self, record: Record, settings: Settings) -> Model:
         """The untrained model for a training record, its weights drawn by torch's generator."""
 
     def to(self, device: str | torch.device) -> Self:
@@ -140,7 +140,7 @@ class Network(Forecaster):
             said += [f"windows of {settings.window}", settings.steps_in_words()]
         return ", ".join(said)
 
-    def weights(self, record: Trajectory) -> int:
+    def weights(self, record: Record) -> int:
         """How many weights are trained, for such a record."""
         model = self._built(record, self._settings_for(record), seed=0)
         return sum(weight.numel() for weight in model.parameters())
@@ -156,7 +156,7 @@ class Network(Forecaster):
         new.settings = replace(self.settings, window=min(window, shorter))
         return new
 
-    def check(self, *records: Trajectory) -> None:
+    def check(self, *records: Record) -> None:
         """See `Forecaster`."""
         super().check(*records)
         first, settings = records[0], self._settings_for(records[0])
@@ -181,7 +181,7 @@ class Network(Forecaster):
 
     def learn(
         self,
-        records: Sequence[Trajectory],
+        records: Sequence[Record],
         *,
         seed: int,
         progress: Callable[[Progress], None] | None,
@@ -203,7 +203,7 @@ class Network(Forecaster):
         since = len(known.y) - self._start(known)
         return {name: part[since:] for name, part in parts.items()}
 
-    def unfiltered(self, steps: int, history: Trajectory) -> dict[str, Array]:
+    def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
         """What the model's filters are fed with, by name; empty for a model without filters."""
         known, _ = self._known(steps, history, None, None)
         parts = self._trained().simulate_unfiltered(*self._warm(known))
@@ -232,9 +232,7 @@ class Network(Forecaster):
         begun = replace(known, y=known.y[:start], steps=steps)
         return np.concatenate([known.y[:start], total([*self.extrapolate(begun).values()])])
 
-    def _inputs_shifted(
-        self, records: Sequence[Trajectory], seen: Sequence[Trajectory]
-    ) -> list[Trajectory]:
+    def _inputs_shifted(self, records: Sequence[Record], seen: Sequence[Record]) -> list[Record]:
         """The records as the model sees them, with inputs that act at once."""
         self.delays = ()
         if records[0].u is not None:
@@ -244,14 +242,14 @@ class Network(Forecaster):
             for each in seen
         ]
 
-    def _seen(self, records: Sequence[Trajectory], seed: int) -> list[Trajectory]:
+    def _seen(self, records: Sequence[Record], seed: int) -> list[Record]:
         """The records as the model learns from them."""
         return [*records]
 
-    def _decide(self, record: Trajectory, settings: Settings) -> None:
+    def _decide(self, record: Record, settings: Settings) -> None:
         """Choose what has been left open, by the record as the model sees it."""
 
-    def _remarks(self, record: Trajectory) -> list[str]:
+    def _remarks(self, record: Record) -> list[str]:
         """What a user should know of a training record as the model sees it."""
         return []
 
@@ -259,12 +257,12 @@ class Network(Forecaster):
         """What the model is given beside the measured samples, `(time + steps, ny)`."""
         return None
 
-    def _built(self, record: Trajectory, settings: Settings, seed: int) -> Model:
+    def _built(self, record: Record, settings: Settings, seed: int) -> Model:
         """The untrained model, its parameters drawn from `seed`."""
         with drawn_from(seed):
             return self.build(record, settings)
 
-    def _settings_for(self, record: Trajectory) -> Settings:
+    def _settings_for(self, record: Record) -> Settings:
         return self.settings or recipe_settings("default", record)
 
     def _trained(self) -> Model:

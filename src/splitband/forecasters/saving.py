@@ -28,7 +28,7 @@ from splitband.baselines.periodic import PeriodicRegression
 from splitband.baselines.seasonal import SeasonalNaive as LastPeriod
 from splitband.baselines.states import States
 from splitband.baselines.trend import Shape, Trend
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.data.gaps import last_before
 from splitband.filters.cutoff import Candidate, Choice
 from splitband.forecasters import closed_form
@@ -64,7 +64,7 @@ _DTYPES = "float64", "float32", "int64", "int32", "bool"
 _PLAIN = (
     Absent, Bands, Calibration, Candidate, Channel, Choice, FitReport, Fitted, HarmonicRegression,
     HeldOut, LastPeriod, Modes, OutputError, PeriodicRegression, Recorded, Settings, Shape, States,
-    Trajectory, Trend,
+    Record, Trend,
 )  # fmt: skip
 """Classes that are built from their fields."""
 _FORECASTERS = (
@@ -146,7 +146,7 @@ def load(
 
     Examples
     --------
-    >>> record = sb.Trajectory(np.sin(0.3 * np.arange(120)), 0.1)
+    >>> record = sb.Record(np.sin(0.3 * np.arange(120)), 0.1)
     >>> model = sb.Periodic().fit(record)
     >>> model.save("model")
     >>> bool(np.allclose(sb.load("model").predict(20).y, model.predict(20).y))

@@ -10,7 +10,7 @@ from typing import Any, Self, final
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Grid, Stamp, Trajectory, check_alike
+from splitband.data import Grid, Record, Stamp, check_alike
 from splitband.data.timing import stamp_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import NEAR_ROW, first_only
@@ -111,22 +111,22 @@ class Simulation(Forecaster):
         """A simulator's output on the record, where it brings no simulator of its own."""
         return frozenset({"simulator"} if self.simulator is None else ())
 
-    def learn(self, records: Sequence[Trajectory], **_: Any) -> None:
+    def learn(self, records: Sequence[Record], **_: Any) -> None:
         """See `Forecaster`; the calibration is fitted to the first record."""
         self.calibration = self._calibration(records[0])
 
-    def check(self, *records: Trajectory) -> None:
+    def check(self, *records: Record) -> None:
         """See `Forecaster`: of several records only the first one needs a simulator's output."""
         super().check(*records[:1])
         for other in records[1:]:
             check_alike(other, records[0], other.name or "another record")
 
-    def prepare(self, record: Trajectory) -> None:
+    def prepare(self, record: Record) -> None:
         """See `Forecaster`."""
         if self.calibrated is not False:
             self._calibration(record)
 
-    def simulated(self, record: Trajectory, horizon: int, *others: Trajectory) -> Self:
+    def simulated(self, record: Record, horizon: int, *others: Record) -> Self:
         """See `Forecaster`."""
         if self.simulator is None or isinstance(self.simulator, Recorded | _Runs):
             return self
@@ -179,7 +179,7 @@ class Simulation(Forecaster):
             raise ValueError(f"{self.name} needs a simulator's output (y_sim)")
         return self.calibration.apply(y_sim, samples, record.sampling_time, begin, begin_sim)
 
-    def on(self, record: Trajectory) -> Trajectory:
+    def on(self, record: Record) -> Record:
         """A record that begins with the simulator, with its calibrated output as `y_sim`."""
         y_sim = self._output(record)
         y_sim = self.calibration.apply(y_sim, len(record), record.sampling_time)
@@ -203,7 +203,7 @@ class Simulation(Forecaster):
         alone = self.calibrated is not False and self.fitted is not None
         return str(self.calibration) + (first_only(self.require_fitted()) if alone else "")
 
-    def _calibration(self, record: Trajectory) -> Calibration:
+    def _calibration(self, record: Record) -> Calibration:
         """Of the simulator to a training record."""
         if self.calibrated is False:
             return Calibration()
@@ -217,7 +217,7 @@ class Simulation(Forecaster):
             return known.grid
         return replace(fitted.record.grid, start=fitted.start)
 
-    def _output(self, record: Trajectory) -> Array:
+    def _output(self, record: Record) -> Array:
         """Over a record and what is known beyond, of a simulator of its own what is needed."""
         if self.simulator is not None:
             samples = self._needed(len(record), len(record))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import final
 
 from splitband import models
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.forecasters.network import Network, Template, as_template, label_of
 from splitband.models import Model
 from splitband.training import Settings
@@ -23,7 +23,7 @@ class Single(Network):
 
     Examples
     --------
-    >>> record = sb.Trajectory(np.sin(0.3 * np.arange(120)), 0.1)
+    >>> record = sb.Record(np.sin(0.3 * np.arange(120)), 0.1)
     >>> short = sb.Settings(window=40, warmup=10, epochs=1)
     >>> model = sb.Single(sb.GRU(4), short).fit(record, seed=0)
     >>> prediction = model.predict(20)
@@ -37,7 +37,7 @@ class Single(Network):
         super().__init__(settings, name)
         self.cell = as_template(cell)
 
-    def build(self, record: Trajectory, settings: Settings) -> Model:
+    def build(self, record: Record, settings: Settings) -> Model:
         """See `Network`."""
         cell = self.cell.sized(record.ny, 2 * record.nu, settings.warmup)
         return models.Recurrent(cell, record.nu > 0)

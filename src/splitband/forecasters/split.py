@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband import models
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.network import Network, Template, as_template, label_of
 from splitband.models import Model
@@ -48,10 +48,10 @@ class Banded(Network):
         super().forget()
         self.trained_in = None
 
-    def _decide(self, record: Trajectory, settings: Settings) -> None:
+    def _decide(self, record: Record, settings: Settings) -> None:
         self.trained_in = self._bands_for(record, settings)
 
-    def _bands_for(self, record: Trajectory, settings: Settings) -> Bands:
+    def _bands_for(self, record: Record, settings: Settings) -> Bands:
         """The bands; what has been left open of them is chosen by the training record."""
         if self.trained_in is not None:
             return self.trained_in
@@ -60,11 +60,11 @@ class Banded(Network):
         y_sim = self._low_band(record)
         return self.bands.chosen(record.y, record.sampling_rate, settings.warmup, y_sim)
 
-    def _low_band(self, record: Trajectory) -> Array | None:
+    def _low_band(self, record: Record) -> Array | None:
         """What is to hold the low band of a record, `(time, ny)`; None where a network is."""
         return None
 
-    def _told(self, record: Trajectory) -> int:
+    def _told(self, record: Record) -> int:
         """Inputs of the network that sees every sample.
 
         The record's, of this sample and of the next one, and value and slope of what is slower.
@@ -87,7 +87,7 @@ class Split(Banded):
     Examples
     --------
     >>> time = 0.1 * np.arange(120)
-    >>> record = sb.Trajectory(np.sin(time) + 0.2 * np.sin(9 * time), 0.1)
+    >>> record = sb.Record(np.sin(time) + 0.2 * np.sin(9 * time), 0.1)
     >>> short = sb.Settings(window=40, warmup=10, epochs=1)
     >>> model = sb.Split(sb.GRU(4), sb.GRU(4), sb.Bands(0.5, 1, 2), settings=short)
     >>> sorted(model.fit(record, seed=0).predict(20).components)
@@ -110,12 +110,12 @@ class Split(Banded):
         self.low, self.high = as_template(low), as_template(high)
         self.filter_output = filter_output
 
-    def check(self, *records: Trajectory) -> None:
+    def check(self, *records: Record) -> None:
         """See `Forecaster`."""
         super().check(*records)
         check_warmup(self._settings_for(records[0]), 3 * ((self.bands.order or 1) + 1), self.bands)
 
-    def build(self, record: Trajectory, settings: Settings) -> Model:
+    def build(self, record: Record, settings: Settings) -> Model:
         """See `Network`."""
         bands = self._bands_for(record, settings)
         assert bands.downsampling is not None

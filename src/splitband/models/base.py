@@ -13,7 +13,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.metrics import (
     Extrapolation,
     ExtrapolationWarning,
@@ -185,7 +185,7 @@ class Model(nn.Module, ABC):
         values = values[:, 0] if like.ndim == 1 else values
         return values.to(like) if isinstance(like, Tensor) else values.cpu().numpy()
 
-    def adapt_to(self, records: Sequence[Trajectory], normalize: bool = True) -> None:
+    def adapt_to(self, records: Sequence[Record], normalize: bool = True) -> None:
         """Take from the training records what is not learned by gradient: here, the units.
 
         With `normalize`, that is the mean and the standard deviation of each channel.
@@ -202,7 +202,7 @@ class Model(nn.Module, ABC):
                 getattr(self, f"{name}_mean").copy_(torch.from_numpy(np.nanmean(values, axis=0)))
                 getattr(self, f"{name}_std").copy_(torch.from_numpy(spread(values)))
 
-    def normalised(self, trajectory: Trajectory) -> Signals:
+    def normalised(self, trajectory: Record) -> Signals:
         """The signals of a record as the networks see them, each `(time, n)`."""
         u, y_sim = trajectory.u, trajectory.y_sim
         return Signals(

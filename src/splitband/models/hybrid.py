@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.filters import ComplementaryPair
 from splitband.models.base import (
     Model,
@@ -46,7 +46,7 @@ class Hybrid(Model):
         self.cell, self.conditioned, self.feedthrough = cell, conditioned, feedthrough
         self.register_buffer("slope_scale", torch.ones(cell.ny, dtype=torch.float64))
 
-    def adapt_to(self, records: Sequence[Trajectory], normalize: bool = True) -> None:
+    def adapt_to(self, records: Sequence[Record], normalize: bool = True) -> None:
         """Take the units from the training records, those of the simulator's slope too."""
         super().adapt_to(records, normalize)
         simulated = [_required(self.normalised(record)) for record in records]

@@ -9,7 +9,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.filters import ComplementaryPair
 from splitband.filters.resampling import check_downsampling, downsample, upsample
 from splitband.models.base import (
@@ -142,7 +142,7 @@ class Split(Model):
             for band, name in enumerate(self._names())
         ]
 
-    def adapt_to(self, records: Sequence[Trajectory], normalize: bool = True) -> None:
+    def adapt_to(self, records: Sequence[Record], normalize: bool = True) -> None:
         """Take the units from the training records, those of the slopes too."""
         super().adapt_to(records, normalize)
         seen = [self.normalised(record).y for record in records]

@@ -14,7 +14,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.data.gaps import last_before
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
@@ -51,7 +51,7 @@ class _Side:
     y : What was predicted from there to the record's end.
     """
 
-    record: Trajectory
+    record: Record
     start: int
     y: Array
 
@@ -143,7 +143,7 @@ def forecast(result: Forecast) -> Figure:
 
 
 def prediction(
-    predicted: Prediction, record: Trajectory | None = None, method: str = "prediction"
+    predicted: Prediction, record: Record | None = None, method: str = "prediction"
 ) -> Figure:
     """A prediction with its interval, after the end of a record if one is given."""
     figure = Figure(figsize=(11, 0.8 + 2.2 * len(predicted.columns)), layout="constrained")
@@ -255,7 +255,7 @@ def errors(comparison: Comparison) -> Figure:
 
 
 def spectrum(
-    record: Trajectory,
+    record: Record,
     measured_spectrum: Spectrum,
     cutoff: float | None,
     choice: Choice | None = None,
@@ -316,7 +316,7 @@ def _draw_choice(ax: Axes, choice: Choice) -> None:
     ax.legend(fontsize=8, loc="best")
 
 
-def _draw_spectrum(ax: Axes, record: Trajectory, spectrum: Spectrum) -> None:
+def _draw_spectrum(ax: Axes, record: Record, spectrum: Spectrum) -> None:
     for name, density in zip(record.columns, spectrum.density.T, strict=True):
         ax.loglog(
             spectrum.frequencies[1:], np.maximum(density[1:], 1e-300), lw=1, label=_literal(name)
@@ -346,14 +346,14 @@ def _literal(name: str) -> str:
     return name.replace("$", r"\$")
 
 
-def _draw_record(ax: Axes, record: Trajectory, channel: int, begin: int) -> None:
+def _draw_record(ax: Axes, record: Record, channel: int, begin: int) -> None:
     time = _times(record)[begin:]
     ax.plot(time, record.seen[begin:, channel], color=_MEASURED, lw=0.9)
     if record.y_true is not None:
         ax.plot(time, record.y_true[begin:, channel], color=_TRUTH, lw=0.7)
 
 
-def _times(record: Trajectory) -> npt.NDArray[Any]:
+def _times(record: Record) -> npt.NDArray[Any]:
     """What is drawn along the axis of time: the time stamps, or seconds from the beginning."""
     return _drawn(pd.Index(record.stamps))
 
@@ -365,7 +365,7 @@ def _drawn(stamps: pd.Index[Any]) -> npt.NDArray[Any]:
     return np.asarray(stamps)
 
 
-def _time_label(record: Trajectory) -> str:
+def _time_label(record: Record) -> str:
     return "time" if isinstance(record.start, pd.Timestamp) else "time (s)"
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.data.timing import as_json
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
@@ -85,7 +85,7 @@ def found_in(forecaster: Forecaster, folder: Path) -> Path | None:
     return None if Tuned.of_forecaster(forecaster) is None else folder / FOUND
 
 
-def save_found(forecaster: Forecaster, record: Trajectory, folder: Path) -> None:
+def save_found(forecaster: Forecaster, record: Record, folder: Path) -> None:
     """Write how a recommended network is trained, for --settings; nothing for what is none."""
     tuned = Tuned.of_forecaster(forecaster)
     if tuned is not None:
@@ -133,7 +133,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def deviation(record: Trajectory) -> float:
+def deviation(record: Record) -> float:
     """The RMSE of the record's own mean, all channels as in `metrics.rmse`: 0 for constant ones."""
     y = record.seen
     varies = np.nanmax(y, axis=0) > np.nanmin(y, axis=0)

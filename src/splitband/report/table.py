@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.protocols import Run, by_channel
 from splitband.evaluation.selection import (
@@ -123,9 +123,7 @@ def columns(comparison: Comparison) -> list[Column]:
     return [*found, Column("fit (s)", "seconds", seconds, ranked=False)]
 
 
-def tried(
-    trial: Trial, record: Trajectory, methods: Sequence[str], ahead: bool = True
-) -> list[Column]:
+def tried(trial: Trial, record: Record, methods: Sequence[str], ahead: bool = True) -> list[Column]:
     """Return the columns of what a trial has found: score, held-out error and change.
 
     Only a forecast of what lies `ahead` of the training part can change.
@@ -159,7 +157,7 @@ def remarks(comparison: Comparison) -> dict[str, str]:
 def _errors(
     comparison: Comparison,
     heading: str,
-    record: Trajectory,
+    record: Record,
     predicted: Callable[[Run], Prediction | None],
 ) -> list[Column]:
     """Return the errors on a record of the mean of each method's seeds, and their spread."""
@@ -180,7 +178,7 @@ def _test(i: int) -> Callable[[Run], Prediction | None]:
     return lambda run: run.tests[i] if run.tests else None
 
 
-def _channels(record: Trajectory) -> Sequence[str]:
+def _channels(record: Record) -> Sequence[str]:
     """Return what errors are said of: each measured column, or nothing in particular."""
     return record.columns if record.ny > 1 else ("",)
 

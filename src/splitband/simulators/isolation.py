@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data.trajectory import one_line
+from splitband.data.record import one_line
 from splitband.simulators.base import SimulatorError, SimulatorTimeoutError, within
 from splitband.simulators.fmu import Fmu
 from splitband.simulators.sources import digest, source_files

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Aligned, Grid, Stamp, Trajectory, aligned
+from splitband.data import Aligned, Grid, Record, Stamp, aligned
 from splitband.data.alignment import reach
 
 Array = npt.NDArray[np.float64]
@@ -29,7 +29,7 @@ class Recorded:
     start: Stamp | None = None
 
     @classmethod
-    def of(cls, trajectory: Trajectory) -> Recorded:
+    def of(cls, trajectory: Record) -> Recorded:
         """The trajectory of a file that `read` has read, with its time stamps."""
         return cls(trajectory.y, trajectory.sampling_time, trajectory.start)
 

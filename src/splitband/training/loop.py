@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.models import Model, Task
 from splitband.runtime.deadlines import Deadline, current
 from splitband.runtime.threads import one_torch_thread
@@ -63,7 +63,7 @@ class History:
 
 def fit(
     model: Model,
-    trajectory: Trajectory | Sequence[Trajectory],
+    trajectory: Record | Sequence[Record],
     settings: Settings | None = None,
     seed: int = 0,
     progress: Callable[[Progress], None] | None = None,
@@ -95,7 +95,7 @@ def fit(
     FloatingPointError
         When one network's loss diverges for the fourth time (`MOST_RESTARTS`).
     """
-    records = [trajectory] if isinstance(trajectory, Trajectory) else [*trajectory]
+    records = [trajectory] if isinstance(trajectory, Record) else [*trajectory]
     if not records:
         raise ValueError("trajectory must be a record or several, got none")
     settings = settings or Settings.of(min(map(len, records)))
@@ -345,7 +345,7 @@ def _rmse(prediction: Tensor, target: Tensor, counted: Tensor | None = None) -> 
     return left / max(int(counted.sum()), 1) ** 0.5
 
 
-def _check_channels(model: Model, record: Trajectory) -> None:
+def _check_channels(model: Model, record: Record) -> None:
     if (record.ny, record.nu) != (model.ny, model.nu):
         raise ValueError(
             f"the record must have the model's {model.ny} channel(s) and {model.nu} input(s), "

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.training.settings import Settings, default_warmup
 from splitband.training.windows import window_starts
 
@@ -16,7 +16,7 @@ ENOUGH_WINDOWS = 0.25
 """Share of the windows that gaps must leave for the usual warm-up."""
 
 
-def recipe_settings(recipe: Recipe, training: Trajectory) -> Settings:
+def recipe_settings(recipe: Recipe, training: Record) -> Settings:
     """How a recipe trains on a record; with a shorter warm-up where gaps leave it little room."""
     samples = len(training)
     settings = Settings.of(samples) if recipe == "default" else paper_settings(samples)

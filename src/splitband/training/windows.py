@@ -10,7 +10,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.models import Signals, Task
 
 
@@ -28,7 +28,7 @@ class WindowSet:
     measured: Tensor | None
 
 
-def windows_in(records: Sequence[Trajectory], window: int, warmup: int) -> WindowSet:
+def windows_in(records: Sequence[Record], window: int, warmup: int) -> WindowSet:
     """Every place within a record whose warm-up was measured, and something after it.
 
     Raises
@@ -52,7 +52,7 @@ def windows_in(records: Sequence[Trajectory], window: int, warmup: int) -> Windo
     return WindowSet(torch.from_numpy(starts), None if seen.all() else torch.from_numpy(seen))
 
 
-def window_starts(records: Sequence[Trajectory], window: int, warmup: int) -> npt.NDArray[np.int_]:
+def window_starts(records: Sequence[Record], window: int, warmup: int) -> npt.NDArray[np.int_]:
     """The first samples of all places, counted over the records."""
     lengths = [len(record) for record in records]
     complete = np.concatenate([record.complete for record in records])

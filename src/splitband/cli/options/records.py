@@ -15,7 +15,7 @@ from splitband.data.stamps import TIME_NAMES
 
 _PANEL = "Record"
 
-Record = Annotated[
+RecordArgument = Annotated[
     str,
     typer.Argument(
         metavar="RECORD",

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.selection import Trial
 from splitband.report.page import horizon, runs, tables, usage, words
@@ -59,7 +59,7 @@ def cast_of(names: list[str], trial: Trial) -> Cast:
     return Cast(names, trial.recommended, frozenset([trial.recommended, *others[:SHOWN]]))
 
 
-def lead(record: Trajectory) -> str:
+def lead(record: Record) -> str:
     """The record in a line."""
     every = f"{record.sampling_time:.6g} s"
     said = f"{len(record):,} samples every {every}, measured: {', '.join(record.columns)}"

@@ -30,7 +30,7 @@ from bokeh.models.annotations import BoxAnnotation, Span
 from bokeh.models.renderers import GlyphRenderer
 from bokeh.plotting import figure
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.report.page.parts import Method
 
 Array = npt.NDArray[np.float64]
@@ -70,7 +70,7 @@ class TimeAxis:
     per_unit: float = 1.0
 
     @classmethod
-    def of(cls, record: Trajectory, ahead: int = 0) -> TimeAxis:
+    def of(cls, record: Record, ahead: int = 0) -> TimeAxis:
         """The times of a record and of so many samples after it."""
         grid = np.arange(len(record) + ahead)
         stamps = record.stamps

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.filters.cutoff import Choice
 from splitband.report.page import tables, words
 from splitband.report.page.comparison import lead, settings
@@ -26,7 +26,7 @@ class Looked:
     facts : The rest, as in results.json.
     """
 
-    record: Trajectory
+    record: Record
     cutoff: float
     choice: Choice | None
     facts: Mapping[str, Any]

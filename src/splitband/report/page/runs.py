@@ -10,7 +10,7 @@ import numpy.typing as npt
 from bokeh.models import ColumnDataSource, Range1d
 from bokeh.plotting import figure
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.protocols import by_channel
 from splitband.report.page import figures
@@ -38,14 +38,14 @@ class Frame:
     cast : The methods.
     """
 
-    record: Trajectory
+    record: Record
     axis: TimeAxis
     size: int
     x_range: Range1d
     cast: Cast
 
     @classmethod
-    def of(cls, record: Trajectory, cast: Cast, most: int, name: str = "") -> Frame:
+    def of(cls, record: Record, cast: Cast, most: int, name: str = "") -> Frame:
         """With all of the record in sight."""
         axis = TimeAxis.of(record)
         x_range = figures.time_range(*axis.whole, name)
@@ -277,6 +277,6 @@ def _listed(comparison: Comparison, cast: Cast, side: str, channel: int) -> str:
     return ", ".join(said)
 
 
-def _key(record: Trajectory) -> Sequence[tuple[str, str]]:
+def _key(record: Record) -> Sequence[tuple[str, str]]:
     known = [] if record.y_true is None else [("truth", "noise-free")]
     return [("measured", "measured"), *known]

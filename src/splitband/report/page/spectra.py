@@ -10,7 +10,7 @@ import numpy.typing as npt
 from bokeh.models import Range1d
 from bokeh.plotting import figure
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.filters.cutoff import Choice
 from splitband.filters.spectrum import coherence, periodogram
 from splitband.report.colors import PALETTE
@@ -25,7 +25,7 @@ POINTS = 2000
 
 
 def spectrum(
-    record: Trajectory, cutoff: float | None, choice: Choice | None, bases: Mapping[str, Array]
+    record: Record, cutoff: float | None, choice: Choice | None, bases: Mapping[str, Array]
 ) -> list[Plot]:
     """Power, coherence and what each cut-off would lose, of the samples that were trained on.
 
@@ -47,7 +47,7 @@ def spectrum(
 
 
 def _power(
-    record: Trajectory,
+    record: Record,
     cutoff: float | None,
     beside: Mapping[str, Array],
     x_range: Range1d,
@@ -76,7 +76,7 @@ def _power(
     )  # fmt: skip
 
 
-def _coherences(record: Trajectory, beside: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
+def _coherences(record: Record, beside: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
     """Where what stands beside the record, or drives it, agrees with it; by name."""
     found = {}
     others = {
@@ -180,5 +180,5 @@ def _extremes(x: Array, y: Array, at: npt.NDArray[np.int64]) -> tuple[Array, dic
     return np.repeat(x[at], 2), {"y": np.stack([low, high], axis=1).ravel()}
 
 
-def _of(name: str, column: str, record: Trajectory) -> str:
+def _of(name: str, column: str, record: Record) -> str:
     return name if record.ny == 1 else f"{name}, {column}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.search import Attempt
 from splitband.evaluation.selection import Trial
@@ -27,7 +27,7 @@ def methods(comparison: Comparison) -> Table:
     return _of_columns(caption, listed, said, "settled on", comparison.recommended, notes)
 
 
-def tried(trial: Trial, record: Trajectory) -> Table:
+def tried(trial: Trial, record: Record) -> Table:
     """Return the table of a trial: a row for each method."""
     said = {name: in_words(name) for name in trial.errors}
     caption = "What the methods did on the record's last quarter; the lowest of each is bold"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.report.page.parts import Code, Section
 from splitband.report.page.python import making
@@ -30,7 +30,7 @@ class Usage:
 
 
 def section(
-    forecaster: Forecaster, record: Trajectory, usage: Usage, steps: int, others: bool = False
+    forecaster: Forecaster, record: Record, usage: Usage, steps: int, others: bool = False
 ) -> Section:
     """Return the commands, if any, and the lines of Python that fit it to all of a record.
 
@@ -48,10 +48,10 @@ def section(
     )
 
 
-def python(forecaster: Forecaster, record: Trajectory, usage: Usage, steps: int) -> str:
+def python(forecaster: Forecaster, record: Record, usage: Usage, steps: int) -> str:
     """Fit it to the whole record, predict, save."""
     lines = ["import splitband as sb", ""]
-    lines.append(usage.reading or "record = ...  # the one of this page, an sb.Trajectory")
+    lines.append(usage.reading or "record = ...  # the one of this page, an sb.Record")
     if record.y_sim is not None and usage.reading:
         lines.append(
             "# dataclasses.replace(record, y_sim=...) puts the simulator's output beside it"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from splitband.data import Trajectory
+from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.selection import WORTH_TRAINING, Trial
 from splitband.forecasters.backtest import HELD_OUT
@@ -107,7 +107,7 @@ def afterwards(comparison: Comparison) -> list[str]:
     return words + _hindsight(best, [c for of_test in tested for c in of_test] or forecast)
 
 
-def _each(errors: Sequence[Column], method: str, record: Trajectory) -> str:
+def _each(errors: Sequence[Column], method: str, record: Record) -> str:
     """Return a method's errors, each with its share of the channel's standard deviation."""
     said = []
     for i, column in enumerate(errors):
@@ -183,7 +183,7 @@ def warnings(comparison: Comparison) -> list[str]:
     return said + [f"{name} could not be fitted: {reason}" for name, reason in failed.items()]
 
 
-def of_inputs(beyond: list[Extrapolation], record: Trajectory) -> list[str]:
+def of_inputs(beyond: list[Extrapolation], record: Record) -> list[str]:
     """Which inputs go beyond those that were trained on."""
     return [
         each.describe(record.inputs[each.channel] if each.channel < record.nu else "")
@@ -191,7 +191,7 @@ def of_inputs(beyond: list[Extrapolation], record: Trajectory) -> list[str]:
     ]
 
 
-def of_gaps(record: Trajectory) -> list[str]:
+def of_gaps(record: Record) -> list[str]:
     """What was not measured."""
     missing = int((~record.complete).sum())
     if not missing:

@@ -29,7 +29,7 @@ _NUMBERED = re.compile(r"[yu]\d*|\d+")
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Record:
     """One evenly sampled record.
 
     Every signal is array-like of shape (time,) or (time, channels); it is copied, and kept as a
@@ -62,7 +62,7 @@ class Trajectory:
 
     Examples
     --------
-    >>> record = sb.Trajectory([0.0, 0.2, 0.3, 0.3], sampling_time=0.5, u=[1, 1, 0, 0])
+    >>> record = sb.Record([0.0, 0.2, 0.3, 0.3], sampling_time=0.5, u=[1, 1, 0, 0])
     >>> record.y.shape, record.time
     ((4, 1), array([0. , 0.5, 1. , 1.5]))
 
@@ -132,7 +132,7 @@ class Trajectory:
             object.__setattr__(self, "measured", None if measured.all() else measured)
 
     @classmethod
-    def with_gaps(cls, y: Any, sampling_time: float, u: Any = None, **others: Any) -> Trajectory:
+    def with_gaps(cls, y: Any, sampling_time: float, u: Any = None, **others: Any) -> Record:
         """A record whose y and u may hold values that are not finite; the rest as ever.
 
         Straight lines across them stand in for what is missing. Where an input is not known, this
@@ -149,16 +149,16 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.y)
 
-    def __getitem__(self, key: slice) -> Trajectory:
+    def __getitem__(self, key: slice) -> Record:
         """Return the samples `key`, of every signal, with their time stamps.
 
         What is known beside them for later samples, the simulator's output and the inputs, goes
         on as `beyond` and `u_beyond`. Without time stamps, `time` starts at 0 again.
         """
         if not isinstance(key, slice):
-            raise TypeError(f"a Trajectory takes slices only, as in traj[a:b]: got {key!r}")
+            raise TypeError(f"a Record takes slices only, as in traj[a:b]: got {key!r}")
         if key.step not in (None, 1):
-            raise ValueError(f"a Trajectory takes slices of step 1 only: got step {key.step}")
+            raise ValueError(f"a Record takes slices of step 1 only: got step {key.step}")
         u, y_true, y_sim = (
             None if s is None else s[key] for s in (self.u, self.y_true, self.y_sim)
         )
@@ -312,7 +312,7 @@ def _check_names(field: str, names: tuple[str, ...], what: str, count: int) -> N
         raise ValueError(f"{field} must differ: got {names}")
 
 
-def check_alike(other: Trajectory, record: Trajectory, name: str) -> None:
+def check_alike(other: Record, record: Record, name: str) -> None:
     """Check that another record, called `name`, can be of the same system.
 
     Raises ValueError for other channels or inputs, by number, name or order, and for a sampling
@@ -341,7 +341,7 @@ def check_alike(other: Trajectory, record: Trajectory, name: str) -> None:
 def same_names(names: Sequence[str], others: Sequence[str]) -> bool:
     """Tell whether two lists can name the same signals; names by number alone fit any others.
 
-    These are what `Trajectory` calls signals without names, and positions in a file.
+    These are what `Record` calls signals without names, and positions in a file.
     """
     if sorted(names) == sorted(others) or len(names) != len(others):
         return tuple(names) == tuple(others)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from splitband.data import (
-    Trajectory,
+    Record,
 )
 from splitband.data.gaps import FloatArray
 from tests.data.support import RNG, STEP, U, Y
@@ -15,7 +15,7 @@ from tests.data.support import RNG, STEP, U, Y
 
 def test_signals_become_read_only_matrices() -> None:
     y: Any = np.arange(5, dtype=np.float32)
-    trajectory = Trajectory(y, 0.5, u=np.ones((5, 3)), y_sim=y + 1, name="demo")
+    trajectory = Record(y, 0.5, u=np.ones((5, 3)), y_sim=y + 1, name="demo")
     assert trajectory.y.shape == (5, 1)
     assert trajectory.y.dtype == np.float64
     assert trajectory.y.flags.c_contiguous
@@ -35,15 +35,15 @@ def test_signals_become_read_only_matrices() -> None:
 
 
 def test_channels_are_named_and_fortran_order_is_undone() -> None:
-    trajectory = Trajectory(np.asfortranarray(Y), STEP)
+    trajectory = Record(np.asfortranarray(Y), STEP)
     assert trajectory.y.flags.c_contiguous
     assert trajectory.columns == ("y0", "y1")
-    assert Trajectory(Y, STEP, columns=("a", "b")).columns == ("a", "b")
+    assert Record(Y, STEP, columns=("a", "b")).columns == ("a", "b")
     assert trajectory.nu == 0
 
 
 def test_slices_cut_every_signal() -> None:
-    whole = Trajectory(Y, STEP, u=U, y_true=Y + 1, y_sim=Y + 2, name="n", columns=("a", "b"))
+    whole = Record(Y, STEP, u=U, y_true=Y + 1, y_sim=Y + 2, name="n", columns=("a", "b"))
     part = whole[10:-5]
     np.testing.assert_array_equal(part.y, Y[10:-5])
     np.testing.assert_array_equal(part.u, U[10:-5, None])
@@ -58,7 +58,7 @@ def test_slices_cut_every_signal() -> None:
 @pytest.mark.parametrize("key", [slice(None, 12), slice(5, 30), slice(-9, -4), slice(3, None)])
 def test_a_slice_hands_what_the_simulator_says_after_it_to_beyond(key: slice, later: int) -> None:
     simulated = RNG.standard_normal((40 + later, 2))
-    whole = Trajectory(Y, STEP, y_sim=simulated[:40], beyond=simulated[40:] if later else None)
+    whole = Record(Y, STEP, y_sim=simulated[:40], beyond=simulated[40:] if later else None)
     part = whole[key]
     assert part.y_sim is not None
     np.testing.assert_array_equal(part.y_sim, simulated[:40][key])
@@ -74,12 +74,12 @@ def test_a_slice_hands_what_the_simulator_says_after_it_to_beyond(key: slice, la
 
 
 def test_without_a_simulator_a_slice_has_nothing_beyond() -> None:
-    assert Trajectory(Y, STEP)[:10].beyond is None
+    assert Record(Y, STEP)[:10].beyond is None
 
 
 def test_what_lies_beyond_is_a_signal_like_the_others() -> None:
     y: Any = np.arange(5, dtype=np.float32)
-    record = Trajectory(y, STEP, y_sim=y, beyond=y[:2])
+    record = Record(y, STEP, y_sim=y, beyond=y[:2])
     assert record.beyond is not None
     assert record.beyond.shape == (2, 1)
     assert record.beyond.dtype == np.float64
@@ -98,7 +98,7 @@ def test_what_lies_beyond_is_a_signal_like_the_others() -> None:
 )
 def test_other_indices_are_refused(key: Any, error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=words):
-        Trajectory(Y, STEP)[key]
+        Record(Y, STEP)[key]
 
 
 def with_bad(*cells: tuple[int, int], value: float = np.nan) -> FloatArray:
@@ -154,5 +154,5 @@ def with_bad(*cells: tuple[int, int], value: float = np.nan) -> FloatArray:
 )
 def test_invalid_trajectories_are_refused_in_one_line(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=r"^[^\n]+$") as caught:
-        Trajectory(**{"y": Y, "sampling_time": STEP, **changes})
+        Record(**{"y": Y, "sampling_time": STEP, **changes})
     assert words in str(caught.value)
