@@ -27,18 +27,17 @@ from reproduction.readings import (
     COLUMN,
     GRU_READINGS,
     HP_READINGS,
+    PRINTED,
     READINGS,
     Reading,
 )
-from reproduction.system_i import path_of, quick, settings_of, tried
+from reproduction.system_i import NAIVE, NETWORKS, path_of, quick, settings_of, tried
 from splitband.paper.specs import DRAWS
 from splitband.paper.systems import MassSpringOracle
 from splitband.runtime.files import write_json_lines
 
 SEEDS = 5
 ORACLE_DRAWS = 200
-NAIVE = ("persistence", "seasonal-naive", "harmonic")
-METHODS = ("split-gru", "split-gru-hp", "gru")
 _SECONDS = {"gru": 0.045, "split-gru": 0.018, "split-gru-hp": 0.025}
 _HIGH_PASS_SECONDS = {"ii": 0.2, "iii": 0.14, "iv": 0.14}
 """Of a core, an epoch; to begin with."""
@@ -75,18 +74,22 @@ def items(out: Path) -> Iterator[Item]:
             forecaster = MassSpringOracle() if method == "oracle" else setup.forecaster(method)
             run = partial(quick, method, forecaster, Reading(), draw)
             yield Item("baselines", path_of(near, method, BASE, 0, draw), 0.3, run)
-    for method in METHODS:
+    for method in NETWORKS[::-1]:
         yield from _seeds("seeds", near, method, {BASE: Reading()})
     yield from _seeds("readings", near, "split-gru", READINGS)
     yield from _seeds("readings", near, "gru", GRU_READINGS)
     yield from _seeds("readings", near, "split-gru-hp", HP_READINGS)
-    for method in METHODS[:2]:
+    for method in NETWORKS[1:]:
         yield from _seeds("ablations", near, method, ABLATIONS)
-    for method in METHODS:
+    for method in NETWORKS[::-1]:
         for draw in range(DRAWS):
             path = path_of(near, method, BASE, 0, draw)
             run = partial(tried, method, Reading(), 0, draw)
             yield Item("draws", path, _cost(method, Reading()), run)
+    for draw in range(DRAWS):
+        path = path_of(near, "split-gru", PRINTED, 0, draw)
+        run = partial(tried, "split-gru", READINGS[PRINTED], 0, draw)
+        yield Item("draws", path, _cost("split-gru", READINGS[PRINTED]), run)
     for row in high_pass.SYSTEM_ROWS:
         for seed in range(SEEDS):
             for name in high_pass.RECIPES:

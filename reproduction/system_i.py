@@ -25,6 +25,8 @@ from splitband.networks import GRU, Cell, rollout
 from splitband.training import Progress, Settings, fit
 
 Array = npt.NDArray[np.float64]
+NETWORKS = ("gru", "split-gru", "split-gru-hp")
+NAIVE = ("persistence", "seasonal-naive", "harmonic")
 LOW, HIGH = "low band", "high band"
 EVALUATIONS = 300
 """Epochs, at most, after which the free run of the whole record is compared with the truth."""
