@@ -11,6 +11,7 @@ import numpy as np
 
 from benchmarks import study
 from reproduction import high_pass
+from reproduction.bands import HIGH, LOW
 from reproduction.readings import (
     ABLATIONS,
     BASE,
@@ -46,6 +47,7 @@ def page(out: Path, results: Path = Path("docs/results/runs")) -> str:
         ('"+HP" under other readings', readings(near, "split-gru-hp", HP_READINGS)),
         ("Ablations under the nearest reading", ablations(near)),
         ('"+HP" on the double-torsion record', recipes(out / "high-pass", results)),
+        ("Short and long term in the runs of Tables 1 to 3", horizons(results)),
     ]
     return "\n\n".join("\n".join([f"## {title}", "", *lines]) for title, lines in sections)
 
@@ -130,10 +132,10 @@ def readings(near: Path, method: str, of: Mapping[str, Reading]) -> list[str]:
         compared[name] = nearer(base, runs, paper) if name != BASE else 0.0
         columns = ("total_rmse", "best", "lowest", "late_deviation")
         rows.append((name, *(_spread(runs, key) for key in columns),
-                     "" if name == BASE else f"{compared[name]:.1f}", _losses(runs),
+                     "" if name == BASE else f"{compared[name]:.1f}", *_of_bands(runs),
                      str(len(runs))))  # fmt: skip
     header = ("reading", "last epoch", "lowest training loss", "lowest error",
-              "deviation over the last epochs", "nearer", "training loss", "seeds")  # fmt: skip
+              "deviation over the last epochs", "nearer", "low band", "high band", "seeds")  # fmt: skip
     closer = [name for name, by in compared.items() if by > APART]
     farther = [name for name, by in compared.items() if by < -APART]
     said = (
@@ -204,11 +206,41 @@ def _recipe_cells(row: str, name: str, runs: Runs) -> tuple[str, ...]:
             str(len(runs)))  # fmt: skip
 
 
-def _losses(runs: Runs) -> str:
-    def median(name: str) -> float:
-        return float(np.median([run["losses"][name] for run in runs]))
+def horizons(results: Path) -> list[str]:
+    """Return the errors of free runs soon after the warm-up and at the end of the record."""
+    rows = []
+    for system, methods in _HORIZONS.items():
+        truth = Job(system, methods[0]).record.truth
+        for method in methods:
+            jobs = [Job(system, method, seed) for seed in range(5)]
+            runs = [load(job, results) for job in jobs if (results / job.path).exists()]
+            errors = [
+                truth[-len(run["from_start"][0]) :] - np.array(run["from_start"]).T for run in runs
+            ]
+            if errors:
+                soon = [float(np.sqrt(np.mean(e[:SOON] ** 2))) for e in errors]
+                late = [float(np.sqrt(np.mean(e[-len(e) // 4 :] ** 2))) for e in errors]
+                rows.append((system, method, spread(soon), spread(late), str(len(errors))))
+    header = ("system", "method", f"first {SOON} samples", "last quarter", "seeds")
+    return study.table(header, rows)
 
-    return ", ".join(f"{name} {median(name):.3f}" for name in runs[0]["losses"])
+
+SOON = 100
+"""Samples after the warm-up that are called the short term."""
+_HYBRIDS = ("gru", "residual-gru", "filtered-gru", "rnn", "residual-rnn", "filtered-rnn")
+_HORIZONS = {
+    **dict.fromkeys(("i", "ii", "iii", "iv"), NETWORKS),
+    **dict.fromkeys(("ii-simulated", "iii-simulated", "iv-simulated"), NETWORKS),
+    **dict.fromkeys(("v", "vi"), (*_HYBRIDS, "simulator")),
+}
+
+
+def _of_bands(runs: Runs) -> tuple[str, str]:
+    """Return the error of each band at the last epoch; nothing for a single network."""
+    low, high = (
+        [run["parts_rmse"][name] for run in runs if run.get("parts_rmse")] for name in (LOW, HIGH)
+    )
+    return (spread(low), spread(high)) if low else ("", "")
 
 
 def _spread(runs: Runs, key: str) -> str:
