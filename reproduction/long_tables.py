@@ -135,7 +135,8 @@ def readings(near: Path, method: str, of: Mapping[str, Reading]) -> list[str]:
                      "" if name == BASE else f"{compared[name]:.1f}", *_of_bands(runs),
                      str(len(runs))))  # fmt: skip
     header = ("reading", "last epoch", "lowest training loss", "lowest error",
-              "deviation over the last epochs", "nearer", "low band", "high band", "seeds")  # fmt: skip
+              "deviation over the last epochs", "nearer", "low band", "high band",
+              "seeds")  # fmt: skip
     closer = [name for name, by in compared.items() if by > APART]
     farther = [name for name, by in compared.items() if by < -APART]
     said = (

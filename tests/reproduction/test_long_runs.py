@@ -11,8 +11,9 @@ import torch
 
 from benchmarks.choices import FilteredAsAWhole
 from reproduction import long_runs, long_tables
+from reproduction.bands import networks_of
 from reproduction.readings import BASE, COLUMN, READINGS, Filtering, Reading, Training
-from reproduction.system_i import networks_of, path_of, tried
+from reproduction.system_i import path_of, tried
 from splitband.metrics import rmse
 from splitband.training import fit
 
