@@ -55,7 +55,13 @@ def page(out: Path, results: Path = Path("docs/results/runs")) -> str:
 def found(out: Path, method: str, name: str, draw: int = 0, seeds: int = 100) -> Runs:
     """Return the runs that are there, by seed."""
     paths = [path_of(out, method, name, seed, draw) for seed in range(seeds)]
-    return [json.loads(path.read_text(encoding="utf-8")) for path in paths if path.exists()]
+    runs = [json.loads(path.read_text(encoding="utf-8")) for path in paths if path.exists()]
+    return [run | {"late": _late(run["errors"])} if "errors" in run else run for run in runs]
+
+
+def _late(errors: Sequence[float]) -> float:
+    """Return the mean error over the last tenth of the epochs: the last one alone is a lottery."""
+    return float(np.mean(errors[-max(1, len(errors) // 10) :]))
 
 
 def block(near: Path) -> list[str]:
@@ -64,11 +70,13 @@ def block(near: Path) -> list[str]:
     for method in (*NETWORKS, *NAIVE, ORACLE):
         runs = found(near, method, BASE)
         if runs:
-            lowest = _spread(runs, "lowest") if method in NETWORKS else ""
-            seeds = str(len(runs)) if method in NETWORKS else ""
+            trained = ["", "", ""]
+            if method in NETWORKS:
+                trained = [_spread(runs, "late"), _spread(runs, "lowest"), str(len(runs))]
             rows.append((method, _spread(runs, "total_rmse"), str(PAPER.get(method, "")),
-                         _spread(runs, "forecast_rmse"), lowest, seeds))  # fmt: skip
-    header = ("method", "ours", "paper", "forecast", "epoch of the lowest error", "seeds")
+                         _spread(runs, "forecast_rmse"), *trained))  # fmt: skip
+    header = ("method", "ours, last epoch", "paper", "forecast", "mean of the last tenth of epochs",
+              "epoch of the lowest error", "seeds")  # fmt: skip
     return study.table(header, rows)
 
 
@@ -85,7 +93,7 @@ def draws(near: Path) -> list[str]:
             [best[f"variance {run['reading']['variance']:g}"][run["draw"]] for run in runs]
         )
         shown = [*np.quantile(values, (0.5, 0.1, 0.9, 1.0)), values.mean()]
-        rows.append((method, name, "lowest" if key == "lowest" else "last",
+        rows.append((method, name, _EPOCH[key],
                      *(f"{v:.3f}" for v in shown), str(PAPER.get(method, "")),
                      f"{shown[0] / same:.2f}", str(len(runs))))  # fmt: skip
     header = ("method", "reading", "epoch", "median", "10 %", "90 %", "worst", "mean",
@@ -93,11 +101,11 @@ def draws(near: Path) -> list[str]:
     return study.table(header, rows)
 
 
+_EPOCH = {"total_rmse": "last", "late": "mean of the last tenth", "lowest": "lowest error"}
 _DRAWN = (
     *((method, BASE, "total_rmse") for method in (*NETWORKS, *NAIVE, ORACLE)),
-    ("split-gru", BASE, "lowest"),
-    ("split-gru", PRINTED, "total_rmse"),
-    ("split-gru", PRINTED, "lowest"),
+    *((method, BASE, key) for method in NETWORKS for key in ("late", "lowest")),
+    *(("split-gru", PRINTED, key) for key in _EPOCH),
 )
 
 
@@ -130,18 +138,19 @@ def readings(near: Path, method: str, of: Mapping[str, Reading]) -> list[str]:
         if not runs:
             continue
         compared[name] = nearer(base, runs, paper) if name != BASE else 0.0
-        columns = ("total_rmse", "best", "lowest", "late_deviation")
+        columns = ("total_rmse", "late", "late_deviation", "best", "lowest")
         rows.append((name, *(_spread(runs, key) for key in columns),
                      "" if name == BASE else f"{compared[name]:.1f}", *_of_bands(runs),
                      str(len(runs))))  # fmt: skip
-    header = ("reading", "last epoch", "lowest training loss", "lowest error",
-              "deviation over the last epochs", "nearer", "low band", "high band",
-              "seeds")  # fmt: skip
+    header = ("reading", "last epoch", "mean of the last tenth of epochs", "deviation over them",
+              "epoch of the lowest loss", "epoch of the lowest error", "nearer", "low band",
+              "high band", "seeds")  # fmt: skip
     closer = [name for name, by in compared.items() if by > APART]
     farther = [name for name, by in compared.items() if by < -APART]
     said = (
-        f"The paper has {paper}. Nearer by more than {APART:g} standard errors: "
-        f"{'; '.join(closer) or 'none'}. Farther: {'; '.join(farther) or 'none'}."
+        f"The paper has {paper}. *Nearer* is in standard errors, of the mean of the last tenth of "
+        f"epochs. By more than {APART:g}: {'; '.join(closer) or 'none'}. Farther by as much: "
+        f"{'; '.join(farther) or 'none'}."
     )
     return [*study.table(header, rows), "", said]
 
@@ -151,9 +160,7 @@ def nearer(base: Runs, runs: Runs, paper: Value) -> float:
 
     Zero where there are fewer than two runs of each.
     """
-    near, far = (
-        np.array([abs(run["total_rmse"] - paper.mean) for run in of]) for of in (runs, base)
-    )
+    near, far = (np.array([abs(run["late"] - paper.mean) for run in of]) for of in (runs, base))
     if min(len(near), len(far)) < 2:
         return 0.0
     error = sum(np.var(values, ddof=1) / len(values) for values in (near, far)) ** 0.5
@@ -172,9 +179,9 @@ def ablations(near: Path) -> list[str]:
         for method in ("split-gru", "split-gru-hp"):
             runs = found(near, method, name)
             if runs:
-                rows.append((label, method, _spread(runs, "total_rmse"), str(row[method]),
-                             _spread(runs, "lowest"), str(len(runs))))  # fmt: skip
-    return study.table(("value", "method", "ours", "paper", "lowest error", "seeds"), rows)
+                shown = [_spread(runs, key) for key in _EPOCH]
+                rows.append((label, method, *shown, str(row[method]), str(len(runs))))
+    return study.table(("value", "method", *_EPOCH.values(), "paper", "seeds"), rows)
 
 
 def recipes(out: Path, results: Path) -> list[str]:
