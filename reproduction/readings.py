@@ -135,6 +135,7 @@ BASE = "nearest"
 
 _TORCHAUDIO = Filtering(start="zeros", clamp=True, remainder=False)
 _LETTER = Reading(filtering=_TORCHAUDIO, resampling=Resampling(align="paper"))
+_SETTLED = {"milestones": ((200, 1e-4),)}
 _ONE_CYCLE = {"learning_rate": 1e-2, "one_cycle": True, "clip": 1.0}
 
 PRINTED = "noise of variance 0.1, as printed"
@@ -164,16 +165,32 @@ READINGS: dict[str, Reading] = {
     "zero biases": _trained(weights="zero biases"),
     "the same initial weights in each run": _trained(fixed="weights"),
     "the same order of windows in each run": _trained(fixed="order"),
-    "rate 1e-4 from epoch 200 on": _trained(changes={"milestones": ((200, 1e-4),)}),
+    "rate 1e-4 from epoch 200 on": _trained(changes=_SETTLED),
     "rate 3e-3": _trained(changes={"learning_rate": 3e-3}),
     "one cycle of the rate to 1e-2, clipped": _trained(changes=_ONE_CYCLE),
     "1,000 epochs": _trained(changes={"epochs": 1000}),
+    # The rate moves most; so it is put together with others.
+    "rate 1e-4 from epoch 200 on, 1e-5 from 250 on": _trained(
+        changes={"milestones": ((200, 1e-4), (250, 1e-5))}
+    ),
+    "rate 1e-4 from epoch 100 on": _trained(changes={"milestones": ((100, 1e-4),)}),
+    "rate 1e-4 from 200 on, low band warmed up on k times as long": _trained(
+        low_warmup=2, changes=_SETTLED
+    ),
+    "rate 1e-4 from 200 on, variance 0.1": Reading(0.1, training=Training(changes=_SETTLED)),
+    "rate 1e-4 from 200 on, the functions that the text names": replace(
+        _LETTER, training=Training(changes=_SETTLED)
+    ),
+    "rate 1e-4 from 200 on, GRU 1 in the low band": Reading(
+        large_low=True, training=Training(changes=_SETTLED)
+    ),
 }
 """Of split GRU, each differing from the first in what it says."""
 
 GRU_READINGS: dict[str, Reading] = {
     "300 epochs": _trained(changes={"epochs": 300}),
     PRINTED: Reading(variance=0.1),
+    "2,000 epochs, rate 1e-4 from 1,500 on": _trained(changes={"milestones": ((1500, 1e-4),)}),
     "2,000 epochs, the same initial weights": _trained(fixed="weights"),
     "2,000 epochs, the same order of windows": _trained(fixed="order"),
 }
@@ -181,6 +198,7 @@ GRU_READINGS: dict[str, Reading] = {
 
 HP_READINGS: dict[str, Reading] = {
     "prediction filtered alone": Reading(hp_alone=True),
+    "rate 1e-4 from epoch 200 on": _trained(changes=_SETTLED),
     "the functions that the text names": replace(_LETTER, hp_alone=True),
 }
 """Of split GRU with its output filtered."""

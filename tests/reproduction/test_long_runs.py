@@ -56,7 +56,7 @@ def test_every_reading_changes_the_result(name: str) -> None:
     reading = READINGS[name]
     changes = reading.training.changes | {"epochs": EPOCHS}
     if "milestones" in changes:
-        changes["milestones"] = ((1, 1e-4),)
+        changes["milestones"] = ((0, 1e-4),)
     short = replace(reading, training=replace(reading.training, changes=changes))
     same = name in (BASE, "1,000 epochs")
     ours, base = (tried("split-gru", each, 1)["total_rmse"] for each in (short, SHORT))
