@@ -29,6 +29,7 @@ from reproduction.readings import (
     HP_READINGS,
     PRINTED,
     READINGS,
+    SETTLED,
     Reading,
 )
 from reproduction.system_i import NAIVE, NETWORKS, path_of, quick, settings_of, tried
@@ -89,9 +90,10 @@ def items(out: Path) -> Iterator[Item]:
             run = partial(tried, method, Reading(), 0, draw)
             yield Item("draws", path, _cost(method, Reading()), run)
     for draw in range(DRAWS):
-        path = path_of(near, "split-gru", PRINTED, 0, draw)
-        run = partial(tried, "split-gru", READINGS[PRINTED], 0, draw)
-        yield Item("draws", path, _cost("split-gru", READINGS[PRINTED]), run)
+        for name in (PRINTED, SETTLED):
+            path = path_of(near, "split-gru", name, 0, draw)
+            run = partial(tried, "split-gru", READINGS[name], 0, draw)
+            yield Item("draws", path, _cost("split-gru", READINGS[name]), run)
     for row in high_pass.SYSTEM_ROWS:
         for seed in range(SEEDS):
             for name in high_pass.RECIPES:

@@ -19,6 +19,7 @@ from reproduction.readings import (
     HP_READINGS,
     PRINTED,
     READINGS,
+    SETTLED,
     Reading,
 )
 from reproduction.system_i import NAIVE, NETWORKS, path_of
@@ -105,7 +106,7 @@ _EPOCH = {"total_rmse": "last", "late": "mean of the last tenth", "lowest": "low
 _DRAWN = (
     *((method, BASE, "total_rmse") for method in (*NETWORKS, *NAIVE, ORACLE)),
     *((method, BASE, key) for method in NETWORKS for key in ("late", "lowest")),
-    *(("split-gru", PRINTED, key) for key in _EPOCH),
+    *(("split-gru", name, key) for name in (PRINTED, SETTLED) for key in _EPOCH),
 )
 
 
@@ -175,13 +176,13 @@ def ablations(near: Path) -> list[str]:
     factors = {f"k = {k}": row for k, row in published.DOWNSAMPLING.items()}
     rows = []
     for label, row in (cutoffs | factors).items():
-        name = label if label in ABLATIONS else BASE
-        for method in ("split-gru", "split-gru-hp"):
-            runs = found(near, method, name)
-            if runs:
-                shown = [_spread(runs, key) for key in _EPOCH]
-                rows.append((label, method, *shown, str(row[method]), str(len(runs))))
-    return study.table(("value", "method", *_EPOCH.values(), "paper", "seeds"), rows)
+        for reading, name in ((BASE, label), (SETTLED, f"{label}, {SETTLED}")):
+            for method in NETWORKS[1:]:
+                runs = found(near, method, name if name in ABLATIONS else reading)
+                if runs:
+                    shown = [_spread(runs, key) for key in _EPOCH]
+                    rows.append((label, reading, method, *shown, str(row[method]), str(len(runs))))
+    return study.table(("value", "reading", "method", *_EPOCH.values(), "paper", "seeds"), rows)
 
 
 def recipes(out: Path, results: Path) -> list[str]:
