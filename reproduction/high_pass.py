@@ -13,13 +13,13 @@ import torch
 
 from benchmarks import study
 from benchmarks.high_band import ONE_CYCLE, WarmedOnAllFromZero
+from reproduction.jobs import SYSTEMS
+from reproduction.settings import LearningBased
 from splitband.data import Trajectory
 from splitband.metrics import rmse
 from splitband.models import Model, Split
 from splitband.models.base import Signals, Task
 from splitband.networks import GRU
-from splitband.paper.jobs import SYSTEMS
-from splitband.paper.settings import LearningBased
 from splitband.training import Checkpoint, Settings, fit
 
 SYSTEM_ROWS = ("ii", "iii", "iv")
@@ -75,7 +75,7 @@ def trained(row: str, name: str, seed: int, path: Path) -> study.Facts:
     system, recipe = SYSTEMS[row], RECIPES[name]
     assert isinstance(system.column, LearningBased)
     record = system.record(0)
-    setup = system.column.setup(record.sampling_rate)
+    setup = system.column.setup(record.sampling_rate, "split-gru-hp")
     began, begin = time.process_time(), setup.settings.warmup
     resumed, facts = False, {}
     losses: dict[str, list[float]] = {}
@@ -125,7 +125,7 @@ def _settings(settings: Settings, recipe: Recipe) -> Settings:
 
 
 def _model(record: Trajectory, low: int, high: int, recipe: Recipe, seed: int, row: str) -> Split:
-    setup = SYSTEMS[row].column.setup(record.sampling_rate)
+    setup = SYSTEMS[row].column.setup(record.sampling_rate, "split-gru-hp")
     torch.manual_seed(seed)
     networks = [GRU(size, record.ny) for size in (low, high)]
     k = setup.bands.downsampling

@@ -32,9 +32,9 @@ from reproduction.readings import (
     SETTLED,
     Reading,
 )
+from reproduction.specs import DRAWS
 from reproduction.system_i import NAIVE, NETWORKS, path_of, quick, settings_of, tried
-from splitband.paper.specs import DRAWS
-from splitband.paper.systems import MassSpringOracle
+from reproduction.systems import MassSpringOracle
 from splitband.runtime.files import write_json_lines
 
 SEEDS = 5
@@ -68,11 +68,14 @@ def items(out: Path) -> Iterator[Item]:
     """Yield every run in its order."""
     near = out / "system-i"
     yield Item("oracle", near / "oracle-draws.json", 10, oracle_draws)
-    record = Reading().record(0)
-    setup = COLUMN.setup(record.sampling_rate)
+    rate = Reading().record(0).sampling_rate
     for draw in range(DRAWS):
         for method in (*NAIVE, "oracle"):
-            forecaster = MassSpringOracle() if method == "oracle" else setup.forecaster(method)
+            forecaster = (
+                MassSpringOracle()
+                if method == "oracle"
+                else COLUMN.setup(rate, method).forecaster(method)
+            )
             run = partial(quick, method, forecaster, Reading(), draw)
             yield Item("baselines", path_of(near, method, BASE, 0, draw), 0.3, run)
     # What is quick comes first: a single GRU is trained for 2,000 epochs.

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks import study
-from reproduction import high_pass
+from reproduction import high_pass, published
 from reproduction.bands import HIGH, LOW
+from reproduction.jobs import ORACLE, Job
+from reproduction.published import Value
 from reproduction.readings import (
     ABLATIONS,
     BASE,
@@ -22,13 +24,10 @@ from reproduction.readings import (
     SETTLED,
     Reading,
 )
+from reproduction.runs import final_losses, load
+from reproduction.specs import DRAWS
 from reproduction.system_i import NAIVE, NETWORKS, path_of
-from splitband.paper import published
-from splitband.paper.jobs import ORACLE, Job
-from splitband.paper.published import Value
-from splitband.paper.runs import final_losses, load
-from splitband.paper.specs import DRAWS
-from splitband.paper.tables import spread
+from reproduction.tables import spread
 
 APART = 2.0
 """Standard errors by which two readings are called different."""

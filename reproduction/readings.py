@@ -8,11 +8,11 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from reproduction.settings import LEARNING_BASED, in_hz
 from splitband.data import Trajectory
+from splitband.data.named import double_mass_spring
 from splitband.filters import ComplementaryPair
 from splitband.filters.resampling import Alignment
-from splitband.paper.settings import LEARNING_BASED, in_hz
-from splitband.paper.systems import double_mass_spring
 
 Array = npt.NDArray[np.float64]
 COLUMN = LEARNING_BASED["i"]

@@ -41,7 +41,7 @@ def test_clamped_bands_end_at_one_and_leave_the_rest_of_the_low_band_to_none() -
 
 def test_the_nearest_reading_trains_as_a_split_model_on_the_filtered_record() -> None:
     record = SHORT.record(0)
-    setup = COLUMN.setup(record.sampling_rate).only_for("split-gru")
+    setup = COLUMN.setup(record.sampling_rate, "split-gru")
     pair = Filtering().pair(record.sampling_rate)
     model = FilteredAsAWhole(networks_of("split-gru", SHORT, 3), pair, 2)
     told = replace(record, y_sim=pair.lowpass(record.y))
