@@ -47,9 +47,7 @@ RECORDS = [
     bad("compare untimed.csv --sampling-time inf --out out", "untimed.csv", "sampling", "inf"),
     bad("compare record.csv --sampling-time 0.3 --out out", "record.csv", "0.3", "0.1 s"),
     bad("compare empty.csv --out out", "empty.csv", "at least 2 rows", "has 0"),
-    bad("compare still.csv --out out", "constant"),
     bad("compare van-der-pol --columns a --out out", "--columns", "van-der-pol", "got a"),
-    bad("compare tiny.csv --columns a --window 30 --out out", "window", "3 training", "got 30"),
 ]
 
 SETTINGS = [

@@ -439,11 +439,12 @@ def test_dates_are_written_as_they_were_read() -> None:
     write(Path("record.csv"), stamps[:SAMPLES], y=signal(times()))
     call("compare record.csv --methods mean,persistence --out out")
     assert pd.read_csv("out/predictions.csv")["time"].tolist() == stamps[:SAMPLES]
+    assert Path("out/rollouts.png").exists()
     stamps = [str(date) for date in dates]
     write(Path("record.csv"), stamps[:SAMPLES], y=signal(times()))
     call("forecast record.csv --method persistence --steps 5 --out out")
     assert pd.read_csv("out/forecast.csv")["time"].tolist() == stamps[SAMPLES:]
-    assert all(Path("out", name).exists() for name in ("rollouts.png", "forecast.png"))
+    assert Path("out/forecast.png").exists()
 
 
 # ---------------------------------------------------------------- inputs to come

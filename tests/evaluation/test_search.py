@@ -76,7 +76,7 @@ def test_what_was_found_is_what_a_trial_finds() -> None:
     searched = searched_by(training)
     again = try_out(training, searched.forecasters, STEPS, searching.TRIED)
     taken = try_out(training, searched.forecasters, STEPS, searching.TRIED, done=searched.done)
-    assert taken.errors == pytest.approx(again.errors)
+    assert {**taken.errors} == {name: pytest.approx(e) for name, e in again.errors.items()}
     assert taken.scores == pytest.approx(again.scores)
 
 

@@ -71,8 +71,6 @@ def test_a_record_shorter_than_a_window_is_refused_with_its_length() -> None:
 def test_other_records_must_be_of_the_same_kind(other: Record, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         check(record(), forecasters(["gru"], SETUP), SETUP, [other])
-    with pytest.raises(ValueError, match="are for networks, got mean"):
-        check(record(), forecasters(["mean"], SETUP), SETUP, [record()])
 
 
 def test_a_network_without_a_simulator_trains_on_records_with_and_without_one() -> None:

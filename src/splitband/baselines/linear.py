@@ -202,7 +202,7 @@ def _fit_channel(records: Sequence[_Part]) -> Channel:
     return Channel(a, scale * b, scale * c, offset + scale * constant, states)
 
 
-def _recent(part: _Part, longest: int = LONGEST) -> _Part:
+def _recent(part: _Part, longest: int | None = None) -> _Part:
     """The part from the sample on that `naive.recent` begins with."""
     if not len(known(part.y)):
         return part

@@ -26,15 +26,16 @@ class ByTime(Protocol):
         """The samples `start`..`start + steps - 1`, counted from there, `(steps, ny)`."""
 
 
-def recent(y: Array, longest: int = LONGEST) -> tuple[int, Array]:
+def recent(y: Array, longest: int | None = None) -> tuple[int, Array]:
     """Return the index from which on `y` `(time, ny)` is fitted, and `y` from there on.
 
-    Of each channel the last `longest` measured samples are kept, those among them that are farther
-    back than `FARTHEST_BACK` rows only where there are no others; the rest becomes NaN.
+    Of each channel the last `longest` measured samples are kept, by default `LONGEST`; those among
+    them that are farther back than `FARTHEST_BACK` rows only where there are no others. The rest
+    becomes NaN.
     """
     y = y.copy()
     for channel in y.T:
-        last = known(channel)[-longest:]
+        last = known(channel)[-(longest or LONGEST) :]
         near = last[last >= len(y) - FARTHEST_BACK]
         channel[: near[0] if len(near) else last[0]] = np.nan
     begin = min(int(known(channel)[0]) for channel in y.T)

@@ -68,7 +68,10 @@ def job_cost(forecaster: Forecaster, question: Question) -> float:
         return forecaster.count * job_cost(forecaster.member, question)
     if not isinstance(forecaster, Network) or forecaster.settings is None:
         return QUICK * len({origin.fitted for origin in question.origins})
-    return training_cost(forecaster, question.record[:samples], question.others)
+    try:
+        return training_cost(forecaster, question.record[:samples], question.others)
+    except ValueError:  # it cannot be built for such a record: its fit says why, at no cost
+        return 0.0
 
 
 def training_cost(network: Network, record: Record, others: Sequence[Record]) -> float:

@@ -295,6 +295,8 @@ def check(
             "one as `name`"
         )
     check_train(record, setup.train, 0 if beyond or tests else 1)
+    for other in others:
+        check_alike(other, record, other.name or "another record")
     for test in tests:
         check_alike(test, record, test.name or "a test record")
         warmup = max(setup.settings.warmup, *(f.warmup for f in forecasters))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -120,9 +120,10 @@ def default_setup(
         simulation.fit(record[:train])
         y_sim = simulation.on(record[:train]).y_sim
     bands = bands or Bands()
-    if any(each.shares_bands for each in _made(methods)):
-        # What has no band to split off is said by the methods that need one.
-        with suppress(ValueError):
+    given = bands.cutoff is not None
+    if given or any(each.shares_bands for each in _made(methods)):
+        # A record without a band to split off concerns the methods that need one: they say so.
+        with nullcontext() if given else suppress(ValueError):
             bands = bands.chosen(record[:train].y, record.sampling_rate, settings.warmup, y_sim)
     sizes = Sizes() if recipe == "paper" else Sizes(hidden_high=32, hidden_low=16)
     return Setup(train, settings, bands, sizes, search=search)

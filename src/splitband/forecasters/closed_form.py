@@ -102,7 +102,7 @@ class _ByTime(Forecaster):
             return []
         found = _rmse_of_channels(known.y - self.trajectory(replace(known, steps=0)))
         usual = np.maximum(self.error, _EXACT * np.ptp(self.require_fitted().y_range, axis=0))
-        worst = int(np.argmax(found / usual))
+        worst = int(np.argmax(found - SEVERAL * usual))
         if found[worst] <= SEVERAL * usual[worst]:
             return []
         return [

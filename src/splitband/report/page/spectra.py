@@ -34,7 +34,8 @@ def spectrum(
     rate = record.sampling_rate
     unit = "cycles per sample" if record.start is None and rate == 1 else "Hz"
     found = periodogram(record.y, rate)
-    x_range = figures.along(float(found.frequencies[1]), float(found.frequencies[-1]))
+    lowest, highest = float(found.frequencies[1]), float(found.frequencies[-1])
+    x_range = figures.along(lowest, max(highest, 2 * lowest))  # a short record has only one
     beside = {} if record.y_sim is None else {"simulator": record.y_sim}
     beside |= bases
     plots = [_power(record, cutoff, beside, x_range, unit)]
