@@ -328,12 +328,13 @@ def test_every_column_of_the_list_is_an_option_of_the_same_name(
         "warmup": "7", "test": "data/history.csv;data/record.csv", "test_simulator":
         "drill-string", "more": "data/history.csv", "more_simulator": "data/simulated.csv",
         "simulator": "linear", "simulator_columns": '"a,b"',
+        "simulator_reads": "data/simulated.csv",
     }  # fmt: skip
     assert tuple(cells) == cases.COLUMNS
     Path("all.csv").write_text(f"{','.join(cells)}\n{','.join(cells.values())}\n")
     (case,) = cases.read_cases(Path("all.csv").absolute(), Request(""))
     listed = {**case.identity()["arguments"]}
-    several = {"test", "test_simulator", "more", "more_simulator"}
+    several = {"test", "test_simulator", "more", "more_simulator", "simulator_reads"}
     for column in set(cells) - {"name"}:
         cell = cells[column].strip('"')
         expected = cell.split(";") if column in several else cell

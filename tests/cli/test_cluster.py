@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from reproduction.__main__ import main as reproduce
 from splitband import Work, compare
 from splitband.cli import main
 from splitband.evaluation.runs import RunProgress
@@ -96,9 +97,10 @@ class Running:
 
     def _begin(self, *words: str, **environment: str) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1"]
+        path = {"PYTHONPATH": os.pathsep.join(sys.path)}
         return subprocess.Popen(
             [*command, "--scheduler-file", str(self.file)],
-            cwd=self.folder, env=os.environ | environment,
+            cwd=self.folder, env=os.environ | path | environment,
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
         )  # fmt: skip
 
@@ -166,16 +168,17 @@ def test_one_worker_and_two_find_the_numbers_of_this_machine(
     [
         ("forecast record.csv --columns a --steps 5 --method gru --epochs 2 --seeds 2 ",
          "results.json"),
-        ("paper table learning-based --systems i --methods split-gru --seeds 2 --epochs 2 ",
+        ("table learning-based --systems i --methods split-gru --seeds 2 --epochs 2 ",
          "runs/i/split-gru/epochs2-seed1.json"),
     ],
-    ids=["forecast", "paper"],
+    ids=["forecast", "reproduction"],
 )  # fmt: skip
 def test_results_are_those_of_this_machine(
     line: str, found: str, whole: Running, tmp_path: Path
 ) -> None:
-    call(line + "--jobs 1", tmp_path / "here")
-    call(f"{line} --cluster {whole.address}", tmp_path / "there")
+    run = reproduce if line.startswith("table") else main
+    for workers, out in (("--jobs 1", "here"), (f"--cluster {whole.address}", "there")):
+        assert run(f"{line} {workers} --out {tmp_path / out}".split()) == 0
     here, there = (json.loads((tmp_path / each / found).read_text()) for each in ("here", "there"))
     assert same(there, here)
     assert not [*tmp_path.rglob("*.safetensors")]
@@ -188,7 +191,7 @@ def test_reports_come_while_trainings_run_and_when_they_end(whole: Running) -> N
         assert cluster.cores == 2
         compared(cluster, seen.append)
     last = {(at.stage, at.method, at.seed): at.share for at in seen}
-    assert len(last) == 8
+    assert len(last) == 10
     assert set(last.values()) == {1.0}
     assert len(seen) > len(last)
 

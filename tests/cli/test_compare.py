@@ -195,8 +195,8 @@ def test_several_seeds_are_run_by_as_many_processes_as_asked_for(
 ) -> None:
     asked = []
 
-    def in_this_process(work: Any, jobs: Any, processes: int, progress: Any) -> Any:
-        asked.append((len(jobs), processes))
+    def in_this_process(work: Any, jobs: Any, processes: Any, progress: Any, _: Any) -> Any:
+        asked.extend([(len(jobs), processes._pool._max_workers)] if jobs else [])
         return over(work, jobs, 1, progress)
 
     monkeypatch.setattr("splitband.evaluation.runs.over", in_this_process)
@@ -212,7 +212,10 @@ def test_several_seeds_are_run_by_as_many_processes_as_asked_for(
 def test_the_seasonal_baseline_finds_the_period_of_the_double_torsion_record(
     tmp_path: Path,
 ) -> None:
-    call("compare double-torsion --recipe paper --methods seasonal-naive,persistence", tmp_path)
+    call(
+        "compare double-torsion --recipe paper --warmup 100 --methods seasonal-naive,persistence",
+        tmp_path,
+    )
     facts = results(tmp_path)["methods"]["seasonal-naive"]
     assert "160 training samples" in facts["description"]
     assert facts["forecast_rmse"] == [pytest.approx(0.068, abs=5e-4)]

@@ -175,7 +175,7 @@ def largest_file(size: int) -> Iterator[None]:
         (MEAN, 200_000, "report.html"),  # after predictions.csv
         (SPECTRUM, 200_000, "report.html"),
         ("forecast record.csv --method mean --steps 3", 200_000, "report.html"),
-        ("fit record.csv --method linear --columns a --inputs force", 15_000, "forecaster.json"),
+        ("fit record.csv --method linear --columns a --inputs force", 3_000, "forecaster.json"),
     ],
 )
 def test_a_result_that_cannot_be_written_leaves_the_earlier_one_and_names_the_file(

@@ -18,6 +18,7 @@ import pandas as pd
 import pytest
 from scipy.signal import lfilter
 
+from reproduction.__main__ import main as reproduce
 from splitband.cli import main
 from splitband.runtime.files import CHECKPOINTS
 from tests.cli.test_interrupting import command_line
@@ -32,10 +33,10 @@ QUICK = "--epochs 10 --hidden 8,6 --window 40 --warmup 12 --train 150"
 COMMANDS = {
     "fit": f"fit record.csv --method split-gru-conditioned {QUICK}",
     "compare": f"compare record.csv --methods gru,split-gru,mean {QUICK} --seeds 1 --jobs 1",
-    "benchmark": "benchmark list.csv --methods gru,mean --epochs 4 --hidden 4,3 --window 40 "
+    "benchmark": "benchmark list.csv --methods gru,mean --epochs 12 --hidden 4,3 --window 40 "
     "--warmup 12 --seeds 1 --jobs 1",
-    "paper": "paper table learning-based --systems i --methods split-gru --seeds 1 --epochs 8 "
-    "--jobs 1",
+    "reproduction": "reproduction table learning-based --systems i --methods split-gru "
+    "--seeds 1 --epochs 8 --jobs 1",
 }
 OPERATIONS = {"open", "os.mkdir", "os.rename", "os.remove", "shutil.rmtree"}
 """Audit events of Python for what can be done to a file."""
@@ -74,7 +75,8 @@ def begin(line: str, operation: Callable[[], None] | None = None) -> int:
         os.dup2(silent, 2)
         if operation is not None:
             sys.addaudithook(hook)
-        os._exit(main(words))
+        run = reproduce if words[0] == "reproduction" else main
+        os._exit(run(words[run is reproduce :]))
     finally:
         os._exit(99)
 

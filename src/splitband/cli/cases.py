@@ -68,7 +68,7 @@ class Case:
             modules = source_files(path)[1:] if path.suffix == ".py" else []
             if modules:
                 digests[f"{listed}: imports"] = digest(modules)
-        return {"arguments": arguments(values), "files": digests}
+        return {"arguments": arguments(values), "digests": digests}
 
 
 def read_cases(path: Path, shared: Request) -> list[Case]:

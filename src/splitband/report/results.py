@@ -115,7 +115,8 @@ def results(comparison: Comparison) -> dict[str, Any]:
         **({"tests": _test_facts(comparison)} if comparison.tests else {}),
         "settings": comparison.setup.as_json(),
         "recommended": trial.recommended,
-        "table": [column.as_json() for column in columns(comparison)],
+        # Without seconds, which are below, so that the same comparison has the same table.
+        "table": [c.as_json() for c in columns(comparison) if c.unit != "seconds"],
         "search": [asdict(attempt) for attempt in comparison.attempts],
         "methods": {
             name: _method(of_method)
