@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from splitband.data import Record
 from splitband.models import Model, Task
 from splitband.runtime.deadlines import Deadline, current
+from splitband.runtime.memory import freed_memory_kept
 from splitband.runtime.threads import one_torch_thread
 from splitband.training import quasi_newton
 from splitband.training.checkpoints import Checkpoint, State, key_of
@@ -61,6 +62,7 @@ class History:
     """Whether a deadline ended it before its time."""
 
 
+@freed_memory_kept()
 def fit(
     model: Model,
     trajectory: Record | Sequence[Record],
