@@ -6,9 +6,9 @@ With z_n = [x_n, 1, u_n], s_n = [u_{n-1}, x_n, 1], and u_0 in place of u_{-1},
 
 where e_n is the measured sample minus y_n in the warm-up, and zero after it.
 
-Networks of this kind have a few states and a few dozen units, fewer than a vector has lanes. So the
-rows of a batch are the lanes: each quantity is an array (quantities, rows). All z and s are views
-of one stream of such quantities, ..., u_{n-1}, x_n, 1, u_n, x_{n+1}, 1, ...
+Networks of this kind have a few states and a few dozen units, often fewer than a vector has lanes.
+So the rows of a batch are the lanes (`state_space_lanes`). A few rows would leave most lanes empty:
+they are taken one after the other (`state_space_rows`).
 """
 
 from __future__ import annotations
@@ -20,23 +20,21 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from splitband.kernels import state_space_lanes, state_space_rows
 from splitband.kernels.common import (
+    PAD,
     Array,
     add,
     array,
     check,
-    kernel,
     padded,
-    part,
     run_rows,
     split_rows,
-    tanh,
     zeros,
 )
-from splitband.kernels.matmul import add_products, matmul
 
-_GATHER = 16  # steps whose gradients are kept until they are multiplied with what they belong to
 _MOST_LANES = 128  # rows of a job: so many that its steps stay in the cache
+_FEW = 4  # rows that take less time one after the other
 
 
 def state_space_rollout(
@@ -126,40 +124,45 @@ class _Rollout(torch.autograd.Function):
             (wanted, dy[rows], saved, *packed, *of_job, dx0[rows], dy_warmup[rows], du[rows])
             for rows, saved, of_job in zip(ctx.rows, kept, sums, strict=True)
         ]
-        run_rows(_backward, jobs)
+        few = len(dy) < _FEW
+        run_rows(state_space_rows.backward if few else state_space_lanes.backward, jobs)
         return dx0, dy_warmup, du, None, *_unpack(dx0.shape[1], *add(sums))
 
 
 def _simulate(
     x0: Tensor, y_warmup: Tensor, u: Tensor, steps: int, weights: tuple[Tensor, ...], keep: bool
 ) -> tuple[Tensor, list[slice], list[Tensor]]:
-    """The samples, the rows of each job, and for each what `_parts` finds in it."""
+    """The samples, the rows of each job, and for each what the way back needs."""
     packed = _pack(*(array(w) for w in weights))
     batch, warmup, ny = y_warmup.shape
     last, width, hidden = warmup + steps - 1, packed[0].shape[1], packed[1].shape[1]
-    split = _split(batch, float(batch) * last * sum(w.numel() for w in packed))
+    few = batch < _FEW
+    split = _split(batch, few, float(batch) * last * sum(w.numel() for w in packed))
     y = y_warmup.new_empty(batch, steps, ny)
     x0, y_warmup, u = x0.contiguous(), y_warmup.contiguous(), u.contiguous()
-    slots = last if keep else 1
-    quantities = (slots + 1) * (width + 2 * hidden) + warmup * ny
-    lanes = [padded(rows.stop - rows.start) for rows in split]
+    if few:
+        lanes = [PAD for _ in split]
+        slots = last + 1 if keep else state_space_rows.CHUNK
+        n = state_space_rows.size_of_kept(slots, width, hidden, warmup, ny)
+    else:
+        lanes = [padded(rows.stop - rows.start) for rows in split]
+        slots = last if keep else 1
+        n = state_space_lanes.size_of_kept(slots, width, hidden, warmup * ny)
     # One allocation: see `common.buffers`.
-    whole = y.new_empty(quantities * sum(lanes))
-    kept = [
-        part.view(quantities, n)
-        for part, n in zip(whole.split([quantities * n for n in lanes]), lanes, strict=True)
-    ]
+    whole = y.new_empty(n * sum(lanes))
+    parts = zip(whole.split([n * count for count in lanes]), lanes, strict=True)
+    kept = [part.view(n, count) for part, count in parts]
     jobs = [
         (keep, x0[rows], y_warmup[rows], u[rows], *packed, saved, y[rows])
         for rows, saved in zip(split, kept, strict=True)
     ]
-    run_rows(_forward, jobs)
+    run_rows(state_space_rows.forward if few else state_space_lanes.forward, jobs)
     return y, split, kept
 
 
-def _split(batch: int, work: float) -> list[slice]:
-    """The rows of each job: for the threads that the work is worth, and for the cache."""
-    n = max(len(split_rows(batch, work)), -(-batch // _MOST_LANES))
+def _split(batch: int, few: bool, work: float) -> list[slice]:
+    """The rows of each job: one, or as many as suit the threads and the cache."""
+    n = batch if few else max(len(split_rows(batch, work)), -(-batch // _MOST_LANES))
     return [slice(batch * i // n, batch * (i + 1) // n) for i in range(n)]
 
 
@@ -199,173 +202,3 @@ def _unpack(size: int, dz: Array, dwx: Array, ds: Array, dwy: Array, dgain: Arra
         dgain,
     )
     return [torch.from_numpy(np.ascontiguousarray(grad)) for grad in grads]
-
-
-@part
-def _parts(kept: Array, width: int, hidden: int, warm: int) -> tuple[Array, Array, Array, Array]:
-    """The stream, the units of f and of g, and the errors of the warm-up."""
-    slots, lanes = (len(kept) - warm) // (width + 2 * hidden), kept.shape[1]
-    a, b = slots * width, slots * (width + hidden)
-    c = b + slots * hidden
-    fs, gs = kept[a:b].reshape(slots, hidden, lanes), kept[b:c].reshape(slots, hidden, lanes)
-    return kept[:a], fs, gs, kept[c:]
-
-
-@kernel
-def _forward(
-    keep: bool,
-    x0: Array,
-    y_warmup: Array,
-    u: Array,
-    wz: Array,
-    wf: Array,
-    ws: Array,
-    wg: Array,
-    gain: Array,
-    kept: Array,
-    y: Array,
-) -> None:
-    warmup, ny = y_warmup.shape[1:]
-    (size, hidden), nu, width, lanes = wf.shape, u.shape[2], wz.shape[1], kept.shape[1]
-    last = warmup + y.shape[1] - 1
-    stream, fs, gs, es = _parts(kept, width, hidden, warmup * ny)
-    seen = np.empty((ny, lanes), y.dtype)
-    _to_lanes(stream[:nu], u[:, 0])
-    _to_lanes(stream[nu : nu + size], x0)
-    stream[nu + size] = 1
-    for t in range(last + 1):
-        at = t * width if keep else 0
-        slot = t if keep else 0
-        s, g = stream[at : at + width], gs[slot]
-        matmul(g, ws[:hidden], s, False)
-        _tanh_of(g.reshape(-1))
-        matmul(seen, ws[hidden:], s, False)
-        matmul(seen, wg, g, True)
-        if t < warmup:
-            e = es[t * ny : (t + 1) * ny]
-            _to_lanes(e, y_warmup[:, t])
-            e -= seen
-        else:
-            _to_rows(y[:, t - warmup], seen)
-        if t == last:
-            break
-        following = stream[at + width : at + 2 * width]
-        _to_lanes(following[:nu], u[:, t])
-        z, f = stream[at + nu : at + nu + width], fs[slot]
-        x = following[nu : nu + size]
-        matmul(f, wz[:hidden], z, False)
-        _tanh_of(f.reshape(-1))
-        matmul(x, wz[hidden:], z, False)
-        matmul(x, wf, f, True)
-        if t < warmup:
-            matmul(x, gain, es[t * ny : (t + 1) * ny], True)
-        following[nu + size] = 1
-        if not keep:
-            s[:] = following
-
-
-@kernel
-def _backward(
-    wanted: bool,
-    dy: Array,
-    kept: Array,
-    wz: Array,
-    wf: Array,
-    ws: Array,
-    wg: Array,
-    gain: Array,
-    dwz: Array,
-    dwf: Array,
-    dws: Array,
-    dwg: Array,
-    dgain: Array,
-    dx0: Array,
-    dy_warmup: Array,
-    du: Array,
-) -> None:
-    rows, warmup, ny = dy_warmup.shape
-    (size, hidden), nu, width, lanes = wf.shape, du.shape[2], wz.shape[1], kept.shape[1]
-    last = warmup + dy.shape[1] - 1
-    stream, fs, gs, es = _parts(kept, width, hidden, warmup * ny)
-    ss = stream.reshape(last + 1, width, lanes)
-    zs = stream[nu : nu + last * width].reshape(last, width, lanes)
-    # Of each step: the gradients of the units and of what they are added to.
-    dfs = np.empty((_GATHER, hidden + size, lanes), dy.dtype)
-    dgs = np.empty((_GATHER, hidden + ny, lanes), dy.dtype)
-    dx, dw = np.zeros((size, lanes), dy.dtype), np.empty((nu, lanes), dy.dtype)
-    for t in range(last, -1, -1):
-        step = t % _GATHER
-        df, dg = dfs[step], dgs[step]
-        if t < last:
-            df[hidden:] = dx
-            matmul(df[:hidden], wf.T, dx, False)
-            _tanh_back(fs[t].reshape(-1), df[:hidden].reshape(-1))
-        seen = dg[hidden:]
-        if t >= warmup:
-            _to_lanes(seen, dy[:, t - warmup])
-            seen[:, rows:] = 0
-        else:
-            matmul(seen, gain.T, dx, False)
-            _to_rows(dy_warmup[:, t], seen)
-            seen *= -1
-        matmul(dg[:hidden], wg.T, seen, False)
-        _tanh_back(gs[t].reshape(-1), dg[:hidden].reshape(-1))
-        matmul(dx, ws[:, nu : nu + size].T, dg, False)
-        if t < last:
-            matmul(dx, wz[:, :size].T, df, True)
-        if wanted and last:
-            matmul(dw, ws[:, :nu].T, dg, False)
-            _add_rows(du[:, max(t - 1, 0)], dw)
-            if t < last:
-                matmul(dw, wz[:, size + 1 :].T, df, False)
-                _add_rows(du[:, t], dw)
-        if step == 0:
-            stop = min(t + _GATHER, last + 1)
-            dg_now = dgs[: stop - t]
-            add_products(dws, dg_now, ss[t:stop])
-            add_products(dwg, dg_now[:, hidden:], gs[t:stop])
-            stop = min(stop, last)
-            df_now = dfs[: stop - t]
-            add_products(dwz, df_now, zs[t:stop])
-            add_products(dwf, df_now[:, hidden:], fs[t:stop])
-            stop = min(stop, warmup)
-            if t < stop:
-                e = es[t * ny : stop * ny].reshape(stop - t, ny, lanes)
-                add_products(dgain, dfs[: stop - t, hidden:], e)
-    _add_rows(dx0, dx)
-
-
-@part
-def _to_lanes(out: Array, values: Array) -> None:
-    """Lanes that are left over follow the last row, so that nothing overflows in them alone."""
-    rows = len(values)
-    for i in range(out.shape[1]):
-        for j in range(out.shape[0]):
-            out[j, i] = values[min(i, rows - 1), j]
-
-
-@part
-def _to_rows(out: Array, values: Array) -> None:
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            out[i, j] = values[j, i]
-
-
-@part
-def _add_rows(out: Array, values: Array) -> None:
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            out[i, j] += values[j, i]
-
-
-@part
-def _tanh_of(x: Array) -> None:
-    for i in range(x.size):
-        x[i] = tanh(x[i])
-
-
-@part
-def _tanh_back(a: Array, da: Array) -> None:
-    one = a.dtype.type(1)
-    for i in range(a.size):
-        da[i] *= one - a[i] * a[i]

@@ -11,6 +11,9 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # M_TRIM_THRESHOLD and M_MMAP_THRESHO
 _KEPT = 2**30
 """Bytes: arrays up to this size, and as much free memory at the end of the heap, are kept."""
 
+_USUAL = 2**25
+"""Bytes: the most to which glibc raises the first threshold by itself; the second is twice that."""
+
 
 @contextmanager
 def freed_memory_kept() -> Iterator[None]:
@@ -18,18 +21,22 @@ def freed_memory_kept() -> Iterator[None]:
 
     By default glibc maps arrays of more than some megabytes one by one and unmaps them when they
     are freed. A training makes the same arrays for each gradient, and the operating system would
-    have to clear every page of them every time. The thresholds are those of the process and stay
-    as they are set here. Other C libraries have none: nothing is done.
+    have to clear every page of them every time. The thresholds are those of the process: where
+    several threads train, the first to end lowers them for all. Other C libraries have none, and
+    nothing is done.
     """
     libc = _glibc()
-    if libc is not None:
-        libc.mallopt(_MMAP_THRESHOLD, _KEPT)
-        libc.mallopt(_TRIM_THRESHOLD, _KEPT)
+    if libc is None:
+        yield
+        return
+    libc.mallopt(_MMAP_THRESHOLD, _KEPT)
+    libc.mallopt(_TRIM_THRESHOLD, _KEPT)
     try:
         yield
     finally:
-        if libc is not None:
-            libc.malloc_trim(0)
+        libc.mallopt(_MMAP_THRESHOLD, _USUAL)
+        libc.mallopt(_TRIM_THRESHOLD, 2 * _USUAL)
+        libc.malloc_trim(0)
 
 
 def _glibc() -> ctypes.CDLL | None:
