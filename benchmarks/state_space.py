@@ -22,7 +22,7 @@ from torch import Tensor
 
 from benchmarks.peers import installed, jax_state_space
 from benchmarks.timing import circumstances, medians, write
-from splitband.networks import GRU, Cell, StateSpace, rollout
+from splitband.networks import GRU, StateSpace, rollout
 from splitband.runtime.threads import use_one_thread
 
 CASES = ((25, 50, 350), (50, 30, 150), (128, 50, 200), (650, 33, 67), (1, 50, 1000), (1, 50, 65000))
@@ -35,9 +35,8 @@ LONGEST_LOOP = 2000
 Call = Callable[[], object]
 
 
-def gradient(cell: Any, y: Tensor, u: Tensor, warmup: int, backend: Any) -> Call:
+def gradient(cell: GRU | StateSpace, y: Tensor, u: Tensor, warmup: int, backend: Any) -> Call:
     """Of the RMSE of a free run with respect to every weight."""
-    assert isinstance(cell, Cell)
 
     def call() -> None:
         cell.zero_grad(set_to_none=True)

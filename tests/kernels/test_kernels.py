@@ -80,7 +80,8 @@ def plain_state_space(cell: Any, y: Tensor, steps: int, u: Tensor | None = None)
 def fused_state_space(cell: Any, y: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
     units = [cell.f[0].weight, cell.f[0].bias, cell.g[0].weight, cell.g[0].bias]
     out = [p for layer in (cell.transition, cell.observation) for p in layer.parameters()]
-    return state_space_rollout(cell.x0.expand(len(y), -1), y, steps, u, *units, *out, cell.gain)
+    weights = [*units, *out, cell.gain]
+    return state_space_rollout(cell.x0.expand(len(y), -1), y, steps, u, *weights)
 
 
 def gru_case(sizes: Sizes, dtype: torch.dtype) -> tuple[Any, Tensor, int, Any]:

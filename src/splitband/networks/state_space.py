@@ -155,10 +155,11 @@ class StateSpace(nn.Module):
         from splitband.kernels import state_space_rollout  # noqa: PLC0415  numba loads on first use
 
         x0, none = y_warmup.new_zeros(len(y_warmup), self.states), self.gain.new_empty
-        units = [p for layers in (self.f, self.g) for p in layers.parameters()]
+        units: list[Tensor] = [p for layers in (self.f, self.g) for p in layers.parameters()]
         units = units or 2 * [none(0, self.states + self.nu), none(0)]
         out = (p for layer in (self.transition, self.observation) for p in layer.parameters())
-        return state_space_rollout(x0, y_warmup, steps, u, *units, *out, self.gain)
+        weights = (*units, *out, self.gain)
+        return state_space_rollout(x0, y_warmup, steps, u, *weights)
 
     def _layers(self, width: int) -> nn.Sequential:
         """The hidden layers of f or g."""

@@ -11,8 +11,9 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # M_TRIM_THRESHOLD and M_MMAP_THRESHO
 _KEPT = 2**30
 """Bytes: arrays up to this size, and as much free memory at the end of the heap, are kept."""
 
-_USUAL = 2**25
-"""Bytes: the most to which glibc raises the first threshold by itself; the second is twice that."""
+_USUAL = 2**22
+"""Bytes: the first threshold after a training, so that arrays of long records are returned at once;
+glibc raises it to 2**25 by itself. The second is twice that, as glibc has it."""
 
 
 @contextmanager
