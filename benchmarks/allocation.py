@@ -33,7 +33,7 @@ def training(kept: bool) -> dict[str, float]:
     use_one_thread()
     rng = np.random.default_rng(0)
     u = np.repeat(rng.standard_normal(SAMPLES // 10), 10)
-    record = sb.Trajectory(scipy.signal.lfilter([0.1, 0.05], [1, -1.6, 0.9], np.tanh(u)), 1.0, u=u)
+    record = sb.Record(scipy.signal.lfilter([0.1, 0.05], [1, -1.6, 0.9], np.tanh(u)), 1.0, u=u)
     settings = sb.Settings(
         100, 33, 20, 25, 1e-2, one_cycle=True, clip=1.0, most_batches=100, quasi_newton=30
     )
