@@ -36,6 +36,8 @@ bench: .venv/.ready
 	mkdir -p docs/benchmarks
 	$(BIN)/python -m benchmarks.filters --out docs/benchmarks/filters.json
 	$(BIN)/python -m benchmarks.rollout --out docs/benchmarks/rollout.json
+	$(BIN)/python -m benchmarks.state_space --out docs/benchmarks/state_space.json
+	$(BIN)/python -m benchmarks.allocation --out docs/benchmarks/allocation.json
 	$(BIN)/python -m benchmarks.system_i --out docs/benchmarks/system_i.json
 
 fuzz: .venv/.ready

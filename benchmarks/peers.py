@@ -107,3 +107,46 @@ def tsfast_state_space(
 
     model = NeuralStateSpace(1, size, size, hidden, backend=backend)
     return model, lambda h0, steps: model(h0.new_zeros(len(h0), steps, 1), h0)
+
+
+def jax_state_space(y: Tensor, u: Tensor, warmup: int, weights: dict[str, Tensor]) -> Step:
+    """The loss of a `StateSpace` and its gradient as two `scan`s, compiled whole.
+
+    The outputs of the free run, on which no state depends, are computed for all samples at once.
+
+    Parameters
+    ----------
+    y, u : `(batch, time, n)`.
+    weights : The cell's, by name.
+    """
+    import jax  # noqa: PLC0415
+    import jax.numpy as jnp  # noqa: PLC0415
+
+    size = weights["gain"].shape[0]
+    samples, rows = (jnp.asarray(x.numpy()).swapaxes(0, 1) for x in (y, u))
+    before = jnp.concatenate([rows[:1], rows[:-1]])
+
+    def equation(w: Any, units: str, out: str, x: Any, row: Any) -> Any:
+        seen = jnp.concatenate([x, row], -1)
+        active = jnp.tanh(seen @ w[f"{units}.0.weight"].T + w[f"{units}.0.bias"])
+        seen = jnp.concatenate([seen, active], -1)
+        return seen @ w[f"{out}.weight"].T + w[f"{out}.bias"]
+
+    def loss(w: Any) -> Any:
+        def observe(x: Any, now: Any) -> Any:
+            measured, row, row_before = now
+            e = measured - equation(w, "g", "observation", x, row_before)
+            return equation(w, "f", "transition", x, row) + e @ w["gain"].T, None
+
+        def free(x: Any, row: Any) -> Any:
+            return equation(w, "f", "transition", x, row), x
+
+        seen = samples[:warmup], rows[:warmup], before[:warmup]
+        x, _ = jax.lax.scan(observe, jnp.zeros((y.shape[0], size)), seen)
+        _, xs = jax.lax.scan(free, x, rows[warmup:])
+        predicted = equation(w, "g", "observation", xs, before[warmup:])
+        return jnp.sqrt(jnp.mean((predicted - samples[warmup:]) ** 2))
+
+    gradient = jax.jit(jax.value_and_grad(loss))
+    of_jax = {name: jnp.asarray(w.detach().numpy()) for name, w in weights.items()}
+    return lambda: jax.block_until_ready(gradient(of_jax))

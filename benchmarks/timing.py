@@ -16,7 +16,11 @@ from typing import Any
 import torch
 
 
-def medians(calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+def medians(
+    calls: dict[str, Callable[[], object]],
+    repeats: int,
+    clock: Callable[[], float] = time.perf_counter,
+) -> dict[str, float]:
     """Median seconds of each call, the calls taking turns.
 
     A turn is a pause, as threads of the call before may go on spinning for milliseconds, one call
@@ -29,9 +33,9 @@ def medians(calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, f
             time.sleep(0.05)
             call()
             for _ in range(3):
-                began = time.perf_counter()
+                began = clock()
                 call()
-                times[name].append(time.perf_counter() - began)
+                times[name].append(clock() - began)
     return {name: statistics.median(values) for name, values in times.items()}
 
 

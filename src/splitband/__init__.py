@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from splitband.forecasters.single import Single
     from splitband.forecasters.split import Split
     from splitband.metrics import ExtrapolationWarning, cumulative_rmse, fit_percent, nrmse, rmse
-    from splitband.networks import GRU, Cell, EulerMLP, rollout
+    from splitband.networks import GRU, Cell, EulerMLP, StateSpace, rollout
     from splitband.runtime.cluster import Cluster
     from splitband.simulators import Fmu, Function, Ode, Recorded, Simulator
     from splitband.training import Progress, Settings
@@ -73,7 +73,7 @@ _MODULES = {
     "forecasters.single": ("Single",),
     "forecasters.split": ("Split",),
     "metrics": ("ExtrapolationWarning", "cumulative_rmse", "fit_percent", "nrmse", "rmse"),
-    "networks": ("GRU", "Cell", "EulerMLP", "rollout"),
+    "networks": ("GRU", "Cell", "EulerMLP", "StateSpace", "rollout"),
     "runtime.cluster": ("Cluster",),
     "simulators": ("Fmu", "Function", "Ode", "Recorded", "Simulator"),
     "training": ("Progress", "Settings"),
@@ -118,6 +118,7 @@ __all__ = [
     "Single",
     "Sizes",
     "Split",
+    "StateSpace",
     "Tuned",
     "Tuning",
     "Work",

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from splitband.filters import lfilter
-from splitband.networks import GRU, EulerMLP, rollout
+from splitband.networks import GRU, EulerMLP, StateSpace, rollout
 
 
 def main() -> None:
@@ -15,7 +15,7 @@ def main() -> None:
     lfilter([0.5], [1.0, -0.5], np.arange(3.0))
     for dtype in (torch.float32, torch.float64):
         y = torch.zeros(1, 2, 1, dtype=dtype)
-        for cell in (GRU(2), EulerMLP(1, 2, 2, 2, 2, 0.1)):
+        for cell in (GRU(2), EulerMLP(1, 2, 2, 2, 2, 0.1), StateSpace(2, 2)):
             rollout(cell.to(dtype), y, 2).sum().backward()
 
 

@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from splitband.kernels import common, euler_rollout, gru_rollout
+from splitband.kernels import common, euler_rollout, gru_rollout, state_space_rollout
 from splitband.kernels import matmul as products
-from splitband.networks import GRU, EulerMLP, free_run
+from splitband.networks import GRU, EulerMLP, StateSpace, free_run
 
 Sizes = tuple[int, int, int, int, int, int]
 Run = Callable[..., Tensor]
@@ -70,6 +70,20 @@ def fused_euler(cell: Any, h0: Tensor, steps: int, u: Tensor | None = None) -> T
     return euler_rollout(h0, steps, cell.ny, cell.step_size, u, *weights)
 
 
+def plain_state_space(cell: Any, y: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
+    h = cell._with_output(cell.x0.expand(len(y), -1), None if u is None else u[:, 0])
+    for n in range(y.shape[1]):
+        h = cell.step(h, y[:, n], None if u is None else u[:, n])
+    return free_run(cell, h, steps, None if u is None else u[:, y.shape[1] :])[0]
+
+
+def fused_state_space(cell: Any, y: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
+    units = [cell.f[0].weight, cell.f[0].bias, cell.g[0].weight, cell.g[0].bias]
+    out = [p for layer in (cell.transition, cell.observation) for p in layer.parameters()]
+    weights = [*units, *out, cell.gain]
+    return state_space_rollout(cell.x0.expand(len(y), -1), y, steps, u, *weights)
+
+
 def gru_case(sizes: Sizes, dtype: torch.dtype) -> tuple[Any, Tensor, int, Any]:
     batch, warmup, steps, ny, hidden, nu = sizes
     cell = GRU(hidden, ny, nu).to(dtype)
@@ -86,10 +100,26 @@ def euler_case(sizes: Sizes, dtype: torch.dtype) -> tuple[Any, Tensor, int, Any]
     return cell, h0, steps, u if nu else None
 
 
+def state_space_case(sizes: Sizes, dtype: torch.dtype) -> tuple[Any, Tensor, int, Any]:
+    batch, warmup, steps, ny, hidden, nu = sizes
+    cell = StateSpace(3, hidden, ny, nu)
+    with torch.no_grad():
+        for layer in (cell.transition, cell.observation):
+            layer.weight[:, 3 + nu :] *= 3
+    cell.x0 = nn.Parameter(torch.randn(3))
+    y = torch.randn(batch, warmup, ny, dtype=dtype, requires_grad=True)
+    u = torch.randn(batch, warmup + steps + 1, nu, dtype=dtype, requires_grad=True)
+    return cell.to(dtype), y, steps, u if nu else None
+
+
 CASES = pytest.mark.parametrize(
     ("case", "kernel", "loop"),
-    [(gru_case, fused, plain), (euler_case, fused_euler, plain_euler)],
-    ids=["GRU", "EulerMLP"],
+    [
+        (gru_case, fused, plain),
+        (euler_case, fused_euler, plain_euler),
+        (state_space_case, fused_state_space, plain_state_space),
+    ],
+    ids=["GRU", "EulerMLP", "StateSpace"],
 )
 
 

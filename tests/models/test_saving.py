@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import safetensors.torch
 
-from splitband import GRU, ComplementaryPair, EulerMLP, Record, Settings
+from splitband import GRU, ComplementaryPair, EulerMLP, Record, Settings, StateSpace
 from splitband.filters import butterworth
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
 from splitband.models.saving import load, save
@@ -54,6 +54,7 @@ MODELS: dict[str, Callable[[], Model]] = {
         conditioned=True,
     ),
     "residual-rnn": lambda: Residual(rnn()),
+    "state-space": lambda: Recurrent(StateSpace(3, 4, NY, 2 * NU), feedthrough=True),
     "gru-feedthrough": lambda: Recurrent(gru(told=NU), feedthrough=True),
 }
 

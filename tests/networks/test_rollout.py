@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from splitband.data import Record
 from splitband.filters import ComplementaryPair
 from splitband.models import Model, Recurrent, Split
-from splitband.networks import GRU, Backend, Cell, EulerMLP, free_run, rollout
+from splitband.networks import GRU, Backend, Cell, EulerMLP, StateSpace, free_run, rollout
 from splitband.training import Settings, fit
 
 Array = npt.NDArray[Any]
@@ -77,12 +77,17 @@ def euler_mlp(ny: int = NY, nu: int = 0) -> EulerMLP:
     return EulerMLP(ny, WARMUP - 2, step_size=0.3, nu=nu, **sizes).double()
 
 
+def state_space(ny: int = NY, nu: int = 0) -> StateSpace:
+    torch.manual_seed(4)
+    return StateSpace(3, HIDDEN, ny, nu).double()
+
+
 def lstm(ny: int = NY, nu: int = 0) -> LSTM:
     torch.manual_seed(3)
     return LSTM(ny, HIDDEN, nu).double()
 
 
-CELLS = [gru, euler_mlp, lstm]
+CELLS = [gru, euler_mlp, state_space, lstm]
 BACKENDS: list[Backend] = ["auto", "plain"]
 Make = Callable[..., Any]
 
@@ -435,6 +440,9 @@ def test_a_warmup_too_short_for_the_recognition_is_named() -> None:
         (EulerMLP, "state_size"),
         (EulerMLP, "hidden_size"),
         (EulerMLP, "recognition_size"),
+        (StateSpace, "ny"),
+        (StateSpace, "states"),
+        (StateSpace, "layers"),
     ],
 )
 def test_a_size_below_one_is_named(cell: Callable[..., nn.Module], name: str) -> None:
@@ -442,7 +450,7 @@ def test_a_size_below_one_is_named(cell: Callable[..., nn.Module], name: str) ->
         cell(**{name: 0})
 
 
-@pytest.mark.parametrize("cell", [GRU, EulerMLP])
+@pytest.mark.parametrize("cell", [GRU, EulerMLP, StateSpace])
 def test_a_negative_number_of_inputs_is_named(cell: Callable[..., nn.Module]) -> None:
     with pytest.raises(ValueError, match=r"nu must .* got -1"):
         cell(nu=-1)

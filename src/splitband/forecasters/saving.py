@@ -43,7 +43,7 @@ from splitband.forecasters.simulation import Simulation
 from splitband.forecasters.single import Single
 from splitband.forecasters.split import Split
 from splitband.models import saving as models
-from splitband.networks import GRU, EulerMLP
+from splitband.networks import GRU, EulerMLP, StateSpace
 from splitband.runtime.arguments import whole
 from splitband.runtime.files import write_json
 from splitband.simulators import Recorded, Simulator
@@ -77,7 +77,7 @@ _BY_FIELDS: dict[str, Callable[..., Any]] = {
     **{each.__name__: each for each in _PLAIN},
     "Calibration": Calibration.from_fields,
 }
-_KNOWN = {each.__name__: each for each in (*_PLAIN, *_FORECASTERS, GRU, EulerMLP)}
+_KNOWN = {each.__name__: each for each in (*_PLAIN, *_FORECASTERS, GRU, EulerMLP, StateSpace)}
 
 
 def save(

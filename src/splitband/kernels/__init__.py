@@ -9,5 +9,6 @@ this package compiles nothing.
 from splitband.kernels.euler_mlp import euler_rollout
 from splitband.kernels.gru import gru_rollout
 from splitband.kernels.recurrence import recurrence
+from splitband.kernels.state_space import state_space_rollout
 
-__all__ = ["euler_rollout", "gru_rollout", "recurrence"]
+__all__ = ["euler_rollout", "gru_rollout", "recurrence", "state_space_rollout"]

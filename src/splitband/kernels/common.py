@@ -181,7 +181,7 @@ def buffers(like: Tensor, split: list[slice], *shapes: tuple[int, ...]) -> list[
 
 
 def run_rows(kernel: Callable[..., None], jobs: Sequence[Sequence[Any]]) -> None:
-    """Call `kernel` with each of the `jobs`, tensors as arrays, on as many threads.
+    """Call `kernel` with each of the `jobs`, tensors as arrays, on at most torch's many threads.
 
     This thread takes jobs too, so that none waits for a thread that is busy, or that a fork of
     the process has lost.
@@ -196,7 +196,8 @@ def run_rows(kernel: Callable[..., None], jobs: Sequence[Sequence[Any]]) -> None
                 return
             kernel(*job)
 
-    helpers = [_POOL.submit(work) for _ in jobs[1:]]
+    threads = min(len(jobs), torch.get_num_threads())
+    helpers = [_POOL.submit(work) for _ in range(threads - 1)]
     work()
     for helper in helpers:
         if not helper.cancel():

@@ -23,13 +23,25 @@ _VECTOR_BYTES = 64
 # The smaller ones take what is left over.
 _WIDE = ((4, (4, 1)), (2, (8, 4, 1)), (1, (8, 4, 1)))
 _NARROW = ((1, (6, 4, 1)),)
-_BLOCKS = _WIDE if binding.get_host_cpu_features().get("avx512f") else _NARROW
+_HAS_32_REGISTERS = bool(binding.get_host_cpu_features().get("avx512f"))
+_BLOCKS = _WIDE if _HAS_32_REGISTERS else _NARROW
+# Rows of a and of b whose products are summed at once.
+_SUMS = (4, 1) if _HAS_32_REGISTERS else (2, 1)
 
 
 @part
 def matmul(out: Array, a: Array, w: Array, accumulate: bool) -> None:
     """Write or add a @ w to `out`; rows of both are contiguous, a multiple of `PAD` long."""
     _matmul(out, a, w, accumulate)
+
+
+@part
+def add_products(out: Array, a: Array, b: Array) -> None:
+    """Add to `out[i, j]` the sum of `a[t, i, l] * b[t, j, l]` over all t and l.
+
+    The last axes are contiguous, a multiple of `PAD` long.
+    """
+    _add_products(out, a, b)
 
 
 def _product(typingctx: Any, out: Any, a: Any, w: Any, accumulate: Any) -> tuple[Any, Any]:
@@ -48,6 +60,24 @@ def _product(typingctx: Any, out: Any, a: Any, w: Any, accumulate: Any) -> tuple
 
 
 _matmul: Any = intrinsic(_product)
+
+
+def _sum_of_products(typingctx: Any, out: Any, a: Any, b: Any) -> tuple[Any, Any]:
+    item_bytes = a.dtype.bitwidth // 8
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        arrays = [
+            context.make_array(kind)(context, builder, value)
+            for kind, value in zip(signature.args, args, strict=True)
+        ]
+        item = context.get_value_type(a.dtype)
+        _SumOfProducts(builder, arrays[0], arrays[1], arrays[2], None, item, item_bytes).emit()
+        return context.get_dummy_value()
+
+    return types.void(out, a, b), codegen
+
+
+_add_products: Any = intrinsic(_sum_of_products)
 
 
 @dataclass(frozen=True)
@@ -91,17 +121,17 @@ class _Product:
             self.builder.store(ir.Constant(self.vector, None), register)
         inner = cgutils.unpack_tuple(self.builder, self.w.shape)[0]
         with cgutils.for_range(self.builder, inner) as k:
-            ws = {c: self.load(self.w, k.index, c, self.vector) for c in across}
+            ws = {c: self.load(self.w, (k.index, c), self.vector) for c in across}
             for r in down:
-                x = self.spread(self.load(self.a, r, k.index, self.item))
+                x = self.spread(self.load(self.a, (r, k.index), self.item))
                 for c in across:
                     self.add(sums[r, c], self.builder.fmul(x, ws[c], flags=("contract",)))
         # The old values are added last, which rounds less than adding each product to them.
         with self.builder.if_then(self.accumulate):
             for (r, c), register in sums.items():
-                self.add(register, self.load(self.out, r, c, self.vector))
+                self.add(register, self.load(self.out, (r, c), self.vector))
         for (r, c), register in sums.items():
-            target = self.pointer(self.out, r, c, self.vector)
+            target = self.pointer(self.out, (r, c), self.vector)
             self.builder.store(self.builder.load(register), target, align=self.item_bytes)
 
     def divide(self, start: Any, stop: Any, length: int) -> tuple[Any, Any]:
@@ -112,15 +142,15 @@ class _Product:
     def step(self, start: Any, count: Any, length: int) -> Any:
         return self.builder.add(start, self.builder.mul(count, start.type(length)))
 
-    def pointer(self, array: Any, row: Any, column: Any, kind: Any) -> Any:
+    def pointer(self, array: Any, index: tuple[Any, ...], kind: Any) -> Any:
         strides = cgutils.unpack_tuple(self.builder, array.strides)
-        offsets = (self.builder.mul(i, s) for i, s in zip((row, column), strides, strict=True))
-        return cgutils.pointer_add(
-            self.builder, array.data, self.builder.add(*offsets), kind.as_pointer()
-        )
+        offset = strides[0].type(0)
+        for i, stride in zip(index, strides, strict=True):
+            offset = self.builder.add(offset, self.builder.mul(i, stride))
+        return cgutils.pointer_add(self.builder, array.data, offset, kind.as_pointer())
 
-    def load(self, array: Any, row: Any, column: Any, kind: Any) -> Any:
-        return self.builder.load(self.pointer(array, row, column, kind), align=self.item_bytes)
+    def load(self, array: Any, index: tuple[Any, ...], kind: Any) -> Any:
+        return self.builder.load(self.pointer(array, index, kind), align=self.item_bytes)
 
     def spread(self, x: Any) -> Any:
         lanes = ir.VectorType(ir.IntType(32), self.vector.count)
@@ -131,3 +161,62 @@ class _Product:
     def add(self, register: Any, x: Any) -> None:
         total = self.builder.fadd(self.builder.load(register), x, flags=("contract",))
         self.builder.store(total, register)
+
+
+class _SumOfProducts(_Product):
+    """Emits products of rows, summed over lanes and over the first axis; `w` is b."""
+
+    def emit(self) -> None:
+        rows, columns = cgutils.unpack_tuple(self.builder, self.out.shape)
+        i = zero = rows.type(0)
+        for height in _SUMS:
+            n_rows, i_end = self.divide(i, rows, height)
+            with cgutils.for_range(self.builder, n_rows) as down:
+                row = self.step(i, down.index, height)
+                j = zero
+                for width in _SUMS:
+                    n_columns, j_end = self.divide(j, columns, width)
+                    with cgutils.for_range(self.builder, n_columns) as across:
+                        self.block(row, self.step(j, across.index, width), height, width)
+                    j = j_end
+            i = i_end
+
+    def block(self, row: Any, column: Any, height: int, width: int) -> None:
+        down = [self.step(row, row.type(r), 1) for r in range(height)]
+        across = [self.step(column, column.type(c), 1) for c in range(width)]
+        sums = {
+            (r, c): cgutils.alloca_once(self.builder, self.vector) for r in down for c in across
+        }
+        for register in sums.values():
+            self.builder.store(ir.Constant(self.vector, None), register)
+        times, _, lanes = cgutils.unpack_tuple(self.builder, self.a.shape)
+        vectors, _ = self.divide(lanes.type(0), lanes, self.vector.count)
+        with (
+            cgutils.for_range(self.builder, times) as t,
+            cgutils.for_range(self.builder, vectors) as v,
+        ):
+            lane = self.step(lanes.type(0), v.index, self.vector.count)
+            bs = {c: self.load(self.w, (t.index, c, lane), self.vector) for c in across}
+            for r in down:
+                x = self.load(self.a, (t.index, r, lane), self.vector)
+                for c in across:
+                    self.add(sums[r, c], self.builder.fmul(x, bs[c], flags=("contract",)))
+        for (r, c), register in sums.items():
+            target = self.pointer(self.out, (r, c), self.item)
+            total = self.total(self.builder.load(register))
+            self.builder.store(self.builder.fadd(total, self.builder.load(target)), target)
+
+    def total(self, vector: Any) -> Any:
+        """The sum of a vector, by halves."""
+        count = self.vector.count
+        while count > 1:
+            count //= 2
+            lanes = ir.VectorType(ir.IntType(32), count)
+            halves = [
+                self.builder.shuffle_vector(
+                    vector, vector, ir.Constant(lanes, [*range(first, first + count)])
+                )
+                for first in (0, count)
+            ]
+            vector = self.builder.fadd(*halves)
+        return self.builder.extract_element(vector, ir.Constant(ir.IntType(32), 0))

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 from splitband.filters import ComplementaryPair
 from splitband.models import Filtered, Model, Recurrent, Residual, Split
-from splitband.networks import GRU, EulerMLP
+from splitband.networks import GRU, EulerMLP, StateSpace
 from splitband.runtime.files import replacing, to_json
 
 FORMAT = 2
@@ -81,6 +81,9 @@ _SCHEMA: dict[type, dict[str, Kind]] = {
     EulerMLP: {
         "ny": _COUNT, "warmup": _COUNT, "state_size": _COUNT, "hidden_size": _COUNT,
         "recognition_size": _COUNT, "step_size": _NUMBER, "nu": _COUNT,
+    },
+    StateSpace: {
+        "states": _COUNT, "hidden": _COUNT, "ny": _COUNT, "nu": _COUNT, "layers": _COUNT,
     },
     ComplementaryPair: {
         "b_low": _NUMBERS, "b_high": _NUMBERS, "a": _NUMBERS, "sampling_rate": _NUMBER,

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from splitband.data import Record
 from splitband.models import Model, Task
 from splitband.runtime.deadlines import Deadline, current
+from splitband.runtime.memory import freed_memory_kept
 from splitband.runtime.threads import one_torch_thread
 from splitband.training import quasi_newton
 from splitband.training.checkpoints import Checkpoint, State, key_of
@@ -125,17 +126,18 @@ def fit(
                               if k.startswith(prefix)})  # fmt: skip
         losses = history.losses[task.name] = training.losses
         epochs = settings.epochs + settings.rounds
-        while not training.over:
-            training.advance()
-            if progress is not None:
-                part = 1 if training.over else len(losses) / epochs
-                share = (done + part) / len(tasks)
-                progress(Progress(task.name, len(losses), epochs, losses[-1], share))
-            # What a deadline has cut short is not kept: with more time it goes on from before.
-            if checkpoint is not None and not training.cut:
-                last = done + 1 == len(tasks) and training.done
-                now = partial(_prefixed, states, prefix, training)
-                checkpoint.offer(key, now, last)
+        with freed_memory_kept():
+            while not training.over:
+                training.advance()
+                if progress is not None:
+                    part = 1 if training.over else len(losses) / epochs
+                    share = (done + part) / len(tasks)
+                    progress(Progress(task.name, len(losses), epochs, losses[-1], share))
+                # What a deadline has cut short is not kept: with more time it goes on from before.
+                if checkpoint is not None and not training.cut:
+                    last = done + 1 == len(tasks) and training.done
+                    now = partial(_prefixed, states, prefix, training)
+                    checkpoint.offer(key, now, last)
         states = _prefixed(states, prefix, training)
         history.notes += [f"{task.name}: {note}" for note in training.notes]
         history.cut |= training.cut

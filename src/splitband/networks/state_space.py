@@ -1,0 +1,192 @@
+"""A state-space network in innovations form: a linear model with layers of tanh units beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from splitband.networks.cell import are_plain, check_sizes
+
+Array = npt.NDArray[np.float64]
+
+_RADIUS = 0.95
+"""Of the poles of a cell that begins with random weights."""
+_TURN = 0.3
+"""Standard deviation of the angles, in radians a sample, by which its states turn into others."""
+_OBSERVED = 0.5
+"""Share of a prediction error by which its observer moves the predicted output."""
+_NONLINEAR = 0.1
+"""The weights of f and g at the output, as a share of torch's initial values."""
+
+
+class StateSpace(nn.Module):
+    """A linear state-space model with a layer of tanh units beside each of its equations.
+
+    x_{n+1} = A x_n + B u_n + f(x_n, u_n) + a + K e_n and y_{n+1} = C x_{n+1} + D u_n +
+    g(x_{n+1}, u_n) + c, where u_n is the row of inputs that acts on the step from n to n + 1. A
+    model with feedthrough gives the cell the inputs of both samples in that row (`base.paired`),
+    so that the output sees the input of its own sample. f and g are layers of tanh units and a
+    weighted sum of them.
+
+    e_n is the fed sample minus the predicted one. In the warm-up, K makes the cell an observer of
+    the measured system. In a free run the fed sample is the predicted one and e_n is exactly zero:
+    the cell simulates. The state that is passed is x and the predicted y, side by side.
+
+    The warm-up begins with x = 0. What is predicted of its first sample takes the first row of
+    inputs as the one that acted before, too.
+
+    Parameters
+    ----------
+    states : Size of x.
+    hidden : Tanh units of each layer; 0 for a linear model.
+    ny : Measured channels.
+    nu : Known inputs in a row.
+    layers : Hidden layers of f and of g. The compiled kernel has one.
+    """
+
+    label = "state-space"
+
+    def __init__(
+        self, states: int = 4, hidden: int = 8, ny: int = 1, nu: int = 0, layers: int = 1
+    ) -> None:
+        super().__init__()
+        check_sizes(nu, ny=ny, states=states, layers=layers)
+        if hidden < 0:
+            raise ValueError(f"hidden must not be negative, got {hidden}")
+        self.ny, self.nu, self.states, self.hidden, self.layers = ny, nu, states, hidden, layers
+        self.f, self.g = (self._layers(states + nu) for _ in range(2))
+        self.transition = nn.Linear(states + nu + hidden, states)
+        """[A, B, the weights of f] and a."""
+        self.observation = nn.Linear(states + nu + hidden, ny)
+        """[C, D, the weights of g] and c."""
+        self.gain = nn.Parameter(torch.empty(states, ny))
+        """K."""
+        self._begin()
+
+    def sized(self, ny: int, nu: int, warmup: int) -> StateSpace:
+        """A new one with as many states, units and layers; it warms up on any number of samples."""
+        return StateSpace(self.states, self.hidden, ny, nu, self.layers)
+
+    def scaled(self, share: float) -> StateSpace:
+        """A template with fewer hidden units, or more."""
+        hidden = max(min(1, self.hidden), round(share * self.hidden))
+        return StateSpace(self.states, hidden, self.ny, self.nu, self.layers)
+
+    def set_linear(
+        self,
+        a: npt.ArrayLike,
+        b: npt.ArrayLike,
+        c: npt.ArrayLike,
+        d: npt.ArrayLike,
+        k: npt.ArrayLike | None = None,
+    ) -> None:
+        """Make the cell a linear model, in place: f, g and the offsets become zero.
+
+        The units keep their weights, so that training goes on from there.
+
+        Parameters
+        ----------
+        a, b, c, d : `(states, states)`, `(states, nu)`, `(ny, states)` and `(ny, nu)`. In a model
+            with feedthrough a row is [u_n, u_{n+1}]: B is then [B, 0] and D is [0, D].
+        k : Gain of the observer `(states, ny)`; by default zero.
+
+        Raises
+        ------
+        ValueError
+            For a matrix of another shape.
+        """
+        shapes = {
+            "a": (self.states, self.states),
+            "b": (self.states, self.nu),
+            "c": (self.ny, self.states),
+            "d": (self.ny, self.nu),
+            "k": (self.states, self.ny),
+        }
+        gain = np.zeros(shapes["k"]) if k is None else k
+        given = {
+            name: np.asarray(values, dtype=np.float64)
+            for name, values in zip(shapes, (a, b, c, d, gain), strict=True)
+        }
+        for name, shape in shapes.items():
+            if given[name].shape != shape:
+                raise ValueError(f"{name} must be {shape}, got {given[name].shape}")
+        with torch.no_grad():
+            for layer, parts in ((self.transition, "ab"), (self.observation, "cd")):
+                linear = np.concatenate([given[part] for part in parts], axis=1)
+                layer.weight.zero_()
+                layer.weight[:, : self.states + self.nu] = torch.from_numpy(linear)
+                layer.bias.zero_()
+            self.gain.copy_(torch.from_numpy(given["k"]))
+
+    def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
+        """Run over the measured samples from x = 0, as an observer."""
+        x = y_warmup.new_zeros(len(y_warmup), self.states)
+        h = self._with_output(x, None if u is None else u[:, 0])
+        for n in range(y_warmup.shape[1]):
+            h = self.step(h, y_warmup[:, n], None if u is None else u[:, n])
+        return h
+
+    def step(self, h: Tensor, y: Tensor, u: Tensor | None = None) -> Tensor:
+        """One step of [x, the predicted y], shape `(batch, states + ny)`."""
+        x, predicted = h.split([self.states, self.ny], dim=-1)
+        moved = _beside(self.f, self.transition, x, u)
+        return self._with_output(moved + (y - predicted) @ self.gain.T, u)
+
+    def observe(self, h: Tensor) -> Tensor:
+        """The predicted y."""
+        return h[:, self.states :]
+
+    def fusable(self) -> bool:
+        """Whether the parts are what they were built as, with at most one layer of units."""
+        kinds = (nn.Linear, nn.Tanh) if self.hidden else ()
+        layers = [*self.f.children(), *self.g.children()]
+        return len(self.f) == len(self.g) == len(kinds) and are_plain(
+            (self.f, nn.Sequential),
+            (self.g, nn.Sequential),
+            (self.transition, nn.Linear),
+            (self.observation, nn.Linear),
+            *zip(layers, kinds * 2, strict=True),
+        )
+
+    def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
+        """What `splitband.rollout` computes step by step, in one compiled call on the CPU."""
+        from splitband.kernels import state_space_rollout  # noqa: PLC0415  numba loads on first use
+
+        x0, none = y_warmup.new_zeros(len(y_warmup), self.states), self.gain.new_empty
+        units: list[Tensor] = [p for layers in (self.f, self.g) for p in layers.parameters()]
+        units = units or 2 * [none(0, self.states + self.nu), none(0)]
+        out = (p for layer in (self.transition, self.observation) for p in layer.parameters())
+        weights = (*units, *out, self.gain)
+        return state_space_rollout(x0, y_warmup, steps, u, *weights)
+
+    def _layers(self, width: int) -> nn.Sequential:
+        """The hidden layers of f or g."""
+        layers: list[nn.Module] = []
+        for i in range(self.layers if self.hidden else 0):
+            layers += [nn.Linear(self.hidden if i else width, self.hidden), nn.Tanh()]
+        return nn.Sequential(*layers)
+
+    def _begin(self) -> None:
+        """Draw weights: stable slow poles, an observer that follows y, and small f and g."""
+        n, linear = self.states, self.states + self.nu
+        with torch.no_grad():
+            turn = _TURN * torch.randn(n, n)
+            a = _RADIUS * torch.linalg.matrix_exp((turn - turn.T) / 2**0.5)
+            self.transition.weight[:, :n] = a
+            for layer in (self.transition, self.observation):
+                layer.weight[:, linear:] *= _NONLINEAR
+                layer.bias.zero_()
+            c = self.observation.weight[:, :n]
+            self.gain.copy_(_OBSERVED * a @ torch.linalg.pinv(c))
+
+    def _with_output(self, x: Tensor, u: Tensor | None) -> Tensor:
+        """The state that is passed."""
+        return torch.cat([x, _beside(self.g, self.observation, x, u)], dim=-1)
+
+
+def _beside(layers: nn.Sequential, out: nn.Linear, x: Tensor, u: Tensor | None) -> Tensor:
+    """A linear map of x and u, and the units that see both."""
+    seen = x if u is None else torch.cat([x, u], dim=-1)
+    return out(torch.cat([seen, layers(seen)], dim=-1) if len(layers) else seen)

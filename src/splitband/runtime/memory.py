@@ -1,0 +1,44 @@
+"""What the C library does with memory that is freed."""
+
+from __future__ import annotations
+
+import ctypes
+import platform
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of malloc.h
+_KEPT = 2**30
+"""Bytes: arrays up to this size, and as much free memory at the end of the heap, are kept."""
+
+_USUAL = 2**22
+"""Bytes: the first threshold after a training, so that arrays of long records are returned at once;
+glibc raises it to 2**25 by itself. The second is twice that, as glibc has it."""
+
+
+@contextmanager
+def freed_memory_kept() -> Iterator[None]:
+    """Let the C library use freed memory again, and return what is free at the end.
+
+    By default glibc maps arrays of more than some megabytes one by one and unmaps them when they
+    are freed. A training makes the same arrays for each gradient, and the operating system would
+    have to clear every page of them every time. The thresholds are those of the process: where
+    several threads train, the first to end lowers them for all. Other C libraries have none, and
+    nothing is done.
+    """
+    libc = _glibc()
+    if libc is None:
+        yield
+        return
+    libc.mallopt(_MMAP_THRESHOLD, _KEPT)
+    libc.mallopt(_TRIM_THRESHOLD, _KEPT)
+    try:
+        yield
+    finally:
+        libc.mallopt(_MMAP_THRESHOLD, _USUAL)
+        libc.mallopt(_TRIM_THRESHOLD, 2 * _USUAL)
+        libc.malloc_trim(0)
+
+
+def _glibc() -> ctypes.CDLL | None:
+    return ctypes.CDLL(None) if platform.libc_ver()[0] == "glibc" else None
