@@ -106,11 +106,12 @@ def test_a_comparison_is_the_same_by_any_executor(executor: Executor, tmp_path: 
     numbers = [column for column in found if found[column].dtype.kind == "f"]
     np.testing.assert_allclose(found[numbers], expected[numbers], rtol=1e-6)
     assert found.drop(columns=numbers).equals(expected.drop(columns=numbers))
-    done = [(at.stage, at.method, at.seed) for at in seen if at.share == 1]
+    trained = {"gru", "split-gru"}
+    done = [(at.stage, at.method, at.seed) for at in seen if at.share == 1 and at.method in trained]
     assert sorted(done) == sorted(
         (stage, method, seed)
         for stage in ("three quarters", "whole")
-        for method in ("gru", "split-gru")
+        for method in trained
         for seed in (0, 1)
     )
 
@@ -128,7 +129,8 @@ def test_trainings_of_workers_that_share_no_disk_are_kept_here(
     assert len(kept) == 8
     again, seen = compared(executor=Elsewhere(), checkpoints=tmp_path / "here")
     assert again.equals(expected)
-    assert not seen  # nothing was left to train
+    trained = [at for at in seen if at.method != "mean" and at.share < 1]
+    assert not trained  # nothing was left to train
     assert kept == {
         p.relative_to(tmp_path): p.read_bytes() for p in tmp_path.rglob("*.safetensors")
     }
