@@ -68,8 +68,10 @@ def default_names(with_simulator: bool, with_inputs: bool = False) -> list[str]:
     if with_simulator:
         networks = ["filtered-gru-calibrated-conditioned", "residual-gru-calibrated-conditioned"]
         simulator = ["simulator", "simulator-calibrated"]
-    naive = ["mean", "persistence", "seasonal-naive", "periodic", "harmonic"]
-    return ["gru", *networks, *simulator, *naive, *(["linear"] if with_inputs else [])]
+    # In the order in which they are fitted where time is short.
+    driven = ["linear"] if with_inputs else []
+    naive = ["mean", "persistence", *driven, "seasonal-naive", "periodic", "harmonic"]
+    return ["gru", *networks, *simulator, *naive]
 
 
 def usual_names(record: Record, setup: Setup) -> list[str]:
