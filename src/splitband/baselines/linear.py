@@ -38,7 +38,7 @@ _CUTS = (0.6, 0.7, 0.8, 0.9)
 """Shares of the samples that are fitted, to see how well the model forecasts the others."""
 _RANK = 1e-10
 """Singular values below this share of the largest one are cut."""
-_GONE = 0.1
+_DECAYED_SHARE = 0.1
 """A response to the initial state below this share of its peak is taken to have died out."""
 
 
@@ -308,7 +308,7 @@ def _solved(a: Array, parts: Sequence[_Part]) -> tuple[Array, Array]:
     # Where the response to an initial state has died out before the first measured sample, the
     # samples do not determine C, which is set to 0.
     of_c = slice(parts[0].u.shape[1] * len(a), -1)
-    gone = abs(fitted[:, of_c]).max(axis=0) < _GONE * abs(basis[:, of_c]).max(axis=0)
+    gone = abs(fitted[:, of_c]).max(axis=0) < _DECAYED_SHARE * abs(basis[:, of_c]).max(axis=0)
     fitted[:, of_c] = np.where(gone, 0.0, fitted[:, of_c])
     coefficients = np.linalg.lstsq(fitted, y[rows], rcond=_RANK)[0]
     return coefficients.astype(np.float64), np.asarray(basis @ coefficients)

@@ -36,7 +36,7 @@ from splitband.kernels.common import (
 )
 from splitband.kernels.matmul import matmul
 
-_GATHER = 64  # rows of gradients worth a product with them
+_GRADIENT_ROWS = 64  # rows of gradients worth a product with them
 
 
 def euler_rollout(
@@ -117,7 +117,7 @@ class _Rollout(torch.autograd.Function):
         for i, rows in enumerate(ctx.rows):
             n = rows.stop - rows.start
             widths = w2.shape[1], w2.shape[1], w3.shape[1], padded(len(w3))
-            layers = [dy.new_empty(-(-_GATHER // max(n, 1)), n, width) for width in widths]
+            layers = [dy.new_empty(-(-_GRADIENT_ROWS // max(n, 1)), n, width) for width in widths]
             saved = (*kept[2 * i : 2 * i + 2], *layers, first, w1, w2, w3)
             jobs.append((ctx.step_size, dy[rows], *saved, *sums[i], dh[rows], du[rows]))
         run_rows(_backward, jobs)

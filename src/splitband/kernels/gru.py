@@ -37,7 +37,7 @@ from splitband.kernels.common import (
 from splitband.kernels.matmul import matmul
 
 _W_PLANES = [0, 1, 3]
-_GATHER = 64  # rows of gate gradients worth a product with them
+_GRADIENT_ROWS = 64  # rows of gate gradients worth a product with them
 
 
 def gru_rollout(
@@ -112,7 +112,7 @@ class _Rollout(torch.autograd.Function):
         jobs = []
         for i, rows in enumerate(ctx.rows):
             n = rows.stop - rows.start
-            dgates = dy.new_empty(4, -(-_GATHER // max(n, 1)), n, whh.shape[2])
+            dgates = dy.new_empty(4, -(-_GRADIENT_ROWS // max(n, 1)), n, whh.shape[2])
             saved = (*kept[3 * i : 3 * i + 3], dgates, wih, whh, wy)
             jobs.append((wanted, dy[rows], *saved, *sums[i], dy_warmup[rows], du[rows]))
         run_rows(_backward, jobs)

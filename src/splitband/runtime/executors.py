@@ -44,7 +44,7 @@ class Workers(Executor, ABC):
 
 
 @final
-class Strangers(Workers):
+class ExecutorAdapter(Workers):
     """An executor of somebody else's: the last report of a job comes with its result."""
 
     def __init__(self, executor: Executor) -> None:
@@ -82,7 +82,7 @@ def given_to(
 
     What is not done when the `patience` is over is given up.
     """
-    workers = executor if isinstance(executor, Workers) else Strangers(executor)
+    workers = executor if isinstance(executor, Workers) else ExecutorAdapter(executor)
     waiting: set[Future[tuple[Result, list[Message]]]] = set()
     try:
         with workers.listening(progress) as report:

@@ -18,7 +18,7 @@ Files = dict[str, bytes]
 
 
 @dataclass(frozen=True)
-class Place:
+class JobFolder:
     """A folder of this machine in which jobs keep files.
 
     A worker that sees the folder uses it. Any other one is sent the files of its job, works in a
@@ -35,7 +35,7 @@ class Place:
 
     @classmethod
     @contextmanager
-    def opened(cls, folder: Path, anywhere: bool) -> Iterator[Place]:
+    def opened(cls, folder: Path, anywhere: bool) -> Iterator[JobFolder]:
         """Create the folder if need be; `anywhere` says whether workers may not see it."""
         folder.mkdir(parents=True, exist_ok=True)
         if not anywhere:
