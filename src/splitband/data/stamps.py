@@ -154,7 +154,7 @@ def _dates(column: Column) -> pd.Series:
         ]
 
     def doubt(parsed: pd.Series) -> tuple[int, float]:
-        """Return the number of missing dates, and the unevenness of steps relative to the median."""
+        """Return the number of missing dates, and the unevenness of steps by their median."""
         steps = parsed.dropna().diff().dropna().dt.total_seconds()
         usual = abs(steps.median()) or 1.0
         uneven = round(float((steps - usual).abs().max() / usual), 2) if len(steps) else 0.0
