@@ -114,7 +114,7 @@ def _seconds_of_days(days: FloatArray) -> tuple[FloatArray, float, pd.Timestamp]
 
 
 def _seconds(what: str, name: str, column: Column) -> tuple[FloatArray, float, pd.Timestamp | None]:
-    """Return stamps in seconds, (time,), the resolution of their number type, and the date of 0 s."""
+    """Return stamps in s, (time,), the resolution of their number type, and the date of 0 s."""
     if is_timedelta64_dtype(column):
         column = column.dt.total_seconds()
     if has_number(column):
