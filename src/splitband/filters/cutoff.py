@@ -95,7 +95,7 @@ def choose(
 ) -> Choice:
     """Choose the filter pair for networks that are learned from a record alone.
 
-    It has the lowest cut-off that leaves half of the power in the low band, with at most `MOST_LOST`
+    It has the lowest cut-off that leaves half of the power in the low band and `MOST_LOST` at most
     to both bands (2 |L H|, which neither network sees as it is) and to the ends of filtered
     warm-ups lost: the lower it is, the fewer samples the low-band network has to look ahead by.
 
