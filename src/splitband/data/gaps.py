@@ -16,8 +16,7 @@ def filled(what: str, values: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Fill values that are not finite by straight lines; return them and where they were finite.
 
     Both have the shape of `values`, `(time, n)`. Before the first and after the last finite value
-    of
-    a channel that value is held.
+    of a channel that value is held.
 
     Raises
     ------
