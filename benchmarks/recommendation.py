@@ -59,7 +59,7 @@ PAGE = Path("docs/reliability.md")
 
 
 @dataclass(frozen=True)
-class Job:
+class RecordJob:
     """A record, its training samples, and where the facts about it go."""
 
     kind: str
@@ -75,17 +75,17 @@ class Job:
         return self.parts / f"{self.name}, {self.train}, {self.methods}.json"
 
 
-def jobs(seeds: Sequence[int], others: bool, methods: str, parts: Path) -> list[Job]:
+def jobs(seeds: Sequence[int], others: bool, methods: str, parts: Path) -> list[RecordJob]:
     """Every kind with every seed, the sizes in turn; and the `others`, which no seed draws."""
     found = []
     for i, seed in enumerate(seeds):
         samples, train = SIZES[i % len(SIZES)]
         for kind in KINDS:
             make = partial(drawn, kind, seed, samples)
-            found.append(Job(kind, f"{kind} {seed}", make, train, methods, parts))
+            found.append(RecordJob(kind, f"{kind} {seed}", make, train, methods, parts))
         for kind, system in WITH_INPUTS.items():
             make = partial(driven, system, seed)
-            found.append(Job(kind, f"{kind} {seed}", make, inputs.TRAINING, methods, parts))
+            found.append(RecordJob(kind, f"{kind} {seed}", make, inputs.TRAINING, methods, parts))
     paper: list[tuple[str, Callable[[], Record], int]] = [
         ("double torsion", double_torsion, 600),
         *((f"pendulum {row}", partial(double_torsion_pendulum, row), 600) for row in _ROWS),
@@ -94,14 +94,14 @@ def jobs(seeds: Sequence[int], others: bool, methods: str, parts: Path) -> list[
         *((f"i {draw}", partial(double_mass_spring, seed=draw), 250) for draw in range(4)),
     ]
     if others:
-        found += [Job("the paper's", n, make, t, methods, parts) for n, make, t in paper]
+        found += [RecordJob("the paper's", n, make, t, methods, parts) for n, make, t in paper]
     return found
 
 
 _ROWS = ("ii", "iii", "iv")
 
 
-def _measured(job: Job, report: object) -> Facts:
+def _measured(job: RecordJob, report: object) -> Facts:
     if job.path.exists():
         facts: Facts = json.loads(job.path.read_text(encoding="utf-8"))
         return facts
@@ -127,7 +127,7 @@ def _measured(job: Job, report: object) -> Facts:
     return facts
 
 
-def _comparison(record: Record, job: Job) -> Comparison:
+def _comparison(record: Record, job: RecordJob) -> Comparison:
     if job.methods == DEFAULT:
         return compare(record, job.train)
     setup = default_setup(record, job.train)

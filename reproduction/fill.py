@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from reproduction.__main__ import main as reproduction
-from reproduction.tables import SETTLED, epochs, full_seconds, spread
+from reproduction.tables import SETTLED_SHARE, epochs, full_seconds, spread
 from splitband.data.named import double_mass_spring
 from splitband.metrics import rmse
 
@@ -165,7 +165,7 @@ class Page:
 
     def settled_share(self) -> str:
         """What twice the epochs must leave of a loss that has settled."""
-        return f"{SETTLED:.0%}"
+        return f"{SETTLED_SHARE:.0%}"
 
     def naive(self) -> str:
         """Where the best network at the paper's settings beats the best naive baseline."""

@@ -25,11 +25,11 @@ from reproduction.readings import (
     ABLATIONS,
     BASE,
     COLUMN,
+    FALLING_RATE,
     GRU_READINGS,
     HP_READINGS,
     PRINTED,
     READINGS,
-    SETTLED,
     Reading,
 )
 from reproduction.specs import DRAWS
@@ -93,7 +93,7 @@ def items(out: Path) -> Iterator[Item]:
             run = partial(tried, method, Reading(), 0, draw)
             yield Item("draws", path, _cost(method, Reading()), run)
     for draw in range(DRAWS):
-        for name in (PRINTED, SETTLED):
+        for name in (PRINTED, FALLING_RATE):
             path = path_of(near, "split-gru", name, 0, draw)
             run = partial(tried, "split-gru", READINGS[name], 0, draw)
             yield Item("draws", path, _cost("split-gru", READINGS[name]), run)

@@ -17,11 +17,11 @@ from reproduction.published import Value
 from reproduction.readings import (
     ABLATIONS,
     BASE,
+    FALLING_RATE,
     GRU_READINGS,
     HP_READINGS,
     PRINTED,
     READINGS,
-    SETTLED,
     Reading,
 )
 from reproduction.runs import final_losses, load
@@ -105,7 +105,7 @@ _EPOCH = {"total_rmse": "last", "late": "mean of the last tenth", "lowest": "low
 _DRAWN = (
     *((method, BASE, "total_rmse") for method in (*NETWORKS, *NAIVE, ORACLE)),
     *((method, BASE, key) for method in NETWORKS for key in ("late", "lowest")),
-    *(("split-gru", name, key) for name in (PRINTED, SETTLED) for key in _EPOCH),
+    *(("split-gru", name, key) for name in (PRINTED, FALLING_RATE) for key in _EPOCH),
 )
 
 
@@ -175,7 +175,7 @@ def ablations(near: Path) -> list[str]:
     factors = {f"k = {k}": row for k, row in published.DOWNSAMPLING.items()}
     rows = []
     for label, row in (cutoffs | factors).items():
-        for reading, name in ((BASE, label), (SETTLED, f"{label}, {SETTLED}")):
+        for reading, name in ((BASE, label), (FALLING_RATE, f"{label}, {FALLING_RATE}")):
             for method in NETWORKS[1:]:
                 runs = found(near, method, name if name in ABLATIONS else reading)
                 if runs:

@@ -139,7 +139,7 @@ _FALLING = {"milestones": ((200, 1e-4),)}
 _ONE_CYCLE = {"learning_rate": 1e-2, "one_cycle": True, "clip": 1.0}
 
 PRINTED = "noise of variance 0.1, as printed"
-SETTLED = "rate 1e-4 from epoch 200 on"
+FALLING_RATE = "rate 1e-4 from epoch 200 on"
 """With which the free run's error settles over the epochs."""
 
 READINGS: dict[str, Reading] = {
@@ -167,7 +167,7 @@ READINGS: dict[str, Reading] = {
     "zero biases": _trained(weights="zero biases"),
     "the same initial weights in each run": _trained(fixed="weights"),
     "the same order of windows in each run": _trained(fixed="order"),
-    SETTLED: _trained(changes=_FALLING),
+    FALLING_RATE: _trained(changes=_FALLING),
     "rate 3e-3": _trained(changes={"learning_rate": 3e-3}),
     "one cycle of the rate to 1e-2, clipped": _trained(changes=_ONE_CYCLE),
     "1,000 epochs": _trained(changes={"epochs": 1000}),
@@ -200,7 +200,7 @@ GRU_READINGS: dict[str, Reading] = {
 
 HP_READINGS: dict[str, Reading] = {
     "prediction filtered alone": Reading(hp_alone=True),
-    SETTLED: _trained(changes=_FALLING),
+    FALLING_RATE: _trained(changes=_FALLING),
     "the functions that the text names": replace(_LETTER, hp_alone=True),
 }
 """Of split GRU with its output filtered."""
@@ -210,7 +210,7 @@ _VARIED: dict[str, Reading] = {
     **{f"k = {k}": Reading(resampling=Resampling(k=k)) for k in (5, 10)},
 }
 ABLATIONS: dict[str, Reading] = _VARIED | {
-    f"{name}, {SETTLED}": replace(reading, training=Training(changes=_FALLING))
+    f"{name}, {FALLING_RATE}": replace(reading, training=Training(changes=_FALLING))
     for name, reading in _VARIED.items()
 }
 """The paper's two ablations; w = 0.4 and k = 2 are the reading itself."""

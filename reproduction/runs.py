@@ -32,7 +32,7 @@ from splitband.forecasters.simulation import Simulation
 from splitband.metrics import rmse
 from splitband.report.results import environment
 from splitband.runtime.files import CHECKPOINTS, write_json_lines
-from splitband.runtime.places import Files, Place
+from splitband.runtime.job_folders import Files, JobFolder
 from splitband.runtime.processes import over
 from splitband.training import Checkpoint, Progress
 
@@ -57,7 +57,7 @@ def complete(
     lost. `workers` are processes of this machine, or any executor.
     """
     todo = missing(jobs, folder)
-    with Place.opened(folder, anywhere=isinstance(workers, Executor)) as place:
+    with JobFolder.opened(folder, anywhere=isinstance(workers, Executor)) as place:
         sent = [_Sent.of(job, place) for job in todo]
         for job, facts in over(partial(_work, progress is None, place), sent, workers, progress):
             write_json_lines(folder / job.path, facts)
@@ -198,7 +198,7 @@ class _Sent:
     files: Files
 
     @classmethod
-    def of(cls, job: Job, place: Place) -> _Sent:
+    def of(cls, job: Job, place: JobFolder) -> _Sent:
         return cls(job, job.record, place.files(job.method, _checkpoints(job)))
 
 
@@ -207,7 +207,7 @@ def _checkpoints(job: Job) -> str:
 
 
 def _work(
-    silent: bool, place: Place, sent: _Sent, report: Callable[[RunProgress], None]
+    silent: bool, place: JobFolder, sent: _Sent, report: Callable[[RunProgress], None]
 ) -> tuple[Job, dict[str, Any]]:
     job, record = sent.job, sent.record
     setup = job.setup(record)

@@ -24,7 +24,7 @@ from reproduction.runs import (
 from reproduction.specs import SPECS, Line, Spec
 from splitband.forecasters.names import QUICK
 
-SETTLED = 0.9
+SETTLED_SHARE = 0.9
 """A training loss has settled where at least twice the epochs leave so much of it."""
 
 
@@ -74,8 +74,8 @@ def table(name: str, of: Iterable[Line], folder: Path) -> Table:
 def settles(row: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> bool | None:
     """Whether the row of the same method with the next more epochs has as low a training loss.
 
-    That is `SETTLED` of it at least, for every network; the loss is `final_losses`', the median
-    over seeds. None for the row with the most epochs, and for one without runs.
+    That is `SETTLED_SHARE` of it at least, for every network; the loss is the median of
+    `final_losses` over seeds. None for the row with the most epochs, and for one without runs.
     """
     more = [other for other in rows if other["method"] == row["method"] and other["losses"]
             and other["epochs"] > row["epochs"]]  # fmt: skip
@@ -83,7 +83,7 @@ def settles(row: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> bool |
         return None
     longer = min(more, key=lambda other: other["epochs"])["losses"]
     return all(
-        statistics.median(longer[name]) >= SETTLED * statistics.median(losses)
+        statistics.median(longer[name]) >= SETTLED_SHARE * statistics.median(losses)
         for name, losses in row["losses"].items()
     )
 

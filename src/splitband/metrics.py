@@ -1,4 +1,4 @@
-"""How far a prediction is from the truth. Arrays are `(time,)` or `(time, ny)`, NumPy.
+"""Measure the errors of predictions. Arrays are NumPy, `(time,)` or `(time, ny)`.
 
 Errors of several channels add up as a Euclidean norm, as in the paper's e_n; normalise channels
 of different units first. Where y is NaN, nothing was measured, and nothing counts.
@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 
 
 def rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
-    """Root of the mean squared error, in the unit of y: the last value of `cumulative_rmse`.
+    """Return the root mean squared error, in the unit of y: the last value of `cumulative_rmse`.
 
     Examples
     --------
@@ -30,12 +30,12 @@ def rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
 
 
 def cumulative_rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
-    """e_n = sqrt(sum_{k<=n} ||y_k - prediction_k||^2 / (n + 1)), `(time,)` (paper, Sec. 5)."""
+    """Return sqrt(sum_{k<=n} ||y_k - prediction_k||^2 / (n + 1)), `(time,)` (paper, Sec. 5)."""
     return _cumulative(_squared_errors(y, prediction), np.asarray(y, float))
 
 
 def nrmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
-    """RMSE over the standard deviation of y: 1 is as good as the mean."""
+    """Return the RMSE divided by the standard deviation of y: 1 is as good as the mean."""
     error, y = rmse(y, prediction), np.asarray(y, float)
     if not _range(y).any():
         raise ValueError("y must not be constant: its standard deviation is 0")
@@ -43,12 +43,12 @@ def nrmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
 
 
 def fit_percent(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
-    """100 (1 - NRMSE): 100 is perfect, 0 is as good as the mean; system identification's "fit"."""
+    """Return the fit in percent, 100 (1 - NRMSE): 100 is perfect, 0 is as good as the mean."""
     return 100 * (1 - nrmse(y, prediction))
 
 
 def spread(y: npt.ArrayLike) -> Array:
-    """The standard deviation of each channel of `y` `(time, ny)`; 1 for a constant one, `(ny,)`."""
+    """Return each channel's standard deviation, `(ny,)`, of `y` `(time, ny)`; 1 for a constant."""
     y = np.asarray(y, float)
     # By its range, as rounding gives even a constant a deviation slightly above 0.
     return np.asarray(np.where(_range(y) > 0, np.nanstd(y, axis=0), 1.0))
@@ -59,7 +59,7 @@ FARTHEST = 3.0
 
 
 def leaves_range(training: Array, prediction: Array) -> int | None:
-    """Samples of a prediction `(time, ny)` before it leaves the range of the training samples.
+    """Return how many samples of a prediction `(time, ny)` come before it leaves the range.
 
     That is `FARTHEST` times as wide as theirs, channel by channel, about the middle of it. What is
     beyond was never seen in training. A channel that was constant there has no range to leave, but
@@ -73,7 +73,7 @@ def leaves_range(training: Array, prediction: Array) -> int | None:
 
 
 def leaving(samples: int) -> str:
-    """What to say of a prediction that leaves the range of the training samples."""
+    """Describe a prediction that leaves the range of the training samples."""
     return (
         f"after {samples} samples more than {FARTHEST:g} times as far out as the training samples "
         "go: not to be trusted from there on"
@@ -90,14 +90,14 @@ class ExtrapolationWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Extrapolation:
-    """An input that goes beyond its range in training.
+    """Describe an input that leaves its range in training.
 
     Attributes
     ----------
-    channel : Of the input, counted from 0.
+    channel : Index of the input, counted from 0.
     low, high : Its range in training.
-    farthest : The value that is farthest beyond.
-    after : Samples before the first one beyond.
+    farthest : The value that is farthest outside the range.
+    after : Number of samples before the first one outside the range.
     """
 
     channel: int
@@ -107,7 +107,7 @@ class Extrapolation:
     after: int
 
     def describe(self, name: str = "") -> str:
-        """In words, with the input's name."""
+        """Describe it in words, with the input's name."""
         trained = f"{self.low:g} to {self.high:g}" if self.low < self.high else f"{self.low:g} only"
         return (
             f"input {name or f'u{self.channel}'} is beyond its range in training ({trained}) from "
@@ -117,7 +117,7 @@ class Extrapolation:
 
 
 def extrapolations(low: Array, high: Array, u: Array) -> list[Extrapolation]:
-    """The inputs `u` `(time, nu)` that go more than `BEYOND` beyond `low` to `high`, `(nu,)`.
+    """Return the inputs `u` `(time, nu)` that exceed `low` to `high`, `(nu,)`, by over `BEYOND`.
 
     An input that was constant in training may not change at all, but for rounding.
     """
@@ -136,7 +136,7 @@ def extrapolations(low: Array, high: Array, u: Array) -> list[Extrapolation]:
 
 
 def input_range(inputs: Sequence[Array]) -> tuple[Array, Array]:
-    """Lowest and highest value of each input in training records `(time, nu)`, `(nu,)` each."""
+    """Return the lowest and highest value of each input, `(nu,)`, in records `(time, nu)`."""
     return np.min([u.min(axis=0) for u in inputs], axis=0), np.max(
         [u.max(axis=0) for u in inputs], axis=0
     )
@@ -147,7 +147,7 @@ def _range(y: Array) -> Array:
 
 
 def _squared_errors(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
-    """`(time, ny)`."""
+    """Return the squared errors, `(time, ny)`."""
     y, prediction = np.asarray(y, float), np.asarray(prediction, float)
     if y.shape != prediction.shape or y.ndim not in (1, 2) or not len(y):
         raise ValueError(
@@ -158,7 +158,7 @@ def _squared_errors(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
 
 
 def _cumulative(squared: Array, y: Array) -> Array:
-    """Each channel's mean over what was measured of it, added up."""
+    """Return the cumulative RMSE, `(time,)`, with means over the measured samples of a channel."""
     missing = np.isnan(y).reshape(squared.shape)
     if not missing.any():
         return np.asarray(np.sqrt(np.cumsum(squared.sum(axis=1)) / np.arange(1, len(y) + 1)))

@@ -74,8 +74,10 @@ def test_what_was_found_is_what_a_trial_finds() -> None:
     """The same settings, fitted once more to the same three quarters, forecast the same."""
     training = record()[:TRAIN]
     searched = searched_by(training)
-    again = try_out(training, searched.forecasters, STEPS, searching.TRIED)
-    taken = try_out(training, searched.forecasters, STEPS, searching.TRIED, done=searched.done)
+    again = try_out(training, searched.forecasters, STEPS, searching.TRIAL_SEEDS)
+    taken = try_out(
+        training, searched.forecasters, STEPS, searching.TRIAL_SEEDS, done=searched.done
+    )
     assert {**taken.errors} == {name: pytest.approx(e) for name, e in again.errors.items()}
     assert taken.scores == pytest.approx(again.scores)
 

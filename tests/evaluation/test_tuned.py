@@ -49,7 +49,7 @@ def test_what_is_read_is_what_was_written(method: str, tmp_path: Path) -> None:
     forecaster = read.forecaster()
     assert forecaster.name == method
     assert forecaster.settings == tuned.settings
-    assert not forecaster.free  # a comparison does not search for other settings
+    assert not forecaster.tunable  # a comparison does not search for other settings
 
 
 @pytest.mark.parametrize("method", TRAINED)

@@ -19,7 +19,7 @@ from splitband.evaluation import search as searching
 from splitband.evaluation import space as spaces
 from splitband.evaluation import study
 from splitband.evaluation.space import Space, tunable_names, usual_networks
-from splitband.evaluation.trials import SHARES, Attempt, hidden
+from splitband.evaluation.trials import SHARES, StudyTrial, hidden
 from splitband.evaluation.tuned import Tuned
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.network import Network
@@ -56,7 +56,7 @@ def tuned(trials: int | None, storage: Path | str | None = None, **options: Any)
     return sb.tune(record(), methods=methods, setup=SETUP, effort=effort, **options)
 
 
-def facts(attempt: Attempt) -> Attempt:
+def facts(attempt: StudyTrial) -> StudyTrial:
     """What does not depend on the time it took."""
     return replace(attempt, seconds=0.0)
 

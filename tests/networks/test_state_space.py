@@ -13,7 +13,7 @@ from torch import Tensor
 
 import splitband as sb
 from splitband.models import Recurrent
-from splitband.models.base import paired
+from splitband.models.base import with_next_input
 from splitband.networks import Backend, StateSpace, rollout
 
 Array = npt.NDArray[np.float64]
@@ -43,7 +43,7 @@ def inputs() -> Array:
 
 
 def simulate(cell: StateSpace, y_warmup: Array, u: Array, backend: Backend) -> Array:
-    rows = paired(torch.from_numpy(u)[None])
+    rows = with_next_input(torch.from_numpy(u)[None])
     with torch.no_grad():
         y = rollout(cell, torch.from_numpy(y_warmup)[None], STEPS, rows, backend)
     return np.asarray(y[0])

@@ -13,7 +13,7 @@ from splitband import Record, Settings
 from splitband.evaluation.comparison import Comparison, compare
 from splitband.evaluation.forecast import Forecast, forecast
 from splitband.evaluation.protocols import Runs
-from splitband.evaluation.search import Attempt
+from splitband.evaluation.search import SearchAttempt
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import FitReport
@@ -40,7 +40,7 @@ def compared(
     """Compared for real; of other methods than these the colours would be others."""
     setup = Setup(train, Settings(30, WARMUP, 1), Bands(0.5, 1, 2))
     found = compare(r, methods=[setup.forecaster(m) for m in methods], setup=setup, tests=tests)
-    return replace(found, attempts=(Attempt("gru", "8 hidden units", 2, 0.25),))
+    return replace(found, attempts=(SearchAttempt("gru", "8 hidden units", 2, 0.25),))
 
 
 def as_if_trained(found: Comparison, method: str = "persistence") -> Comparison:

@@ -54,7 +54,7 @@ def pages(everything: Comparison, tmp_path_factory: pytest.TempPathFactory) -> d
     results: dict[str, Any] = {
         "comparison": everything,
         "forecast": comparisons.forecasted(),
-        "spectrum": report.Looked(r, 0.5, None, facts),
+        "spectrum": report.SpectrumReport(r, 0.5, None, facts),
         "benchmark": rows,
         "failures": rows[2:],
     }

@@ -17,7 +17,7 @@ import torch
 
 from splitband import Work, compare
 from splitband.evaluation.runs import RunProgress
-from splitband.runtime.places import Place
+from splitband.runtime.job_folders import JobFolder
 from splitband.runtime.processes import over
 from splitband.runtime.threads import drawn_from, one_thread
 from tests.records import SETUP, record
@@ -140,7 +140,7 @@ def test_trainings_of_workers_that_share_no_disk_are_kept_here(
 
 
 def test_a_worker_that_sees_the_folder_uses_it(tmp_path: Path) -> None:
-    with Place.opened(tmp_path / "kept", anywhere=True) as place:
+    with JobFolder.opened(tmp_path / "kept", anywhere=True) as place:
         (tmp_path / "kept/a-0.txt").write_bytes(b"first")
         sent = pickle.loads(pickle.dumps(place))
         with sent.at_work(place.files("a-0")) as (folder, changed):
@@ -151,7 +151,7 @@ def test_a_worker_that_sees_the_folder_uses_it(tmp_path: Path) -> None:
 
 
 def test_another_one_is_sent_the_files_and_sends_back_what_has_changed(tmp_path: Path) -> None:
-    with Place.opened(tmp_path, anywhere=True) as place:
+    with JobFolder.opened(tmp_path, anywhere=True) as place:
         for name in ("a-0.txt", "a-0-1.txt", "b-0.txt"):
             (tmp_path / name).write_bytes(b"first")
         files = place.files("a-0")
@@ -172,7 +172,7 @@ def test_another_one_is_sent_the_files_and_sends_back_what_has_changed(tmp_path:
 
 def test_what_cannot_be_kept_is_a_warning(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match=r"a\.txt could not be written"):
-        Place(tmp_path / "gone").keep({"a.txt": b""})
+        JobFolder(tmp_path / "gone").keep({"a.txt": b""})
 
 
 # ---------------------------------------------------------------- threads of one process

@@ -1,1 +1,1 @@
-"""Forecasters without a network: mean, persistence, seasonal, trend, harmonic, periodic, linear."""
+"""Define fits without a network: seasonal, trend, harmonic, periodic and linear."""

@@ -1,4 +1,4 @@
-"""Dead time: by how many samples an input acts late.
+"""Estimate the dead time of inputs in samples.
 
 An input that acts only after many samples needs as many parameters of a linear model, or a memory
 as long of a network. Shifted by its delay it needs neither.
@@ -68,7 +68,7 @@ def candidates(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
 
 
 def _significant(records: Sequence[tuple[Array, Array]], lags: int) -> list[int]:
-    """The first significant lag of each input; `lags + 1` where there is none."""
+    """Return the first significant lag of each input; `lags + 1` if there is none."""
     nu = records[0][1].shape[1]
     rows = [_regressors(y, u, lags) for y, u in records]
     x, y = np.concatenate([x for x, _ in rows]), np.concatenate([y for _, y in rows])
@@ -92,7 +92,7 @@ def _significant(records: Sequence[tuple[Array, Array]], lags: int) -> list[int]
 
 
 def _regressors(y: Array, u: Array, lags: int) -> tuple[Array, Array]:
-    """Lagged inputs, input by input, past outputs and 1; and the outputs, where all are known."""
+    """Return the ARX regressors (lagged inputs, past outputs, 1) and the outputs, without gaps."""
     begin = max(lags, _PAST)
     index = np.arange(begin, len(y))[:, None]
     inputs = [x[index - np.arange(lags + 1)] for x in u.T]

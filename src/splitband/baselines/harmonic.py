@@ -1,4 +1,4 @@
-"""Harmonic regression: sinusoids that may decay and a trend, by least squares on a record.
+"""Fit sinusoids that may decay and a trend to a record by least squares.
 
 A naive baseline (see `baselines.naive`), and a strong one: what a driven linear system does is a
 sum of such sinusoids and of exponentials.
@@ -18,7 +18,7 @@ from splitband.baselines.trend import Shape, described, find
 Array = npt.NDArray[np.float64]
 
 MOST_SINUSOIDS = 10
-"""Of a channel, where nobody says how many."""
+"""Default limit of the number of sinusoids of a channel."""
 STRONG_EVIDENCE = 6.0
 """By how much the information criterion must prefer decays to sinusoids that go on for ever. Where
 two of these beat more slowly than the record is long, decays may be worse by as much: such a pair
@@ -27,7 +27,7 @@ describes a decay within the record, and grows again after it."""
 
 @dataclass(frozen=True, eq=False)
 class HarmonicRegression:
-    """Sinusoids, an offset and a trend for each channel; use `HarmonicRegression.fit`.
+    """Describe each channel by sinusoids, an offset and a trend; use `HarmonicRegression.fit`.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class HarmonicRegression:
         return cls(tuple(_fit_channel(channel, sinusoids, damped) for channel in y.T), begin)
 
     def predict(self, start: float, steps: int) -> Array:
-        """See `naive.ByTime`."""
+        """Return the samples from `start` on, `(steps, ny)`."""
         index = start - self.begin + np.arange(steps)
         return np.stack([modes.predict(index) for modes in self.channels], axis=1)
 
@@ -65,7 +65,7 @@ class HarmonicRegression:
 
 
 def _fit_channel(y: Array, sinusoids: int | None, damped: bool) -> Modes:
-    """What fits a channel best, in its units; found in units of its own range."""
+    """Fit one channel, scaled to its range, and return the result in its units."""
     offset, scale = units(y)
     scaled = (y - offset) / scale
     trend = find(scaled)

@@ -1,4 +1,4 @@
-"""A linear model from the known inputs to the measured channels: the output-error model.
+"""Fit a linear output-error model from the known inputs to the measured channels.
 
 A naive baseline (see `baselines.naive`) for records with inputs; for a linear system with white
 measurement noise no other model does better. Its state at the beginning of a history is estimated
@@ -38,21 +38,21 @@ _CUTS = (0.6, 0.7, 0.8, 0.9)
 """Shares of the samples that are fitted, to see how well the model forecasts the others."""
 _RANK = 1e-10
 """Singular values below this share of the largest one are cut."""
-_GONE = 0.1
+_DECAYED_SHARE = 0.1
 """A response to the initial state below this share of its peak is taken to have died out."""
 
 
 @dataclass(frozen=True, eq=False)
 class OutputError:
-    """y = (B u + C δ) / A + offset for each channel; use `fit`.
+    """Model each channel by y = (B u + C δ) / A + offset; use `fit`.
 
     A, B and C are polynomials of the delay operator, δ is the unit impulse at index 0: C δ / A is
     the response to the initial state.
 
     Attributes
     ----------
-    channels : The model of each.
-    mean, scale : By which the inputs are brought to mean 0 and deviation 1, `(nu,)`.
+    channels : The model of each channel.
+    mean, scale : Mean and standard deviation of the inputs, for their normalisation, `(nu,)`.
     delays : Dead time of each input in samples, `nu` of them.
     """
 
@@ -134,7 +134,7 @@ class OutputError:
         )
 
     def _scaled(self, u: Array) -> Array:
-        """The inputs as the channels take them."""
+        """Return the delayed and normalised inputs."""
         return (delayed(u, self.delays) - self.mean) / self.scale
 
     def __str__(self) -> str:
@@ -143,7 +143,7 @@ class OutputError:
 
 
 class Channel(NamedTuple):
-    """The model of one channel.
+    """Hold the model of one channel.
 
     Attributes
     ----------
@@ -158,13 +158,13 @@ class Channel(NamedTuple):
     states: States
 
     def simulate(self, u: Array) -> Array:
-        """From index 0 on, `(time,)`."""
+        """Simulate the channel from index 0 on, `(time,)`."""
         forced = sum(scipy.signal.lfilter(b, self.a, x) for b, x in zip(self.b, u.T, strict=True))
         return np.asarray(forced + scipy.signal.lfilter(self.c, self.a, _impulse(u)) + self.offset)
 
 
 class _Part(NamedTuple):
-    """A stretch of a record: a channel `(time,)`, NaN in gaps, and the inputs `(time, nu)`."""
+    """Hold a stretch of a record: a channel `(time,)`, NaN in gaps, and the inputs `(time, nu)`."""
 
     y: Array
     u: Array
@@ -177,12 +177,12 @@ def _fit_channels(records: Sequence[tuple[Array, Array]]) -> tuple[Channel, ...]
 
 
 def _after(y: Array, begin: int) -> Array:
-    """Without the samples before the index `begin`, NaN in their place."""
+    """Replace the samples before the index `begin` by NaN."""
     return np.where(np.arange(len(y))[:, None] < begin, np.nan, y)
 
 
 def _fit_channel(records: Sequence[_Part]) -> Channel:
-    """The model of one channel, fitted with the channel scaled to its range."""
+    """Fit the model of one channel, scaled to its range."""
     offset, scale = units(np.concatenate([part.y for part in records]))
     first, *others = [part._replace(y=(part.y - offset) / scale) for part in records]
     parts = [_recent(part, LONGEST // len(others)) for part in others]
@@ -203,7 +203,7 @@ def _fit_channel(records: Sequence[_Part]) -> Channel:
 
 
 def _recent(part: _Part, longest: int | None = None) -> _Part:
-    """The part from the sample on that `naive.recent` begins with."""
+    """Return the part from the first sample of `naive.recent` on."""
     if not len(known(part.y)):
         return part
     begin, end = recent(part.y[:, None], longest)
@@ -215,7 +215,7 @@ def _joined(parts: Sequence[_Part]) -> Array:
 
 
 def _denominator(parts: Sequence[_Part]) -> Array:
-    """The denominator A, of the lowest order that forecasts held-out samples well."""
+    """Return the denominator A of the lowest order that forecasts held-out samples well."""
     nu = parts[0].u.shape[1]
     most = max((len(known(_joined(parts))) // 3 - nu - 1) // (2 + nu), 1)
     errors = {order: _held_out(parts, order) for order in ORDERS if order <= most}
@@ -225,7 +225,7 @@ def _denominator(parts: Sequence[_Part]) -> Array:
 
 
 def _held_out(parts: Sequence[_Part], order: int) -> float:
-    """Mean squared error of the forecasts of held-out samples, over several cuts."""
+    """Return the mean squared forecast error on held-out samples, over several cuts."""
     errors = []
     for share in _CUTS:
         ends = [_end(part.y, share) for part in parts]
@@ -241,18 +241,18 @@ def _held_out(parts: Sequence[_Part], order: int) -> float:
 
 
 def _end(y: Array, share: float) -> int:
-    """The index of the first measured sample after this share of them, or the length of `y`."""
+    """Return the index of the first measured sample after this share of them, or `len(y)`."""
     later = known(y)[max(int(share * len(known(y))), 1) :]
     return int(later[0]) if len(later) else len(y)
 
 
 def _of_order(parts: Sequence[_Part], order: int) -> Array:
-    """The denominator of this order that fits best, out of those that are tried."""
+    """Return the best denominator of this order, out of those that are tried."""
     return min(_tried(parts, order), key=lambda at: at[0])[1]
 
 
 def _tried(parts: Sequence[_Part], order: int) -> Iterator[tuple[float, Array]]:
-    """Mean squared errors and denominators, by the iteration of Steiglitz and McBride (1965).
+    """Yield mean squared errors and denominators of the Steiglitz-McBride iteration (1965).
 
     Output, inputs and offset are filtered by 1/A, and the next A is fitted to the filtered signals
     by least squares. Gaps of y are filled by the simulation of the model before, by straight lines
@@ -282,13 +282,13 @@ def _tried(parts: Sequence[_Part], order: int) -> Iterator[tuple[float, Array]]:
 
 
 def _filled(y: Array) -> Array:
-    """With straight lines across gaps."""
+    """Fill gaps by straight lines."""
     rows = known(y)
     return np.interp(np.arange(len(y)), rows, y[rows]) if len(rows) else np.zeros_like(y)
 
 
 def _refined(a: Array, parts: Sequence[_Part]) -> Array:
-    """The denominator nearby that fits best."""
+    """Return the locally optimal denominator."""
     y = _joined(parts)
 
     def left(moved: Array) -> Array:
@@ -300,7 +300,7 @@ def _refined(a: Array, parts: Sequence[_Part]) -> Array:
 
 
 def _solved(a: Array, parts: Sequence[_Part]) -> tuple[Array, Array]:
-    """B, C of each part and offset that fit best, given A, and the simulation with them."""
+    """Return the best B, C of each part and offset for a given A, and their simulation."""
     y = _joined(parts)
     rows = known(y)
     basis = np.hstack([_driven(a, parts), np.ones((len(y), 1))])
@@ -308,14 +308,14 @@ def _solved(a: Array, parts: Sequence[_Part]) -> tuple[Array, Array]:
     # Where the response to an initial state has died out before the first measured sample, the
     # samples do not determine C, which is set to 0.
     of_c = slice(parts[0].u.shape[1] * len(a), -1)
-    gone = abs(fitted[:, of_c]).max(axis=0) < _GONE * abs(basis[:, of_c]).max(axis=0)
+    gone = abs(fitted[:, of_c]).max(axis=0) < _DECAYED_SHARE * abs(basis[:, of_c]).max(axis=0)
     fitted[:, of_c] = np.where(gone, 0.0, fitted[:, of_c])
     coefficients = np.linalg.lstsq(fitted, y[rows], rcond=_RANK)[0]
     return coefficients.astype(np.float64), np.asarray(basis @ coefficients)
 
 
 def _driven(a: Array, parts: Sequence[_Part]) -> Array:
-    """Regressors `(time, ...)` of the coefficients of B, input by input, and of each part's C."""
+    """Return the regressors `(time, ...)` of B, input by input, and of each part's C."""
     order = len(a) - 1
     forced, free = [], []
     for _, u in parts:
@@ -335,7 +335,7 @@ def _delayed(x: Array, samples: int) -> Array:
 
 
 def _stable(a: Array) -> Array:
-    """With poles outside of the unit circle mirrored into it, to `FARTHEST_POLE` at most."""
+    """Mirror poles from outside the unit circle into it, to `FARTHEST_POLE` at most."""
     poles = np.roots(a)
     size = abs(poles)
     if (size <= FARTHEST_POLE).all():

@@ -1,4 +1,4 @@
-"""Sinusoids that may decay, on an offset and a trend: their least squares fit to one channel."""
+"""Fit sinusoids that may decay, an offset and a trend to one channel by least squares."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FEWEST_CYCLES = 0.5
 
 
 class Modes(NamedTuple):
-    """Sinusoids of one channel `y` `(time,)`, NaN in its gaps, with an offset and a trend.
+    """Hold the sinusoids of one channel `y` `(time,)`, NaN in gaps, with an offset and a trend.
 
     A frequency of which the record shows less than one cycle is no oscillation, as far as anyone
     can tell. Such a sinusoid describes how the level moved within the record; before and after the
@@ -34,11 +34,11 @@ class Modes(NamedTuple):
 
     Attributes
     ----------
-    frequencies : In cycles per sample.
-    dampings : Decay rates per sample; zero for what goes on for ever.
+    frequencies : Frequencies in cycles per sample.
+    dampings : Decay rates per sample; zero for sustained sinusoids.
     coefficients : Offset, cosine and sine amplitudes, and the size of the trend if there is one.
-    samples : Of the record that was fitted, from index 0 on.
-    shape : Of the trend.
+    samples : Number of samples that were fitted, from index 0 on.
+    shape : Shape of the trend; None without one.
     harmonics : The first so many are multiples of the first one, and move with it.
     """
 
@@ -58,12 +58,12 @@ class Modes(NamedTuple):
         shape: Shape | None = None,
         harmonics: int = 1,
     ) -> Modes:
-        """With the coefficients that fit `y` best."""
+        """Return these sinusoids with the coefficients that fit `y` best."""
         return cls(frequencies, dampings, np.empty(0), len(y), shape, harmonics)._solve(y)
 
     @classmethod
     def none(cls, y: Array, shape: Shape | None = None) -> Modes:
-        """No sinusoids, the offset and the trend that fit `y` best."""
+        """Return the offset and trend that fit `y` best, without sinusoids."""
         return cls.solved(np.empty(0), np.empty(0), y, shape)
 
     def _solve(self, y: Array) -> Modes:
@@ -71,15 +71,15 @@ class Modes(NamedTuple):
         return self._solve_on(self.basis(rows), y[rows])
 
     def _solve_on(self, basis: Array, values: Array) -> Modes:
-        """With the coefficients that fit `values` best, given the basis at their indices."""
+        """Return a copy whose coefficients fit `values` best, given the basis at their indices."""
         return self._replace(coefficients=_Span.of(basis).coefficients(values))
 
     def refined(self, y: Array) -> Modes:
-        """With the frequencies, dampings and rate of the trend nearby that fit `y` best."""
+        """Return the local optimum of frequencies, dampings and trend rate for `y`."""
         return _Refinement(self, y).result()
 
     def with_another(self, y: Array, damping: float, weight: float = 0.0) -> Modes:
-        """With one more, at the peak of the residual's spectrum, and refined.
+        """Add a sinusoid at the peak of the residual's spectrum, and refine all of them.
 
         A damping of zero stays. A `weight` lets the beginning of the record count more.
         """
@@ -90,7 +90,7 @@ class Modes(NamedTuple):
         return self._replace(frequencies=more[0], dampings=more[1]).refined(y)
 
     def basis(self, index: npt.NDArray[np.number]) -> Array:
-        """What each coefficient is multiplied with, `(len(index), coefficients)`."""
+        """Return the regressors of the coefficients, `(len(index), coefficients)`."""
         slow = self.frequencies * self.samples < 1
         within = np.clip(index, 0, self.samples - 1)
         at = np.where(slow, within[:, None], index[:, None])
@@ -104,20 +104,20 @@ class Modes(NamedTuple):
         return np.hstack(columns if self.shape is None else [*columns, self.shape(index)[:, None]])
 
     def predict(self, index: npt.NDArray[np.number]) -> Array:
-        """The samples of these indices, counted from the first that was fitted."""
+        """Return the values at these indices, counted from the first fitted sample."""
         return np.asarray(self.basis(index) @ self.coefficients)
 
     @property
     def beat_slowly(self) -> bool:
-        """Whether two frequencies are less than a cycle apart over the record."""
+        """Return whether two frequencies differ by less than a cycle over the record."""
         return bool((np.diff(np.sort(self.frequencies)) * self.samples < 1).any())
 
     def residual(self, y: Array) -> Array:
-        """What they leave of `y`."""
+        """Return the residual of `y`, `(time,)`."""
         return y - self.predict(np.arange(len(y)))
 
     def information(self, y: Array) -> float:
-        """Bayesian information criterion of a Gaussian residual, taken as 1e-8 of y at least."""
+        """Return the BIC of a Gaussian residual, which counts as 1e-8 of y at least."""
         samples, left = len(known(y)), float(np.nanmean(self.residual(y) ** 2))
         variance = max(left, 1e-16 * float(np.nanmean(y**2)), 1e-300)
         count = len(self.frequencies)
@@ -126,14 +126,14 @@ class Modes(NamedTuple):
         return samples * float(np.log(variance)) + parameters * float(np.log(samples))
 
     def in_units(self, offset: float, scale: float) -> Modes:
-        """Those of `offset + scale * y`."""
+        """Return the modes of `offset + scale * y`."""
         coefficients = self.coefficients * scale
         coefficients[0] += offset
         return self._replace(coefficients=coefficients)
 
 
 def _highest(power: Array, whole: bool) -> int:
-    """Of a spectrum's peaks; with gaps the first of those that are as good as equally high.
+    """Return the index of the highest peak; with gaps the first of those of nearly that height.
 
     What is measured now and then has images of its frequencies above them.
     """
@@ -146,7 +146,7 @@ def _highest(power: Array, whole: bool) -> int:
 
 
 class _Refinement:
-    """The least squares of all that is not linear, the coefficients being eliminated.
+    """Optimise the nonlinear parameters by least squares; the linear ones are eliminated.
 
     What moves are the frequencies, of which the harmonics stay multiples of the first, then the
     dampings that are not zero, then the rate of the trend where it is an exponential.
@@ -167,7 +167,7 @@ class _Refinement:
         self._last: tuple[Array, Modes, Array] | None = None
 
     def result(self) -> Modes:
-        """The modes at the minimum nearby."""
+        """Return the modes at the local minimum."""
         begin, low, high, scale = (np.concatenate(values) for values in self._limits())
         if not len(begin):
             return self.modes._solve(self.y)
@@ -184,7 +184,7 @@ class _Refinement:
         return self._at(np.asarray(minimum.x))[0]
 
     def _limits(self) -> tuple[list[Array], list[Array], list[Array], list[Array]]:
-        """Where each value begins, its least and its largest, and the scale of its steps."""
+        """Return initial values, lower and upper bounds, and step scales of the parameters."""
         reach = 1 / len(self.y)
         # The highest harmonic moves by a multiple of what the fundamental moves by.
         around = reach / self.multiples.max(axis=0, initial=1)
@@ -202,15 +202,15 @@ class _Refinement:
         )
 
     def left(self, moved: Array) -> Array:
-        """What stands for the residual of the measured samples, see `_at`."""
+        """Return the compressed residual of the measured samples, see `_at`."""
         return self._at(moved)[1][:, -1]
 
     def slopes(self, moved: Array) -> Array:
-        """What it does when each of the values moves."""
+        """Return the Jacobian of the compressed residual."""
         return self._at(moved)[1][:, :-1]
 
     def _at(self, moved: Array) -> tuple[Modes, Array]:
-        """The modes with these values, and a triangle that stands for slopes and residual.
+        """Return the modes with these values, and a triangular factor of Jacobian and residual.
 
         Its columns have the lengths of the slopes and of the residual, and the same products, which
         is all that the solver needs of them; it is much smaller. The solver asks for the residual
@@ -228,7 +228,7 @@ class _Refinement:
         return self._last[1], self._last[2]
 
     def _with(self, moved: Array) -> Modes:
-        """The modes with these values, before their coefficients are solved for."""
+        """Return the modes with these values, before their coefficients are solved for."""
         modes, free = self.modes, len(self.free)
         rates = np.zeros(len(modes.frequencies))
         rates[self.decaying] = moved[free : free + self.decaying.sum()]
@@ -239,7 +239,7 @@ class _Refinement:
         return modes._replace(frequencies=frequencies, dampings=rates, shape=shape)
 
     def _slopes(self, modes: Modes, span: _Span) -> Array:
-        """What the residual does when each of the values moves.
+        """Return the Jacobian of the residual with respect to the parameters.
 
         The derivative of the basis, as far as the basis itself cannot make up for it (Kaufman's
         approximation of variable projection).
@@ -258,7 +258,7 @@ class _Refinement:
 
 
 class _Span(NamedTuple):
-    """The space that the columns of a basis `(time, n)` span, but for what cannot be told apart.
+    """Represent the span of a basis `(time, n)`, without nearly dependent directions.
 
     It is computed from the products of the columns, which takes a tenth of the time of a singular
     value decomposition of the basis. Squaring loses no digits that matter: what `RESOLUTION` keeps
@@ -275,14 +275,14 @@ class _Span(NamedTuple):
 
     @classmethod
     def of(cls, basis: Array) -> _Span:
-        """Of these columns."""
+        """Return the span of these columns."""
         squares, directions = scipy.linalg.eigh(basis.T @ basis)
         kept = squares > RESOLUTION**2 * squares[-1]
         directions = directions[:, kept]
         return cls(basis, (directions / squares[kept]) @ directions.T)
 
     def coefficients(self, values: Array) -> Array:
-        """Of the columns, as they fit `values` `(time, ...)` best."""
+        """Return the columns' coefficients that fit `values` `(time, ...)` best."""
         found = self.inverse @ (self.basis.T @ values)
         # A second step mends what rounding has left of the first.
         left = values - self.basis @ found

@@ -1,4 +1,4 @@
-"""What baselines share: the samples that are fitted, and their units.
+"""Select and scale the samples to which baselines are fitted.
 
 A baseline is what a trained model has to beat to be worth its training. It is fitted to the
 training samples in closed form, and predicts by time index, which counts from the first of them.
@@ -20,10 +20,10 @@ FARTHEST_BACK = 10 * LONGEST
 
 
 class ByTime(Protocol):
-    """A function of the time since the first fitted sample; what a closed-form fit leaves."""
+    """Define the interface of closed-form fits: functions of time from the first fitted sample."""
 
     def predict(self, start: float, steps: int) -> Array:
-        """The samples `start`..`start + steps - 1`, counted from there, `(steps, ny)`."""
+        """Return the samples `start`..`start + steps - 1`, counted from there, `(steps, ny)`."""
 
 
 def recent(y: Array, longest: int | None = None) -> tuple[int, Array]:
@@ -43,11 +43,11 @@ def recent(y: Array, longest: int | None = None) -> tuple[int, Array]:
 
 
 def known(y: Array) -> npt.NDArray[np.int_]:
-    """The indices at which a channel `(time,)` was measured."""
+    """Return the indices at which a channel `(time,)` was measured."""
     return np.flatnonzero(~np.isnan(y))
 
 
 def units(y: Array) -> tuple[float, float]:
-    """Mean and range of a channel; of a constant one its value, and 1."""
+    """Return mean and range of a channel; for a constant one its value, and 1."""
     low, high = float(np.nanmin(y)), float(np.nanmax(y))
     return (float(np.nanmean(y)), high - low) if low < high else (low, 1.0)

@@ -1,4 +1,4 @@
-"""Periodic regression: a Fourier series of the record's own period, a trend and free vibrations.
+"""Fit a Fourier series of the record's own period, a trend and free vibrations.
 
 A naive baseline (see `baselines.naive`). A system that is driven periodically, linear or not,
 repeats itself once its free vibrations have died out. Seasonal-naive repeats one period and its
@@ -30,7 +30,7 @@ Index = npt.NDArray[np.int_]
 
 MOST_HARMONICS = 30
 VIBRATIONS = 4
-"""Decaying sinusoids, at most."""
+"""Largest number of decaying sinusoids."""
 _WORTH = 0.5
 """A candidate with more freedom must have less than this share of the held-out error of one with
 less: a slightly wrong period and needless vibrations cost the more, the longer the forecast."""
@@ -44,13 +44,13 @@ that nearly as many periods are seen as by the final fit."""
 
 @dataclass(frozen=True, eq=False)
 class PeriodicRegression:
-    """A Fourier series, a trend and decaying vibrations for each channel; use `fit`.
+    """Describe each channel by a Fourier series, a trend and decaying vibrations; use `fit`.
 
     Attributes
     ----------
-    sinusoids : All of them; those of a series come first.
-    periods : In samples, by channel; 0 for a channel that has none and is constant here.
-    vibrations : How many die out, by channel.
+    sinusoids : All sinusoids; those of the series come first.
+    periods : Period in samples, by channel; 0 for a channel without one, which is constant here.
+    vibrations : Number of decaying sinusoids, by channel.
     """
 
     sinusoids: HarmonicRegression
@@ -76,7 +76,7 @@ class PeriodicRegression:
         )
 
     def predict(self, start: float, steps: int) -> Array:
-        """See `naive.ByTime`."""
+        """Return the samples from `start` on, `(steps, ny)`."""
         return self.sinusoids.predict(start, steps)
 
     def __str__(self) -> str:
@@ -94,9 +94,9 @@ class PeriodicRegression:
 
 
 def _fit_channel(y: Array) -> Modes:
-    """The fit of one channel, made with the channel scaled to its range.
+    """Fit one channel, scaled to its range.
 
-    There is none where the period forecasts held-out samples no better than a constant and the
+    The result has no period if it forecasts held-out samples no better than a constant and the
     record hardly resembles itself. That is seen before the period is moved, which takes most of the
     time.
     """
@@ -125,20 +125,20 @@ def _fit_channel(y: Array) -> Modes:
 
 
 def _parts(y: Array) -> list[tuple[Array, Index]]:
-    """What is fitted to forecast the rest, and the indices of the rest, for each cut."""
+    """Return for each cut the samples to fit and the indices of the held-out samples."""
     index = known(y)
     later = [index[int(share * len(index)) :] for share in _CUTS]
     return [(y[: max(held[0], index[0] + 1)], held) for held in later]
 
 
 def _error(y: Array, parts: Sequence[tuple[Array, Index]], fits: Sequence[Modes]) -> float:
-    """The mean RMSE on held-out samples of fits to each of the parts."""
+    """Return the mean RMSE on held-out samples of fits to each of the parts."""
     left = [y[held] - fit.predict(held) for (_, held), fit in zip(parts, fits, strict=True)]
     return float(np.mean([np.sqrt(np.mean(error**2)) for error in left]))
 
 
 def _candidates(series: Modes, y: Array) -> tuple[Modes, Modes, Modes]:
-    """The series of a whole lag; with its period moved; with vibrations as well."""
+    """Return the series of a whole lag, with its period refined, and with vibrations added."""
     if not len(series.frequencies):
         return series, series, series
     refined = dying = modes = series.refined(y)
@@ -151,7 +151,7 @@ def _candidates(series: Modes, y: Array) -> tuple[Modes, Modes, Modes]:
 
 
 def _best_series(y: Array, shape: Shape | None, lags: int = 4) -> Modes:
-    """The Fourier series of a lag at which the record resembles itself, or of a part of it."""
+    """Return the best Fourier series out of lags at which the record resembles itself."""
     level = Modes.none(y, shape)
     if len(known(y)) < 2:
         return level
@@ -163,7 +163,7 @@ def _best_series(y: Array, shape: Shape | None, lags: int = 4) -> Modes:
 
 
 def _series(y: Array, lag: int, shape: Shape | None) -> Modes:
-    """The Fourier series of a period, of as many harmonics as pay, the strongest first."""
+    """Return the Fourier series of a period, with the harmonics that lower the BIC."""
     none = Modes.none(y, shape)
     index = known(y)
     most = min(MOST_HARMONICS, (lag - 1) // 2, (len(index) - 2) // 4)

@@ -1,4 +1,4 @@
-"""Seasonal-naive: the last period, repeated, on top of a trend where there is one.
+"""Repeat the last period of a record, on top of a trend where there is one.
 
 A naive baseline (see `splitband.baselines.naive`).
 """
@@ -23,7 +23,7 @@ left out: they may agree by chance."""
 
 @dataclass(frozen=True, eq=False)
 class SeasonalNaive:
-    """The last period of the training samples, repeated; use `SeasonalNaive.fit`.
+    """Repeat the last period of the training samples; use `SeasonalNaive.fit`.
 
     Attributes
     ----------
@@ -49,11 +49,11 @@ class SeasonalNaive:
 
     @property
     def lag(self) -> int:
-        """Samples in a period."""
+        """Return the number of samples in a period."""
         return len(self.period)
 
     def predict(self, start: float, steps: int) -> Array:
-        """See `naive.ByTime`."""
+        """Return the samples from `start` on, `(steps, ny)`."""
         index = round(start) + np.arange(steps)
         return np.asarray(self.period[(index - self.end) % self.lag] + trending(self.trends, index))
 
@@ -62,7 +62,7 @@ class SeasonalNaive:
 
 
 def last_period(y: Array) -> Array:
-    """The last period of `y` `(time, ny)`, `(lag, ny)`, of the lag that fits best, see `fit`."""
+    """Return the last period of `y` `(time, ny)`, `(lag, ny)`, for the best lag, see `fit`."""
     by_lag = {lag: _last_period(y, lag) for lag in sorted(self_similar_lags(y))}
     # A period and its multiples fit equally well up to rounding. The shortest one is taken.
     negligible = np.maximum(1e-24 * np.nanmean(y**2, axis=0), np.finfo(np.float64).tiny)
@@ -72,7 +72,7 @@ def last_period(y: Array) -> Array:
 
 
 def self_similar_lags(y: Array, most: int = 200) -> list[int]:
-    """Lags at which the mean of (y_n - y_{n+lag})^2 has a local minimum, the least one first.
+    """Return the lags of local minima of the mean of (y_n - y_{n+lag})^2, the least one first.
 
     They are half of `y` at most.
     """
@@ -84,7 +84,7 @@ def self_similar_lags(y: Array, most: int = 200) -> list[int]:
 
 
 def self_similarity(y: Array) -> float:
-    """The highest correlation of a channel `(time,)` with itself at lags from a quarter to half.
+    """Return the highest autocorrelation of a channel `(time,)` at lags from a quarter to half.
 
     A period of up to a quarter of the record has a multiple there, at which it is as similar to
     itself as at the first; what repeats itself for a while only is not.
@@ -94,7 +94,7 @@ def self_similarity(y: Array) -> float:
 
 
 def _differences(y: Array) -> Array:
-    """The mean of (y_n - y_{n+lag})^2 for the lags 1, 2, ... to half of `y` `(time, ny)`.
+    """Return the mean of (y_n - y_{n+lag})^2 for the lags 1, 2, ... to half of `y` `(time, ny)`.
 
     The mean is over pairs of measured samples, and infinite where there are few; channels are
     added, each in units of its variance.
@@ -123,7 +123,7 @@ def _differences(y: Array) -> Array:
 
 
 def seasons(y: Array, lag: int) -> Array:
-    """`y` `(time, ny)` as `(season, lag, ny)`, the last season ending with it; NaN in the first."""
+    """Reshape `y` `(time, ny)` to `(season, lag, ny)`, the first season padded with NaN."""
     count = -(-len(y) // lag)
     padded = np.full((count * lag, y.shape[1]), np.nan)
     padded[-len(y) :] = y
@@ -131,7 +131,7 @@ def seasons(y: Array, lag: int) -> Array:
 
 
 def all_around(period: Array) -> Array:
-    """A period `(lag, ny)` with NaN filled by straight lines, from its end on to its beginning."""
+    """Fill NaN in a period `(lag, ny)` by straight lines, which wrap around its ends."""
     filled, phase = period.copy(), np.arange(len(period))
     for channel in filled.T:
         seen = ~np.isnan(channel)
@@ -140,7 +140,7 @@ def all_around(period: Array) -> Array:
 
 
 def _last_period(y: Array, lag: int) -> tuple[Array, Array]:
-    """The last measured sample at each phase, `(lag, ny)`, and their mean squared errors, `(ny,)`.
+    """Return the last measured sample by phase, `(lag, ny)`, and mean squared errors, `(ny,)`.
 
     The errors are those for all earlier samples; a channel without any has its variance.
     """

@@ -1,4 +1,4 @@
-"""The initial state of a linear model: which states are usual, and what a history says of it.
+"""Estimate the initial state of a linear model from a history and the states in training.
 
 The state is written as the polynomial C of `baselines.linear`, `(n,)`: without inputs the output
 is C / A. It is what `scipy.signal.lfilter` calls `zi`.
@@ -27,7 +27,7 @@ _MOST_CORRELATED = 0.999
 
 
 class States(NamedTuple):
-    """The states that a linear model had in training, and how well it fitted.
+    """Hold the states that a linear model had in training, and its errors.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class States(NamedTuple):
 
 
 def _states(a: Array, b: Array, y: Array, u: Array) -> Array:
-    """The state before each sample from the n-th on, `(time, n)`; 0 for fewer samples."""
+    """Return the state before each sample from the n-th on, `(time, n)`; 0 for fewer samples."""
     order, samples = len(a) - 1, len(y)
     if samples <= order:
         return np.zeros((1, order))

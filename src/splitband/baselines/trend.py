@@ -1,4 +1,4 @@
-"""The trend of a channel: a straight line, or an exponential that settles at a limit.
+"""Find the trend of a channel: a straight line, or an exponential that settles at a limit.
 
 A trend is kept only if forecasts with it are clearly better on held-out samples than forecasts of
 a constant and of the last value. Oscillations are fitted along with it, so that neither is taken
@@ -32,21 +32,21 @@ faster one is over before there is much to fit."""
 MOST_BLOCKS = 256
 """A trend is slow: means over so many blocks show it, at a small part of the work."""
 FEWEST = 15
-"""Blocks without which nothing is held out."""
+"""Smallest number of blocks for held-out tests; with fewer there is no trend."""
 SINUSOIDS = 6
-"""That are fitted along with a trend, at most."""
+"""Largest number of sinusoids that are fitted along with a trend."""
 EVIDENCE = 3.0
 """Of a sinusoid or of the trend itself, per logarithm of the number of blocks: its power, against
 that of what is left. Noise alone has peaks, too, and what sinusoids leave of a period that they do
 not fit to the end has a slope."""
 NEGLIGIBLE = 1e-16
-"""Mean square, in units of the record's range."""
+"""Mean square that counts as zero, in units of the record's range squared."""
 _RANK = 0.03
 """Of the sinusoids fitted along with a trend: singular values below this share are cut."""
 
 
 class Shape(NamedTuple):
-    """A function of time, of mean 0 and deviation 1 over the samples that were fitted.
+    """Represent a function of time of mean 0 and deviation 1 over the fitted samples.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Shape(NamedTuple):
         return np.asarray((np.exp(-folds * elapsed) - mean) / deviation)
 
     def by_rate(self, index: npt.NDArray[np.number]) -> Array:
-        """The derivative of an exponential by its rate, `(len(index),)`.
+        """Return the derivative of an exponential by its rate, `(len(index),)`.
 
         Mean and deviation count as fixed: offset and size, which are fitted, make up for them.
         """
@@ -76,7 +76,7 @@ class Shape(NamedTuple):
         return np.asarray(-since * np.exp(-self.rate * since) / self._moments()[1])
 
     def _moments(self) -> tuple[float, float]:
-        """Mean and deviation of the exponential over the samples that were fitted."""
+        """Return mean and deviation of the exponential over the fitted samples."""
         folds = self.rate * self.samples
         mean = -np.expm1(-folds) / folds
         return float(mean), float(np.sqrt(-np.expm1(-2 * folds) / (2 * folds) - mean**2))
@@ -88,7 +88,7 @@ class Shape(NamedTuple):
 
 
 class Trend(NamedTuple):
-    """`offset + size * shape`; see `find`."""
+    """Represent a trend, `offset + size * shape`; see `find`."""
 
     shape: Shape
     offset: float
@@ -100,7 +100,7 @@ class Trend(NamedTuple):
 
 
 def find(y: Array) -> Trend | None:
-    """The trend of a channel `(time,)`, or None where none pays; NaN is what was not measured.
+    """Return the trend of a channel `(time,)`, NaN in gaps, or None if none lowers the error.
 
     The record is cut at several places, and what follows each cut is forecast from what comes
     before it: by the last value; by a constant, by a line and by an exponential, to each of which
@@ -133,20 +133,20 @@ def find(y: Array) -> Trend | None:
 
 
 def trending(trends: Sequence[Trend | None], index: npt.NDArray[np.number]) -> Array:
-    """The trends of channels, 0 where there is none, `(len(index), ny)`."""
+    """Return the trends of channels, `(len(index), ny)`; 0 where there is none."""
     none = np.zeros(len(index))
     return np.stack([trend.predict(index) if trend else none for trend in trends], axis=1)
 
 
 def described(trends: Sequence[Trend | Shape | None]) -> str:
-    """What is to be said of channels with trends, or nothing."""
+    """Describe the trends of channels; empty without any."""
     shapes = [trend.shape if isinstance(trend, Trend) else trend for trend in trends]
     kinds = [str(shape) for shape in shapes if shape is not None]
     return f", on {' and '.join(dict.fromkeys(kinds))}" if kinds else ""
 
 
 def _blocks(y: Array, begin: int) -> tuple[Array, Array]:
-    """Middles and means of blocks of equal length, NaN where nothing was measured."""
+    """Return centres and means of blocks of equal length, NaN where nothing was measured."""
     length = -(-len(y) // MOST_BLOCKS)
     first = len(y) % length
     by_block = y[first:].reshape(-1, length)
@@ -161,7 +161,7 @@ def _last(blocks: Array) -> float:
 
 
 def _held_out(at: Array, blocks: Array, cuts: list[int], shapes: list[Shape]) -> Array:
-    """Mean squared errors of what follows each cut, forecast from what comes before it."""
+    """Return the mean squared forecast error after each cut, fitted before it."""
     errors = []
     for cut in cuts:
         fitted = _Sketch.fit(at[:cut], blocks[:cut], shapes)
@@ -170,7 +170,7 @@ def _held_out(at: Array, blocks: Array, cuts: list[int], shapes: list[Shape]) ->
 
 
 class _Sketch(NamedTuple):
-    """A trend or none, and the strongest sinusoids, at frequencies in cycles per sample."""
+    """Fit a trend or none with the strongest sinusoids; frequencies are in cycles per sample."""
 
     shape: Shape | None
     frequencies: list[float]
@@ -178,7 +178,7 @@ class _Sketch(NamedTuple):
 
     @classmethod
     def fit(cls, at: Array, y: Array, shapes: list[Shape]) -> _Sketch:
-        """With the shape out of `shapes` that fits best; by orthogonal matching pursuit.
+        """Fit the best shape out of `shapes` with sinusoids, by orthogonal matching pursuit.
 
         One sinusoid after the other is taken at the peak of the residual's spectrum, where it has
         a cycle or more in the record.
@@ -205,13 +205,13 @@ class _Sketch(NamedTuple):
             frequencies.append(peak / (8 * count * step))
 
     def predict(self, at: Array) -> Array:
-        """At these times, in samples."""
+        """Return the values at these times, in samples."""
         return np.asarray(
             _with(self.shape, at, _sinusoids(at, self.frequencies)) @ self.coefficients
         )
 
     def stands_out(self, at: Array, y: Array) -> bool:
-        """Whether the trend, of deviation 1 times its size, has more power than chance gives it."""
+        """Return whether the trend has more power than it would have by chance."""
         rows = known(y)
         left = y[rows] - self.predict(at[rows])
         free = max(len(rows) - len(self.coefficients), 1)
@@ -220,7 +220,7 @@ class _Sketch(NamedTuple):
         return gained > EVIDENCE * np.log(len(rows)) * remaining
 
     def trend(self, offset: float, scale: float) -> Trend:
-        """The trend of `offset + scale * y`."""
+        """Return the trend of `offset + scale * y`."""
         if self.shape is None:
             raise ValueError("shape must be that of a trend, got None")
         constant, size = float(self.coefficients[0]), float(self.coefficients[-1])
@@ -228,7 +228,7 @@ class _Sketch(NamedTuple):
 
 
 def _sinusoids(at: Array, frequencies: list[float]) -> Array:
-    """And a constant in front, `(time, 1 + 2 * frequencies)`."""
+    """Return a constant and sinusoids as regressors, `(time, 1 + 2 * frequencies)`."""
     phase = 2 * np.pi * np.outer(at, frequencies)
     return np.hstack([np.ones((len(at), 1)), np.cos(phase), np.sin(phase)])
 
@@ -238,7 +238,7 @@ def _with(shape: Shape | None, at: Array, sinusoids: Array) -> Array:
 
 
 def _best(shapes: list[Shape], at: Array, y: Array, sinusoids: Array) -> Shape | None:
-    """The shape that leaves least of `y` beside the sinusoids; an exponential's rate is refined."""
+    """Return the shape with the least residual of `y`, and refine an exponential's rate."""
     if len(shapes) < 2:
         return shapes[0] if shapes else None
     directions = np.linalg.qr(sinusoids)[0]

@@ -14,13 +14,13 @@ from rich.table import Table
 from splitband.cli import in_words, naming, setups, showing
 from splitband.cli.cases import COLUMNS, OVERALL, Case, read_cases
 from splitband.cli.comparing import Request, arguments, carried_out, prepared, save
-from splitband.cli.crew import Crew, crew
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Conditioned, ModelOptions, Seeds
 from splitband.cli.options.simulators import Calibrate
 from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.output import refuse_inputs, replaced
 from splitband.cli.usage import usage
+from splitband.cli.worker_pool import WorkerPool, worker_pool
 from splitband.report import benchmark as report
 from splitband.report import page, pictures, results
 from splitband.runtime.deadlines import now
@@ -83,7 +83,7 @@ def benchmark(
     setups.check_model_options(model)
     _check_out(out, listed, cases)
     rows = []
-    with crew(jobs, cluster) as workers:
+    with worker_pool(jobs, cluster) as workers:
         for number, case in enumerate(cases, 1):
             row = _row(case, out / case.name, workers)
             showing.console.print(f"{number} of {len(cases)}, {case.name}: {_in_short(row)}")
@@ -99,7 +99,7 @@ def _check_out(out: Path, listed: Path, cases: Sequence[Case]) -> None:
     refuse_inputs(out, [*replaced("benchmark", out), *targets], inputs | {listed: "LIST"})
 
 
-def _row(case: Case, folder: Path, workers: Crew) -> report.Row:
+def _row(case: Case, folder: Path, workers: WorkerPool) -> report.Row:
     """The result of a case that is there, or that is computed now."""
     try:
         identity = case.identity()

@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from splitband.cli.comparing import Request, arguments, carried_out, prepared, save
-from splitband.cli.crew import crew
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Conditioned, ModelOptions, Seeds, SettingsFile
 from splitband.cli.options.records import (
@@ -21,6 +20,7 @@ from splitband.cli.options.records import (
 from splitband.cli.options.simulators import Calibrate, SimulatorOrBaseOptions
 from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.outcome import show
+from splitband.cli.worker_pool import worker_pool
 from splitband.evaluation.setup import default_names
 
 
@@ -90,7 +90,7 @@ def compare(
         record, reading, simulator, further, testing, model,
         train, horizon, methods, seeds, calibrate, conditioned, settings,
     )  # fmt: skip
-    with crew(jobs, cluster) as workers:
+    with worker_pool(jobs, cluster) as workers:
         task = prepared(request, workers.cores)
         result = carried_out(task, seeds, workers, out)
     facts = {"command": context.info_name, "arguments": arguments(context.params)}

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from splitband.cli import devices, naming, records, setups, showing, timing
-from splitband.cli.crew import Crew
 from splitband.cli.options.models import AUTO, ModelOptions
 from splitband.cli.options.records import FurtherRecords, RecordOptions, TestRecords
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import each_with_simulator, tests_with_simulator, with_simulator
 from splitband.cli.usage import usage
+from splitband.cli.worker_pool import WorkerPool
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.comparison import compare as compare_forecasters
@@ -114,7 +114,7 @@ def prepared(request: Request, cores: int, ahead: int | None = None) -> Task:
 def carried_out(
     task: Task,
     seeds: int | None,
-    workers: Crew,
+    workers: WorkerPool,
     out: Path,
     label: str = "comparing",
     began: float | None = None,

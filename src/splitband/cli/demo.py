@@ -11,10 +11,10 @@ import typer
 
 from splitband.cli import showing
 from splitband.cli.comparing import Task, arguments, carried_out, save
-from splitband.cli.crew import crew
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.workers import Jobs
 from splitband.cli.outcome import show
+from splitband.cli.worker_pool import worker_pool
 from splitband.data.crane import overhead_crane
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.setup import default_setup
@@ -54,7 +54,7 @@ def demo(
     )
     setup = default_setup(record, TRAIN, methods=METHODS)
     setup = replace(setup, settings=replace(setup.settings, **RECIPE), sizes=SIZES, search=None)
-    with crew(jobs, None) as workers:
+    with worker_pool(jobs, None) as workers:
         result = carried_out(Task(record, METHODS, setup, [], [], "cpu"), 1, workers, out)
     facts = {"command": context.info_name, "arguments": arguments(context.params)}
     used = save(result, out, facts)

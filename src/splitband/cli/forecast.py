@@ -11,7 +11,6 @@ import typer
 
 from splitband.cli import devices, naming, records, setups, showing, timing
 from splitband.cli.comparing import arguments
-from splitband.cli.crew import crew
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import (
     Budget,
@@ -32,6 +31,7 @@ from splitband.cli.options.simulators import SimulatorOrBaseOptions
 from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.simulators import each_with_simulator, with_simulator
 from splitband.cli.usage import usage
+from splitband.cli.worker_pool import worker_pool
 from splitband.evaluation.forecast import Forecast
 from splitband.evaluation.forecast import forecast as forecast_record
 from splitband.evaluation.protocols import check
@@ -93,7 +93,7 @@ def forecast(
     known = with_simulator(known, simulator, reading, steps if hybrid else 0, beyond)
     u = records.inputs_ahead(future_inputs, known, steps, reading.time_column)
     known = replace(known, u_beyond=u)
-    with crew(jobs, cluster) as workers:
+    with worker_pool(jobs, cluster) as workers:
         setup = setups.setup_ahead(known, names, model, workers.cores, tuned)
         if method is None and tuned is None and not based:
             names, setup = usual_names(known, setup), trying_bases(setup)

@@ -88,10 +88,10 @@ def spectrum(
             f"{showing.ordinal(setup.bands.downsampling or 1)} sample: {choice.reason}"
         )
     drawn = pictures.spectrum(trajectory, measured_spectrum, chosen, choice)
-    looked = page.Looked(trajectory, chosen, choice, facts)
+    report = page.SpectrumReport(trajectory, chosen, choice, facts)
     with staged(out) as new:
         pictures.save(drawn, new / "spectrum.png")
-        page.write(looked, new / page.NAME, usage("spectrum", arguments(context.params)))
+        page.write(report, new / page.NAME, usage("spectrum", arguments(context.params)))
         write_facts(new, facts)
     showing.console.print(f"picture: {out / 'spectrum.png'}\npage: {out / page.NAME}")
     showing.results_file(out / "results.json")

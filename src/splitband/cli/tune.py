@@ -12,14 +12,14 @@ from rich.table import Table
 
 from splitband.cli import naming, setups, showing
 from splitband.cli.comparing import Request, arguments, prepared
-from splitband.cli.crew import crew
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Device, ModelOptions, Warmup
 from splitband.cli.options.records import FurtherRecords, RecordArgument, RecordOptions, Train
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.simulators import refuse_bases
-from splitband.evaluation.trials import Attempt, hidden
+from splitband.cli.worker_pool import worker_pool
+from splitband.evaluation.trials import StudyTrial, hidden
 from splitband.evaluation.tuned import FILE
 from splitband.evaluation.tuning import Effort, Tuning
 from splitband.evaluation.tuning import tune as search_settings
@@ -111,7 +111,7 @@ def tune(
     names = None if methods is None else naming.names(methods)
     if names is not None:
         naming.check_names("--methods", names, TRAINED)
-    with crew(jobs, cluster) as workers:
+    with worker_pool(jobs, cluster) as workers:
         task = prepared(request, workers.cores, ahead=0)
         with showing.progress("tuning") as progress:
             result = search_settings(
@@ -176,7 +176,7 @@ def _table(result: Tuning) -> Table:
     return table
 
 
-def _cells(attempt: Attempt) -> list[str]:
+def _cells(attempt: StudyTrial) -> list[str]:
     assert attempt.tuned is not None
     scores = " ".join(f"{score:.3g}" for score in attempt.scores)
     value = math.nan if attempt.value is None else attempt.value

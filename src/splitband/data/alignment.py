@@ -1,4 +1,4 @@
-"""Putting signals together by their time stamps, never by row number where the stamps differ."""
+"""Align signals by their time stamps, never by row number where the stamps differ."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from splitband.data.record import Record
 from splitband.data.timing import Grid, same_sampling, seconds_between
 
 NEAR = 0.01
-"""Of a sample: times that agree to this count as equal; rounded time stamps differ by as much."""
+"""Fraction of a step within which times count as equal, as stamps are rounded."""
 
 
 @dataclass(frozen=True, eq=False)
 class Aligned:
-    """A signal at the times of another one.
+    """Represent a signal at the sampling times of another one.
 
     Attributes
     ----------
     values : `(samples, n)`.
-    note : What was done to it, for its user; empty where its rows were taken as they are.
+    note : How it was resampled, in words; empty if its rows were used unchanged.
     """
 
     values: FloatArray
@@ -30,7 +30,7 @@ class Aligned:
 
 
 def aligned(what: str, values: FloatArray, own: Grid, onto: Grid, smooth: bool = True) -> Aligned:
-    """The values of a signal at other times, by the time stamps of both.
+    """Return the values of a signal at other times, by the time stamps of both.
 
     Where just one of them has time stamps, or none has, both begin together. Between its samples
     the signal is interpolated. It may end half a sample short of the times, and is held there.
@@ -39,7 +39,7 @@ def aligned(what: str, values: FloatArray, own: Grid, onto: Grid, smooth: bool =
     ----------
     what : What messages call the signal.
     values : `(time, n)`, all finite, at the times `own`.
-    own, onto : The times of the signal, and those it is needed at.
+    own, onto : The times of the signal, and those to align it to.
     smooth : Interpolate by a cubic spline, as between the samples of a simulator; by straight
         lines otherwise, as between inputs, which may jump.
 
@@ -65,7 +65,7 @@ def aligned(what: str, values: FloatArray, own: Grid, onto: Grid, smooth: bool =
 
 
 def reach(own: Grid, onto: Grid) -> int:
-    """How many of the times, counted on from the first of `onto`, a signal of times `own` covers.
+    """Return how many times from the first of `onto` on a signal with times `own` covers.
 
     The length of `onto` does not matter. Raises ValueError if just one of them has dates.
     """
@@ -74,7 +74,7 @@ def reach(own: Grid, onto: Grid) -> int:
 
 
 def resampled(record: Record, sampling_time: float) -> Record:
-    """A record at another sampling time, from its first sample on.
+    """Return a record resampled to another sampling time in s, from its first sample on.
 
     What was measured, and what a simulator says, is interpolated by a cubic spline, known inputs
     by straight lines. A sample counts as measured where both of its neighbours were. What is known
@@ -104,7 +104,7 @@ def resampled(record: Record, sampling_time: float) -> Record:
 
 
 def interpolated(values: FloatArray, rows: FloatArray, smooth: bool = True) -> FloatArray:
-    """`values` `(time, n)` at fractional rows; beyond the ends they are held."""
+    """Interpolate `values` `(time, n)` at fractional rows; beyond the ends they are held."""
     index = np.arange(len(values))
     rows = np.clip(rows, 0, len(values) - 1)
     if smooth and len(values) > 1:
@@ -113,7 +113,7 @@ def interpolated(values: FloatArray, rows: FloatArray, smooth: bool = True) -> F
 
 
 def _rows(own: Grid, onto: Grid) -> FloatArray:
-    """Where the times `onto` lie, in rows of a signal at the times `own`."""
+    """Return the times `onto` as fractional rows of a signal at the times `own`."""
     offset = 0.0
     if own.start is not None and onto.start is not None:
         offset = seconds_between(own.start, onto.start)
@@ -142,7 +142,7 @@ def _one_sided(own: Grid, onto: Grid) -> str:
 
 
 def _resampled(own: Grid, onto: Grid, off: float) -> str:
-    """What to say of a signal whose rows lie up to `off` of a sample from the times."""
+    """Describe the resampling of a signal whose rows are up to `off` samples from the times."""
     if same_sampling(own.step, onto.step, onto.samples):
         return f"its samples lie up to {off:.2g} of a step beside the record's: interpolated"
     how = "interpolated" if off > NEAR else "taken"

@@ -1,4 +1,4 @@
-"""Columns of a table that has been read, as numbers."""
+"""Convert columns of a table to numbers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Column: TypeAlias = "pd.Series[Any]"
 
 
 def has_number(column: Column) -> bool:
-    """Whether some cell is one."""
+    """Return whether at least one cell holds a number."""
     if is_object_dtype(column) or is_string_dtype(column):
         column = pd.to_numeric(column, errors="coerce")
     return is_numeric_dtype(column) and bool(column.notna().any())

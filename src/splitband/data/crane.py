@@ -1,4 +1,4 @@
-"""An overhead crane with a swinging load: generated on the spot, for a first look."""
+"""Simulate an overhead crane with a swinging load, as a record for first trials."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ GRAVITY = 9.81
 DRIVE_LAG = 0.4
 """Time constant of the trolley's drive, s."""
 DAMPING, DRAG = 0.2, 0.05
-"""Of the swing: in 1/s, and per radian of a quadratic term."""
+"""Damping of the swing: linear in 1/s, and quadratic per radian."""
 FASTEST_TROLLEY, FASTEST_HOIST = 2.0, 0.5
 """m/s."""
 
 
 def overhead_crane(samples: int = 4000, noise: float = 0.02, seed: int = 0) -> Record:
-    """The position of a crane's load, what its operator does, and a simulator without a swing.
+    """Return the position of a crane's load, its operator's inputs, and a simulator without swing.
 
     A trolley follows a commanded speed, and the load hangs from it on a rope whose length changes
     while it moves; how the load swings is nonlinear and depends on that length. The simulator
@@ -32,9 +32,9 @@ def overhead_crane(samples: int = 4000, noise: float = 0.02, seed: int = 0) -> R
 
     Parameters
     ----------
-    samples : At 0.1 s.
-    noise : Standard deviation of that on `y`, m; `y_true` is without.
-    seed : Of what the operator does, and of the noise.
+    samples : Number of samples, one every 0.1 s.
+    noise : Standard deviation of the noise on `y`, in m; `y_true` has none.
+    seed : Seed of the operator's commands and of the noise.
     """
     random = np.random.default_rng(seed)
     speed, rope = _operated(samples, random)
@@ -53,7 +53,7 @@ def overhead_crane(samples: int = 4000, noise: float = 0.02, seed: int = 0) -> R
 
 
 def _operated(samples: int, random: np.random.Generator) -> tuple[Array, Array]:
-    """Commanded speed and rope length: every 5 to 15 s the operator heads for another place."""
+    """Return commanded speed and rope length; every 5 to 15 s the operator chooses a new target."""
     speed, rope = np.zeros(samples), np.zeros(samples)
     position, length = 0.0, 4.0
     place, height, left = 0.0, length, 0
@@ -70,7 +70,7 @@ def _operated(samples: int, random: np.random.Generator) -> tuple[Array, Array]:
 
 
 def _swinging(speed: Array, rope: Array) -> Array:
-    """The load's position: a pendulum of changing length below a trolley that follows `speed`."""
+    """Simulate the load: a pendulum of varying length below a trolley that follows `speed`."""
     times = STEP * np.arange(len(speed))
     known = np.column_stack([speed, rope, np.gradient(rope, STEP)])
 

@@ -1,4 +1,4 @@
-"""Gaps: samples that were not measured, and what stands in for them."""
+"""Find gaps, samples that were not measured, and fill them."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ Gaps = Literal["refuse", "mask"]
 
 
 def filled(what: str, values: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Straight lines across what is not finite, and where `values` `(time, n)` are.
+    """Fill values that are not finite by straight lines; return them and where they were finite.
 
-    Before the first and after the last finite value of a channel that value is held.
+    Both have the shape of `values`, `(time, n)`. Before the first and after the last finite value
+    of a channel that value is held.
 
     Raises
     ------
     ValueError
-        For a channel without any.
+        For a channel without finite values.
     """
     known = np.isfinite(values)
     index = np.arange(len(values))
@@ -33,13 +34,13 @@ def filled(what: str, values: FloatArray) -> tuple[FloatArray, BoolArray]:
 
 
 def stretches(rows: BoolArray) -> list[tuple[int, int]]:
-    """First and last index of each stretch of true values."""
+    """Return the first and last index of each stretch of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(np.int8), [0]])))
     return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
 
 
 def places(rows: BoolArray, most: int = 6) -> str:
-    """Where the stretches are, for a message: "rows 3, 7 to 9"."""
+    """Describe the stretches of true values for a message: "rows 3, 7 to 9"."""
     gaps = stretches(rows)
     named = ", ".join(str(a) if a == b else f"{a} to {b}" for a, b in gaps[:most])
     more = f" and {len(gaps) - most} more stretches" if len(gaps) > most else ""
@@ -47,13 +48,13 @@ def places(rows: BoolArray, most: int = 6) -> str:
 
 
 def last_before(complete: BoolArray, length: int, at: int) -> int | None:
-    """The last index up to `at` with `length` complete samples right before it."""
+    """Return the last index up to `at` with `length` complete samples right before it, or None."""
     ends = _ends(complete[:at], length)
     return int(ends[-1]) if len(ends) else None
 
 
 def first_after(complete: BoolArray, length: int) -> int | None:
-    """The first index with `length` complete samples right before it."""
+    """Return the first index with `length` complete samples right before it, or None."""
     ends = _ends(complete, length)
     return int(ends[0]) if len(ends) else None
 

@@ -1,4 +1,4 @@
-"""Records that have a name: public measurements and simulated systems, with no file to give."""
+"""Define the records that are known by name: public measurements and simulated systems."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def double_mass_spring(samples: int = 1000, noise_variance: float = 0.1, seed: i
     Parameters
     ----------
     samples : At 0.1 s.
-    noise_variance : Of the Gaussian noise on `y`; `y_true` is without.
-    seed : Of the noise.
+    noise_variance : Variance of the Gaussian noise on `y`; `y_true` has none.
+    seed : Seed of the noise.
     """
     t = 0.1 * np.arange(samples)
     x = 1.28 * np.cos(2 * np.pi * 0.115 * t - 7.7) + 0.677 * np.cos(2 * np.pi * 0.57 * t) - 0.009
@@ -38,7 +38,7 @@ def van_der_pol(samples: int = 2000, simulator_rtol: float = 1e-10) -> Record:
 
     Parameters
     ----------
-    samples : At 0.05 s.
+    samples : Number of samples, one every 0.05 s.
     simulator_rtol : Relative tolerance of the simulator's solver. SciPy's default, 1e-3, moves the
         simulator's error from 0.405 to the paper's 0.418.
     """
@@ -79,12 +79,12 @@ def unforced_van_der_pol(_: float, state: Array) -> Array:
 
 @dataclass(frozen=True)
 class NamedRecord:
-    """A record that goes by a name.
+    """Describe a record that is known by name.
 
     Attributes
     ----------
-    make : Returns it; the hybrid systems' with their simulator's output as `y_sim`.
-    train : Samples to train on where nobody says otherwise, the paper's; None: three quarters.
+    make : Returns the record; for hybrid systems with the simulator's output as `y_sim`.
+    train : Default number of training samples, as in the paper; None for three quarters.
     """
 
     make: Callable[[], Record]

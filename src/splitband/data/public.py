@@ -1,4 +1,4 @@
-"""The public records of the paper: downloaded once, pinned and hashed."""
+"""Fetch the public records of the paper: downloaded once, from a pinned commit, and hashed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from splitband.data.record import Record, one_line
 
 @dataclass(frozen=True)
 class PublicFile:
-    """A public record: where it lies in its repository, what it is, and whose.
+    """Describe a public record: its path in its repository, its contents and its licence.
 
     `size` is in bytes, `sampling_time` in seconds.
     """
@@ -117,7 +117,7 @@ def fetch(name: str, data_dir: str | os.PathLike[str] | None = None) -> Path:
 
 
 def data_folder() -> Path:
-    """Where `fetch` looks: the folder of SPLITBAND_DATA_DIR, or the user's cache."""
+    """Return the folder that `fetch` searches: SPLITBAND_DATA_DIR, or the user's cache."""
     variable = os.environ.get("SPLITBAND_DATA_DIR")
     if variable:
         return Path(variable)

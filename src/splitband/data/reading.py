@@ -1,4 +1,4 @@
-"""Reading records from the usual files; pandas and SciPy do the reading."""
+"""Read records from common file formats, with pandas and SciPy."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from splitband.data.text import check_different, read_table
 from splitband.data.timing import same_sampling
 
 MOST_BYTES = 2**31
-"""That the numbers of a file may take, whatever it is packed in."""
+"""Limit of the size of a file's numbers in memory, in bytes."""
 
 _MAT_NUMBERS = (
     "double", "single", "logical", *(f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)),
 )  # fmt: skip
 
 _NAMELESS = "y"
-"""What the channel of a file is called that holds one column without a name."""
+"""Name of the channel of a file with a single column and no header."""
 
 _EXPECTED = "expected"
-"""The reason of a row number, a scalar or an empty column, of which nothing need be said."""
+"""Reason for leaving out row numbers, scalars and empty columns; these are not reported."""
 
 _AnyArray: TypeAlias = NDArray[Any]
 _Table: TypeAlias = dict[str, Column]  # in NPZ and MAT files the columns may differ in length
@@ -45,7 +45,7 @@ _Names: TypeAlias = str | int | Sequence[str | int]
 
 
 class ColumnError(ValueError):
-    """A column that is asked for is not in the file, or none is left to model."""
+    """A requested column is missing, or no column is left to model."""
 
 
 class ReadingWarning(UserWarning):
@@ -54,13 +54,13 @@ class ReadingWarning(UserWarning):
 
 @dataclass(frozen=True)
 class _Picked:
-    """The columns that make a record.
+    """Hold the columns that make up a record.
 
     Attributes
     ----------
     stamps : The column of time stamps, if there is one.
     known, measured : The inputs and the channels.
-    left_out : Other columns that hold something, with the reason.
+    left_out : Other columns with content, each with the reason why it is left out.
     """
 
     stamps: list[str]
@@ -164,7 +164,7 @@ def _read_text(path: Path) -> _Table:
 
 
 def _check_size(size: int) -> None:
-    """Refuse what would not fit into memory, before it is taken."""
+    """Refuse a file whose numbers would not fit into memory, before reading it."""
     if size > MOST_BYTES:
         raise ValueError(f"it would take {size / 2**30:.1f} GiB, at most {MOST_BYTES / 2**30:g} do")
 
@@ -198,7 +198,7 @@ def _read_numpy(path: Path) -> _Table:
 
 
 def _bytes_of(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
-    """What an array of an archive takes, by its header, as float64."""
+    """Return the size in bytes of an archive's array as float64, from its header."""
     with archive.open(member) as file:
         version = np.lib.format.read_magic(file)
         read_header = (
@@ -316,7 +316,7 @@ def _assemble(table: _Table, picked: _Picked, spaced: Spacing, gaps: Gaps, *, na
 def _matrix(
     table: _Table, names: Sequence[str], gaps: Gaps, places: NDArray[np.int_] | None
 ) -> FloatArray:
-    """The columns side by side, each row at its place where some are missing."""
+    """Return the columns as a matrix, with NaN in rows that are missing."""
     matrix = np.column_stack([numbers(f"column {name!r}", table[name]) for name in names])
     if gaps == "refuse":
         try:
@@ -377,7 +377,7 @@ def _listed(names: Sequence[str]) -> str:
 def _spacing(
     table: _Table, stamps: Sequence[str], given: float | None, fallback: float | None, gaps: Gaps
 ) -> Spacing:
-    """The grid of the time stamps; without them the step as given, or by a scalar of the file."""
+    """Return the grid of the time stamps, or else the step given by the caller or by the file."""
     if stamps:
         what = f"time column {stamps[0]!r}"
         spaced = spacing(what, stamps[0], table[stamps[0]], gaps)

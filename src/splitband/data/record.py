@@ -1,4 +1,4 @@
-"""The one data container: an evenly sampled record and what is known beside it."""
+"""Define the data container: an evenly sampled record with its inputs and simulator output."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from splitband.data.timing import (
 )
 
 LARGEST, SMALLEST = 1e120, 1e-120
-"""Of values, and of the range of a channel: squares, and sums of many, have to be numbers too."""
+"""Limits of values, and of the range of a channel: sums of their squares must not overflow."""
 
 _NUMBERED = re.compile(r"[yu]\d*|\d+")
-"""Names that say nothing, see `same_names`."""
+"""Names that are only a letter or a number, see `same_names`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One evenly sampled record.
+    """Represent one evenly sampled record.
 
     Every signal is array-like of shape (time,) or (time, channels); it is copied, and kept as a
     read-only, C-contiguous float64 array of shape (time, channels).
@@ -133,7 +133,7 @@ class Record:
 
     @classmethod
     def with_gaps(cls, y: Any, sampling_time: float, u: Any = None, **others: Any) -> Record:
-        """A record whose y and u may hold values that are not finite; the rest as ever.
+        """Return a record from y and u that may hold values that are not finite.
 
         Straight lines across them stand in for what is missing. Where an input is not known, this
         sample and the next, on which it acts, do not count as measured.
@@ -180,51 +180,51 @@ class Record:
 
     @property
     def seen(self) -> FloatArray:
-        """What was measured, (time, ny); NaN in gaps."""
+        """Return the measured samples, (time, ny), with NaN in gaps."""
         return self.y if self.measured is None else np.where(self.measured, self.y, np.nan)
 
     @property
     def truth(self) -> FloatArray:
-        """What predictions are compared with, (time, ny): y_true where it is known, else `seen`."""
+        """Return the reference for predictions, (time, ny): `y_true` if known, else `seen`."""
         return self.seen if self.y_true is None else self.y_true
 
     @property
     def complete(self) -> BoolArray:
-        """Where every channel was measured, (time,)."""
+        """Return where every channel was measured, (time,)."""
         if self.measured is None:
             return np.ones(len(self), dtype=np.bool_)
         return np.asarray(self.measured.all(axis=1))
 
     @property
     def ny(self) -> int:
-        """Number of measured channels."""
+        """Return the number of measured channels."""
         return int(self.y.shape[1])
 
     @property
     def nu(self) -> int:
-        """Number of known inputs; 0 without any."""
+        """Return the number of known inputs; 0 without any."""
         return 0 if self.u is None else int(self.u.shape[1])
 
     @property
     def sampling_rate(self) -> float:
-        """Samples per second, in Hz."""
+        """Return the sampling rate in Hz."""
         return 1.0 / self.sampling_time
 
     @property
     def time(self) -> FloatArray:
-        """The time stamps in s, (time,); where they are dates, or none, since the first sample."""
+        """Return the time stamps in s, (time,); dates count from the first sample."""
         since_first = np.arange(len(self), dtype=np.float64) * self.sampling_time
         return seconds_of(self.start) + since_first
 
     @property
     def stamps(self) -> FloatArray | pd.DatetimeIndex:
-        """The time stamps for tables and pictures, (time,): seconds or dates."""
+        """Return the time stamps for tables and pictures, (time,): seconds or dates."""
         start = 0.0 if self.start is None else self.start
         return stamps_at(start, self.sampling_time, np.arange(len(self)))
 
     @property
     def grid(self) -> Grid:
-        """When its samples were taken."""
+        """Return the grid of the sampling times."""
         return Grid(self.start, self.sampling_time, len(self))
 
 
@@ -236,7 +236,7 @@ _OTHER_SIGNALS = {
 
 
 def _after(signal: FloatArray | None, beyond: FloatArray | None, end: int) -> FloatArray | None:
-    """What is known from row `end` of a signal on, (any time, channels); None for nothing."""
+    """Return the known samples from row `end` of a signal on, (any time, channels), or None."""
     later = [
         part for part in (None if signal is None else signal[end:], beyond) if part is not None
     ]
@@ -300,7 +300,7 @@ def require_finite(what: str, values: FloatArray, columns: Sequence[str] = ()) -
 
 
 def one_line(error: BaseException) -> str:
-    """The message of another library's error, on one line."""
+    """Return the message of another library's error on one line."""
     return " ".join(str(error).split())[:300] or type(error).__name__
 
 

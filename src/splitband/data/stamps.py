@@ -1,4 +1,4 @@
-"""Time stamps: seconds or dates, and the even step between them."""
+"""Read time stamps, in seconds or as dates, and find the even step between them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _DOTTED = re.compile(r"\s*\d{1,2}\.\d{1,2}\.\d")
 
 @dataclass(frozen=True, eq=False)
 class Spacing:
-    """The even grid that the rows of a file lie on.
+    """Describe the even grid that the rows of a file lie on.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ def also_time(name: str, column: Column) -> bool:
 
 
 def spacing(what: str, name: str, column: Column, gaps: Gaps) -> Spacing:
-    """The even grid of time stamps.
+    """Return the even grid of time stamps.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def _seconds_of_days(days: FloatArray) -> tuple[FloatArray, float, pd.Timestamp]
 
 
 def _seconds(what: str, name: str, column: Column) -> tuple[FloatArray, float, pd.Timestamp | None]:
-    """Stamps in seconds, (time,), the resolution of their number type, and the date of 0 s."""
+    """Return stamps in s, (time,), the resolution of their number type, and the date of 0 s."""
     if is_timedelta64_dtype(column):
         column = column.dt.total_seconds()
     if has_number(column):
@@ -139,7 +139,7 @@ def _seconds(what: str, name: str, column: Column) -> tuple[FloatArray, float, p
 
 
 def _dates(column: Column) -> pd.Series:
-    """Dates in UTC, NaT where there is none: day or month first, as most of them can be read.
+    """Parse dates in UTC, NaT where that fails: day or month first, whichever parses more cells.
 
     Where both can be, as on the first days of a month, an even step decides; where that does not
     tell either, days come first in what is written with dots, and months otherwise.
@@ -154,7 +154,7 @@ def _dates(column: Column) -> pd.Series:
         ]
 
     def doubt(parsed: pd.Series) -> tuple[int, float]:
-        """How many are missing, and by how much the steps differ, as a share of the usual one."""
+        """Return the number of missing dates, and the unevenness of steps by their median."""
         steps = parsed.dropna().diff().dropna().dt.total_seconds()
         usual = abs(steps.median()) or 1.0
         uneven = round(float((steps - usual).abs().max() / usual), 2) if len(steps) else 0.0
@@ -176,7 +176,7 @@ def _check_zones(what: str, column: Column) -> None:
 
 
 def _in_its_zone(date: pd.Timestamp, column: Column) -> pd.Timestamp:
-    """A date that was read as UTC, in the time zone of its column; without one, where it has none.
+    """Convert a date that was read as UTC to the time zone of its column, if that has one.
 
     Tables and messages are to show dates as the file does.
     """
@@ -187,7 +187,7 @@ def _in_its_zone(date: pd.Timestamp, column: Column) -> pd.Timestamp:
 
 
 def _even_grid(what: str, stamps: FloatArray, unit: float, masked: bool) -> tuple[float, float]:
-    """The step of evenly rising stamps and the first one, in s; see `reading.read` for tolerances.
+    """Return the step and the first stamp of an even grid, in s; see `reading.read` for tolerances.
 
     `unit` is that of their last place.
     """
@@ -232,7 +232,7 @@ def _even_grid(what: str, stamps: FloatArray, unit: float, masked: bool) -> tupl
 
 
 def _on_grid(what: str, stamps: FloatArray) -> tuple[NDArray[np.int_], FloatArray]:
-    """The row of each stamp, `(time,)`, were none missing, and the stamps of all rows.
+    """Return each stamp's row on the grid without gaps, `(time,)`, and the stamps of all rows.
 
     Where stamps rise evenly, the rows are 0, 1, 2... A logger that starts again after a gap does so
     at any moment: its stamps go to the closest rows of the grid of those before it, so that the

@@ -1,4 +1,4 @@
-"""Reading tables from text: separators, header and decimal sign; pandas does the reading."""
+"""Read tables from text: find separators, header and decimal sign; pandas does the parsing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When samples were taken: single time stamps, and the even grid that they make up."""
+"""Handle time stamps and the even grids that they make up."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ def as_stamp(value: Any) -> Stamp:
 
 
 def as_json(stamp: Stamp | None) -> float | str | None:
-    """The time stamp as JSON holds it: a date in ISO 8601."""
+    """Return the time stamp for JSON: a date in ISO 8601."""
     return stamp.isoformat() if isinstance(stamp, pd.Timestamp) else stamp
 
 
 def from_json(value: Any) -> Stamp | None:
-    """What `as_json` gave; raises ValueError for anything else."""
+    """Return the time stamp that `as_json` encoded; raises ValueError for anything else."""
     if value is None:
         return None
     return as_stamp(pd.Timestamp(value) if isinstance(value, str) else value)
 
 
 def stamp_after(stamp: Stamp, seconds: float) -> Stamp:
-    """The time stamp so many seconds later."""
+    """Return the time stamp this many seconds later."""
     if isinstance(stamp, pd.Timestamp):
         return stamp + pd.Timedelta(round(1e9 * seconds), unit="ns")
     return stamp + seconds
@@ -70,17 +70,17 @@ def seconds_between(first: Stamp, second: Stamp) -> float:
 
 
 def seconds_of(stamp: Stamp | None) -> float:
-    """The time stamp as a number for a simulator; 0 for a date and where there is none."""
+    """Return the time stamp in s for a simulator; 0 for a date or no stamp."""
     return stamp if isinstance(stamp, float) else 0.0
 
 
 def in_words(stamp: Stamp) -> str:
-    """The time stamp for a message."""
+    """Format the time stamp for a message."""
     return str(stamp) if isinstance(stamp, pd.Timestamp) else f"{stamp:.10g} s"
 
 
 def stamps_at(start: Stamp, step: float, rows: NDArray[np.int_]) -> FloatArray | pd.DatetimeIndex:
-    """The time stamps of rows, counted from `start`, for tables and pictures.
+    """Return the time stamps of rows, counted from `start`, for tables and pictures.
 
     Seconds are rounded to a millionth of the step: 0.3, not 0.30000000000000004.
     """
@@ -90,24 +90,24 @@ def stamps_at(start: Stamp, step: float, rows: NDArray[np.int_]) -> FloatArray |
 
 
 def near_sampling(step: float, other: float) -> bool:
-    """Whether records of both steps can be of one system: they differ by a hundredth at most."""
+    """Return whether two steps differ by 1 % at most, as records of one system may."""
     return abs(step - other) <= 0.01 * other
 
 
 def same_sampling(step: float, other: float, samples: int) -> bool:
-    """Whether so many samples of both steps, begun together, end within half a sample."""
+    """Return whether two grids of so many samples, begun together, end within half a step."""
     return abs(step - other) * samples < 0.5 * min(step, other)
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Even times.
+    """Represent a grid of evenly spaced times.
 
     Attributes
     ----------
-    start : Time stamp of the first; None where no time stamps are known.
-    step : Between two of them, in s.
-    samples : How many.
+    start : Time stamp of the first sample; None if unknown.
+    step : Sampling time in s.
+    samples : Number of samples.
     """
 
     start: Stamp | None
@@ -115,12 +115,12 @@ class Grid:
     samples: int
 
     def after(self, samples: int) -> Grid:
-        """The grid that goes on where this one ends."""
+        """Return the grid of so many samples that continues this one."""
         start = None if self.start is None else stamp_after(self.start, self.samples * self.step)
         return Grid(start, self.step, samples)
 
     def __str__(self) -> str:
-        """From the first to the last time stamp."""
+        """Return the first and the last time stamp in words."""
         if self.start is None:
             return f"{self.samples} samples every {self.step:.7g} s"
         end = stamp_after(self.start, (self.samples - 1) * self.step)

@@ -14,7 +14,7 @@ from dataclasses import replace
 from splitband.data import Record
 from splitband.evaluation.costs import training_cost
 from splitband.evaluation.runs import Work
-from splitband.evaluation.search import Attempt, SearchResult
+from splitband.evaluation.search import SearchAttempt, SearchResult
 from splitband.evaluation.selection import WORTH_TRAINING, Trial, try_out
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import HELD_OUT
@@ -78,7 +78,7 @@ def on_baseline(
     stage = work.for_stage(STAGE)
     found = try_out(record, [network], ahead, seeds, stage, others, need_one=False)
     score = found.scores.get(network.name)
-    attempt = Attempt(network.name, network.training_in_words(), len(seeds), score)
+    attempt = SearchAttempt(network.name, network.training_in_words(), len(seeds), score)
     searched = replace(searched, attempts=(*searched.attempts, attempt), left=searched.left - spent)
     if score is None or score * (1 + WORTH_TRAINING) >= trial.scores[base]:
         return trial, searched

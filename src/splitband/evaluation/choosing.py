@@ -15,7 +15,7 @@ from splitband.evaluation.plan import BASE, BASELINES, SEARCH, Plan
 from splitband.evaluation.plan import TRIAL as TRIAL_OVER
 from splitband.evaluation.runs import Work
 from splitband.evaluation.search import SearchResult, search
-from splitband.evaluation.selection import TRIED, Trial, try_out
+from splitband.evaluation.selection import MOST_TRIAL_SEEDS, Trial, try_out
 from splitband.evaluation.setup import Setup, trying_bases, usual_names
 from splitband.forecasters.backtest import Origin, Question, held_out_from
 from splitband.forecasters.base import Forecaster
@@ -99,7 +99,7 @@ def choose(
         whole("seeds", seeds)
     quick = [f for f in forecasters if not f.random]
     slow = [f for f in forecasters if f.random]
-    plan, tried = work.plan, range(SEEDS if seeds is None else seeds)[:TRIED]
+    plan, tried = work.plan, range(SEEDS if seeds is None else seeds)[:MOST_TRIAL_SEEDS]
     trial = None
     if quick:
         until = plan.share(BASELINES)

@@ -33,7 +33,7 @@ from splitband.evaluation.protocols import (
     run_methods,
 )
 from splitband.evaluation.runs import Work
-from splitband.evaluation.search import Attempt, SearchResult
+from splitband.evaluation.search import SearchAttempt, SearchResult
 from splitband.evaluation.selection import LEVEL, Trial, check_trial
 from splitband.evaluation.setup import Setup, default_setup
 from splitband.forecasters.base import Forecaster
@@ -67,7 +67,7 @@ class Comparison:
     trial: Trial | None = None
     others: tuple[Record, ...] = ()
     tests: tuple[Record, ...] = ()
-    attempts: tuple[Attempt, ...] = ()
+    attempts: tuple[SearchAttempt, ...] = ()
     forecasters: Mapping[str, Forecaster] = field(default_factory=dict)
     plan: Plan = field(default_factory=Plan)
 

@@ -16,7 +16,7 @@ from splitband.forecasters.backtest import Backtest, Question, backtest
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.simulation import CALIBRATIONS
 from splitband.runtime.deadlines import Deadline, OverError, now, within
-from splitband.runtime.places import Files, Place
+from splitband.runtime.job_folders import Files, JobFolder
 from splitband.runtime.processes import Processes, over
 from splitband.simulators.calibration import Calibration
 from splitband.training import Checkpoint, Progress
@@ -156,7 +156,7 @@ def run_all(
             key=lambda each: (not each[0].random, each[1]),
         )
         todo = [
-            _Job(
+            _FitJob(
                 f.name,
                 seed,
                 place.files(_file(f.name, seed)) if place and f.random else {},
@@ -193,12 +193,12 @@ def run_all(
     return results, failures
 
 
-def _place(work: Work) -> AbstractContextManager[Place | None]:
+def _place(work: Work) -> AbstractContextManager[JobFolder | None]:
     """Where checkpoints are, while jobs are carried out."""
     if work.checkpoints is None:
         return nullcontext()
     elsewhere = work.executor is not None and not isinstance(work.executor, Processes)
-    return Place.opened(Path(work.checkpoints), anywhere=elsewhere)
+    return JobFolder.opened(Path(work.checkpoints), anywhere=elsewhere)
 
 
 def _sorted_out(
@@ -285,7 +285,7 @@ class _Watch:
 
 
 @dataclass(frozen=True)
-class _Job:
+class _FitJob:
     """A forecaster with a seed, and what there is of its training already."""
 
     name: str
@@ -297,7 +297,7 @@ class _Job:
 
 
 @dataclass(frozen=True)
-class _Done:
+class _FitOutcome:
     """What became of a job.
 
     Attributes
@@ -326,15 +326,15 @@ def _work(
     forecasters: Mapping[str, Forecaster],
     questions: Mapping[str, Question],
     stage: str | None,
-    place: Place | None,
+    place: JobFolder | None,
     calibrations: Mapping[str, Calibration],
-    job: _Job,
+    job: _FitJob,
     report: Callable[[RunProgress], None],
-) -> _Done:
+) -> _FitOutcome:
     began, name, seed = now(), job.name, job.seed
     # What needs no training is begun however late it is, so that there is a result.
     if job.deadline.over and forecasters[name].random and not job.needed:
-        return _Done(name, seed, Failure(name, seed, LATE, late=True), {}, 0.0)
+        return _FitOutcome(name, seed, Failure(name, seed, LATE, late=True), {}, 0.0)
     CALIBRATIONS.learn(calibrations)
     watch = None if stage is None else _reporter(name, seed, stage, report)
     forecaster, question = forecasters[name], questions[name]
@@ -348,7 +348,7 @@ def _work(
                 trained = not checkpoint.path.exists()
                 outcome = _outcome(forecaster, question, seed, watch, checkpoint)
     whole = isinstance(outcome, Backtest) and not outcome.report.cut
-    return _Done(name, seed, outcome, changed, now() - began, trained and whole)
+    return _FitOutcome(name, seed, outcome, changed, now() - began, trained and whole)
 
 
 def _outcome(

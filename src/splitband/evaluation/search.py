@@ -50,7 +50,7 @@ SIZES = 1 / 3, 2 / 3
 """Of the networks' usual sizes, those that L-BFGS is tried with."""
 FIRST_STEPS = 300
 """Steps of Adam before L-BFGS takes over."""
-TRIED = 0, 1
+TRIAL_SEEDS = 0, 1
 """Seeds of each candidate, whose mean is scored; the first one alone where that is too much."""
 SEVERAL = 0.6
 """Share of what is left for the search that several seeds of each candidate may take."""
@@ -63,7 +63,7 @@ LADDER = 100, 400, 1600, 6400
 WORSE = 1.1
 """A candidate is trained even longer if its error is at most this multiple of the lowest error of
 its method."""
-HOPELESS = 2.0
+MAX_ERROR_RATIO = 2.0
 """A method is not trained longer if its error is above this multiple of the lowest of all."""
 GOOD = 1.5
 """A method whose error is at most this multiple of the lowest one gets more than one seed, as far
@@ -118,7 +118,7 @@ class Search:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class TrainingCandidate:
     """One way to train one method.
 
     Attributes
@@ -147,7 +147,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Attempt:
+class SearchAttempt:
     """What became of a candidate on the held-out samples.
 
     Attributes
@@ -178,7 +178,7 @@ class SearchResult:
     """
 
     forecasters: list[Forecaster]
-    attempts: tuple[Attempt, ...] = ()
+    attempts: tuple[SearchAttempt, ...] = ()
     done: Mapping[str, Mapping[int, Backtest]] = field(default_factory=dict)
     costs: Mapping[str, float] = field(default_factory=dict)
     left: float = 0.0
@@ -223,7 +223,7 @@ def search(
     work, others : See `protocols.compare_methods`.
     """
     free = [
-        f for f in forecasters if isinstance(f, Network) and f.free and _fits(f, record, others)
+        f for f in forecasters if isinstance(f, Network) and f.tunable and _fits(f, record, others)
     ]
     if not free:
         return SearchResult([*forecasters], left=budget.core_seconds)
@@ -233,21 +233,21 @@ def search(
     plan, until = work.plan, work.deadline
     for_one = min(for_one, plan.reckoned_alone(plan.share(ONE)))
 
-    tried: list[Candidate] = []
+    tried: list[TrainingCandidate] = []
 
-    def climb(candidates: Sequence[Candidate], allowed: float) -> None:
+    def climb(candidates: Sequence[TrainingCandidate], allowed: float) -> None:
         """Try them, then the promising ones for longer, and so on."""
         while candidates:
             left = allowed - trials.spent
             in_time = plan.reckoned(until)
-            if in_time < min(left, sum(_in_trials(c, len(TRIED)) for c in candidates)):
+            if in_time < min(left, sum(_in_trials(c, len(TRIAL_SEEDS)) for c in candidates)):
                 plan.narrowed("the search")
                 left = min(left, in_time)
                 candidates = sorted(candidates, key=lambda c: c.cost)
-            affordable = _within(candidates, len(TRIED), SEVERAL * left, for_one)
-            seeds: Sequence[int] = TRIED
+            affordable = _within(candidates, len(TRIAL_SEEDS), SEVERAL * left, for_one)
+            seeds: Sequence[int] = TRIAL_SEEDS
             if len(affordable) < len(candidates):
-                affordable, seeds = _within(candidates, 1, left, for_one), TRIED[:1]
+                affordable, seeds = _within(candidates, 1, left, for_one), TRIAL_SEEDS[:1]
             if affordable:
                 trials.run(affordable, seeds)
                 tried.extend(affordable)
@@ -312,7 +312,7 @@ class _Trials:
     ) -> None:
         self._record, self._end = replace(record, y_true=None), len(record) + steps
         self._work, self._others = work, others
-        self.attempts: list[Attempt] = []
+        self.attempts: list[SearchAttempt] = []
         self.done: dict[str, dict[int, Backtest]] = {}
         """Forecasts by label and seed."""
         self.scores: dict[str, float] = {}
@@ -321,7 +321,7 @@ class _Trials:
         self._rounds = 0
         self._most = most
 
-    def run(self, candidates: Sequence[Candidate], seeds: Sequence[int]) -> None:
+    def run(self, candidates: Sequence[TrainingCandidate], seeds: Sequence[int]) -> None:
         """Train each with all seeds, and score the mean of their forecasts."""
         samples = len(self._record)
         networks = {c.label: for_trial(c.network, samples).called(c.label) for c in candidates}
@@ -342,7 +342,7 @@ class _Trials:
                 self.scores[c.label] = held_out_score(self._record, [*results[c.label].values()])
             score = self.scores.get(c.label)
             training = c.network.training_in_words()
-            self.attempts.append(Attempt(c.method, training, len(results[c.label]), score))
+            self.attempts.append(SearchAttempt(c.method, training, len(results[c.label]), score))
 
     def _span(self, spent: float) -> tuple[float, float]:
         """The shares of the command that are done before and after the next trials."""
@@ -376,19 +376,19 @@ def _candidate(
     others: Sequence[Record],
     settings: Settings,
     size: float,
-) -> Candidate:
+) -> TrainingCandidate:
     network = forecaster.trained_as(settings, size)
-    return Candidate(forecaster.name, network, size, training_cost(network, record, others))
+    return TrainingCandidate(forecaster.name, network, size, training_cost(network, record, others))
 
 
-def _in_trials(candidate: Candidate, seeds: int) -> float:
+def _in_trials(candidate: TrainingCandidate, seeds: int) -> float:
     """What it costs to try a candidate with so many seeds."""
     return seeds * (1 - HELD_OUT) * candidate.cost
 
 
 def _within(
-    candidates: Sequence[Candidate], seeds: int, left: float, for_one: float
-) -> list[Candidate]:
+    candidates: Sequence[TrainingCandidate], seeds: int, left: float, for_one: float
+) -> list[TrainingCandidate]:
     """The candidates that what is left of the budget pays for, taken in their order."""
     kept = []
     for candidate in candidates:
@@ -399,26 +399,30 @@ def _within(
     return kept
 
 
-def _ranked(candidates: Sequence[Candidate], scores: Mapping[str, float]) -> list[Candidate]:
+def _ranked(
+    candidates: Sequence[TrainingCandidate], scores: Mapping[str, float]
+) -> list[TrainingCandidate]:
     """Those that could be trained, the best one first."""
     scored = [candidate for candidate in candidates if candidate.label in scores]
     return sorted(scored, key=lambda candidate: scores[candidate.label])
 
 
 def _promoted(
-    last: Sequence[Candidate], tried: Sequence[Candidate], scores: Mapping[str, float]
-) -> list[Candidate]:
+    last: Sequence[TrainingCandidate],
+    tried: Sequence[TrainingCandidate],
+    scores: Mapping[str, float],
+) -> list[TrainingCandidate]:
     """The better half of each method's last candidates, to be trained longer; the best one first.
 
     Candidates that more iterations have made worse (`WORSE`) are left out, and so are methods that
-    are far from the best one (`HOPELESS`).
+    are far from the best one (`MAX_ERROR_RATIO`).
     """
     lowest = scores[_ranked(tried, scores)[0].label] if scores else 0.0
     kept = []
     for method in dict.fromkeys(candidate.method for candidate in last):
         ranked = _ranked([c for c in tried if c.method == method], scores)
         best = scores[ranked[0].label] if ranked else 0.0
-        if best > HOPELESS * lowest:
+        if best > MAX_ERROR_RATIO * lowest:
             continue
         better = [c for c in ranked if c in last and c.settings.quasi_newton]
         kept += [c for c in better[: -(-len(better) // 2)] if scores[c.label] <= WORSE * best]

@@ -35,7 +35,7 @@ Array = npt.NDArray[np.float64]
 
 LEVEL = 0.9
 """Share of the samples that an interval should hold."""
-TRIED = 2
+MOST_TRIAL_SEEDS = 2
 """Seeds of each network that are tried out, where more are asked for in the end."""
 WORTH_TRAINING = 0.1
 """By how much a network's score must be lower than that of what needs no training."""

@@ -28,7 +28,7 @@ from sqlalchemy.exc import (
 )
 
 from splitband.evaluation.runs import RunProgress
-from splitband.evaluation.trials import Attempt, Job, Limits, hidden, score
+from splitband.evaluation.trials import Limits, StudyTask, StudyTrial, hidden, score
 from splitband.evaluation.tuned import Tuned
 from splitband.training import Progress
 
@@ -53,7 +53,7 @@ class _NotCountedError(Exception):
     """A trial that is one too many or there already, or that the time is over for."""
 
 
-def begin(job: Job) -> None:
+def begin(job: StudyTask) -> None:
     """Make the study if need be, with its first trials: the default recipe and short trainings."""
     with _study(job, new=True) as study:
         kept = [t for t in study.get_trials(deepcopy=False) if not _lost(t)]
@@ -64,7 +64,7 @@ def begin(job: Job) -> None:
                 there.append(point)
 
 
-def run(job: Job, index: int, report: Callable[[RunProgress], None]) -> None:
+def run(job: StudyTask, index: int, report: Callable[[RunProgress], None]) -> None:
     """Try one after the other until there are enough, or the time is over.
 
     Trials that others run are waited for: where such a process has died, its trial is run again.
@@ -97,7 +97,7 @@ def run(job: Job, index: int, report: Callable[[RunProgress], None]) -> None:
             optuna.storages.fail_stale_trials(study)
 
 
-def outcome(job: Job) -> tuple[list[Attempt], dict[str, float]]:
+def outcome(job: StudyTask) -> tuple[list[StudyTrial], dict[str, float]]:
     """All that has been tried, in that order, and how much each parameter mattered.
 
     That is how much it has to do with which trials are the best quarter, together 1; empty where
@@ -112,7 +112,7 @@ def outcome(job: Job) -> tuple[list[Attempt], dict[str, float]]:
 class _Trying:
     """The objective: a training for each beginning of the record, each with a seed of its own."""
 
-    def __init__(self, job: Job, report: Callable[[RunProgress], None]) -> None:
+    def __init__(self, job: StudyTask, report: Callable[[RunProgress], None]) -> None:
         self._job, self._report = job, report
         self.broken: Exception | None = None
         """What concerns every trial: a full disk, or a storage that is gone."""
@@ -218,9 +218,9 @@ def _patience(trials: Sequence[FrozenTrial]) -> float:
     return 2 * max([PATIENCE, *took])
 
 
-def _attempt(trial: FrozenTrial) -> Attempt:
+def _attempt(trial: FrozenTrial) -> StudyTrial:
     known, settings = trial.user_attrs, trial.user_attrs.get(_SETTINGS)
-    return Attempt(
+    return StudyTrial(
         trial.number,
         None if settings is None else Tuned.of(settings),
         tuple(known.get(_SCORES, ())),
@@ -243,7 +243,7 @@ def _importances(study: optuna.Study) -> dict[str, float]:
 
 
 @contextmanager
-def _study(job: Job, new: bool = False) -> Iterator[optuna.Study]:
+def _study(job: StudyTask, new: bool = False) -> Iterator[optuna.Study]:
     """The study, opened; Optuna says nothing meanwhile. A `new` one may have no tables yet."""
     before = optuna.logging.get_verbosity()
     optuna.logging.set_verbosity(optuna.logging.CRITICAL)

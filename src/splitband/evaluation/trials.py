@@ -37,7 +37,7 @@ class Limits:
 
 
 @dataclass(frozen=True, eq=False)
-class Job:
+class StudyTask:
     """What every process of a study knows.
 
     Attributes
@@ -64,7 +64,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Attempt:
+class StudyTrial:
     """What became of a trial.
 
     Attributes

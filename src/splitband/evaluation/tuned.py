@@ -62,7 +62,7 @@ class Tuned:
         network: Forecaster = named(self.method, self.sizes)
         assert isinstance(network, Network)
         network = network.with_defaults(self.settings, self.bands)
-        network.free = False
+        network.tunable = False
         return network
 
     def for_record(self, record: Record) -> Tuned:

@@ -21,7 +21,7 @@ from splitband.evaluation.protocols import TRAINING_SHARE, check_train
 from splitband.evaluation.runs import Work
 from splitband.evaluation.setup import Setup, default_setup
 from splitband.evaluation.space import Space, tunable_names, usual_networks
-from splitband.evaluation.trials import SHARES, Attempt, Job, Limits, beginning
+from splitband.evaluation.trials import SHARES, Limits, StudyTask, StudyTrial, beginning
 from splitband.evaluation.tuned import Tuned
 from splitband.forecasters.backtest import check_held_out, for_trial, held_out_from
 from splitband.forecasters.names import TRAINED
@@ -90,22 +90,22 @@ class Tuning:
 
     record: Record
     setup: Setup
-    attempts: tuple[Attempt, ...]
+    attempts: tuple[StudyTrial, ...]
     importances: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def ranked(self) -> list[Attempt]:
+    def ranked(self) -> list[StudyTrial]:
         """The trials that were not given up, the best one first; of equal ones the earliest."""
         done = [each for each in self.attempts if each.value is not None]
         return sorted(done, key=lambda each: (each.value or 0.0, each.number))
 
     @property
-    def best(self) -> Attempt:
+    def best(self) -> StudyTrial:
         """The trial with the lowest held-out error."""
         return self.ranked[0]
 
     @property
-    def default(self) -> Attempt | None:
+    def default(self) -> StudyTrial | None:
         """The best one of the trials by the default recipe; None where these failed."""
         return next((each for each in self.ranked if each.usual), None)
 
@@ -209,7 +209,7 @@ def tune(
     shares = _shares(training, space, others)
     limits = effort.limits()
     with _storage(effort, work) as storage:
-        job = Job(
+        job = StudyTask(
             training, shares, tuple(others), space, device, storage,
             _name(training, shares, others, space, effort), effort.seed, limits,
         )  # fmt: skip
@@ -288,6 +288,6 @@ def _storage(effort: Effort, work: Work) -> Iterator[str]:
             yield f"sqlite:///{folder}/{STUDY}"
 
 
-def _why(attempts: Sequence[Attempt]) -> str:
+def _why(attempts: Sequence[StudyTrial]) -> str:
     reasons = dict.fromkeys(each.failed for each in attempts if each.failed)
     return "; ".join(reasons) or "the time was over before"

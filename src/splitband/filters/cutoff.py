@@ -1,4 +1,4 @@
-"""Choosing the filter pair by the training samples: cut-off, order and down-sampling.
+"""Choose the filter pair from the training samples: cut-off, order and down-sampling.
 
 Not in the paper, which sets them by eye. No network is trained for it; docs/theory/rules.md says
 what the rules were tried on.
@@ -25,15 +25,15 @@ ORDERS = (1, 2)
 simulated pendulum (iii) and on (vi) it is worse (0.31 and 0.17, 0.35 and 0.28)."""
 MOST_DOWNSAMPLING = 10
 LEAST_WARMUP = 10
-"""Samples that a warm-up must leave to the down-sampled low band."""
+"""Smallest number of warm-up samples of the down-sampled low band."""
 LEAST_PASSED = 0.5
-"""Of the power: the low band is to hold the long term."""
+"""Smallest share of the power that the low-pass filter must pass."""
 MOST_LOST = 0.15
-"""Of the power: to both bands at once, or to the distorted end of a warm-up."""
+"""Largest share of the power lost to the overlap of the bands and to the ends of warm-ups."""
 MOST_ALIASED = 1e-3
-"""Of the power: beyond the Nyquist frequency of the down-sampled low band."""
+"""Largest share of the power beyond the Nyquist frequency of the down-sampled low band."""
 LEFT_BY_NETWORK = 0.02
-"""Of the power: what a network that is told the simulator is expected not to predict."""
+"""Share of the power that a network conditioned on the simulator is expected not to predict."""
 WORTH_USING = 0.5
 """A simulator's low band must be wrong by less than this share of the power that is there."""
 _CUTOFFS = 24
@@ -42,7 +42,7 @@ _NYQUIST_MARGIN = 0.8
 
 @dataclass(frozen=True)
 class Candidate:
-    """A filter pair that was looked at.
+    """Describe a filter pair that was considered.
 
     Attributes
     ----------
@@ -51,8 +51,8 @@ class Candidate:
     downsampling : The largest k that keeps the low band, and enough samples of a warm-up.
     passed : Share of the power that the low-pass filter leaves in the low band. As a filter is not
         steep, it differs from the share of the power below the cut-off.
-    loss : What is compared: shares of the power, see `choose` and `choose_with_simulator`.
-    rejected : Why it is not used; empty for the one that is.
+    loss : Criterion, as a share of the power, see `choose` and `choose_with_simulator`.
+    rejected : Reason why it is not used; empty for the chosen pair.
     """
 
     cutoff: float
@@ -65,14 +65,14 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Choice:
-    """A filter pair and why it was chosen.
+    """Describe the chosen filter pair and the reason for it.
 
     Attributes
     ----------
     cutoff, order, downsampling : See `Candidate`.
-    reason : In words.
-    loss : What `Candidate.loss` is, in words.
-    candidates : All that were looked at, the chosen one among them.
+    reason : Reason of the choice, in words.
+    loss : Meaning of `Candidate.loss`, in words.
+    candidates : All pairs that were considered, including the chosen one.
     simulator_helps : Whether the simulator's low band is worth using; None without a simulator.
     """
 
@@ -93,18 +93,18 @@ def choose(
     order: int | None = None,
     downsampling: int | None = None,
 ) -> Choice:
-    """The filter pair of networks that are learned from a record alone.
+    """Choose the filter pair for networks that are learned from a record alone.
 
-    The lowest cut-off that leaves half of the power in the low band, and at most `MOST_LOST` of it
+    It has the lowest cut-off that leaves half of the power in the low band and `MOST_LOST` at most
     to both bands (2 |L H|, which neither network sees as it is) and to the ends of filtered
-    warm-ups: the lower it is, the fewer samples the low-band network has to look ahead by.
+    warm-ups lost: the lower it is, the fewer samples the low-band network has to look ahead by.
 
     Parameters
     ----------
     y : The training samples, `(time, ny)`; constant channels do not count.
     sampling_rate : In Hz.
     warmup : R, in samples.
-    cutoff, order, downsampling : Already decided.
+    cutoff, order, downsampling : Values that are given; None to choose them.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def choose_with_simulator(
     order: int | None = None,
     downsampling: int | None = None,
 ) -> Choice:
-    """The filter pair of a hybrid model, of which the simulator has the low band.
+    """Choose the filter pair of a hybrid model whose low band comes from the simulator.
 
     Where record and simulator agree, the simulator is to have the say: the pair that lets the least
     through of the simulator's error, low-passed, and of what a network is expected to leave
@@ -220,13 +220,13 @@ def _chosen(
     why_not: Callable[[Candidate], str],
     simulator_helps: bool | None = None,
 ) -> Choice:
-    """The choice, with the reason why each other candidate is not."""
+    """Return the choice, with the reason why each other candidate was rejected."""
     listed = tuple(c if c is best else replace(c, rejected=why_not(c)) for c in candidates)
     return Choice(best.cutoff, best.order, best.downsampling, reason, loss, listed, simulator_helps)
 
 
 def _varying(y: Array) -> npt.NDArray[np.bool_]:
-    """The channels that vary; all of them where none does."""
+    """Return a mask of the channels that vary; all channels if none does."""
     varying = np.ptp(y, axis=0) > 0
     return varying if varying.any() else ~varying
 
@@ -239,7 +239,7 @@ def _grid(
     order: int | None,
     downsampling: int | None,
 ) -> list[tuple[float, int]]:
-    """Cut-offs and orders to look at, from three cycles of the record on."""
+    """Return the cut-offs in Hz and orders to consider, from three cycles of the record on."""
     orders = [order] if order is not None else [n for n in ORDERS if _shortest(n) <= warmup] or [1]
     if cutoff is not None:
         butterworth(cutoff, sampling_rate, orders[0])
@@ -272,7 +272,7 @@ def _gain(frequencies: Array, sampling_rate: float, cutoff: float, order: int) -
 
 
 def _downsampling(low: Array, frequencies: Array, cutoff: float, warmup: int) -> int:
-    """The largest k whose Nyquist frequency is above the cut-off and nearly all that is left."""
+    """Return the largest k whose Nyquist frequency is above the cut-off and nearly all power."""
     nyquist = frequencies[-1]
     for k in range(max(2, min(MOST_DOWNSAMPLING, warmup // LEAST_WARMUP)), 1, -1):
         aliased = float(np.sum(low[frequencies > nyquist / k]))
@@ -282,14 +282,14 @@ def _downsampling(low: Array, frequencies: Array, cutoff: float, warmup: int) ->
 
 
 def _shortest(order: int) -> int:
-    """Samples that can be filtered: zero-phase, three times the coefficients are padded."""
+    """Return the fewest samples that zero-phase filtering, with its padding, can process."""
     return 3 * (order + 1) + 1
 
 
 def _distortion(
     y: Array, warmup: int, sampling_rate: float, cutoff: float, order: int, count: int = 40
 ) -> float:
-    """How far the end of a filtered warm-up is off, as a share of the power."""
+    """Return the mean squared error at the end of a filtered warm-up, as a share of the power."""
     warmup = max(warmup, _shortest(order))
     if len(y) < warmup:
         return 0.0

@@ -1,4 +1,4 @@
-"""IIR filtering, one way and in both directions: exact, differentiable, on any batch.
+"""Filter batches of signals by IIR filters, one way or both ways, exactly and differentiably.
 
 A fixed IIR filter is a linear map, so its gradient is the same filter run backwards in time, with
 the ends handled in turn. Both run as a compiled recurrence in float64, whatever the dtype of the
@@ -107,7 +107,7 @@ def filtfilt(
 
 
 class _Passes:
-    """One pass or two over `(rows, time)` and, as the map is linear, its adjoint."""
+    """Run one or two filter passes over `(rows, time)`, and the adjoint of this linear map."""
 
     def __init__(self, b: Array, a: Array, start: Start, both_ways: bool) -> None:
         self.b, self.a = b, a
@@ -150,7 +150,7 @@ class _Passes:
 
 
 class _Map(torch.autograd.Function):
-    """A linear map `(rows, time)` to the same, or its adjoint; each is the other's gradient."""
+    """Apply a linear map to `(rows, time)`, or its adjoint; each is the other's gradient."""
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, passes: _Passes, adjoint: bool) -> Tensor:
@@ -172,7 +172,7 @@ def _apply(passes: _Passes, x: Tensor) -> Tensor:
 
 
 class _LFilter(torch.autograd.Function):
-    """One pass over `(rows, time)` in float64 from the state `zi` `(rows, P)`."""
+    """Run one pass over `(rows, time)` in float64 from the state `zi` `(rows, P)`."""
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, zi: Tensor, b: Array, a: Array, reverse: bool) -> Tensor:
@@ -195,7 +195,7 @@ class _LFilter(torch.autograd.Function):
 def _responses(
     b: tuple[float, ...], a: tuple[float, ...], samples: int, reverse: bool
 ) -> npt.NDArray[Any]:
-    """What each entry of the state before a pass adds to its output, `(samples, P)`."""
+    """Return the output's response to each entry of the initial state, `(samples, P)`."""
     order = len(a) - 1
     y = np.zeros((order, samples))
     recurrence(np.array(b), np.array(a), np.eye(order), y, y, reverse)
@@ -204,7 +204,7 @@ def _responses(
 
 @lru_cache(maxsize=64)
 def _steady(b: tuple[float, ...], a: tuple[float, ...]) -> Array:
-    """The state `(P,)` that a constant 1 leaves."""
+    """Return the steady state `(P,)` for a constant input of 1."""
     return scipy.signal.lfilter_zi(b, a)
 
 
@@ -272,7 +272,7 @@ def _tensor(x: npt.NDArray[Any] | Tensor) -> Tensor:
 
 
 def time_axis(ndim: int, dim: int | None) -> int:
-    """`dim`, or where the time axis of a signal is by convention."""
+    """Return `dim`, or the conventional time axis of a signal if it is None."""
     if dim is None:
         return -2 if ndim > 1 else -1
     if not -ndim <= dim < ndim:

@@ -1,4 +1,4 @@
-"""Filter design, and complementary pairs."""
+"""Design Butterworth filters and complementary pairs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def butterworth(
     cutoff : Frequency of half power in Hz, inside (0, sampling_rate / 2).
     sampling_rate : In Hz.
     order : At least 1.
-    band : Which side of the cut-off passes.
+    band : `"low"` or `"high"`, the pass band.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def butterworth(
 
 @dataclass(frozen=True, eq=False)
 class ComplementaryPair:
-    """A low-pass and a high-pass filter that together pass everything (paper, Eqs. 3 and 7).
+    """Combine a low-pass and a high-pass filter that sum to the identity (paper, Eqs. 3 and 7).
 
     Use `ComplementaryPair.butterworth` or `ComplementaryPair.perfect`.
 
@@ -119,7 +119,7 @@ class ComplementaryPair:
         zero_phase: bool = True,
         start: Start | None = None,
     ) -> ComplementaryPair:
-        """Two Butterworth filters that share a cut-off.
+        """Return two Butterworth filters that share a cut-off.
 
         They satisfy `|L|^2 + |H|^2 = 1`, so in both directions any order adds up to the identity
         away from the ends of a signal. One way, only order 1 does.
@@ -158,7 +158,7 @@ class ComplementaryPair:
         return cls(low, high, a, sampling_rate, cutoff, zero_phase, start)
 
     def one_way(self) -> ComplementaryPair:
-        """The same filters, forwards in time only: their gains are the square roots."""
+        """Return the same filters forwards in time only: their gains are the square roots."""
         if not self.zero_phase:
             return self
         start: Start = "steady" if self.start == "odd" else self.start
@@ -166,25 +166,25 @@ class ComplementaryPair:
 
     @property
     def order(self) -> int:
-        """P, the order of each filter one way."""
+        """Return P, the order of each filter one way."""
         return len(self.a) - 1
 
     def lowpass(self, y: Signal, dim: int | None = None) -> Signal:
-        """L(y), shaped like `y`."""
+        """Return the low band L(y), shaped like `y`."""
         return self._filter(self.b_low, y, dim)
 
     def highpass(self, y: Signal, dim: int | None = None) -> Signal:
-        """H(y), shaped like `y`."""
+        """Return the high band H(y), shaped like `y`."""
         return self._filter(self.b_high, y, dim)
 
     def split(self, y: Signal, dim: int | None = None) -> tuple[Signal, Signal]:
-        """`(L(y), H(y))`, each shaped like `y`."""
+        """Return both bands `(L(y), H(y))`, each shaped like `y`."""
         return self.lowpass(y, dim), self.highpass(y, dim)
 
     def combine(
         self, *, low: Signal, high: Signal, first: Signal | None = None, dim: int | None = None
     ) -> Signal:
-        """L(low) + H(high), the joint recurrence (paper, Eq. 7), shaped like its arguments.
+        """Return L(low) + H(high), the joint recurrence (paper, Eq. 7), shaped like its arguments.
 
         One way, `first` may give the first P outputs of the sum. The recurrence is linear, so the
         low part runs by itself and the high part starts from what it leaves of `first`: a low
@@ -199,13 +199,13 @@ class ComplementaryPair:
         return low + self.highpass_from(high, rest, dim)
 
     def highpass_from(self, y: Signal, first: Signal, dim: int | None = None) -> Signal:
-        """H(y) one way, with its first P outputs given."""
+        """Return H(y) one way, with its first P outputs given."""
         if self.zero_phase:
             raise ValueError("first outputs can be given one way only (zero_phase=False)")
         return lfilter(self.b_high, self.a, y, first=first, dim=dim)
 
     def response(self, freqs: npt.ArrayLike) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """The complex responses `(L, H)` at `freqs` in Hz; real squares where zero-phase."""
+        """Return the complex responses `(L, H)` at `freqs` in Hz, squared moduli for zero phase."""
         pair = [
             scipy.signal.freqz(b, self.a, worN=np.atleast_1d(freqs), fs=self.sampling_rate)[1]
             for b in (self.b_low, self.b_high)
@@ -214,7 +214,7 @@ class ComplementaryPair:
         return low, high
 
     def reconstruction_error(self, y: Signal, dim: int | None = None) -> Signal:
-        """Y - L(y) - H(y), shaped like `y`: what the pair loses, mostly at the ends."""
+        """Return y - L(y) - H(y), shaped like `y`; it is largest at the ends."""
         low, high = self.split(y, dim)
         return y - low - high
 

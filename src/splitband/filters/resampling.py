@@ -1,4 +1,4 @@
-"""Down-sampling d_k and up-sampling u_k (paper, Sec. 4.2).
+"""Down-sample and up-sample signals by a factor k (paper, Sec. 4.2).
 
 Signals are `(time,)`, `(time, ny)` or `(batch, time, ny)`.
 NumPy in, NumPy out; torch in, torch out.
@@ -38,7 +38,7 @@ def check_downsampling(downsampling: int, cutoff: float, sampling_rate: float) -
 
 
 def downsample(y: Signal, k: int, offset: int = 0) -> Signal:
-    """Every k-th sample from `offset` on (paper, Eq. 11)."""
+    """Return every k-th sample from `offset` on (paper, Eq. 11)."""
     if k < 1:
         raise ValueError(f"k must be at least 1, got {k}")
     if offset < 0:

@@ -1,4 +1,4 @@
-"""Spectra of records: where the power lies, and where a simulator agrees."""
+"""Compute spectra of records, and their coherence with a simulator."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ LOBE = 2
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Power spectral density of a record.
+    """Hold the power spectral density of a record.
 
     Attributes
     ----------
-    frequencies : In Hz, `(bins,)`, from 0 to the Nyquist frequency.
-    density : In squared units of the record per Hz, `(bins, ny)`.
+    frequencies : Frequencies in Hz, `(bins,)`, from 0 to the Nyquist frequency.
+    density : Density in squared units of the record per Hz, `(bins, ny)`.
     """
 
     frequencies: Array
     density: Array
 
     def share_below(self, cutoff: float) -> float:
-        """The share of the power, mean excluded, at or below `cutoff` in Hz; in 0..1."""
+        """Return the share of the power, mean excluded, at or below `cutoff` in Hz; in 0..1."""
         total = self._power().sum()
         if not total:
             return 1.0
         return float(self._power()[self.frequencies <= cutoff].sum() / total)
 
     def peaks(self, count: int = 5, least: float = 0.005) -> list[tuple[float, float]]:
-        """The strongest local maxima: `(frequency in Hz, share of the power in its main lobe)`.
+        """Return the strongest maxima: `(frequency in Hz, share of the power in the main lobe)`.
 
         The window spreads a sinusoid over `LOBE` bins on either side of the maximum; what lies
         there belongs to the stronger one of two peaks. At most `count`, each with a share of at
@@ -57,12 +57,12 @@ class Spectrum:
         return [(frequency, share) for frequency, share in strongest if share >= least]
 
     def shares(self) -> Array:
-        """The share of the power, mean excluded, in each bin, `(bins,)`; zeros for a constant."""
+        """Return the share of the power, mean excluded, by bin, `(bins,)`; zeros for a constant."""
         power = self._power()
         return np.asarray(power / (power.sum() or 1.0))
 
     def _power(self) -> Array:
-        """Power by bin, each channel weighing the same."""
+        """Return the power by bin, `(bins,)`, with equal weights of the channels."""
         totals = self.density[1:].sum(axis=0)
         power = (self.density / np.where(totals > 0, totals, 1.0)).sum(axis=1)
         power[0] = 0.0
@@ -70,7 +70,7 @@ class Spectrum:
 
 
 def periodogram(y: Array, sampling_rate: float) -> Spectrum:
-    """The periodogram of `y` `(time,)` or `(time, ny)`, mean removed, under a Hann window."""
+    """Return the periodogram of `y` `(time,)` or `(time, ny)`, mean removed, with a Hann window."""
     y = y[:, None] if y.ndim == 1 else y
     y = y - y[:1]  # so that a constant is exactly zero, not rounding of its mean
     frequencies, density = scipy.signal.periodogram(
@@ -80,7 +80,7 @@ def periodogram(y: Array, sampling_rate: float) -> Spectrum:
 
 
 def coherence(y: Array, y_sim: Array, sampling_rate: float) -> tuple[Array, Array]:
-    """Where a simulator and the record agree: `(frequencies in Hz, coherence (bins, ny) in 0..1)`.
+    """Return the coherence of record and simulator, `(frequencies in Hz, (bins, ny) in 0..1)`.
 
     Welch's estimate over eighths of the record, half overlapping.
     """
@@ -94,13 +94,13 @@ def coherence(y: Array, y_sim: Array, sampling_rate: float) -> tuple[Array, Arra
 
 @dataclass(frozen=True)
 class Oracle:
-    """What a hybrid model could reach at a cut-off (paper, Sec. 4.4), as RMSE over the record.
+    """Hold the RMSE that a hybrid model could reach at a cut-off (paper, Sec. 4.4).
 
     Attributes
     ----------
     cutoff : In Hz.
-    perfect_network : Of H(y) + L(y_sim): a network that knows the record.
-    no_network : Of L(y_sim) alone: nothing learned.
+    perfect_network : RMSE of H(y) + L(y_sim), as with a network that knows the record.
+    no_network : RMSE of L(y_sim) alone.
     """
 
     cutoff: float
@@ -109,7 +109,7 @@ class Oracle:
 
     @property
     def nothing_to_learn(self) -> bool:
-        """Whether a network that is exactly right has a larger error than one that adds nothing.
+        """Return whether a perfect network has a larger error than one that adds nothing.
 
         Training, which looks for a small error, then does not lead to the former. It happens where
         the delay of the low-pass filter makes up for a simulator that runs ahead: L(y_sim) is then
@@ -118,7 +118,7 @@ class Oracle:
         return self.perfect_network > self.no_network
 
     def describe(self) -> str:
-        """What to say where nothing is to be learned."""
+        """Describe the case in which there is nothing to learn."""
         return (
             "nothing to learn: on the training samples the low-passed simulator alone has RMSE "
             f"{self.no_network:.3g}, with a network that is exactly right "
@@ -134,7 +134,7 @@ def oracle(
     order: int = 1,
     seen: Array | None = None,
 ) -> Oracle:
-    """The oracle check of the paper's filter design, with the hybrid model's one-way pair.
+    """Run the oracle check of the paper's filter design, with the hybrid model's one-way pair.
 
     Where y has gaps that something stands in for, errors are against `seen`, with NaN in them.
     """
@@ -146,6 +146,6 @@ def oracle(
 
 
 def oracle_cutoffs(samples: int, sampling_rate: float, count: int = 12) -> list[float]:
-    """Cut-offs worth an oracle check, in Hz: from two cycles of the record to Nyquist / 2."""
+    """Return cut-offs in Hz for the oracle check, from two cycles of the record to Nyquist / 2."""
     lowest, highest = 2 * sampling_rate / samples, sampling_rate / 4
     return [float(f"{f:.2g}") for f in np.geomspace(min(lowest, highest / 2), highest, count)]

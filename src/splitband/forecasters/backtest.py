@@ -37,7 +37,7 @@ LONGER_REFITS = (0.5, 0.375)
 """More of them for the intervals alone: how errors grow shows over long horizons."""
 FEWEST_FITTED = 20
 """Measured samples of each channel that a baseline is fitted to for the intervals."""
-HOPELESS = 5.0
+FAILED_FIT_RATIO = 5.0
 """A fit has failed, and tells nothing about the errors of others, if the error of its first
 forecast samples is above this multiple of the method's usual one."""
 
@@ -311,5 +311,5 @@ def _sound(scored: Sequence[Array], longer: Sequence[Array], scale: Array) -> li
     """
     near = min(map(len, scored))
     usual = root_mean_square([e[:near] / scale for e in scored])
-    sound = [root_mean_square([e[:near] / scale]) <= HOPELESS * usual for e in longer]
+    sound = [root_mean_square([e[:near] / scale]) <= FAILED_FIT_RATIO * usual for e in longer]
     return [*scored, *longer[: [*sound, False].index(False)]]

@@ -210,7 +210,7 @@ class Filtered(_Hybrid):
     def build(self, record: Record, settings: Settings) -> Model:
         """See `Network`."""
         bands = self._bands_for(record, settings)
-        cell = self.cell.sized(record.ny, self._told(record), settings.warmup)
+        cell = self.cell.sized(record.ny, self._fast_network_inputs(record), settings.warmup)
         pair = bands.one_way_pair(record.sampling_rate)
         return models.Filtered(cell, pair, self.conditioned, record.nu > 0)
 
@@ -268,7 +268,7 @@ class Residual(_Hybrid):
 
     def build(self, record: Record, settings: Settings) -> Model:
         """See `Network`."""
-        cell = self.cell.sized(record.ny, self._told(record), settings.warmup)
+        cell = self.cell.sized(record.ny, self._fast_network_inputs(record), settings.warmup)
         return models.Residual(cell, self.conditioned, record.nu > 0)
 
     def _derived_name(self) -> str:

@@ -69,7 +69,7 @@ class Network(Forecaster):
 
     def __init__(self, settings: Settings | None = None, name: str | None = None) -> None:
         self.settings = settings
-        self.free = False
+        self.tunable = False
         """Whether its settings are but defaults, so that a comparison may find better ones."""
         self.resizable = False
         """Whether the sizes of its cells are, too."""
@@ -112,7 +112,7 @@ class Network(Forecaster):
         if self.settings is not None:
             return self
         new = self.copy()
-        new.settings, new.free = settings, True
+        new.settings, new.tunable = settings, True
         return new
 
     def trained_as(self, settings: Settings, size: float = 1.0) -> Self:
@@ -213,7 +213,7 @@ class Network(Forecaster):
     def describe(self) -> str:
         """See `Forecaster`."""
         fitted = self.require_fitted()
-        said = [self.training_in_words() if self.free else "", fitted.late_inputs(self.delays)]
+        said = [self.training_in_words() if self.tunable else "", fitted.late_inputs(self.delays)]
         return "; ".join(filter(None, [*said, *fitted.report.notes]))
 
     def trajectory(self, known: Known) -> Array:

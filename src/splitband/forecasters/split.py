@@ -64,7 +64,7 @@ class Banded(Network):
         """What is to hold the low band of a record, `(time, ny)`; None where a network is."""
         return None
 
-    def _told(self, record: Record) -> int:
+    def _fast_network_inputs(self, record: Record) -> int:
         """Inputs of the network that sees every sample.
 
         The record's, of this sample and of the next one, and value and slope of what is slower.
@@ -122,7 +122,7 @@ class Split(Banded):
         # With k = 1 the slow network sees every sample as well, and each input twice.
         nu = record.nu * (2 if bands.downsampling == 1 else 1)
         low = self.low.sized(record.ny, nu, settings.warmup)
-        high = self.high.sized(record.ny, self._told(record), settings.warmup)
+        high = self.high.sized(record.ny, self._fast_network_inputs(record), settings.warmup)
         return models.Split(
             [low, high],
             bands.pair(record.sampling_rate),

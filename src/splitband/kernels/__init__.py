@@ -1,4 +1,4 @@
-"""Whole rollouts in compiled code: warm-up, free run and their gradients in one call each.
+"""Compile whole rollouts: warm-up, free run and their gradients in one call each.
 
 The plain loop, `splitband.rollout`, is the definition; these take a cell's tensors and give the
 same samples and gradients, on the CPU in float32 and float64. `recurrence` is that of a filter.

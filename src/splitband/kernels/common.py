@@ -1,4 +1,4 @@
-"""What the kernels share besides products: compiling, tanh, padded buffers, rows over threads."""
+"""Provide what kernels share: compilation, tanh, padded buffers, rows split over threads."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ event.register("numba:compile", _Announcement())  # type: ignore[no-untyped-call
 
 
 def tanh(x: float) -> float:
-    """tanh: exact in float64, a quotient of polynomials (to 4e-7) that vectorises in float32."""
+    """Return tanh: exact in float64, a vectorised rational approximation (to 4e-7) in float32."""
     return math.tanh(x)
 
 
@@ -125,14 +125,14 @@ def check(like: Tensor, **tensors: tuple[Tensor, tuple[int, ...]]) -> None:
 
 
 def zeros(like: Tensor, *shape: int) -> Tensor:
-    """Zeros in the dtype of `like`."""
+    """Return zeros in the dtype of `like`."""
     out = like.new_empty(shape)
     out.numpy().fill(0)
     return out
 
 
 def pad(x: Tensor | Array) -> Tensor:
-    """A copy whose last axis is padded with zeros to a multiple of `PAD`."""
+    """Return a copy whose last axis is padded with zeros to a multiple of `PAD`."""
     values = array(x)
     out = zeros(torch.from_numpy(values[..., :0]), *values.shape[:-1], padded(values.shape[-1]))
     out.numpy()[..., : values.shape[-1]] = values
@@ -140,12 +140,12 @@ def pad(x: Tensor | Array) -> Tensor:
 
 
 def padded(n: int) -> int:
-    """The next multiple of `PAD`."""
+    """Return the next multiple of `PAD`."""
     return -(-n // PAD) * PAD
 
 
 def array(x: Any) -> Any:
-    """The values of a tensor, and anything else as it is."""
+    """Return the values of a tensor, and anything else unchanged."""
     return x.detach().numpy() if isinstance(x, Tensor) else x
 
 
@@ -155,13 +155,13 @@ def add(sums: Sequence[Sequence[Tensor]]) -> list[Array]:
 
 
 def split_rows(batch: int, work: float) -> list[slice]:
-    """Batch rows for each of torch's threads, as far as `work` (multiplications) is worth them."""
+    """Split batch rows over torch's threads, if `work` (multiplications) is worth them."""
     n = max(1, min(torch.get_num_threads(), batch, int(work / _WORTH_A_THREAD)))
     return [slice(batch * i // n, batch * (i + 1) // n) for i in range(n)]
 
 
 def buffers(like: Tensor, split: list[slice], *shapes: tuple[int, ...]) -> list[list[Tensor]]:
-    """For each job a tensor of each shape, with its rows as the last axis but one.
+    """Return for each job a tensor of each shape, with its rows as the last axis but one.
 
     All are cut from one allocation: the C library gives several large ones back to the system,
     and taking them again page by page costs as much as the products.

@@ -1,4 +1,4 @@
-"""The rollout of an Euler step of a three-layer perceptron, forward and backward, compiled.
+"""Compile the rollout of a three-layer perceptron's Euler steps, forward and backward.
 
 With x = [h, u, 1] and the biases as last columns of the weights (paper, supplement, "MLP
 training"),
@@ -36,7 +36,7 @@ from splitband.kernels.common import (
 )
 from splitband.kernels.matmul import matmul
 
-_GATHER = 64  # rows of gradients worth a product with them
+_GRADIENT_ROWS = 64  # rows of gradients worth a product with them
 
 
 def euler_rollout(
@@ -117,7 +117,7 @@ class _Rollout(torch.autograd.Function):
         for i, rows in enumerate(ctx.rows):
             n = rows.stop - rows.start
             widths = w2.shape[1], w2.shape[1], w3.shape[1], padded(len(w3))
-            layers = [dy.new_empty(-(-_GATHER // max(n, 1)), n, width) for width in widths]
+            layers = [dy.new_empty(-(-_GRADIENT_ROWS // max(n, 1)), n, width) for width in widths]
             saved = (*kept[2 * i : 2 * i + 2], *layers, first, w1, w2, w3)
             jobs.append((ctx.step_size, dy[rows], *saved, *sums[i], dh[rows], du[rows]))
         run_rows(_backward, jobs)
@@ -133,7 +133,7 @@ def _simulate(
     weights: tuple[Tensor, ...],
     keep: bool,
 ) -> tuple[Tensor, list[slice], list[list[Tensor]]]:
-    """The samples, the rows of each job, and for each x and b: of every step or the last.
+    """Return the samples, the rows of each job, and x and b of every step or the last.
 
     The narrow first layer is cheap: a is computed anew on the way back.
     """
@@ -152,7 +152,7 @@ def _simulate(
 
 
 def _pack(weights: tuple[Tensor, ...]) -> tuple[Tensor, Tensor, Tensor]:
-    """Each layer's W' over its bias, to multiply from the right."""
+    """Pack each layer's W' over its bias, to multiply from the right."""
     w1, b1, w2, b2, w3, b3 = (array(w) for w in weights)
     pairs = (w1, b1), (w2, b2), (w3, b3)
     first, second, third = (pad(np.concatenate([w.T, bias[None]])) for w, bias in pairs)
@@ -162,7 +162,7 @@ def _pack(weights: tuple[Tensor, ...]) -> tuple[Tensor, Tensor, Tensor]:
 def _unpack(
     n: int, m: int, dw1: Array, dw2: Array, db2: Array, dw3: Array, db3: Array
 ) -> list[Tensor]:
-    """The gradients in the order and shapes of the weights."""
+    """Return the gradients in the order and shapes of the weights."""
     first = dw1[:, :m].T
     grads = first[:, :-1], first[:, -1], dw2[:, :m], db2[0, :n], dw3[:, :n], db3
     return [torch.from_numpy(np.ascontiguousarray(grad)) for grad in grads]

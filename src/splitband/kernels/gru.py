@@ -1,4 +1,4 @@
-"""The rollout of a GRU, forward and backward, in compiled code.
+"""Compile the rollout of a GRU, forward and backward.
 
 With x = [y, u, 1], the biases as last columns of W, and the formulas of `torch.nn.GRU`,
 
@@ -37,7 +37,7 @@ from splitband.kernels.common import (
 from splitband.kernels.matmul import matmul
 
 _W_PLANES = [0, 1, 3]
-_GATHER = 64  # rows of gate gradients worth a product with them
+_GRADIENT_ROWS = 64  # rows of gate gradients worth a product with them
 
 
 def gru_rollout(
@@ -112,7 +112,7 @@ class _Rollout(torch.autograd.Function):
         jobs = []
         for i, rows in enumerate(ctx.rows):
             n = rows.stop - rows.start
-            dgates = dy.new_empty(4, -(-_GATHER // max(n, 1)), n, whh.shape[2])
+            dgates = dy.new_empty(4, -(-_GRADIENT_ROWS // max(n, 1)), n, whh.shape[2])
             saved = (*kept[3 * i : 3 * i + 3], dgates, wih, whh, wy)
             jobs.append((wanted, dy[rows], *saved, *sums[i], dy_warmup[rows], du[rows]))
         run_rows(_backward, jobs)
@@ -122,7 +122,7 @@ class _Rollout(torch.autograd.Function):
 def _simulate(
     y_warmup: Tensor, u: Tensor, steps: int, weights: tuple[Tensor, ...], keep: bool
 ) -> tuple[Tensor, list[slice], list[list[Tensor]]]:
-    """The samples, the rows of each job, and for each x, h and gates: of every step or the last."""
+    """Return the samples, the rows of each job, and x, h and gates of every step or the last."""
     packed = wx, wh, _ = _pack(*(array(w) for w in weights))
     batch, warmup, ny = y_warmup.shape
     width, last = wh.shape[2], warmup + steps - 1
@@ -148,7 +148,7 @@ def _pack(
     weight_out: Array,
     bias_out: Array,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """W' by planes, U' by planes, and C' over c, all to multiply from the right."""
+    """Pack W' and U' by planes, and C' over c, all to multiply from the right."""
     size = weight_hh.shape[1]
     wx = np.zeros((4, weight_ih.shape[1] + 1, size), weight_ih.dtype)
     wx[_W_PLANES, :-1] = weight_ih.reshape(3, size, -1).transpose(0, 2, 1)
@@ -159,7 +159,7 @@ def _pack(
 
 
 def _unpack(size: int, dwx: Array, dwh: Array, dwy: Array, dby: Array) -> list[Tensor]:
-    """The gradients in the order and shapes of the weights."""
+    """Return the gradients in the order and shapes of the weights."""
     dw = dwx[_W_PLANES, :, :size].transpose(0, 2, 1).reshape(3 * size, -1)
     du = dwh[:, :, :size].reshape(3 * size, size)
     db = dwx[:3, -1, :size].reshape(-1)

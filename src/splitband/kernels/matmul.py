@@ -1,4 +1,4 @@
-"""The matrix product of the kernels, for the many small products of a rollout.
+"""Compile the matrix product of the kernels, for the many small products of a rollout.
 
 BLAS spends most of such a product on packing its operands and waking its threads. Here a block
 of the result stays in registers while the inner index runs. That takes LLVM instructions, since
@@ -82,7 +82,7 @@ _add_products: Any = intrinsic(_sum_of_products)
 
 @dataclass(frozen=True)
 class _Product:
-    """Emits one product; rows, columns and sizes are LLVM integers unless they are `int`."""
+    """Emit one product; rows, columns and sizes are LLVM integers unless they are `int`."""
 
     builder: Any
     out: Any
@@ -135,7 +135,7 @@ class _Product:
             self.builder.store(self.builder.load(register), target, align=self.item_bytes)
 
     def divide(self, start: Any, stop: Any, length: int) -> tuple[Any, Any]:
-        """How many whole lengths fit between start and stop, and where they end."""
+        """Return how many whole lengths fit between start and stop, and where they end."""
         count = self.builder.sdiv(self.builder.sub(stop, start), start.type(length))
         return count, self.step(start, count, length)
 

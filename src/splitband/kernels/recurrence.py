@@ -1,4 +1,4 @@
-"""The recurrence of an IIR filter over the rows of a batch, in compiled code."""
+"""Compile the recurrence of an IIR filter over the rows of a batch."""
 
 from __future__ import annotations
 

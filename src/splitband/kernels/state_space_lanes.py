@@ -11,7 +11,9 @@ import numpy as np
 from splitband.kernels.common import Array, kernel, part, tanh
 from splitband.kernels.matmul import add_products, matmul
 
-_GATHER = 16  # steps whose gradients are kept until they are multiplied with what they belong to
+_GRADIENT_STEPS = (
+    16  # steps whose gradients are kept until they are multiplied with what they belong to
+)
 
 
 def size_of_kept(slots: int, width: int, hidden: int, warm: int) -> int:
@@ -110,11 +112,11 @@ def backward(
     ss = stream.reshape(last + 1, width, lanes)
     zs = stream[nu : nu + last * width].reshape(last, width, lanes)
     # Of each step: the gradients of the units and of what they are added to.
-    dfs = np.empty((_GATHER, hidden + size, lanes), dy.dtype)
-    dgs = np.empty((_GATHER, hidden + ny, lanes), dy.dtype)
+    dfs = np.empty((_GRADIENT_STEPS, hidden + size, lanes), dy.dtype)
+    dgs = np.empty((_GRADIENT_STEPS, hidden + ny, lanes), dy.dtype)
     dx, dw = np.zeros((size, lanes), dy.dtype), np.empty((nu, lanes), dy.dtype)
     for t in range(last, -1, -1):
-        step = t % _GATHER
+        step = t % _GRADIENT_STEPS
         df, dg = dfs[step], dgs[step]
         if t < last:
             df[hidden:] = dx
@@ -140,7 +142,7 @@ def backward(
                 matmul(dw, wz[:, size + 1 :].T, df, False)
                 _add_rows(du[:, t], dw)
         if step == 0:
-            stop = min(t + _GATHER, last + 1)
+            stop = min(t + _GRADIENT_STEPS, last + 1)
             dg_now = dgs[: stop - t]
             add_products(dws, dg_now, ss[t:stop])
             add_products(dwg, dg_now[:, hidden:], gs[t:stop])

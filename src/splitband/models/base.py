@@ -272,7 +272,7 @@ def conditioning(
     return torch.cat([values, values[..., -1:, :]], dim=-2)
 
 
-def paired(u: Tensor) -> Tensor:
+def with_next_input(u: Tensor) -> Tensor:
     """Each row of the inputs with the next one behind it, `(..., time, 2 nu)`.
 
     The step from n to n + 1 then knows the inputs of both samples, as it must where an input acts
@@ -282,7 +282,7 @@ def paired(u: Tensor) -> Tensor:
     return torch.cat([u, following], dim=-1)
 
 
-def beside(u: Tensor | None, given: Tensor) -> Tensor:
+def concat_inputs(u: Tensor | None, given: Tensor) -> Tensor:
     """The known inputs, if any, and `given` behind them, as far as both go: `(..., time, n)`."""
     if u is None:
         return given

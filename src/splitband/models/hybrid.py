@@ -15,11 +15,11 @@ from splitband.models.base import (
     Signals,
     Task,
     as_module,
-    beside,
+    concat_inputs,
     conditioning,
     inputs_of,
-    paired,
     slope_scale,
+    with_next_input,
 )
 from splitband.networks import Cell, rollout
 
@@ -55,12 +55,12 @@ class Hybrid(Model):
     def _conditioned(self, known: Signals) -> Signals:
         """The inputs as the network wants them, with the simulator's output among them."""
         if self.feedthrough and known.u is not None:
-            known = replace(known, u=paired(known.u))
+            known = replace(known, u=with_next_input(known.u))
         if not self.conditioned:
             return known
         # With inputs the simulator's output may depend on them, as an FMU's does.
         given = conditioning(_required(known), self.slope_scale, driven=self.nu > 0)
-        return replace(known, u=beside(known.u, given))
+        return replace(known, u=concat_inputs(known.u, given))
 
 
 class Filtered(Hybrid):

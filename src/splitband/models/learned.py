@@ -17,11 +17,11 @@ from splitband.models.base import (
     Signals,
     Task,
     as_module,
-    beside,
+    concat_inputs,
     conditioning,
     inputs_of,
-    paired,
     slope_scale,
+    with_next_input,
 )
 from splitband.networks import Cell, rollout
 
@@ -33,7 +33,7 @@ class Recurrent(Model):
     ----------
     cell : The network.
     feedthrough : The step to a sample knows the inputs of that sample, too: the cell has twice the
-        model's inputs, see `base.paired`. The paper has no inputs.
+        model's inputs, see `base.with_next_input`. The paper has no inputs.
     """
 
     def __init__(self, cell: Cell, feedthrough: bool = False) -> None:
@@ -49,7 +49,7 @@ class Recurrent(Model):
         return [Task("network", as_module(self.cell), record, record.y, self._simulate)]
 
     def _simulate(self, known: Signals, steps: int) -> Tensor:
-        u = paired(known.u) if self.feedthrough and known.u is not None else known.u
+        u = with_next_input(known.u) if self.feedthrough and known.u is not None else known.u
         return rollout(self.cell, known.y, steps, u)
 
 
@@ -196,12 +196,12 @@ class Split(Model):
         u = known.u
         if u is not None:
             at_once = self.feedthrough and k == 1
-            u = paired(u) if at_once else _mean_before(u, k, offset)
+            u = with_next_input(u) if at_once else _mean_before(u, k, offset)
         if self.conditioned and slower is not None:
             whole = torch.cat([self.pairs[band - 1].lowpass(known.y), slower], dim=1)
             scale = self.slope_scale[band - 1]
             given = conditioning(whole, scale, k, offset, driven=self.nu > 0)
-            u = beside(u, given)
+            u = concat_inputs(u, given)
         y = rollout(self._network(band), downsample(history, k, offset), steps, u)
         if not self.filter_output or band < len(self.pairs):
             return y

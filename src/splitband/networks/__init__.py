@@ -1,4 +1,4 @@
-"""Recurrent networks, and their free runs: the plain loop is the definition."""
+"""Define recurrent networks and their free runs; the plain loop is the definition."""
 
 from splitband.networks.cell import Cell
 from splitband.networks.euler_mlp import EulerMLP

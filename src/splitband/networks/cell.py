@@ -1,4 +1,4 @@
-"""Recurrent cells: one step of the dynamics, and what is seen of the state (paper, Eq. 8).
+"""Define the interface of recurrent cells: state transition and observation (paper, Eq. 8).
 
 Any `nn.Module` with these three methods works wherever a `GRU` does. State is passed and
 returned, never kept on the module.
@@ -15,7 +15,7 @@ from splitband.runtime.arguments import LARGEST_SIZE, whole
 
 @runtime_checkable
 class Cell(Protocol):
-    """What a rollout asks of a recurrent network.
+    """Define the methods that a rollout calls on a recurrent network.
 
     Attributes
     ----------
@@ -26,17 +26,17 @@ class Cell(Protocol):
     nu: int
 
     def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Any:
-        """The state h_R after the measured `y_warmup` `(batch, R, ny)`, `u` `(batch, R, nu)`."""
+        """Return the state h_R after `y_warmup` `(batch, R, ny)` and `u` `(batch, R, nu)`."""
 
     def step(self, h: Any, y: Tensor, u: Tensor | None = None) -> Any:
-        """h_{n+1} = f(h_n, y_n, u_n) for `y` `(batch, ny)` and `u` `(batch, nu)`."""
+        """Return h_{n+1} = f(h_n, y_n, u_n) for `y` `(batch, ny)` and `u` `(batch, nu)`."""
 
     def observe(self, h: Any) -> Tensor:
-        """y_n = C h_n, shape `(batch, ny)`."""
+        """Return y_n = C h_n, shape `(batch, ny)`."""
 
 
 def are_plain(*modules: tuple[nn.Module, type[nn.Module]]) -> bool:
-    """Whether each module is of exactly its type, has its biases, and no hooks."""
+    """Return whether each module has exactly its type, its biases, and no hooks."""
     return all(
         type(module) is kind
         and getattr(module, "bias", True) is not None

@@ -1,4 +1,4 @@
-"""The recurrent multilayer perceptron, the paper's "RNN"."""
+"""Define the recurrent multilayer perceptron, the paper's "RNN"."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from splitband.networks.cell import are_plain, check_sizes
 
 
 class EulerMLP(nn.Module):
-    """A recurrent multilayer perceptron, the paper's "RNN" (supplement, "MLP training").
+    """Integrate a multilayer perceptron by Euler steps, the paper's "RNN" (supplement).
 
     h_{n+1} = h_n + dt f(h_n, u_n) with three layers and tanh between them; the observation is
     fixed: y is the first `ny` entries of h. A recognition network maps the whole warm-up to h_R,
@@ -17,13 +17,13 @@ class EulerMLP(nn.Module):
 
     Parameters
     ----------
-    ny : Measured channels.
+    ny : Number of measured channels.
     warmup : R, samples of the warm-up.
     state_size : Size of h, at least `ny` (the paper's input_dim).
     hidden_size : Width of f.
     recognition_size : Width of the recognition network (the paper's rec_dim).
-    step_size : dt, in whatever unit of time suits f.
-    nu : Known inputs of f.
+    step_size : dt of the Euler step, in an arbitrary unit of time.
+    nu : Number of known inputs of f.
     """
 
     label = "rnn"
@@ -69,7 +69,7 @@ class EulerMLP(nn.Module):
         )
 
     def sized(self, ny: int, nu: int, warmup: int) -> EulerMLP:
-        """A new one with the same state, widths and step."""
+        """Return a new cell with the same state, widths and step."""
         return EulerMLP(
             ny,
             warmup,
@@ -81,7 +81,7 @@ class EulerMLP(nn.Module):
         )
 
     def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
-        """h_R, recognised from the last R measured samples; raises ValueError for fewer."""
+        """Return h_R, recognised from the last R measured samples; raises ValueError for fewer."""
         if y_warmup.shape[1] < self.warmup:
             raise ValueError(
                 f"the warm-up must have at least {self.warmup} samples, got {y_warmup.shape[1]}"
@@ -90,22 +90,22 @@ class EulerMLP(nn.Module):
         return self.recognition(seen[:, -self.warmup :].flatten(1))
 
     def step(self, h: Tensor, y: Tensor, u: Tensor | None = None) -> Tensor:
-        """One Euler step of h, shape `(batch, state_size)`; `y` is not used."""
+        """Return h after one Euler step, shape `(batch, state_size)`; `y` is not used."""
         return h + self.step_size * self.dynamics(h if u is None else torch.cat([h, u], dim=-1))
 
     def observe(self, h: Tensor) -> Tensor:
-        """The first `ny` entries of h."""
+        """Return the first `ny` entries of h."""
         return h[:, : self.ny]
 
     def fusable(self) -> bool:
-        """Whether the parts are what they were built as, and nothing listens to them."""
+        """Return whether the layers have their original types and no hooks."""
         kinds = (nn.Linear, nn.Tanh, nn.Linear, nn.Tanh, nn.Linear)
         return len(self.dynamics) == len(kinds) and are_plain(
             (self.dynamics, nn.Sequential), *zip(self.dynamics.children(), kinds, strict=True)
         )
 
     def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
-        """What `splitband.rollout` computes step by step, in one compiled call on the CPU."""
+        """Compute the rollout in one compiled call on the CPU."""
         from splitband.kernels import euler_rollout  # noqa: PLC0415  numba loads on first use
 
         warmup = y_warmup.shape[1]

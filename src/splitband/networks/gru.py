@@ -1,4 +1,4 @@
-"""The gated recurrent unit (paper, supplement, "GRU training")."""
+"""Define the gated recurrent unit (paper, supplement, "GRU training")."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from splitband.networks.cell import are_plain, check_sizes
 
 
 class GRU(nn.Module):
-    """A gated recurrent unit with a linear observation (paper, supplement, "GRU training").
+    """Combine a gated recurrent unit with a linear observation (paper, supplement).
 
     Parameters and their initialisation are those of `torch.nn.GRUCell` and `torch.nn.Linear`.
 
     Parameters
     ----------
     hidden_size : Size of the state h.
-    ny : Measured channels.
-    nu : Known inputs; they enter each step beside y.
+    ny : Number of measured channels.
+    nu : Number of known inputs; they enter each step together with y.
     """
 
     label = "gru"
@@ -30,11 +30,11 @@ class GRU(nn.Module):
         self.observation = nn.Linear(hidden_size, ny)
 
     def sized(self, ny: int, nu: int, warmup: int) -> GRU:
-        """A new one of the same hidden size; it warms up on any number of samples."""
+        """Return a new cell of the same hidden size; it warms up on any number of samples."""
         return GRU(self.hidden_size, ny, nu)
 
     def scaled(self, share: float) -> GRU:
-        """A template with fewer hidden units, or more."""
+        """Return a template whose hidden size is multiplied by `share`."""
         return GRU(max(1, round(share * self.hidden_size)), self.ny, self.nu)
 
     def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
@@ -45,19 +45,19 @@ class GRU(nn.Module):
         return h
 
     def step(self, h: Tensor, y: Tensor, u: Tensor | None = None) -> Tensor:
-        """One gated update of h, shape `(batch, hidden_size)`."""
+        """Return h after one gated update, shape `(batch, hidden_size)`."""
         return self.transition(y if u is None else torch.cat([y, u], dim=-1), h)
 
     def observe(self, h: Tensor) -> Tensor:
-        """C h + c."""
+        """Return C h + c, shape `(batch, ny)`."""
         return self.observation(h)
 
     def fusable(self) -> bool:
-        """Whether the parts are what they were built as, and nothing listens to them."""
+        """Return whether the layers have their original types and no hooks."""
         return are_plain((self.transition, nn.GRUCell), (self.observation, nn.Linear))
 
     def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
-        """What `splitband.rollout` computes step by step, in one compiled call on the CPU."""
+        """Compute the rollout in one compiled call on the CPU."""
         from splitband.kernels import gru_rollout  # noqa: PLC0415  numba loads on first use
 
         cell, out = self.transition, self.observation

@@ -1,4 +1,4 @@
-"""Free-running simulation of a cell: warm up on measured samples, then feed predictions back."""
+"""Simulate a cell freely: warm up on measured samples, then feed predictions back."""
 
 from __future__ import annotations
 
@@ -75,9 +75,9 @@ def free_run(cell: Cell, h: Any, steps: int, u: Tensor | None = None) -> tuple[T
 
 
 def _kernel(cell: Cell, y_warmup: Tensor, steps: int) -> Callable[..., Tensor] | None:
-    """The cell's fused rollout where it computes what the loop would.
+    """Return the cell's fused rollout if it computes the same as the loop, else None.
 
-    A subclass may step differently, so that only the class that declares a kernel is served.
+    A subclass may step differently. Therefore only the class that declares a kernel uses it.
     """
     if "fused_rollout" not in vars(type(cell)) or not cell.fusable():  # type: ignore[attr-defined]
         return None

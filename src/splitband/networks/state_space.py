@@ -26,7 +26,8 @@ class StateSpace(nn.Module):
 
     x_{n+1} = A x_n + B u_n + f(x_n, u_n) + a + K e_n and y_{n+1} = C x_{n+1} + D u_n +
     g(x_{n+1}, u_n) + c, where u_n is the row of inputs that acts on the step from n to n + 1. A
-    model with feedthrough gives the cell the inputs of both samples in that row (`base.paired`),
+    model with feedthrough gives the cell the inputs of both samples in that row (see
+    `base.with_next_input`),
     so that the output sees the input of its own sample. f and g are layers of tanh units and a
     weighted sum of them.
 

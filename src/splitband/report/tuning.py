@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from splitband.evaluation.trials import Attempt
+from splitband.evaluation.trials import StudyTrial
 from splitband.evaluation.tuned import FILE
 from splitband.evaluation.tuning import Tuning
 from splitband.report import pictures
@@ -101,7 +101,7 @@ def importances(tuning: Tuning) -> Figure:
     return figure
 
 
-def _trial(attempt: Attempt) -> dict[str, Any]:
+def _trial(attempt: StudyTrial) -> dict[str, Any]:
     tuned = attempt.tuned
     kept = asdict(attempt) | {"tuned": None, "scores": [*attempt.scores]}
     del kept["tuned"]

@@ -1,1 +1,1 @@
-"""What everything runs on: files that are never half written, processes, threads."""
+"""Provide files that are never half written, processes, threads and deadlines."""

@@ -1,4 +1,4 @@
-"""Jobs sent to the workers of a Dask scheduler; nothing else of the package knows Dask."""
+"""Send jobs to the workers of a Dask scheduler; only this file uses Dask."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NAMED = 3
 
 @final
 class Cluster(Workers):
-    """The workers of a Dask scheduler, as an executor (the extra `splitband[cluster]`).
+    """Use the workers of a Dask scheduler as an executor (the extra `splitband[cluster]`).
 
     It is also a context manager, which closes the connection and leaves the workers as they are.
 
@@ -66,7 +66,7 @@ class Cluster(Workers):
 
     @property
     def cores(self) -> int:
-        """How many jobs its workers carry out at once; 0 before the first one has come."""
+        """Return how many jobs the workers run at once; 0 before the first worker connects."""
         return sum(self._client.nthreads().values())
 
     def submit(
@@ -76,12 +76,12 @@ class Cluster(Workers):
         *args: Parameters.args,
         **kwargs: Parameters.kwargs,
     ) -> Future[Result]:
-        """See `Executor`; jobs are begun in the order in which they were submitted."""
+        """Submit a job; jobs start in the order in which they were submitted."""
         given = {**kwargs, "fifo_timeout": 0}
         return self._executor.submit(_carry_out, self._versions, fn, *args, **given)
 
     def shared(self, value: Any) -> Any:
-        """See `Workers`.
+        """Send a value to the cluster once, and return its reference.
 
         The scheduler keeps it, so that it is not lost with the worker that has it; workers get it
         from each other.
@@ -94,7 +94,7 @@ class Cluster(Workers):
 
     @contextmanager
     def listening(self, progress: Callable[[Any], None]) -> Iterator[Report]:
-        """See `Workers`."""
+        """Yield a report function that sends messages through the scheduler."""
         topic = f"splitband-{uuid.uuid4().hex}"
         self._client.subscribe_topic(topic, lambda event: progress(pickle.loads(event[1])))
         try:
@@ -104,13 +104,13 @@ class Cluster(Workers):
                 self._client.unsubscribe_topic(topic)
 
     def abandon(self, jobs: Sequence[Future[Any]]) -> None:
-        """See `Workers`; a training that runs ends with its epoch."""
+        """Give up jobs; a running training ends with its epoch."""
         if self._connected:
             self._executor.shutdown(wait=False)
             self._executor = self._client.get_executor(pure=False)
 
     def explained(self, error: BaseException) -> BaseException:
-        """See `Workers`."""
+        """Return an error that names lost workers or a lost scheduler."""
         from distributed import KilledWorker  # noqa: PLC0415
 
         if isinstance(error, KilledWorker):
@@ -135,7 +135,7 @@ class Cluster(Workers):
         return bool(self._client.status == "running")
 
     def _compared(self) -> Mapping[str, str | None]:
-        """The versions here; raises ValueError where they are not those of all workers."""
+        """Return the package versions here; raises ValueError if a worker has others."""
         found = self._client.get_versions(packages=COMPARED[1:])
         here = found["client"]["packages"]
         others = {
@@ -179,7 +179,7 @@ def silence() -> None:
 
 
 def _difference(here: Mapping[str, str | None], there: Mapping[str, str | None]) -> str:
-    """How the versions of a worker differ from those of this process; empty where they do not."""
+    """Describe how a worker's versions differ from those of this process; empty if they do not."""
     missing = [package for package in COMPARED if there.get(package) is None]
     if missing:
         return f"has no {' and no '.join(missing)}"
@@ -191,7 +191,7 @@ def _difference(here: Mapping[str, str | None], there: Mapping[str, str | None])
 
 
 def _counted(package: str, version: str) -> str:
-    """What counts of a version: not for which processors it was built ("+cpu")."""
+    """Return the part of a version that must agree, without a build suffix such as "+cpu"."""
     return (
         ".".join(version.split(".")[:2])
         if package == "python"
@@ -202,7 +202,7 @@ def _counted(package: str, version: str) -> str:
 def _carry_out(
     versions: Mapping[str, str | None], work: Callable[..., Result], *args: Any, **kwargs: Any
 ) -> Result:
-    """On a worker, which may have come after the versions were compared: do a job."""
+    """Run a job on a worker, after comparing versions, as the worker may have connected late."""
     from distributed.versions import get_versions  # noqa: PLC0415
 
     said = _difference(versions, get_versions(COMPARED[1:])["packages"])

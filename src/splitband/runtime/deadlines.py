@@ -1,4 +1,4 @@
-"""Until when work may go on, by the wall clock that all processes and machines share."""
+"""Limit the time of work by the wall clock, which all processes and machines share."""
 
 from __future__ import annotations
 
@@ -56,12 +56,12 @@ class Deadline:
 
     @property
     def left(self) -> float:
-        """Seconds until then, negative afterwards."""
+        """Return the seconds until the deadline, negative afterwards."""
         return self.at - now()
 
     @property
     def over(self) -> bool:
-        """Whether it has passed."""
+        """Return whether the deadline has passed."""
         return self.left <= 0
 
     def earlier(self, seconds: float) -> Deadline:

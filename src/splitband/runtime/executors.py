@@ -22,30 +22,30 @@ Report = Callable[[Any], bool]
 
 
 class Workers(Executor, ABC):
-    """An executor that knows how its jobs can report, and how they are given up."""
+    """Extend an executor by progress messages from jobs and by giving up jobs."""
 
     @abstractmethod
     def listening(self, progress: Callable[[Any], None]) -> AbstractContextManager[Report]:
-        """What jobs report by; `progress` is called in this process with the messages."""
+        """Yield the function by which jobs report; this process passes messages to `progress`."""
 
     @abstractmethod
     def abandon(self, jobs: Sequence[Future[Any]]) -> None:
         """End jobs whose results nobody waits for any more, or at least do not wait for them."""
 
     def shared(self, value: Any) -> Any:
-        """What jobs are given in place of an argument that is the same for all of them."""
+        """Return what is sent to jobs in place of an argument that all of them share."""
         return value
 
     def explained(self, error: BaseException) -> BaseException:
-        """The error to raise in place of one that a job ended with."""
+        """Return the error to raise in place of one that a job ended with."""
         if isinstance(error, CancelledError):
             return OSError("the executor has given up a job")
         return error
 
 
 @final
-class Strangers(Workers):
-    """An executor of somebody else's: the last report of a job comes with its result."""
+class ExecutorAdapter(Workers):
+    """Adapt any other executor: the last report of a job comes with its result."""
 
     def __init__(self, executor: Executor) -> None:
         self._executor = executor
@@ -57,16 +57,16 @@ class Strangers(Workers):
         *args: Parameters.args,
         **kwargs: Parameters.kwargs,
     ) -> Future[Result]:
-        """See `Executor`."""
+        """Submit a job to the adapted executor."""
         return self._executor.submit(fn, *args, **kwargs)
 
     @contextmanager
     def listening(self, progress: Callable[[Any], None]) -> Iterator[Report]:
-        """See `Workers`."""
+        """Yield a report function that never sends: messages come with the results."""
         yield _unsent
 
     def abandon(self, jobs: Sequence[Future[Any]]) -> None:
-        """See `Workers`; what runs already goes on."""
+        """Cancel jobs that have not started; running ones go on."""
         for job in jobs:
             job.cancel()
 
@@ -82,7 +82,7 @@ def given_to(
 
     What is not done when the `patience` is over is given up.
     """
-    workers = executor if isinstance(executor, Workers) else Strangers(executor)
+    workers = executor if isinstance(executor, Workers) else ExecutorAdapter(executor)
     waiting: set[Future[tuple[Result, list[Message]]]] = set()
     try:
         with workers.listening(progress) as report:
@@ -106,7 +106,7 @@ def given_to(
 
 
 def _until(patience: Deadline | None, jobs: Sequence[Future[Any]]) -> Iterator[Future[Any]]:
-    """The jobs as they are done, as long as somebody waits for them."""
+    """Yield the jobs as they finish, until the deadline."""
     limited = patience is not None and patience != Deadline()
     timeout = max(patience.left, 0.0) if patience is not None and limited else None
     try:
@@ -118,7 +118,7 @@ def _until(patience: Deadline | None, jobs: Sequence[Future[Any]]) -> Iterator[F
 def _done(
     work: Work[Job, Message, Result], report: Report, job: Job
 ) -> tuple[Result, list[Message]]:
-    """The result of a job, and its last message where that has not been sent."""
+    """Return the result of a job, and its last message if that has not been sent."""
     unsent: deque[Message] = deque(maxlen=1)
 
     def tell(message: Message) -> None:

@@ -1,4 +1,4 @@
-"""Writing files so that a reader never meets a half-written one."""
+"""Write files so that a reader never sees a half-written one."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def write_json_lines(path: str | Path, value: dict[str, Any]) -> None:
 
 
 def to_json(value: Any) -> str:
-    """Indented JSON; raises ValueError or TypeError for what JSON cannot hold."""
+    """Return indented JSON; raises ValueError or TypeError for what JSON cannot hold."""
     return json.dumps(value, indent=2, allow_nan=False) + "\n"
 
 

@@ -1,4 +1,4 @@
-"""The folder of a result: one command at a time, and one whole result or none."""
+"""Manage the folder of a result: one command at a time, and one whole result or none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The same work over many inputs, in this process, in several or by an executor."""
+"""Run the same work over many inputs, in this process, in several or by an executor."""
 
 from __future__ import annotations
 
@@ -69,11 +69,11 @@ def _ignore(_: Any) -> None:
 
 @final
 class Processes(Workers):
-    """Processes of this machine, which end with this one.
+    """Run jobs in processes of this machine, which end with this one.
 
     Parameters
     ----------
-    count : How many at most.
+    count : Largest number of processes.
     """
 
     def __init__(self, count: int) -> None:
@@ -92,13 +92,13 @@ class Processes(Workers):
         *args: Parameters.args,
         **kwargs: Parameters.kwargs,
     ) -> Future[Result]:
-        """See `Executor`."""
+        """Submit a job to the processes."""
         with _no_interrupts():  # again: multiprocessing's tracker has reset it
             return self._pool.submit(fn, *args, **kwargs)
 
     @contextlib.contextmanager
     def listening(self, progress: Callable[[Any], None]) -> Iterator[Report]:
-        """See `Workers`."""
+        """Yield a report function that sends messages through a queue to this process."""
         listener = threading.Thread(target=_forward, args=(self._queue, progress), daemon=True)
         listener.start()
         try:
@@ -108,7 +108,7 @@ class Processes(Workers):
             listener.join()
 
     def abandon(self, jobs: Sequence[Future[Any]]) -> None:
-        """See `Workers`; the processes are ended, and others begun for what comes next."""
+        """End the processes with their jobs, and start new ones for later jobs."""
         ended = [*(self._pool._processes or {}).values()]
         for worker in ended:
             worker.terminate()
@@ -116,13 +116,13 @@ class Processes(Workers):
         self._begin()  # with a queue of its own: who is ended may have held the old one's lock
 
     def explained(self, error: BaseException) -> BaseException:
-        """See `Workers`."""
+        """Return an error that says when a process was ended from outside."""
         if isinstance(error, BrokenProcessPool):
             return OSError("a training process was ended from outside, perhaps for memory")
         return super().explained(error)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
-        """See `Executor`."""
+        """End the processes."""
         self._pool.shutdown(wait, cancel_futures=cancel_futures)
 
 

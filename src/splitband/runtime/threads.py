@@ -1,4 +1,4 @@
-"""The one place where thread counts are set, and what several threads of a process share."""
+"""Set thread counts, and guard what the threads of a process share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is known of a saved model's simulator until its user gives it again."""
+"""Describe a saved model's simulator until its user passes it again."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SHOWN = 300
 
 @dataclass(frozen=True)
 class Absent:
-    """A description of a simulator, for people: nothing that it names is opened or run.
+    """Describe a simulator for people: nothing that it names is opened or run.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class Absent:
     fingerprint: str | None = None
 
     def __post_init__(self) -> None:
-        """Check what may come from a file."""
+        """Check values that may come from a file."""
         texts = self.kind, self.file, self.fingerprint or ""
         if not all(isinstance(text, str) for text in texts):
             raise ValueError("a simulator must be described by texts")

@@ -1,4 +1,4 @@
-"""Black-box simulators: whatever turns a time grid into a trajectory.
+"""Define black-box simulators, which turn a time grid into a simulated signal.
 
 Nothing about gradients or an inner state is asked of a simulator (paper, Sec. 4.3). `run` calls
 one and checks what comes back.
@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 
 
 class SimulatorError(RuntimeError):
-    """What went wrong in a simulator, in words for its user."""
+    """A simulator has failed; the message says why."""
 
 
 class SimulatorTimeoutError(TimeoutError):
@@ -32,7 +32,7 @@ class SimulatorTimeoutError(TimeoutError):
 
 
 class Simulator(Protocol):
-    """What `run` asks of a simulator."""
+    """Define the method that `run` calls on a simulator."""
 
     def simulate(self, time: Array) -> npt.ArrayLike:
         """The measured channels at the evenly spaced `time` in s: `(time,)` or `(time, ny)`.

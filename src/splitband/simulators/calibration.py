@@ -1,4 +1,4 @@
-"""Calibration of a simulator: gain, offset, delay and clock, each kept only where it pays.
+"""Calibrate a simulator: gain, offset, delay and clock, each kept only if it lowers the error.
 
 Not in the paper. A simulator that runs a little too fast, or late, is far from the record after a
 while however good it is otherwise; the record's training part is enough to see that.
@@ -21,9 +21,9 @@ Term = Literal["gain", "offset", "delay", "clock"]
 TERMS: tuple[Term, ...] = get_args(Term)
 
 MOST_DELAY = 0.1
-"""Of the training part's duration: how far a simulator may be early or late."""
+"""Largest delay or advance of a simulator, as a share of the training part's duration."""
 MOST_CLOCK = 0.05
-"""How much too fast or too slow it may run."""
+"""Largest relative deviation of the simulator's clock from 1."""
 _STILL = {"delay": 0.0, "clock": 1.0}
 _WORTH = 0.98  # a set of terms replaces a smaller one below this share of its error
 _SETS: tuple[tuple[Term, ...], ...] = (
@@ -38,15 +38,15 @@ _SETS: tuple[tuple[Term, ...], ...] = (
 
 @dataclass(frozen=True)
 class Calibration:
-    """y(t) = offset + gain * simulator(clock * t - delay).
+    """Map a simulation to the record: y(t) = offset + gain * simulator(clock * t - delay).
 
     t is counted from the origin, the first sample of the record that the calibration was fitted to.
 
     Attributes
     ----------
-    gain, offset : By channel; none stands for 1 and 0.
-    delay : In s, positive for a simulator that comes too early.
-    clock : How much faster the simulator's time must run.
+    gain, offset : One value a channel; empty for 1 and 0.
+    delay : Delay in s, positive for a simulator that is too early.
+    clock : Factor of the simulator's time.
     errors : What each set of terms left on held-out training samples: RMSE by set of terms, of
         channels scaled to a deviation of 1.
     """
@@ -59,7 +59,7 @@ class Calibration:
 
     @classmethod
     def from_fields(cls, **fields: Any) -> Calibration:
-        """As it was saved, also by a version that kept `untried` besides."""
+        """Return a saved calibration; `untried`, which earlier versions saved, is ignored."""
         fields.pop("untried", None)
         return cls(**fields)
 
@@ -71,13 +71,13 @@ class Calibration:
         begin: float = 0.0,
         begin_sim: float = 0.0,
     ) -> Array:
-        """The calibrated trajectory, `(samples, ny)`.
+        """Return the calibrated simulation, `(samples, ny)`.
 
         Parameters
         ----------
         y_sim : `(time, ny)`. Before the origin, its first and after its last sample the simulator
             stands still.
-        samples : How many to return.
+        samples : Number of samples to return.
         sampling_time : In s, of both.
         begin, begin_sim : Where the first sample to return and the first of `y_sim` lie, in samples
             after the origin.
@@ -93,7 +93,7 @@ class Calibration:
         return np.asarray(gain * moved + np.array(self.offset or 0.0), dtype=np.float64)
 
     def __post_init__(self) -> None:
-        """Check what may come from a file."""
+        """Check values that may come from a file."""
         numbers = [*self.gain, *self.offset, self.delay, self.clock]
         for value in numbers:
             if not isinstance(value, int | float) or not np.isfinite(value):
@@ -108,14 +108,14 @@ class Calibration:
                 raise ValueError(f"{name} must have {ny} value(s), got {len(getattr(self, name))}")
 
     def places(self, samples: int, sampling_time: float, begin: float = 0.0) -> Array:
-        """Where `apply` looks at the simulator, `(samples,)`, in samples after the origin."""
+        """Return where `apply` evaluates the simulator, `(samples,)`, in samples from t = 0."""
         index = begin + np.arange(samples, dtype=np.float64)
         if self.stays:
             return index
         return np.maximum(self.clock * index - self.delay / sampling_time, 0.0)
 
     def held(self, steps: int, sampling_time: float, begin: float, samples: int, end: float) -> str:
-        """A sentence on a simulation that ends too early; empty where it does not.
+        """Return a sentence about a simulation that ends too early, or an empty string.
 
         Of `samples` from `begin` on, the last `steps` are those of a forecast; `end` is where the
         simulation's next sample would lie. Both are counted in samples after the origin.
@@ -129,7 +129,7 @@ class Calibration:
         )
 
     def __str__(self) -> str:
-        """The terms that were kept, with their units."""
+        """Return the terms that were kept, with their units."""
         parts = []
         if self.gain:
             parts.append("gain " + ", ".join(f"{g:.3g}" for g in self.gain))
@@ -143,12 +143,12 @@ class Calibration:
 
     @property
     def stays(self) -> bool:
-        """Whether the simulator's time is left as it is."""
+        """Return whether the simulator's time is unchanged."""
         return self.delay == 0 and self.clock == 1
 
 
 def samples_needed(samples: int, train: int) -> int:
-    """How long a simulation must be for every term to be tried on a record of `samples`."""
+    """Return the length of a simulation with which every term can be fitted, in samples."""
     return int(np.ceil(samples * (1 + MOST_CLOCK) + train * MOST_DELAY)) + 1
 
 
@@ -203,7 +203,7 @@ def calibrate(
 
 
 def affine_fit(y_sim: Array, y: Array) -> tuple[Array, Array]:
-    """Gain and offset of each channel, `(ny,)` each, that bring `y_sim` closest to `y`.
+    """Return gain and offset of each channel, `(ny,)` each, that bring `y_sim` closest to `y`.
 
     By least squares on `(time, ny)`, where y is no NaN; a constant channel of the simulator gets
     gain 0.
@@ -215,14 +215,14 @@ def affine_fit(y_sim: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _mean(values: Array, y: Array) -> Array:
-    """Of each channel, where y is no NaN; 0 where it is nothing else."""
+    """Return the mean of each channel where y is not NaN; 0 for a channel that is all NaN."""
     measured = ~np.isnan(y)
     means = np.where(measured, values, 0.0).sum(axis=0) / np.maximum(measured.sum(axis=0), 1)
     return np.asarray(means, dtype=np.float64)
 
 
 def _gain(x: Array, y: Array) -> Array:
-    """By which x comes closest to y, where y is no NaN; 0 where x is."""
+    """Return the gain by which x comes closest to y where y is not NaN; 0 where x is zero."""
     power = np.where(np.isnan(y), 0.0, x**2).sum(axis=0)
     return np.asarray(np.nansum(x * y, axis=0) / np.where(power > 0, power, 1.0))
 
@@ -232,7 +232,7 @@ def _name(terms: Sequence[Term]) -> str:
 
 
 def _held_out(y_sim: Array, y: Array, sampling_time: float, terms: tuple[Term, ...]) -> Array:
-    """RMSE over what follows the samples that were fitted, for several cuts of `y`."""
+    """Return the RMSE on the samples after each of several cuts, fitted on those before it."""
     errors, measured = [], ~np.isnan(y)
     rows = np.flatnonzero(measured.any(axis=1))
     for share in (0.5, 0.6, 0.7, 0.8):
@@ -253,7 +253,7 @@ def _fit(
     terms: tuple[Term, ...],
     scale: Array | float = 1.0,
 ) -> Calibration:
-    """Least squares; gain and offset are eliminated, delay and clock searched for."""
+    """Fit by least squares: gain and offset are eliminated, delay and clock are searched for."""
     moving = tuple(term for term in _STILL if term in terms)
     index: Array = np.arange(len(y), dtype=np.float64)
     spline = _spline(y_sim)
@@ -263,7 +263,7 @@ def _fit(
         return spline(clock * index - delay) if moving else y_sim[: len(y)]
 
     def within(warp: Array) -> npt.NDArray[np.bool_]:
-        """Where the simulator says something: after its first and before its last sample."""
+        """Return where the simulation is known: from its first to its last sample."""
         delay, clock = _warp(warp, moving)
         places = clock * index - delay
         inside = (places >= 0) & (places <= len(y_sim) - 1)
@@ -307,13 +307,13 @@ def _affine(x: Array, y: Array, terms: Sequence[Term]) -> tuple[Array, Array]:
 
 
 def _warp(warp: Array, moving: Sequence[str]) -> tuple[float, float]:
-    """Delay in samples, and clock."""
+    """Return the delay in samples, and the clock factor."""
     values = _STILL | dict(zip(moving, map(float, warp), strict=True))
     return values["delay"], values["clock"]
 
 
 def _bounds(train: int, moving: Sequence[str]) -> tuple[Array, Array]:
-    """Of what moves; delays are in samples."""
+    """Return the bounds of the parameters that are searched for; delays are in samples."""
     still = np.array([_STILL[m] for m in moving])
     most = np.array([{"delay": MOST_DELAY * train, "clock": MOST_CLOCK}[m] for m in moving])
     return still - most, still + most
@@ -327,7 +327,7 @@ def _guesses(
     high: Array,
     count: int = 3,
 ) -> Iterator[Array]:
-    """Where to search from: nothing moved, and where the correlation with the record is highest."""
+    """Yield starting points: the identity, and those of the highest correlation with the record."""
     yield np.array([_STILL[m] for m in moving])
     limits = {m: (a, b) for m, a, b in zip(moving, low, high, strict=True)}
     clocks = np.linspace(*limits["clock"], 41) if "clock" in moving else np.ones(1)
@@ -345,7 +345,7 @@ def _guesses(
 
 
 def _correlation(y: Array) -> Callable[[Array], Array]:
-    """A function of x: the correlation of y with x, squared, as a gain may have either sign.
+    """Return a function of x: the squared correlation of y with x, as a gain may be negative.
 
     Its value at k is that of x shifted by k samples, -(n - 1)..n - 1. The transform of y, which all
     x have in common, is made once.
@@ -364,6 +364,6 @@ def _correlation(y: Array) -> Callable[[Array], Array]:
 
 
 def _spline(y: Array) -> Callable[[Array], Array]:
-    """Values between samples; the ends are held."""
+    """Return a function that interpolates between samples; the ends are held."""
     spline = scipy.interpolate.CubicSpline(np.arange(len(y)), y)
     return lambda index: np.asarray(spline(np.clip(index, 0, len(y) - 1)))

@@ -1,4 +1,4 @@
-"""A simulator that is a functional mock-up unit."""
+"""Run a functional mock-up unit as a simulator."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Fmu:
-    """A functional mock-up unit, run by FMPy (the extra `splitband[fmu]`).
+    """Run a functional mock-up unit by FMPy (the extra `splitband[fmu]`).
 
     The archive is unpacked once; its instance is reset, not loaded again, between runs. The
     unpacked files are removed by `close`, at the end of a `with` block, with the object, or when
@@ -66,7 +66,7 @@ class Fmu:
         self.outputs = list(given)
 
     def simulate(self, time: Array) -> npt.ArrayLike:
-        """See `Simulator`."""
+        """Simulate the measured channels at the times `time` in s."""
         if not self._idle:
             raise ValueError(f"the FMU {self.path} has been closed, or an earlier run failed")
         # Kept for the next run only after success: one that failed or still runs cannot be freed.
@@ -92,7 +92,7 @@ class Fmu:
         return values[np.minimum(at, len(values) - 1)]
 
     def fingerprint(self) -> str:
-        """What the trajectory depends on besides the time grid; the key of the cache."""
+        """Return the cache key: all that the output depends on besides the time grid."""
         content = hashlib.sha256(self.path.read_bytes()).hexdigest()
         return f"{content} {self.outputs} {sorted(self.start_values.items())}"
 

@@ -1,4 +1,4 @@
-"""A simulator that is a Python function of time."""
+"""Use a Python function of time as a simulator."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Function:
-    """A Python callable, `function(time) -> (time,) or (time, ny)`.
+    """Call a Python function, `function(time) -> (time,) or (time, ny)`.
 
     Attributes
     ----------
@@ -25,9 +25,9 @@ class Function:
     key: str | None = None
 
     def simulate(self, time: Array) -> npt.ArrayLike:
-        """See `Simulator`."""
+        """Simulate the measured channels at the times `time` in s."""
         return self.function(time)
 
     def fingerprint(self) -> str | None:
-        """The key."""
+        """Return the cache key."""
         return self.key

@@ -41,7 +41,7 @@ _TASK, _TIME, _VALUES, _FAILURE = "task.json", "time.npy", "values.npy", "failur
 
 @dataclass(frozen=True)
 class Isolated:
-    """An FMU, or a function of a Python file, as a simulator that can be ended at any time.
+    """Run an FMU, or a function of a Python file, in a process that can be ended at any time.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class Isolated:
 
 
 def _run_in(folder: Path, patience: float | None) -> int:
-    """The exit status of the process that does what the folder says."""
+    """Run the process that the folder describes and return its exit status."""
     package = str(Path(__file__).resolve().parents[1])
     known = os.environ.get("PYTHONPATH")
     search = os.pathsep.join([package, known] if known else [package])
@@ -123,7 +123,7 @@ def _run_in(folder: Path, patience: float | None) -> int:
 
 
 def function_of(path: str, name: str) -> Callable[[Array], Any]:
-    """A function of the user's own file, which runs that file."""
+    """Run the user's file and return a function of it."""
     sys.path.insert(0, str(Path(path).resolve().parent))
     try:
         function = runpy.run_path(path, run_name=Path(path).stem).get(name)
@@ -142,7 +142,7 @@ def _simulate(task: Isolated, time: Array) -> npt.ArrayLike:
 
 
 def _end_with_parent(parent: int) -> None:
-    """Do not go on for nobody when the parent has been killed."""
+    """End this process when its parent has been killed."""
     while os.getppid() == parent:
         clock.sleep(1)
     os._exit(1)

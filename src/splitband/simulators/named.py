@@ -1,4 +1,4 @@
-"""Simulators of the named records, on the time grid of their record."""
+"""Define the simulators of the named records, on the time grid of their record."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A simulator that is an ordinary differential equation."""
+"""Use an ordinary differential equation as a simulator."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Ode:
-    """An ordinary differential equation, solved by `scipy.integrate.solve_ivp`.
+    """Solve an ordinary differential equation by `scipy.integrate.solve_ivp`.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Ode:
     key: str | None = None
 
     def simulate(self, time: Array) -> npt.ArrayLike:
-        """See `Simulator`; raises RuntimeError where the solver gives up."""
+        """Solve at the times `time` in s; raises RuntimeError if the solver fails."""
         solution = scipy.integrate.solve_ivp(
             self.derivative,
             (time[0], time[-1]),
@@ -51,7 +51,7 @@ class Ode:
         return self.observe(solution.y.T)
 
     def fingerprint(self) -> str | None:
-        """The key, the initial state and the solver's settings."""
+        """Return the cache key: the key, the initial state and the solver's settings."""
         if self.key is None:
             return None
         state = np.asarray(self.initial_state, float).tolist()

@@ -1,4 +1,4 @@
-"""A simulator's trajectory that was exported to a file or array."""
+"""Use a simulator's exported output, from a file or an array."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """An exported trajectory: a simulation made elsewhere, at times of its own.
+    """Hold a simulation that was made elsewhere, at its own times.
 
     Attributes
     ----------
@@ -30,21 +30,21 @@ class Recorded:
 
     @classmethod
     def of(cls, trajectory: Record) -> Recorded:
-        """The trajectory of a file that `read` has read, with its time stamps."""
+        """Return the simulation from a record that `read` returned, with its time stamps."""
         return cls(trajectory.y, trajectory.sampling_time, trajectory.start)
 
     def on(self, grid: Grid) -> Aligned:
-        """The trajectory at other times; raises ValueError where it does not cover them."""
+        """Return the simulation at other times; raises ValueError if it does not cover them."""
         y = np.asarray(self.y, float)
         y = y[:, None] if y.ndim == 1 else y
         return aligned("the exported trajectory", y, self._grid, grid)
 
     def reach(self, grid: Grid) -> int:
-        """How many times, counted on from the first of the grid, it covers."""
+        """Return how many times it covers, from the first of the grid on."""
         return reach(self._grid, grid)
 
     def simulate(self, time: Array) -> npt.ArrayLike:
-        """See `Simulator`; with time stamps in s, `time` is on the same clock."""
+        """Return the simulation at `time` in s, on the same clock if it has stamps in s."""
         step = float(time[1] - time[0]) if len(time) > 1 else self.sampling_time
         return self.on(Grid(float(time[0]), step, len(time))).values
 

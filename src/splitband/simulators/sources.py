@@ -1,4 +1,4 @@
-"""The files that a user's Python file runs: its own, and those of the modules it imports."""
+"""Find the files that a user's Python file runs: itself and the modules that it imports."""
 
 from __future__ import annotations
 

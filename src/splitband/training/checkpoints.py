@@ -25,7 +25,7 @@ State = dict[str, Tensor]
 
 
 class Checkpoint:
-    """A file that holds the state of one training.
+    """Store the state of one training in a file.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Checkpoint:
         return Checkpoint(self.path.with_name(f"{self.path.stem}-{i}{self.path.suffix}"))
 
     def load(self, key: str) -> State | None:
-        """The state of the training that `key` says, if the file holds it."""
+        """Return the state of the training with this `key`, if the file holds it."""
         try:
             with safetensors.safe_open(self.path, framework="pt") as file:
                 said = file.metadata() or {}
@@ -71,12 +71,12 @@ class Checkpoint:
 
 
 def _sum(state: Mapping[str, Tensor]) -> str:
-    """A hash of the state, by which damage is noticed."""
+    """Return a hash of the state, which detects damage."""
     return key_of(*(part for name in sorted(state) for part in (name, state[name])))
 
 
 def key_of(*parts: object) -> str:
-    """A hash of all that a training depends on: only the same training has the same key."""
+    """Return a hash of all that a training depends on: only the same training has the same key."""
     digest = hashlib.sha256()
     for part in parts:
         if isinstance(part, Tensor):

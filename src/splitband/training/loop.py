@@ -1,4 +1,4 @@
-"""Training on windows of a record: free runs from a warm-up, compared with what was measured."""
+"""Train on windows of a record: free runs from a warm-up are compared with measurements."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ the training is given up."""
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a training run is: sent after each epoch."""
+    """Report the progress of a training, after each epoch."""
 
     task: str
     epoch: int
@@ -51,7 +51,7 @@ class Progress:
 
 @dataclass
 class History:
-    """What a training run did: the mean loss of each epoch by task, and its run time."""
+    """Hold the mean loss of each epoch by task, and the run time of a training."""
 
     losses: dict[str, list[float]] = field(default_factory=dict)
     """The losses of the epochs, followed by those of the rounds of L-BFGS in the same unit."""
@@ -154,7 +154,7 @@ def _built(model: Model) -> list[tuple[str, dict[str, Any]]]:
 
 
 def _share_of(deadline: Deadline, trainings: int) -> Deadline:
-    """The deadline of the first of several trainings that have the same time each."""
+    """Return the deadline of the first of several trainings that share the time equally."""
     return (
         Deadline(deadline.at - deadline.left * (1 - 1 / trainings)) if trainings > 1 else deadline
     )
@@ -218,7 +218,7 @@ class _Training:
 
     @property
     def done(self) -> bool:
-        """Whether all epochs and rounds are over."""
+        """Return whether all epochs and rounds are done."""
         settled = self.finish is not None and self.finish.settled
         return settled or len(self.losses) >= self.settings.epochs + self.settings.rounds
 
@@ -242,7 +242,7 @@ class _Training:
         self.cut = self.finish.cut
 
     def steps(self) -> int:
-        """Gradient steps so far, an iteration of L-BFGS counted as one."""
+        """Return the gradient steps so far; an iteration of L-BFGS counts as one."""
         rounds = max(0, len(self.losses) - self.settings.epochs)
         batches = self.settings.batches(len(self.starts))
         return batches * (len(self.losses) - rounds) + quasi_newton.ROUND * rounds
@@ -300,7 +300,7 @@ class _Training:
             self.restarts[:] = restarts
 
     def _pass(self) -> float:
-        """One pass over all windows; the mean loss."""
+        """Run one pass over all windows and return the mean loss."""
         settings, epoch = self.settings, len(self.losses)
         total, seen_windows, slower = 0.0, 0, 0.5 ** len(self.restarts)
         order = torch.randperm(len(self.starts), generator=self.generator)

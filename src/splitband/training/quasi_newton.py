@@ -21,7 +21,7 @@ ROUND = 20
 """Iterations of a round. Checkpoints are written between rounds, not within them."""
 MEMORY = 30
 """Steps from which the curvature is estimated."""
-SETTLED = 1e-5
+CONVERGED = 1e-5
 """A round that lowers the loss by less than this share of it is the last one."""
 HALVED = 20_000
 """Where there are at most this many windows to choose from, what successive ones predict overlaps
@@ -125,7 +125,7 @@ class QuasiNewton:
         if not reached <= began:
             self._put(before)
             reached = began
-        self.settled = not reached < (1 - SETTLED) * began
+        self.settled = not reached < (1 - CONVERGED) * began
         return float(reached**0.5)
 
     def _put(self, values: Sequence[Tensor]) -> None:

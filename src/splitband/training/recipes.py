@@ -1,4 +1,4 @@
-"""Training settings for a record of which nothing is known but its samples."""
+"""Choose training settings from the samples of a record alone."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ENOUGH_WINDOWS = 0.25
 
 
 def recipe_settings(recipe: Recipe, training: Record) -> Settings:
-    """How a recipe trains on a record; with a shorter warm-up where gaps leave it little room."""
+    """Return a recipe's settings for a record, with a shorter warm-up if gaps leave few windows."""
     samples = len(training)
     settings = Settings.of(samples) if recipe == "default" else paper_settings(samples)
     if training.measured is None or samples < settings.window:
@@ -36,6 +36,6 @@ def recipe_settings(recipe: Recipe, training: Record) -> Settings:
 
 
 def paper_settings(train: int) -> Settings:
-    """The paper's way of training, for a record of one's own: a constant rate, whole windows."""
+    """Return the paper's settings for any record: a constant rate, whole windows."""
     window = min(250, max(2, train // 2))
     return Settings(window, default_warmup(window))

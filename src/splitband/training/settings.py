@@ -1,4 +1,4 @@
-"""How a network is trained: windows, epochs, learning rate, and the default recipe."""
+"""Define how a network is trained: windows, epochs, learning rate, and the default recipe."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from splitband.training.quasi_newton import ROUND
 STEPS = 1000
 """Gradient steps of the default recipe, for each network."""
 SHORTEST_WINDOW = 150
-"""Of the default recipe, where the record is long enough."""
+"""Shortest window of the default recipe in samples, for records that are long enough."""
 
 
 MOST_BATCHES = 100
@@ -20,15 +20,15 @@ MOST_BATCHES = 100
 
 @dataclass(frozen=True)
 class Settings:
-    """How to train; the defaults are the paper's for its system (i), `Settings.of` is our recipe.
+    """Hold the settings of a training; defaults are the paper's for (i), `Settings.of` our recipe.
 
     Attributes
     ----------
     window : Samples of a sub-trajectory, warm-up included; one starts at every sample.
     warmup : R, its measured samples that set the initial state.
     epochs : Passes over all windows (the paper's "training steps").
-    batch_size : Windows to a step.
-    learning_rate : Of Adam, at the beginning.
+    batch_size : Windows a step.
+    learning_rate : Initial learning rate of Adam.
     milestones : `(epoch, learning rate)` pairs: the rate from that epoch on.
     one_cycle : The rate rises to `learning_rate` over the first tenth of the steps and falls along
         a cosine to a hundredth of it; in place of milestones.
@@ -79,7 +79,7 @@ class Settings:
 
     @classmethod
     def of(cls, samples: int, windows: int | None = None) -> Settings:
-        """The default recipe for a training record of so many samples; not in the paper.
+        """Return the default recipe for a training record of so many samples; not in the paper.
 
         Windows of two fifths of it, 150 to 400 samples; one cycle of the learning rate, clipped
         gradients, free runs that grow, and about `STEPS` steps for each network, at most
@@ -104,26 +104,26 @@ class Settings:
         )
 
     def batches(self, windows: int) -> int:
-        """Steps of an epoch over so many windows."""
+        """Return the steps of an epoch over so many windows."""
         batches = -(-windows // self.batch_size)
         return batches if self.most_batches is None else min(batches, self.most_batches)
 
     def batches_of(self, samples: int) -> int:
-        """Steps of an epoch over a record of so many samples without a gap."""
+        """Return the steps of an epoch over a record of so many samples without gaps."""
         return self.batches(max(samples - self.window + 1, 1))
 
     @property
     def rounds(self) -> int:
-        """Rounds of `quasi_newton.ROUND` iterations after the epochs."""
+        """Return the number of rounds of `quasi_newton.ROUND` iterations after the epochs."""
         return -(-(self.quasi_newton or 0) // ROUND)
 
     def steps_in_words(self) -> str:
-        """How long is trained, for tables."""
+        """Describe the length of the training, for tables."""
         epochs = f"{self.epochs} epoch{'s' if self.epochs > 1 else ''}"
         return f"{epochs}, L-BFGS {self.quasi_newton}" if self.quasi_newton else epochs
 
     def rate(self, epoch: int, share: float) -> float:
-        """The learning rate in an epoch, when `share` (0 to 1) of all steps are done."""
+        """Return the learning rate in an epoch, when `share` (0 to 1) of all steps are done."""
         if self.one_cycle:
             rise = 0.1
             if share < rise:
@@ -134,16 +134,16 @@ class Settings:
         return reached[-1] if reached else self.learning_rate
 
     def reach(self, share: float, steps: int) -> int:
-        """How many of a window's `steps` are simulated when `share` of all batches are done."""
+        """Return how many of a window's `steps` are simulated after this `share` of all batches."""
         done = min(1.0, share / self.growth) if self.growth else 1.0
         return max(1, round(steps * (0.1 + 0.9 * done)))
 
 
 def longest_window(samples: int) -> int:
-    """Three fifths of a training record, so that its windows differ."""
+    """Return three fifths of the samples, so that the windows of a record differ."""
     return 3 * samples // 5
 
 
 def default_warmup(window: int, most: int = 50) -> int:
-    """At most a third of the window, and no more than `most`."""
+    """Return a third of the window in samples, at most `most`."""
     return min(most, max(1, window // 3))

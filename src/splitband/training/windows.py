@@ -16,7 +16,7 @@ from splitband.models import Signals, Task
 
 @dataclass(frozen=True, eq=False)
 class WindowSet:
-    """Where windows may lie in training records, one record after the other.
+    """Hold the possible windows of training records, one record after the other.
 
     Attributes
     ----------

@@ -8,19 +8,19 @@ from pathlib import Path
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.report.benchmark import Row
-from splitband.report.page import cases, comparison, forecast, records
+from splitband.report.page import cases, comparison, forecast, spectrum_report
 from splitband.report.page.document import write as write_page
-from splitband.report.page.records import Looked
+from splitband.report.page.spectrum_report import SpectrumReport
 from splitband.report.page.usage import Usage
 
-__all__ = ["NAME", "Looked", "Usage", "write"]
+__all__ = ["NAME", "SpectrumReport", "Usage", "write"]
 
 NAME = "report.html"
 """Of the file beside other results."""
 
 
 def write(
-    result: Comparison | Forecast | Looked | Sequence[Row],
+    result: Comparison | Forecast | SpectrumReport | Sequence[Row],
     path: str | Path,
     usage: Usage | None = None,
 ) -> None:
@@ -38,8 +38,8 @@ def write(
         page = comparison.page(result, usage)
     elif isinstance(result, Forecast):
         page = forecast.page(result, usage)
-    elif isinstance(result, Looked):
-        page = records.page(result, usage)
+    elif isinstance(result, SpectrumReport):
+        page = spectrum_report.page(result, usage)
     else:
         page = cases.page(result, usage, NAME)
     write_page(page, path)

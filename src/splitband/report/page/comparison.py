@@ -10,8 +10,8 @@ import numpy.typing as npt
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.selection import Trial
-from splitband.report.page import horizon, runs, tables, usage, words
-from splitband.report.page.parts import Cast, Page, Section, View, entry, number
+from splitband.report.page import horizon, tables, time_plots, usage, words
+from splitband.report.page.parts import MethodStyles, Page, Section, View, entry, number
 from splitband.report.page.spectra import spectrum
 from splitband.report.page.training import training
 from splitband.report.page.usage import Usage
@@ -27,15 +27,15 @@ SHOWN = 3
 def page(comparison: Comparison, used: Usage) -> Page:
     """All of it."""
     record, trial = comparison.record, comparison.require_trial()
-    cast = cast_of([*comparison.runs], trial)
-    most = runs.most_points(comparison)
-    frame = runs.Frame.of(record, cast, most, "time")
+    styles = method_styles([*comparison.runs], trial)
+    most = time_plots.most_points(comparison)
+    frame = time_plots.Frame.of(record, styles, most, "time")
     sections = [
         _answer(comparison),
         Section("methods", "All methods", tables=[tables.methods(comparison)]),
         *_over_time(comparison, frame, most),
         _bands(comparison),
-        *_trained(comparison, cast),
+        *_trained(comparison, styles),
         usage.section(
             comparison.forecaster(), record, used, max(len(record) // 4, 1), bool(comparison.others)
         ),
@@ -46,17 +46,17 @@ def page(comparison: Comparison, used: Usage) -> Page:
         f"{name}: which model to use",
         lead(record),
         sections,
-        cast.methods,
+        styles.methods,
         _views(comparison, frame),
         intervals=bool(comparison.predictions),
     )
 
 
-def cast_of(names: list[str], trial: Trial) -> Cast:
+def method_styles(names: list[str], trial: Trial) -> MethodStyles:
     """The methods, the recommended one and the next best drawn at first."""
     ranked = [name for name in sorted(trial.scores, key=lambda n: trial.scores[n]) if name in names]
     others = [name for name in ranked if name != trial.recommended]
-    return Cast(names, trial.recommended, frozenset([trial.recommended, *others[:SHOWN]]))
+    return MethodStyles(names, trial.recommended, frozenset([trial.recommended, *others[:SHOWN]]))
 
 
 def lead(record: Record) -> str:
@@ -81,7 +81,7 @@ def _answer(comparison: Comparison) -> Section:
     return Section("answer", f"Recommended: {best}", text, words.warnings(comparison), facts=facts)
 
 
-def _over_time(comparison: Comparison, frame: runs.Frame, most: int) -> list[Section]:
+def _over_time(comparison: Comparison, frame: time_plots.Frame, most: int) -> list[Section]:
     """Free runs, test records, errors and components."""
     ahead = " and forecasts" if comparison.predictions else ""
     text = ["These plots zoom together. Shaded: the warm-up; dashed: the end of the training part."]
@@ -90,19 +90,21 @@ def _over_time(comparison: Comparison, frame: runs.Frame, most: int) -> list[Sec
             f"The record is longer than a screen is wide: of every {frame.size} samples each line "
             "shows the lowest and the highest, so that no peak is lost."
         )
-    sections = [Section("runs", f"Free runs{ahead}", text, plots=runs.free_runs(comparison, frame))]
+    sections = [
+        Section("runs", f"Free runs{ahead}", text, plots=time_plots.free_runs(comparison, frame))
+    ]
     if comparison.tests:
         text = ["Simulated from their first samples; nothing was fitted to them."]
-        plots = runs.test_runs(comparison, frame.cast, most)
+        plots = time_plots.test_runs(comparison, frame.styles, most)
         sections.append(Section("tests", "Test records", text, plots=plots))
     text = [
         "The RMSE of each channel up to each horizon: a model whose error stays flat does not "
         "drift. Lines: the mean of the seeds' predictions; shaded: the range of the single seeds, "
         "whose errors may all be larger."
     ]
-    plots = horizon.errors(comparison, frame.cast, most)
+    plots = horizon.errors(comparison, frame.styles, most)
     sections.append(Section("errors", "Error over horizon", text, plots=plots))
-    parts = runs.components(comparison, frame)
+    parts = time_plots.components(comparison, frame)
     if parts:
         text = ["What the models of several parts add up, for the methods that are switched on."]
         sections.append(Section("components", "Components", text, plots=parts))
@@ -142,10 +144,10 @@ def _bases(comparison: Comparison) -> dict[str, Array]:
     return found
 
 
-def _trained(comparison: Comparison, cast: Cast) -> list[Section]:
+def _trained(comparison: Comparison, styles: MethodStyles) -> list[Section]:
     """Training curves and what the search has tried."""
     sections = []
-    plots = training(comparison.runs, cast)
+    plots = training(comparison.runs, styles)
     if plots:
         text = ["The training loss of each epoch and seed, of the networks that are switched on; a "
                 "line that still falls at its end would gain from a longer training."]  # fmt: skip
@@ -173,7 +175,7 @@ def settings(facts: list[tuple[str, str]], used: Usage) -> Section:
     return Section("settings", "Settings and versions", facts=pairs, folded=True)
 
 
-def _views(comparison: Comparison, frame: runs.Frame) -> list[View]:
+def _views(comparison: Comparison, frame: time_plots.Frame) -> list[View]:
     values, train = frame.axis.values, comparison.setup.train
     views = [View("Whole record", *frame.axis.whole)]
     if train < len(values):

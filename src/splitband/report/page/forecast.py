@@ -5,12 +5,12 @@ from __future__ import annotations
 from splitband.evaluation.forecast import Forecast
 from splitband.metrics import leaving
 from splitband.report.page import figures, tables, usage, words
-from splitband.report.page.comparison import cast_of, lead, settings
+from splitband.report.page.comparison import lead, method_styles, settings
 from splitband.report.page.figures import TALL, TimeAxis
 from splitband.report.page.parts import Method, Page, Plot, Section, View, entry, number, percent
-from splitband.report.page.runs import MOST
 from splitband.report.page.spectra import spectrum
 from splitband.report.page.thinning import bin_size, envelope, places, thinned
+from splitband.report.page.time_plots import MOST
 from splitband.report.page.usage import Usage
 from splitband.report.table import tried
 
@@ -23,13 +23,13 @@ def page(result: Forecast, used: Usage) -> Page:
     record, steps = result.record, len(result.prediction)
     axis = TimeAxis.of(record, steps)
     end, first = len(record), max(len(record) - CONTEXT * steps, 0)
-    cast = cast_of([*result.trial.errors], result.trial)
+    styles = method_styles([*result.trial.errors], result.trial)
     views = [
         View("Whole record", *axis.whole),
         View("Its end and the forecast", axis.values[first], axis.values[-1]),
         View("Forecast", axis.values[end], axis.values[-1]),
     ]
-    plots = _forecasts(result, axis, cast.of(result.method), (views[1].start, views[1].end))
+    plots = _forecasts(result, axis, styles.of(result.method), (views[1].start, views[1].end))
     sections = [
         _answer(result),
         Section("forecast", "Forecast", _thinning(end + steps), plots=plots),

@@ -165,7 +165,7 @@ class Page:
 
 
 @dataclass(frozen=True)
-class Cast:
+class MethodStyles:
     """Which methods there are, and how each is drawn.
 
     Attributes

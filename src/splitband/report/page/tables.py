@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.search import Attempt
+from splitband.evaluation.search import SearchAttempt
 from splitband.evaluation.selection import Trial
 from splitband.report.page.parts import Cell, Table, entry, number
 from splitband.report.page.words import in_words
@@ -57,7 +57,7 @@ def _of_columns(
     return Table(caption, headings, rows, frozenset([[*said].index(marked)]), [*explained, *notes])
 
 
-def attempts(tried: Sequence[Attempt]) -> Table:
+def attempts(tried: Sequence[SearchAttempt]) -> Table:
     """How networks were trained to find out how to train them."""
     rows = [
         [

@@ -8,16 +8,16 @@ import numpy as np
 
 from splitband.evaluation.protocols import Run
 from splitband.report.page import figures
-from splitband.report.page.parts import Cast, Plot, number
+from splitband.report.page.parts import MethodStyles, Plot, number
 
 
-def training(runs: Mapping[str, Sequence[Run]], cast: Cast) -> list[Plot]:
+def training(runs: Mapping[str, Sequence[Run]], styles: MethodStyles) -> list[Plot]:
     """The loss over the epochs of each seed, a plot for each kind of network."""
     tasks = dict.fromkeys(task for of in runs.values() for run in of for task in run.fit.losses)
-    return [_losses(task, runs, cast) for task in tasks]
+    return [_losses(task, runs, styles) for task in tasks]
 
 
-def _losses(task: str, runs: Mapping[str, Sequence[Run]], cast: Cast) -> Plot:
+def _losses(task: str, runs: Mapping[str, Sequence[Run]], styles: MethodStyles) -> Plot:
     curves = {
         (name, run.seed): np.asarray(run.fit.losses[task], float)
         for name, of in runs.items()
@@ -38,7 +38,7 @@ def _losses(task: str, runs: Mapping[str, Sequence[Run]], cast: Cast) -> Plot:
         i = drawn[name] = drawn.get(name, -1) + 1
         data = figures.source(np.arange(1.0, 1 + len(y)), {"loss": np.maximum(y, 1e-300)})
         style = {"line_dash": figures.dash(i), "line_width": 1.4}
-        figures.method_line(shown, data, "loss", cast.of(name), **style)
+        figures.method_line(shown, data, "loss", styles.of(name), **style)
     figures.hover(shown, "epoch")
     said = ", ".join(f"{name} {number(loss)}" for name, loss in ends.items())
     return Plot(

@@ -15,7 +15,7 @@ from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.protocols import by_channel
 from splitband.report.page import figures
 from splitband.report.page.figures import LOW, TALL, TimeAxis
-from splitband.report.page.parts import Cast, Plot, number, percent
+from splitband.report.page.parts import MethodStyles, Plot, number, percent
 from splitband.report.page.thinning import bin_size, envelope, places, thinned
 
 Array = npt.NDArray[np.float64]
@@ -35,21 +35,21 @@ class Frame:
     axis : Its times.
     size : Samples of which two are drawn; 1: all are.
     x_range : What the plots share.
-    cast : The methods.
+    styles : The methods.
     """
 
     record: Record
     axis: TimeAxis
     size: int
     x_range: Range1d
-    cast: Cast
+    styles: MethodStyles
 
     @classmethod
-    def of(cls, record: Record, cast: Cast, most: int, name: str = "") -> Frame:
+    def of(cls, record: Record, styles: MethodStyles, most: int, name: str = "") -> Frame:
         """With all of the record in sight."""
         axis = TimeAxis.of(record)
         x_range = figures.time_range(*axis.whole, name)
-        return cls(record, axis, bin_size(len(record), most), x_range, cast)
+        return cls(record, axis, bin_size(len(record), most), x_range, styles)
 
     @property
     def x(self) -> Array:
@@ -98,7 +98,7 @@ def free_runs(comparison: Comparison, frame: Frame) -> list[Plot]:
                     shown,
                     f"{column}: {_CAPTIONS[side]}",
                     f"Line plot of {column} over {frame.axis.label}. Grey: what was measured. "
-                    f"In colour: {_listed(comparison, frame.cast, side, channel)}.",
+                    f"In colour: {_listed(comparison, frame.styles, side, channel)}.",
                     key=_key(frame.record),
                 )
             )
@@ -122,11 +122,11 @@ _CAPTIONS = {
 }
 
 
-def test_runs(comparison: Comparison, cast: Cast, most: int) -> list[Plot]:
+def test_runs(comparison: Comparison, styles: MethodStyles, most: int) -> list[Plot]:
     """Of each test record: free runs and residuals."""
     plots = []
     for i, test in enumerate(comparison.tests):
-        frame, name = Frame.of(test, cast, most), test.name or f"test {i + 1}"
+        frame, name = Frame.of(test, styles, most), test.name or f"test {i + 1}"
         for channel, column in enumerate(test.columns):
             curves = {
                 method: frame.padded(mean.tests[i].y[:, channel])
@@ -135,13 +135,13 @@ def test_runs(comparison: Comparison, cast: Cast, most: int) -> list[Plot]:
             }
             y_range = figures.between(*figures.limits([test.seen[:, channel]]))
             shown = _runs(frame, channel, curves, {}, y_range)
-            best = comparison.means[cast.recommended].tests
+            best = comparison.means[styles.recommended].tests
             error = " was not tested"
             if best:
                 error = f": RMSE {number(by_channel(test, best[i].y)[channel])}"
             says = (
                 f"Line plot of {column} of the test record {name} over {frame.axis.label}, in grey "
-                f"what was measured. {cast.recommended}{error}."
+                f"what was measured. {styles.recommended}{error}."
             )
             plots.append(Plot(shown, f"{name}, {column}: free runs", says, key=_key(test)))
             says = f"What is left of {column} of {name} when the free runs are subtracted."
@@ -198,8 +198,8 @@ def _runs(
         for edge, drawn in zip(("lower", "upper"), envelope(*edges, frame.size), strict=True):
             data.data[f"{name} {edge}"] = drawn
         edges_of = f"{name} lower", f"{name} upper"
-        figures.method_band(shown, data, *edges_of, frame.cast.of(name), interval=True)
-    for method in frame.cast.methods[::-1]:  # the recommended one is drawn over the others
+        figures.method_band(shown, data, *edges_of, frame.styles.of(name), interval=True)
+    for method in frame.styles.methods[::-1]:  # the recommended one is drawn over the others
         if method.name in curves:
             figures.method_line(shown, data, method.name, method)
     figures.hover(shown, frame.axis.label, frame.axis.dates)
@@ -209,7 +209,7 @@ def _runs(
 def _residuals(frame: Frame, channel: int, curves: Curves) -> figure:
     truth = frame.record.truth[:, channel]
     left = {name: truth - y for name, y in curves.items()}
-    scale = [left[name] for name in left if frame.cast.of(name).shown] or [*left.values()]
+    scale = [left[name] for name in left if frame.styles.of(name).shown] or [*left.values()]
     low, high = figures.limits(scale, 0.1)
     deviation = float(np.nanstd(truth)) or 1.0
     low, high = max(low, -5 * deviation), min(high, 5 * deviation)
@@ -219,7 +219,7 @@ def _residuals(frame: Frame, channel: int, curves: Curves) -> figure:
     drawn = {n: thinned(figures.clipped(y, low, high), frame.size) for n, y in left.items()}
     data = figures.source(frame.x, drawn)
     figures.mark(shown, 0.0, "zero", "width")
-    for method in frame.cast.methods[::-1]:
+    for method in frame.styles.methods[::-1]:
         if method.name in drawn:
             figures.method_line(shown, data, method.name, method, line_width=1.1)
     figures.hover(shown, frame.axis.label, frame.axis.dates)
@@ -247,7 +247,7 @@ def _marks(comparison: Comparison, frame: Frame, shown: figure, side: str) -> No
     warmup = comparison.setup.settings.warmup
     if train < len(values):
         figures.mark(shown, values[train])
-    run = comparison.means[frame.cast.recommended]
+    run = comparison.means[frame.styles.recommended]
     start = train if side == "forecast" else len(values) - len(run.from_start)
     figures.shade(shown, values[max(start - warmup, 0)], values[max(start - 1, 0)])
 
@@ -261,10 +261,10 @@ def _bands(comparison: Comparison, frame: Frame, channel: int) -> dict[str, tupl
     }
 
 
-def _listed(comparison: Comparison, cast: Cast, side: str, channel: int) -> str:
+def _listed(comparison: Comparison, styles: MethodStyles, side: str, channel: int) -> str:
     """The methods that are drawn at first, with their errors, in words."""
     said = []
-    for method in cast.methods:
+    for method in styles.methods:
         mean = comparison.means[method.name]
         if method.shown:
             y = mean.ahead if side == "forecast" else mean.from_start.y
@@ -272,7 +272,7 @@ def _listed(comparison: Comparison, cast: Cast, side: str, channel: int) -> str:
             mark = ", recommended," if method.recommended else ""
             said.append(f"{method.name}{mark} with RMSE {number(error)}")
     if side == "forecast" and comparison.trial is not None:
-        share = comparison.trial.intervals[cast.recommended].share
+        share = comparison.trial.intervals[styles.recommended].share
         said[-1] += f"; shaded: the interval that should hold {percent(share)}"
     return ", ".join(said)
 

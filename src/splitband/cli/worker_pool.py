@@ -17,7 +17,7 @@ from splitband.runtime.threads import available_cores
 
 
 @dataclass(frozen=True)
-class Crew:
+class WorkerPool:
     """Cores, of this machine where there is no executor."""
 
     cores: int
@@ -33,10 +33,10 @@ class Crew:
 
 
 @contextmanager
-def crew(jobs: int | None, cluster: str | None) -> Iterator[Crew]:
+def worker_pool(jobs: int | None, cluster: str | None) -> Iterator[WorkerPool]:
     """What --jobs and --cluster ask for."""
     if cluster is None:
-        yield Crew(jobs or available_cores())
+        yield WorkerPool(jobs or available_cores())
         return
     if jobs is not None:
         raise ValueError(
@@ -54,4 +54,4 @@ def crew(jobs: int | None, cluster: str | None) -> Iterator[Crew]:
         cores = executor.cores
         if cores == 0:
             showing.console.print(f"{cluster} has no worker yet: waiting for the first one")
-        yield Crew(max(cores, 1), executor)
+        yield WorkerPool(max(cores, 1), executor)

@@ -16,12 +16,12 @@ from splitband.report.page.usage import Usage
 
 
 @dataclass(frozen=True, eq=False)
-class Looked:
+class SpectrumReport:
     """What `splitband spectrum` has found.
 
     Attributes
     ----------
-    record : All that was looked at.
+    record : All that was found_spectrum at.
     cutoff, choice : Which it is, and why.
     facts : The rest, as in results.json.
     """
@@ -32,9 +32,9 @@ class Looked:
     facts: Mapping[str, Any]
 
 
-def page(looked: Looked, used: Usage) -> Page:
+def page(found_spectrum: SpectrumReport, used: Usage) -> Page:
     """All of it."""
-    record, facts = looked.record, looked.facts
+    record, facts = found_spectrum.record, found_spectrum.facts
     below = facts["share_below"]
     text = [
         f"Of the first {facts['train']:,} samples {percent(below)} of the power lies below the "
@@ -42,18 +42,18 @@ def page(looked: Looked, used: Usage) -> Page:
         f"{facts['order']} add up to the record with RMSE {number(facts['reconstruction_rmse'])}, "
         "all of it at the ends."
     ]
-    if looked.choice is not None:
-        reason = looked.choice.reason
+    if found_spectrum.choice is not None:
+        reason = found_spectrum.choice.reason
         text.append(f"Chosen by the first {facts['train']:,} samples: {reason}.")
-    numbers = [("cut-off (Hz)", number(looked.cutoff)), ("power below", percent(below))]
+    numbers = [("cut-off (Hz)", number(found_spectrum.cutoff)), ("power below", percent(below))]
     sections = [
         Section(
-            "answer", f"Cut-off at {number(looked.cutoff)} Hz", text, words.of_gaps(record),
+            "answer", f"Cut-off at {number(found_spectrum.cutoff)} Hz", text, words.of_gaps(record),
             facts=numbers,
         ),
         Section(
             "spectrum", "Spectrum", ["These plots zoom together."],
-            plots=spectrum(record, looked.cutoff, looked.choice, {}),
+            plots=spectrum(record, found_spectrum.cutoff, found_spectrum.choice, {}),
         ),
         _peaks(facts["peaks"]),
     ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Folders in which jobs keep files, also where jobs run on machines that do not see the folder."""
+"""Provide folders for the files of jobs, also for jobs on machines that do not share the disk."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ Files = dict[str, bytes]
 
 
 @dataclass(frozen=True)
-class Place:
-    """A folder of this machine in which jobs keep files.
+class JobFolder:
+    """Represent a folder of this machine in which jobs keep files.
 
     A worker that sees the folder uses it. Any other one is sent the files of its job, works in a
     temporary folder, and sends back what has changed with the result.
 
     Attributes
     ----------
-    folder : It exists.
-    mark : A file in it by which a worker knows that it sees the same folder; None where all do.
+    folder : Path of the existing folder.
+    mark : File by which a worker recognises the folder as shared; None if all workers share it.
     """
 
     folder: Path
@@ -35,7 +35,7 @@ class Place:
 
     @classmethod
     @contextmanager
-    def opened(cls, folder: Path, anywhere: bool) -> Iterator[Place]:
+    def opened(cls, folder: Path, anywhere: bool) -> Iterator[JobFolder]:
         """Create the folder if need be; `anywhere` says whether workers may not see it."""
         folder.mkdir(parents=True, exist_ok=True)
         if not anywhere:
@@ -50,7 +50,7 @@ class Place:
             mark.unlink(missing_ok=True)
 
     def files(self, prefix: str, within: str = "") -> Files:
-        """What a worker elsewhere needs: the files whose names begin so, in a folder within."""
+        """Return the files to send to a worker: those with this name prefix in a folder within."""
         if self.mark is None:
             return {}
         found = (self.folder / within).glob(glob.escape(prefix) + "*")
@@ -58,7 +58,7 @@ class Place:
 
     @contextmanager
     def at_work(self, files: Mapping[str, bytes], within: str = "") -> Iterator[tuple[Path, Files]]:
-        """In a job: where its files are, and what will have to be sent back at the end."""
+        """Yield to a job the folder of its files, and the files to send back at the end."""
         changed: Files = {}
         if self.mark is None or (self.folder / self.mark).exists():
             folder = self.folder / within
