@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -22,11 +22,13 @@ class Recorded:
     y : `(time,)` or `(time, ny)`.
     sampling_time : In s.
     start : Time stamp of the first sample; None for one that begins with the record.
+    name : What messages call it.
     """
 
     y: npt.ArrayLike
     sampling_time: float
     start: Stamp | None = None
+    name: str = "the exported trajectory"
 
     @classmethod
     def of(cls, trajectory: Record) -> Recorded:
@@ -37,11 +39,19 @@ class Recorded:
         """The trajectory at other times; raises ValueError where it does not cover them."""
         y = np.asarray(self.y, float)
         y = y[:, None] if y.ndim == 1 else y
-        return aligned("the exported trajectory", y, self._grid, grid)
+        return aligned(self.name, y, self._grid, grid)
 
     def reach(self, grid: Grid) -> int:
         """How many times, counted on from the first of the grid, it covers."""
-        return reach(self._grid, grid)
+        try:
+            return reach(self._grid, grid)
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from None
+
+    def note(self, grid: Grid) -> str:
+        """Return what is done to it to bring it to these times; empty where nothing is."""
+        covered = min(grid.samples, self.reach(grid))
+        return self.on(replace(grid, samples=covered)).note if covered > 0 else ""
 
     def simulate(self, time: Array) -> npt.ArrayLike:
         """See `Simulator`; with time stamps in s, `time` is on the same clock."""
