@@ -26,6 +26,12 @@ def change_json(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], Non
     return damage
 
 
+def state(description: dict[str, Any]) -> dict[str, Any]:
+    """What the description says of the forecaster."""
+    found: dict[str, Any] = description["facts"]["forecaster"]["state"]
+    return found
+
+
 def cut_weights(folder: Path) -> None:
     path = folder / "weights.safetensors"
     path.write_bytes(path.read_bytes()[:-4])
@@ -39,12 +45,13 @@ def cut_weights(folder: Path) -> None:
         (cut_weights, ("damaged/weights.safetensors", "damaged:")),
         (change_json(lambda d: d.update(format=9)), ("damaged/model.json", "format 9")),
         (change_json(lambda d: d["model"].update(type="eval")), ("model.json", "'eval'")),
-        (change_json(lambda d: d.update(facts={})), ("`splitband fit`", "method")),
-        pytest.param(
-            change_json(lambda d: d["facts"]["setup"]["settings"].update(warmup=-3)), ("warm",)
-        ),
-        pytest.param(
-            change_json(lambda d: d["facts"].update(columns=["a"])), ("columns",)
+        (change_json(lambda d: d.update(facts={})), ("`splitband fit`", "format")),
+        (change_json(lambda d: state(d)["trained_by"]["fields"].update(warmup=-3)), ("warm",)),
+        (
+            change_json(
+                lambda d: state(d)["fitted"]["fields"]["record"]["fields"].update(columns=["a"])
+            ),
+            ("columns",),
         ),
     ],
     ids=["json", "no json", "weights", "format", "type", "no facts", "warm-up", "columns"],
@@ -80,10 +87,16 @@ def test_a_damaged_calibration_is_one_line(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    def change(saved: dict[str, Any]) -> None:
+        if isinstance(calibration, dict):
+            saved["fields"].update(calibration)
+        else:
+            saved["fields"] = calibration
+
     shutil.copytree(hybrid_model, tmp_path / "damaged")
     for name in ("history.csv", "simulated.csv"):
         shutil.copy(name, tmp_path)
     monkeypatch.chdir(tmp_path)
-    change_json(lambda d: d["facts"].update(calibration=calibration))(Path("damaged"))
+    change_json(lambda d: change(state(d)["base"]["state"]["calibration"]))(Path("damaged"))
     line = HYBRID_AHEAD.replace("filtered", "damaged") + "--simulator simulated.csv"
     assert_fails(line, ("damaged",), capsys)

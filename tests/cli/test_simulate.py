@@ -8,6 +8,7 @@ import pytest
 
 import splitband as sb
 from splitband import read
+from splitband.cli import main
 from splitband.models import Filtered
 from splitband.models.saving import load
 from splitband.simulators.calibration import Calibration
@@ -117,6 +118,53 @@ def test_what_is_fitted_in_closed_form_goes_on_as_python_says(method: str, tmp_p
     expected = sb.load(out).predict(25, history, u=FORCE[50:75]).y
     np.testing.assert_allclose(written(tmp_path / "ahead.csv")[["a"]], expected, rtol=1e-12)
     np.testing.assert_allclose(expected[:, 0], A[50:75], atol=0.7)
+
+
+def test_an_interval_that_is_saved_with_a_model_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, history = sb.Harmonic().fit(read("record.csv", columns="a")), "history.csv"
+    model.save(tmp_path / "plain")
+    model.predict(1, level=0.9)
+    model.save(tmp_path / "model")
+    call(f"simulate {tmp_path / 'model'} --history {history} --steps 25 --level 0.8",
+         tmp_path / "ahead.csv")  # fmt: skip
+    table = written(tmp_path / "ahead.csv")
+    expected = model.predict(25, read(history, columns="a"), level=0.8)
+    assert list(table) == ["time", "a", "a, lower", "a, upper"]
+    assert expected.lower is not None
+    assert expected.upper is not None
+    np.testing.assert_allclose(table["a, lower"], expected.lower[:, 0], rtol=1e-12)
+    np.testing.assert_allclose(table["a, upper"], expected.upper[:, 0], rtol=1e-12)
+    for folder, level, said in (
+        ("plain", 0.8, "--level must have been asked for before the forecaster was saved"),
+        ("model", 2, "--level must be between 0 and 1, got 2"),
+    ):
+        line = f"simulate {tmp_path / folder} --history {history} --steps 25 --level {level}"
+        assert main([*line.split(), "--out", str(tmp_path / "none.csv")]) == 2
+        assert capsys.readouterr().err.startswith(f"error: {said}")
+    assert not (tmp_path / "none.csv").exists()
+
+
+def test_a_simulator_that_the_model_does_not_ask_for_is_refused(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = f"simulate {model} --history history.csv --steps 5 --simulator functions.py:good"
+    assert main([*line.split(), "--out", str(tmp_path / "x.csv")]) == 2
+    assert "--simulator must be left out for gru" in capsys.readouterr().err
+
+
+def test_what_a_simulator_said_is_kept_for_the_next_simulation(
+    hybrid_model: Path, tmp_path: Path
+) -> None:
+    line = (f"simulate {hybrid_model} --history history.csv --steps 25 --simulator "
+            f"functions.py:good --simulator-cache {tmp_path / 'cache'}")  # fmt: skip
+    call(line, tmp_path / "one.csv")
+    (kept,) = (tmp_path / "cache").iterdir()
+    np.save(kept, np.load(kept) + 1)
+    call(line, tmp_path / "two.csv")
+    one, two = (written(tmp_path / f"{name}.csv")["a"] for name in ("one", "two"))
+    assert np.abs(one - two).max() > 0.1
 
 
 def test_a_model_takes_the_place_of_another_kind(model: Path, tmp_path: Path) -> None:

@@ -44,6 +44,13 @@ def test_a_simulator_is_forecast_with() -> None:
     assert command.endswith("--method simulator-calibrated --steps 100")
 
 
+def test_only_a_model_that_asks_for_a_simulator_is_simulated_with_one() -> None:
+    given = {"record": "rig.csv", "simulator": "sim.csv", "simulator_columns": "y"}
+    for method, asked in (("filtered-gru", True), ("gru", False), ("linear", False)):
+        _, (_, simulate) = usage("compare", given, method).commands
+        assert ("--simulator sim.csv --simulator-columns y" in simulate) == asked
+
+
 def test_a_record_that_the_command_made_has_a_name_for_the_others() -> None:
     found = usage("demo", {"out": "demo"}, "harmonic", named="overhead-crane")
     (_, command), _ = found.commands

@@ -1,6 +1,7 @@
 """A forecast begins with the state that the history tells, of whichever run it is."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -88,3 +89,23 @@ def test_a_function_of_time_warns_of_a_history_that_it_disagrees_with(
     later = cycle(2 * np.pi * 300 / 40, begin=300.0)  # as the first one would go on
     for history in (None, cycle(0.0)[:120], later[:120], replace(later, start=300.0)[20:90]):
         assert not model.predict(20, history).doubts
+
+
+@pytest.mark.parametrize("network", [False, True])
+def test_recorded_output_has_to_cover_only_what_a_forecast_uses(
+    network: bool, tmp_path: Path
+) -> None:
+    """That is the warm-up and what follows it, or without a network what follows the origin."""
+    at = 20 + 0.1 * np.arange(400)
+    record = Record(np.sin(at), 0.1, y_sim=0.9 * np.sin(at), start=20.0)
+    hybrid = sb.Residual(None, sb.GRU(3), calibrated=True, settings=Settings(40, 10, 1))
+    (hybrid if network else sb.Simulation(calibrated=True)).fit(record[:200]).save(tmp_path)
+    used = 300 - 10 * network
+    whole, part, short = (
+        sb.load(tmp_path, sb.Recorded(0.9 * np.sin(at[begin:]), 0.1, at[begin]))
+        for begin in (0, used - 2, used + 2)
+    )
+    expected = whole.predict(50, record[150:300])
+    np.testing.assert_allclose(part.predict(50, record[150:300]).y, expected.y, atol=1e-6)
+    with pytest.raises(ValueError, match=r"the exported trajectory must cover"):
+        short.predict(50, record[150:300])

@@ -174,8 +174,9 @@ def _complain(message: str) -> int:
 
 
 OPTIONS = (
-    "calibrate", "columns", "conditioned", "cutoff", "downsampling", "epochs", "inputs", "level",
-    "methods", "order", "settings", "simulator", "steps", "storage", "train", "warmup", "window",
+    "calibrate", "columns", "conditioned", "cutoff", "downsampling", "epochs", "history",
+    "inputs", "level", "methods", "order", "settings", "simulator", "steps", "storage", "train",
+    "warmup", "window",
 )  # fmt: skip
 """Arguments of the library that are options of the same name here."""
 

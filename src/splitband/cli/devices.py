@@ -1,4 +1,4 @@
-"""What --device asks for: networks that are trained, or models that run, on an accelerator."""
+"""What --device asks for: networks that are trained, or run, on an accelerator."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import TypeVar
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import Ensemble
 from splitband.forecasters.network import Network
-from splitband.models import Model
 
 AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
 
@@ -18,13 +17,6 @@ def on_device(forecaster: AnyForecaster, device: str) -> AnyForecaster:
         check_device(device)
         forecaster.to(device)
     return forecaster
-
-
-def model_on_device(model: Model, device: str) -> Model:
-    """A model that is to be simulated on a device."""
-    if device != "cpu":
-        check_device(device)
-    return model.to(device)
 
 
 def check_device(device: str) -> None:

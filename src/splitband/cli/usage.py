@@ -10,6 +10,7 @@ from typing import Any
 from splitband.cli.fit import FITTED
 from splitband.cli.options.simulators import PATIENCE
 from splitband.data.named import RECORDS
+from splitband.forecasters.names import named as named_forecaster
 from splitband.report.page.usage import Usage
 
 _FIT = (
@@ -62,7 +63,9 @@ def usage(
     if method in FITTED:
         fit = _line("splitband fit", given, ["record", *_FIT])
         commands.append(("Fit it to the whole record", f"{fit} --method {method} --out model"))
-        simulate = _line("splitband simulate model", given, _SIMULATE)
+        simulated = "simulator" in named_forecaster(method).needs
+        options = _SIMULATE if simulated else ["time_column"]
+        simulate = _line("splitband simulate model", given, options)
         commands.append(
             ("Simulate it beyond measured samples",
              f"{simulate} --history FILE --steps {STEPS}{ahead} --out ahead.csv")

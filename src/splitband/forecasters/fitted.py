@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record
-from splitband.data.timing import Stamp, seconds_between
+from splitband.data.timing import Stamp, as_stamp, in_words, seconds_between
 from splitband.metrics import Extrapolation, extrapolations, input_range
 from splitband.runtime.arguments import whole
 
@@ -67,6 +67,8 @@ class Fitted:
     def __post_init__(self) -> None:
         """Check what may come from a file."""
         whole("begin", self.begin, 0)
+        if self.start is not None:
+            as_stamp(self.start)
 
     @property
     def several(self) -> bool:
@@ -95,6 +97,21 @@ class Fitted:
             return 0.0
         begin = seconds_between(self.start, history.start) / step
         return float(round(begin)) if abs(begin - round(begin)) < NEAR_ROW else begin
+
+    def beginning(self, history: Record) -> str:
+        """Return in words when a history begins, beside the training record; empty for with it."""
+        if history.start is None and self.start is not None:
+            return (
+                "the history has no time stamps: it is taken to begin where the training record "
+                f"did, at {in_words(self.start)}"
+            )
+        if history.start is not None and self.start is None:
+            return (
+                "the model does not know when its training record began: it is taken to begin with "
+                "the history"
+            )
+        later = self.begins(history) * self.record.sampling_time
+        return f"the history begins {later:+.7g} s after the training record" if later else ""
 
     def late_inputs(self, delays: Sequence[int]) -> str:
         """Return in words which inputs act late; empty for none."""

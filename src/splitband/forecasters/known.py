@@ -26,6 +26,7 @@ class Known:
     y_sim : A simulator's output over both, `(time + steps or more, ny)`, where there is one.
     grid : When `y` was measured, by the clock of its record.
     own : Whether `y` is the training record, or its end: nothing is to be learned from it again.
+    since : The row from which on a trajectory over both is used; before it anything may stand.
     """
 
     y: Array
@@ -35,6 +36,7 @@ class Known:
     y_sim: Array | None = None
     grid: Grid | None = None
     own: bool = False
+    since: int = 0
 
 
 def continued(

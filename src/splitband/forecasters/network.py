@@ -286,7 +286,8 @@ class Network(Forecaster):
         start = self._start(known)
         begin = start - self.warmup
         u = None if known.u is None else delayed(known.u, self.delays)
-        u, slow = (None if s is None else s[begin:] for s in (u, self._slow(known)))
+        slow = self._slow(replace(known, since=begin))
+        u, slow = (None if s is None else s[begin:] for s in (u, slow))
         return known.y[begin:start], len(known.y) + known.steps - start, u, slow
 
 

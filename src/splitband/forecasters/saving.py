@@ -205,8 +205,14 @@ def _loaded(
         if facts["format"] != FORMAT:
             raise ValueError(f"it has format {facts['format']!r}; this is for {FORMAT}")
         loaded = _decode(facts["forecaster"], {**_KNOWN, **classes})
+        for each in _simulations(loaded):
+            if each.fitted is not None:
+                each.calibration.check(each.fitted.record.ny)
     except KeyError as error:
-        raise ValueError(f"{folder} holds no forecaster: {error} is missing") from None
+        raise ValueError(
+            f"{folder} holds no forecaster: {error} is missing; a model that an older version "
+            "wrote without it must be trained again, with `splitband fit`"
+        ) from None
     except models.UNFIT as error:
         raise ValueError(f"{folder} holds no forecaster that can be read: {error}") from None
     if not isinstance(loaded, Forecaster):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self, final
@@ -11,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Grid, Record, Stamp, check_alike
-from splitband.data.timing import stamp_after
+from splitband.data.timing import in_words, stamp_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import NEAR_ROW, first_only
 from splitband.forecasters.known import Known
@@ -26,6 +27,8 @@ CALIBRATIONS = Remembered(calibrate)
 """Several forecasters, seeds and trials ask for the same calibration, which takes seconds."""
 LONGEST = 10**8
 """Samples, from the training record's first one on, over which a simulator is run."""
+NEAR_PLACE = 1e-6
+"""Of a sample: a simulator's output so close to a sample is that sample's, but for rounding."""
 AFFINE: tuple[Term, ...] = ("gain", "offset")
 
 
@@ -146,30 +149,29 @@ class Simulation(Forecaster):
 
     def extrapolate(self, known: Known) -> Array:
         """See `Forecaster`."""
-        return self.trajectory(known)[len(known.y) :]
+        return self.trajectory(replace(known, since=len(known.y)))[len(known.y) :]
 
     def trajectory(self, known: Known) -> Array:
-        """Over the history, too, `(time + steps, ny)`."""
+        """Return the output over the history, too, `(time + steps, ny)`.
+
+        Recorded output need not begin before the row from which on it is used; NaN stands before.
+        """
         samples = len(known.y) + known.steps
         record = self.require_fitted().record
         begin = known.begin or 0.0  # a simulator of another record begins with it
         if begin < 0 and not self.calibration.stays:
-            raise ValueError(
-                f"history must not begin before the training record for {self.name}, as the time "
-                f"of its calibration ({self.calibration}) counts from there"
-            )
+            raise ValueError(self._before(known))
+        if isinstance(self.simulator, Recorded):
+            return self._recorded(self.simulator, known, begin)
         y_sim, begin_sim = known.y_sim, begin
         if self.simulator is not None:
             places = self.calibration.places(samples, record.sampling_time, begin)
             if not places[-1] < LONGEST:
                 raise ValueError(
                     f"history must lie so that {self.name} is run for at most {LONGEST} samples, "
-                    f"got {places[-1]:.3g}"
+                    f"got {places[-1]:.3g}; without time stamps it begins with the training record"
                 )
             times, needed = self._times(known), int(np.ceil(places[-1] - 1e-6)) + 1
-            if isinstance(self.simulator, Recorded):  # its end is held, see `doubts`
-                least = int(np.ceil(begin - 1e-6)) + samples
-                needed = min(needed, max(least, self.simulator.reach(times)))
             begin_sim = min(begin, 0.0)  # before the training record it begins with the history
             if begin_sim and times.start is not None:
                 earlier = stamp_after(times.start, begin_sim * record.sampling_time)
@@ -178,6 +180,35 @@ class Simulation(Forecaster):
         if y_sim is None:
             raise ValueError(f"{self.name} needs a simulator's output (y_sim)")
         return self.calibration.apply(y_sim, samples, record.sampling_time, begin, begin_sim)
+
+    def _recorded(self, simulator: Recorded, known: Known, begin: float) -> Array:
+        """Return the trajectory by recorded output, see `trajectory`; its end is held (`doubts`).
+
+        It is read at whole steps from the history's samples, to be interpolated just once.
+        """
+        times, step = self._times(known), self.require_fitted().record.sampling_time
+        count, start = len(known.y) + known.steps - known.since, begin + known.since
+        places, first = self.calibration.places(count, step, start), 0.0
+        if times.start is not None and simulator.start is not None:
+            first = begin + math.floor(places[0] - begin + NEAR_PLACE)
+            times = replace(times, start=stamp_after(times.start, first * step))
+        samples = math.ceil(places[-1] - first - NEAR_PLACE) + 1
+        least = math.ceil(start + count - first - NEAR_PLACE)
+        samples = min(samples, max(least, simulator.reach(times)))
+        y_sim = simulator.on(replace(times, samples=samples)).values
+        y = self.calibration.apply(y_sim, count, step, start, first)
+        return np.concatenate([np.full((known.since, y.shape[1]), np.nan), y])
+
+    def _before(self, known: Known) -> str:
+        """Return what is wrong with a history that begins before the training record."""
+        fitted = self.require_fitted()
+        began = "" if fitted.start is None else f", at {in_words(fitted.start)}"
+        begins = None if known.grid is None else known.grid.start
+        found = "" if begins is None else f": it begins at {in_words(begins)}"
+        return (
+            f"history must not begin before the training record{began}, for {self.name}, as the "
+            f"time of its calibration ({self.calibration}) counts from there{found}"
+        )
 
     def on(self, record: Record) -> Record:
         """A record that begins with the simulator, with its calibrated output as `y_sim`."""
@@ -215,7 +246,8 @@ class Simulation(Forecaster):
         fitted = self.require_fitted()
         if known.begin is None and known.grid is not None:  # another record has its own clock
             return known.grid
-        return replace(fitted.record.grid, start=fitted.start)
+        start = known.grid.start if fitted.start is None and known.grid else fitted.start
+        return replace(fitted.record.grid, start=start)
 
     def _output(self, record: Record) -> Array:
         """Over a record and what is known beyond, of a simulator of its own what is needed."""

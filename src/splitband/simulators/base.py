@@ -60,8 +60,9 @@ def run(
     ny : Channels of the record.
     timeout : Seconds to wait; what runs on then is left behind in a thread.
     cache : Folder to keep trajectories in, for a simulator whose `fingerprint()` gives a string
-        that changes with whatever its trajectory depends on; an FMU's is its content.
-    name : What messages call the simulator, by default its class.
+        that changes with whatever its trajectory depends on; an FMU's is its content. By default
+        the simulator's own `cache`, if it has one.
+    name : What messages call the simulator, by default its `name`, or its class.
     start : The record's first time stamp. In seconds, the simulator is asked for start, start + dt,
         start + 2 dt, ...; where it is a date, or there is none, for 0, dt, 2 dt, ... An exported
         trajectory is aligned by its time stamps.
@@ -77,7 +78,8 @@ def run(
         When the simulator raises, takes too long, or returns another shape or NaN. The message
         names the simulator.
     """
-    name = name or type(simulator).__name__
+    name = name or getattr(simulator, "name", "") or type(simulator).__name__
+    cache = cache or getattr(simulator, "cache", None)
     begin = seconds_of(start)
     stored = _cache_file(simulator, (samples, sampling_time, ny, begin), cache)
     if stored is not None and stored.is_file():

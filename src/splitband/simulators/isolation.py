@@ -50,6 +50,7 @@ class Isolated:
     outputs : Of an FMU; none for all.
     timeout : Seconds to wait; None for ever.
     reads : Other files that its trajectory depends on.
+    cache : Folder to keep trajectories in, see `run`.
     """
 
     path: str
@@ -57,6 +58,12 @@ class Isolated:
     outputs: tuple[str, ...] = ()
     timeout: float | None = None
     reads: tuple[str, ...] = ()
+    cache: str | None = None
+
+    @property
+    def name(self) -> str:
+        """Return what messages call it: its file, and the function of it."""
+        return self.path if self.function is None else f"{self.path}:{self.function}"
 
     def simulate(self, time: Array) -> npt.ArrayLike:
         """See `Simulator`.

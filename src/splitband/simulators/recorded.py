@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -22,11 +22,13 @@ class Recorded:
     y : `(time,)` or `(time, ny)`.
     sampling_time : In s.
     start : Time stamp of the first sample; None for one that begins with the record.
+    name : What messages call it.
     """
 
     y: npt.ArrayLike
     sampling_time: float
     start: Stamp | None = None
+    name: str = "the exported trajectory"
 
     @classmethod
     def of(cls, trajectory: Record) -> Recorded:
@@ -37,11 +39,19 @@ class Recorded:
         """Return the simulation at other times; raises ValueError if it does not cover them."""
         y = np.asarray(self.y, float)
         y = y[:, None] if y.ndim == 1 else y
-        return aligned("the exported trajectory", y, self._grid, grid)
+        return aligned(self.name, y, self._grid, grid)
 
     def reach(self, grid: Grid) -> int:
         """Return how many times it covers, from the first of the grid on."""
-        return reach(self._grid, grid)
+        try:
+            return reach(self._grid, grid)
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from None
+
+    def note(self, grid: Grid) -> str:
+        """Return what is done to it to bring it to these times; empty where nothing is."""
+        covered = min(grid.samples, self.reach(grid))
+        return self.on(replace(grid, samples=covered)).note if covered > 0 else ""
 
     def simulate(self, time: Array) -> npt.ArrayLike:
         """Return the simulation at `time` in s, on the same clock if it has stamps in s."""
