@@ -26,6 +26,13 @@ def test_the_figures_of_a_page_are_those_of_the_result_files(page: str) -> None:
     assert stale == []
 
 
+@pytest.mark.parametrize("page", PAGES)
+def test_no_digits_touch_a_figure(page: str) -> None:
+    """Such as what is left of a number that was typed in."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    assert re.findall(r"[\d.]<!--=.*|<!--/-->\.?\d.*", text) == []
+
+
 def test_pages_that_state_results_have_figures() -> None:
     assert {"README.md", "docs/why.md", "docs/speed.md", "docs/reliability.md"} <= {*PAGES}
 
