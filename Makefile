@@ -1,4 +1,5 @@
 # `make demo` runs the main job, `make test` every check; both set up .venv first if need be.
+# `make figures` writes the figures of the documents from the result files.
 # `make docs` builds the documentation site, whose tutorials it executes: docs/_build/html/index.html.
 # `make fuzz` looks for failures at random, `make soak` repeats what takes long: both for minutes.
 PYTHON ?= python3
@@ -8,7 +9,7 @@ ifneq ($(wildcard ../shared/data),)
 export SPLITBAND_DATA_DIR ?= $(abspath ../shared/data)
 endif
 
-.PHONY: demo test check kernels format docs bench fuzz soak memory clean
+.PHONY: demo test check kernels format figures docs bench fuzz soak memory clean
 
 demo: .venv/.ready
 	$(BIN)/splitband demo --out demo
@@ -28,6 +29,9 @@ check: .venv/.ready
 format: .venv/.ready
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+figures: .venv/.ready
+	$(BIN)/python -m docs.figures_in_text
 
 docs: .venv/.ready
 	$(BIN)/python -m sphinx -b html --fresh-env --fail-on-warning --keep-going docs docs/_build/html

@@ -1,0 +1,336 @@
+"""Write the figures of the documents from their result files: `python -m docs.figures_in_text`.
+
+A figure in a page stands between two HTML comments, which no viewer shows:
+
+    a GRU has <!--={results/demo[methods][gru][forecast_rmse][0]:.2f}-->3.30<!--/--> m
+
+The first comment is a format string of Python. A name in it is a JSON file below docs, without its
+suffix, or a function of `COMPUTED` for a figure that takes more than looking it up; the keys that
+lead to the figure follow in brackets. What stands between the comments is replaced.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import statistics
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from benchmarks.sets import SETS
+from splitband.evaluation.search import SECONDS
+from splitband.forecasters.names import QUICK
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+FIGURE = re.compile(r"(<!--=(.+?)-->)(\s*)(.*?)(\s*)(<!--/-->)", re.DOTALL)
+NAIVE = ("persistence", "seasonal-naive", "harmonic")
+
+
+class Figures(Mapping[str, Any]):
+    """Result files and computed figures, by the names that pages use."""
+
+    def __getitem__(self, name: str) -> Any:
+        return COMPUTED[name]() if name in COMPUTED else _read(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(COMPUTED)
+
+    def __len__(self) -> int:
+        return len(COMPUTED)
+
+
+def filled(text: str) -> str:
+    """Return a page with each of its figures as the result files have it.
+
+    Raises
+    ------
+    ValueError : The comments do not come in pairs, a line begins with one and goes on (Markdown
+        ends the paragraph there), or a file or a key is unknown.
+    """
+    pairs = FIGURE.findall(text)
+    if not len(pairs) == text.count("<!--=") == text.count("<!--/-->"):
+        raise ValueError("a figure must stand between <!--=...--> and <!--/-->")
+    broken = re.search(r"^\s*<!--(=.+?|/)-->[ \t]*\S.*$", text, re.MULTILINE)
+    if broken:
+        raise ValueError(f"a line must not begin with the comment of a figure: {broken[0]}")
+    return FIGURE.sub(_filled, text)
+
+
+def pages() -> list[Path]:
+    """Return the Markdown files that have figures."""
+    found = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+    return [
+        page
+        for page in found
+        if "_build" not in page.parts and "<!--=" in page.read_text(encoding="utf-8")
+    ]
+
+
+def _filled(figure: re.Match[str]) -> str:
+    opening, template, before, _, after, closing = figure.groups()
+    try:
+        text = template.format_map(Figures())
+    except (AttributeError, LookupError, OSError, TypeError, ValueError) as error:
+        raise ValueError(f"{template}: {error!r}") from error
+    return f"{opening}{before}{text}{after}{closing}"
+
+
+@cache
+def _read(name: str) -> Any:
+    return json.loads((DOCS / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def _methods(name: str) -> dict[str, dict[str, Any]]:
+    methods: dict[str, dict[str, Any]] = _read(name)["methods"]
+    return methods
+
+
+def _number(text: str, after: str) -> float:
+    """Return the number behind a word in a method's description."""
+    found = re.search(rf"{after} (-?[\d.]+\d)", text)
+    if not found:
+        raise ValueError(f"there is no number behind {after!r} in {text!r}")
+    return float(found[1])
+
+
+# Comparisons
+
+
+def default_minutes() -> float:
+    """Return the minutes that `compare` takes at most by default."""
+    return SECONDS / 60
+
+
+def drill_string() -> dict[str, dict[str, float]]:
+    """Return each method's errors on the drill string, those of the mean of its seeds."""
+    return {
+        name: {
+            key: (facts["mean_of_seeds"] or {key: facts[key][0]})[key]
+            for key in ("total_rmse", "forecast_rmse")
+        }
+        for name, facts in _methods("results/drill-string").items()
+    }
+
+
+def drill_string_table() -> str:
+    """Return the table of README.md, the recommended method's errors in bold."""
+    rows = [
+        "| method | held out | changed | from the start | forecast | in interval | |",
+        "|---|---:|---:|---:|---:|---:|---|",
+    ]
+    recommended = _read("results/drill-string")["recommended"]
+    for name, facts in _methods("results/drill-string").items():
+        best = name == recommended
+        errors = [_bold(f"{facts['held_out_rmse']:.3f}", best)]
+        errors += [f"{facts['change']:.3f}" if facts["change"] else "0"]
+        for key, error in drill_string()[name].items():
+            deviation = facts.get(f"{key}_std")
+            spread = "" if deviation is None else f" ± {deviation:.3f}"
+            errors += [_bold(f"{error:.3f}", best) + spread]
+        label = _bold(name, best) + " (recommended)" * best
+        covers = f"{100 * facts['interval']['covers']:.0f} %"
+        rows.append(f"| {' | '.join([label, *errors, covers, _note(name, facts)])} |")
+    return "\n".join(rows)
+
+
+def _bold(text: str, yes: bool) -> str:
+    return f"**{text}**" if yes else text
+
+
+def _note(name: str, facts: dict[str, Any]) -> str:
+    """Return what the last column says of a method: words of its own, or its description."""
+    described = str(facts["description"])
+    terms = re.findall(r"(gain|offset|delay|clock) (-?[\d.]+\d)", described)
+    cutoff = _read("results/drill-string")["settings"]["cutoff"]
+    words = {
+        "gru": "one network, no simulator",
+        "filtered-gru-calibrated-conditioned":
+            f"simulator below {cutoff:.2f} Hz, network above",
+        "residual-gru-calibrated-conditioned": "network added to the simulator",
+        "simulator-calibrated": ", ".join(f"{t} {float(v):.3f}" for t, v in terms) + " s",
+        "mean": "of the training samples",
+    }  # fmt: skip
+    plain = described.replace("(s)", "s").replace(", and an offset", "")
+    return words.get(name, plain.replace("training samples", "samples"))
+
+
+def calibration_of_v() -> dict[str, float]:
+    """Return what calibrates the simulator of (v)."""
+    described = _methods("results/beyond/v")["simulator-calibrated"]["description"]
+    return {term: _number(described, term) for term in ("delay", "clock")}
+
+
+def torsion_network() -> dict[str, Any]:
+    """Return the network with the lowest held-out error on the torsion record."""
+    of = {n: f for n, f in _methods("results/double-torsion").items() if f["mean_of_seeds"]}
+    name = min(of, key=lambda name: float(of[name]["held_out_rmse"]))
+    return {"name": name, "held_out": of[name]["held_out_rmse"], **of[name]["mean_of_seeds"]}
+
+
+def regrets_beyond() -> str:
+    """Return the regret on each record beyond the paper, in order of size."""
+    ratios = []
+    for name in ("double-torsion-record", "pendulum-ii", "pendulum-iii", "pendulum-iv", "v", "vi"):
+        found = _read(f"results/beyond/{name}-default")
+        errors = {m: facts["forecast_rmse_mean"] for m, facts in found["methods"].items()}
+        ratios.append(errors[found["recommended"]] / min(errors.values()))
+    *others, last = (f"{ratio:.2f}" for ratio in sorted(ratios))
+    return f"{', '.join(others)} and {last}"
+
+
+# Benchmarks
+
+
+def reliability() -> dict[str, Any]:
+    """Return what recommendations with and without networks come to, and intervals of networks."""
+    baselines, found = (
+        _read(f"benchmarks/{name}")["found"]
+        for name in ("recommendation", "recommendation-default")
+    )
+    kinds = {facts["kind"]: facts for facts in found}
+    others = [facts for facts in found if facts["kind"] not in ("trend", "decay")]
+    networks = [[f for name, f in facts["methods"].items() if name not in QUICK] for facts in found]
+    every = [facts["inside"] for of_record in networks for facts in of_record]
+    best = [min(of, key=lambda facts: float(facts["held_out"]))["inside"] for of in networks]
+    worst = max(baselines, key=lambda facts: float(facts["regret"]))
+    return {
+        "baselines": _regret(baselines),
+        "networks": _regret(found),
+        "others": _regret(others),
+        "over_baselines": {
+            "mean": statistics.geometric_mean(facts["over_baselines"] for facts in found),
+            **{kind: facts["over_baselines"] for kind, facts in kinds.items()},
+        },
+        "duffing": kinds["duffing, driven"] | {"best": _best(kinds["duffing, driven"])},
+        "worst": worst | {"best": _best(worst)},
+        "intervals": {
+            "networks": len(every),
+            "every": 100 * statistics.mean(every),
+            "best": 100 * statistics.mean(best),
+        },
+    }
+
+
+def _regret(found: list[dict[str, Any]]) -> dict[str, float]:
+    regret, alone = (
+        statistics.geometric_mean(facts[key] for facts in found)
+        for key in ("regret", "regret_by_held_out_alone")
+    )
+    return {"records": len(found), "regret": regret, "by_held_out_alone": alone}
+
+
+def _best(facts: dict[str, Any]) -> str:
+    return min(facts["methods"], key=lambda name: float(facts["methods"][name]["error"]))
+
+
+def tanks_published() -> dict[str, float]:
+    """Return published errors on the cascaded tanks: of a linear model, and of black boxes."""
+    scores = {
+        name: float(score)
+        for name, (score,) in SETS["tanks"].published.items()
+        if "box" not in name
+    }
+    linear = scores.pop("linear state space (Champneys et al., 2024)")
+    return {"linear": linear, "lowest": min(scores.values()), "highest": max(scores.values())}
+
+
+def conditioning() -> dict[str, dict[str, float]]:
+    """Return the mean held-out error by record and by what the fast network was trained on."""
+    return {
+        record: {told: statistics.mean(run["held_out"] for run in of) for told, of in runs.items()}
+        for record, runs in _read("benchmarks/conditioning").items()
+    }
+
+
+def tsfast() -> dict[str, float]:
+    """Return the time of tsfast's faster backend over ours, by number of threads."""
+    return {
+        f"{n} threads": min(
+            _read("benchmarks/rollout")[f"EulerMLP, {n} threads"][
+                f"tsfast NeuralStateSpace, {backend} / kernel"
+            ]
+            for backend in ("eager", "C")
+        )
+        for n in (1, 2)
+    }
+
+
+# The paper's tables
+
+
+def paper() -> dict[str, dict[str, dict[str, Any]]]:
+    """Return the rows of the paper's tables by table, system and method.
+
+    Each has its mean error `ours`, and `off`, by how many per cent that differs from the paper's.
+    """
+    tables: dict[str, dict[str, dict[str, Any]]] = {}
+    for path in sorted((DOCS / "results/tables").glob("*.json")):
+        for row in _read(f"results/tables/{path.stem}")["rows"]:
+            if "system" not in row or "method" not in row:
+                continue
+            kept = dict(row)
+            if row.get("total_rmse"):
+                kept["ours"] = statistics.mean(row["total_rmse"])
+                if row["paper"]:
+                    kept["off"] = 100 * abs(kept["ours"] / row["paper"]["mean"] - 1)
+            tables.setdefault(path.stem, {}).setdefault(row["system"], {})[row["method"]] = kept
+    return tables
+
+
+def drill_string_of_the_paper() -> dict[str, float]:
+    """Return the best network's error on (vi) at the paper's settings, and the best baseline's.
+
+    Raises
+    ------
+    ValueError : Another record has a network that beats the best baseline.
+    """
+    won = {}
+    for table in ("learning-based", "hybrid-gru"):
+        for system, rows in paper()[table].items():
+            published = [n for n, row in rows.items() if row["paper"] and n != "simulator"]
+            network = min(rows[name]["ours"] for name in published)
+            baseline = min(rows[name]["ours"] for name in NAIVE)
+            if network < baseline:
+                won[system] = {"network": network, "baseline": baseline}
+    if [*won] != ["vi"]:
+        raise ValueError(f"networks beat the baselines on {', '.join(won)}, not on vi alone")
+    return won["vi"]
+
+
+def losses() -> dict[str, str]:
+    """Return the range over seeds of the high band's training loss on (ii)."""
+    rows = paper()["learning-based"]["ii"]
+    return {
+        name: "{:.2f} to {:.2f}".format(*(f(rows[name]["losses"]["high band"]) for f in (min, max)))
+        for name in ("split-gru", "split-gru-hp")
+    }
+
+
+COMPUTED: dict[str, Callable[[], Any]] = {
+    function.__name__: cache(function)
+    for function in (
+        default_minutes, drill_string, drill_string_table, calibration_of_v, torsion_network,
+        regrets_beyond, reliability, tanks_published, conditioning, tsfast, paper,
+        drill_string_of_the_paper, losses,
+    )
+}  # fmt: skip
+
+
+def main() -> None:
+    """Write the figures of every page, and say which pages changed."""
+    for page in pages():
+        text = page.read_text(encoding="utf-8")
+        try:
+            new = filled(text)
+        except ValueError as error:
+            raise SystemExit(f"{page.relative_to(ROOT)}: {error}") from error
+        if new != text:
+            page.write_text(new, encoding="utf-8")
+            print(page.relative_to(ROOT))
+
+
+if __name__ == "__main__":
+    main()
