@@ -1,0 +1,1 @@
+"""Pages of the documentation, and what fills in their figures."""
