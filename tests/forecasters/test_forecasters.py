@@ -429,7 +429,7 @@ def test_what_0_2_0_saved_is_to_be_trained_again(
         of = of[key]
     of["format"] = 1
     (tmp_path / file).write_text(json.dumps(description))
-    with pytest.raises(ValueError, match="format 1.* train it again, with `splitband fit`"):
+    with pytest.raises(ValueError, match=r"format 1.* train it again, with `splitband fit`"):
         sb.load(tmp_path)
 
 
