@@ -97,6 +97,7 @@ def test_its_repr_and_its_clone_and_the_page_make_the_same_forecaster(name: str)
         (sb.GRU(32), "sb.GRU(32)"),
         (sb.GRU(32, 2, 1), "sb.GRU(32, ny=2, nu=1)"),
         (sb.EulerMLP(), "sb.EulerMLP()"),
+        (sb.StateSpace(6, nu=1), "sb.StateSpace(6, nu=1)"),
         (sb.Bands(), "sb.Bands()"),
         (sb.Bands(0.5, 2, 3).chosen(record().y, 10.0, 20), repr(sb.Bands(0.5, 2, 3))),
         (sb.Function(rig, key="1"), "sb.Function(rig, key='1')"),
@@ -105,7 +106,7 @@ def test_its_repr_and_its_clone_and_the_page_make_the_same_forecaster(name: str)
         (sb.Recorded(np.zeros(3), 0.1), "sb.Recorded(..., 0.1)"),
         (Mine(np.float64(0.5), (sb.Mean(),)), "Mine(0.5, parts=(sb.Mean(),))"),
         (Forgetful(1.0), "Forgetful(...)"),
-        (sb.Single(OwnCell(6)), "sb.Single(OwnCell(6))"),
+        (sb.Single(OwnCell(6)), "sb.Single(OwnCell(6))"),  # type: ignore[arg-type]
         (sb.Residual(sb.Function(rig), sb.GRU(4)),
          "sb.Residual(sb.Simulation(sb.Function(rig)), sb.GRU(4))"),
     ],
@@ -170,7 +171,7 @@ def test_a_fit_begins_without_what_an_earlier_one_found() -> None:
         def learn(self, records: Any, **_: Any) -> None:
             self.found = [*getattr(self, "found", []), len(records[0])]
 
-    assert Growing(1.0).fit(record()).fit(record()[:90]).found == [90]  # type: ignore[attr-defined]
+    assert Growing(1.0).fit(record()).fit(record()[:90]).found == [90]
 
 
 def test_an_option_that_is_not_kept_is_named() -> None:
