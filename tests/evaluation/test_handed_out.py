@@ -96,7 +96,7 @@ def test_the_bands_suit_the_methods_that_are_compared() -> None:
     simulated = replace(record(), y_sim=np.sin(1.3 * DT * np.arange(200))[:, None])
     split = sb.Split(GRU(3), GRU(3), settings=SETTINGS)
     result = sb.compare(simulated, TRAIN, [split], seeds=1)
-    alone = sb.compare(record(), TRAIN, [split.copy()], seeds=1)
+    alone = sb.compare(record(), TRAIN, [split.clone()], seeds=1)
     assert result.setup.bands == alone.setup.bands
 
 

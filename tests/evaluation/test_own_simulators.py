@@ -66,7 +66,7 @@ def test_further_records_have_the_simulator_at_their_own_times() -> None:
     model = sb.Residual(sb.Function(slow), GRU(3), settings=SETTINGS)
     found = sb.compare(record, methods=[model], others=others, tests=[rig(90, 5.0)], seeds=1,
                        setup=SETUP)  # fmt: skip
-    alone = model.copy().fit(record, *others)
+    alone = model.clone().fit(record, *others)
     test = rig(90, 5.0)
     expected = alone.predict(len(test) - WARMUP, test[:WARMUP], other_record=True).y
     np.testing.assert_allclose(found.runs[model.name][0].tests[0].y, expected, atol=1e-6)
@@ -87,7 +87,7 @@ def test_the_bands_of_a_simulator_of_ones_own_are_chosen_beside_it() -> None:
     record = rig(200, 0.0)
     model = sb.Filtered(sb.Function(slow), GRU(3), settings=SETTINGS)
     chosen = sb.compare(record, 160, [model], seeds=1).forecaster().fit(record[:160])
-    alone = model.copy().fit(record[:160])
+    alone = model.clone().fit(record[:160])
     assert isinstance(chosen, sb.Filtered)
     assert isinstance(alone, sb.Filtered)
     assert chosen.trained_in == alone.trained_in

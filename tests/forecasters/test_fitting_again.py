@@ -29,15 +29,15 @@ def test_it_is_as_if_it_had_not_been_fitted_before(
 ) -> None:
     monkeypatch.setattr("splitband.training.settings.STEPS", 4)
     slow, fast = tones(0.05), tones(0.02, 220)
-    expected = OPEN[name].copy().fit(fast).predict(30).y
-    again = OPEN[name].copy().fit(slow)
+    expected = OPEN[name].clone().fit(fast).predict(30).y
+    again = OPEN[name].clone().fit(slow)
     assert np.shape(again.predict(30).y) == (30, 1)
     np.testing.assert_array_equal(again.fit(fast).predict(30).y, expected)
-    np.testing.assert_array_equal(again.copy().fit(fast).predict(30).y, expected)
+    np.testing.assert_array_equal(again.clone().fit(fast).predict(30).y, expected)
 
 
 def test_the_options_stay_as_they_were_given() -> None:
-    model = OPEN["part of the bands"].copy().fit(tones(0.05))
+    model = OPEN["part of the bands"].clone().fit(tones(0.05))
     assert isinstance(model, sb.Split)
     assert model.bands == Bands(order=2)
     assert model.trained_in is not None
@@ -58,8 +58,8 @@ def test_bands_that_are_given_in_part_are_completed_to_suit_it(bands: Bands) -> 
 def test_the_interval_knows_nothing_of_what_is_held_out() -> None:
     """The bands of its fits are chosen by three quarters, as those of a comparison would be."""
     record = tones(0.05)
-    model = OPEN["split"].copy().fit(record)
-    part = OPEN["split"].copy().fit(record[:120])
+    model = OPEN["split"].clone().fit(record)
+    part = OPEN["split"].clone().fit(record[:120])
     assert isinstance(model, sb.Split)
     assert isinstance(part, sb.Split)
     seen = []

@@ -233,9 +233,9 @@ def test_fitting_again_forgets_what_came_before() -> None:
 
 
 @pytest.mark.parametrize("name", TRAINED)
-def test_a_copy_is_not_fitted_and_leaves_the_original_as_it_is(name: str) -> None:
+def test_a_clone_is_not_fitted_and_leaves_the_original_as_it_is(name: str) -> None:
     expected = fitted(name).predict(STEPS).y
-    other = fitted(name).copy()
+    other = fitted(name).clone()
     assert other.fitted is None
     other.fit(record()[:40], seed=3)
     np.testing.assert_array_equal(fitted(name).predict(STEPS).y, expected)
@@ -411,21 +411,26 @@ def test_an_interrupted_save_leaves_the_members_that_were_there(
     assert len([*folder.glob("parts-*")]) == 1
 
 
-def test_an_ensemble_that_0_1_0_saved_is_still_read(tmp_path: Path) -> None:
-    """Its members lay beside the description, which did not name their seeds."""
-    model = sb.Ensemble(sb.Single(GRU(3), SETTINGS), 2).fit(record()[:TRAIN], seed=1)
-    model.save(tmp_path)
-    description = json.loads((tmp_path / "forecaster.json").read_text())
-    place = tmp_path / description.pop("parts")
-    for member in place.iterdir():
-        member.rename(tmp_path / member.name)
-    del description["forecaster"]["state"]["_seeds"]
-    (tmp_path / "forecaster.json").write_text(json.dumps(description))
-    found = sb.load(tmp_path)
-    assert isinstance(found, sb.Ensemble)
-    assert found.seeds == (0, 1)
-    u = record()[:TRAIN].u_beyond
-    np.testing.assert_array_equal(found.predict(STEPS, u=u).y, model.predict(STEPS).y)
+@pytest.mark.parametrize(
+    ("model", "file", "keys"),
+    [
+        (sb.Mean(), "forecaster.json", ()),
+        (sb.Ensemble(sb.Mean(), 2), "forecaster.json", ()),
+        (sb.Single(GRU(3), SETTINGS), "model.json", ("facts",)),
+    ],
+    ids=["baseline", "ensemble", "network"],
+)
+def test_what_0_2_0_saved_is_to_be_trained_again(
+    model: Forecaster, file: str, keys: tuple[str, ...], tmp_path: Path
+) -> None:
+    model.fit(record()[:TRAIN]).save(tmp_path)
+    description = of = json.loads((tmp_path / file).read_text())
+    for key in keys:
+        of = of[key]
+    of["format"] = 1
+    (tmp_path / file).write_text(json.dumps(description))
+    with pytest.raises(ValueError, match=r"format 1.* train it again, with `splitband fit`"):
+        sb.load(tmp_path)
 
 
 def test_the_seeds_of_an_ensemble_can_be_chosen() -> None:

@@ -220,6 +220,6 @@ def last_trainings(
 def as_trained(forecaster: Forecaster, seeds: Sequence[int]) -> Forecaster:
     """The forecaster of these seeds, not fitted: what is random is the mean over them."""
     if not forecaster.random or [*seeds] == [0]:
-        return forecaster.copy()
+        return forecaster.clone()
     usual = [*seeds] == [*range(len(seeds))]
-    return Ensemble(forecaster.copy(), len(seeds), seeds=None if usual else seeds)
+    return Ensemble(forecaster.clone(), len(seeds), seeds=None if usual else seeds)

@@ -118,7 +118,7 @@ def default_setup(
     beside = [f for f in _simulations(methods) if f.needs]
     y_sim = None
     if record.y_sim is not None and beside:
-        simulation = next((f for f in beside if f.calibrated), beside[0]).copy()
+        simulation = next((f for f in beside if f.calibrated), beside[0]).clone()
         simulation.fit(record[:train])
         y_sim = simulation.on(record[:train]).y_sim
     bands = bands or Bands()

@@ -126,7 +126,7 @@ def backtest(
     last: Forecaster | None = None
     for samples, of_fit in groupby(question.origins, key=lambda origin: origin.fitted):
         try:
-            fitted = forecaster.copy().fit(
+            fitted = forecaster.clone().fit(
                 record[:samples],
                 *question.others,
                 seed=seed,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -10,12 +10,13 @@ import numpy.typing as npt
 from splitband.filters import ComplementaryPair, butterworth
 from splitband.filters.cutoff import Choice, choose, choose_with_simulator
 from splitband.runtime.arguments import LARGEST_SIZE, whole
+from splitband.runtime.options import Written
 
 Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Bands:
+@dataclass(frozen=True, repr=False)
+class Bands(Written):
     """How a filter pair parts a signal into two bands; None is chosen by the training samples.
 
     Attributes
@@ -29,7 +30,7 @@ class Bands:
     cutoff: float | None = None
     order: int | None = None
     downsampling: int | None = None
-    choice: Choice | None = None
+    choice: Choice | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         """Check sizes."""
@@ -82,3 +83,7 @@ class Bands:
         if self.cutoff is None or self.order is None:
             raise ValueError("cutoff and order must be given, or chosen first, see Bands.chosen")
         return self.cutoff, self.order
+
+
+OPEN = Bands()
+"""All of it is chosen by the training samples."""

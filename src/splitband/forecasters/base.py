@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import copy
 import time
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Self, final
+from typing import Any, Self, final
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +23,7 @@ from splitband.forecasters.known import Known, continued
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import ExtrapolationWarning, leaves_range
 from splitband.runtime.arguments import whole
+from splitband.runtime.options import Written, attributes, options
 from splitband.runtime.threads import one_thread
 from splitband.training import Checkpoint, Progress, Settings
 
@@ -33,12 +33,13 @@ OVERFLOWED = 1e100
 """Stands for predicted values that are not finite, so that their errors are finite, and huge."""
 
 
-class Forecaster(ABC):
+class Forecaster(Written, ABC):
     """Whatever predicts: a network, a simulator, a baseline, a mean of several.
 
     A forecaster of your own says what it is called (`name`), what it learns (`learn`) and what
     comes next (`extrapolate`); where time stamps, inputs and a simulator's output lie has been
-    seen to by then.
+    seen to by then. Its constructor keeps each argument under an attribute of the same name, which
+    `fit` leaves as it is; all else is found by `fit`, and each fit begins without it.
 
     Attributes
     ----------
@@ -165,8 +166,9 @@ class Forecaster(ABC):
             When a training diverges.
         """
         self.check(*records)
-        self.forget()
         seed = whole("seed", seed, None)
+        kept = {name: vars(self)[name] for name in attributes(self).values()}
+        self._become(self.clone(), kept)  # nothing of an earlier fit
         self.fitted = Fitted.of(records, seed)
         began = time.perf_counter()
         # Closed forms work on small matrices, where the threads of BLAS wait for each other.
@@ -266,21 +268,39 @@ class Forecaster(ABC):
 
         saving.save(self, folder)
 
-    def copy(self) -> Self:
-        """An independent forecaster with the same options, not fitted."""
-        new = copy.copy(self)
-        new.forget()
-        return copy.deepcopy(new)
+    def get_params(self) -> dict[str, Any]:
+        """Return the options, which are what the constructor takes, by name.
 
-    def forget(self) -> None:
-        """Keep the options alone, and nothing of a fit."""
-        self.fitted = self.held_out = None
+        Raises TypeError where the constructor does not keep an argument as an attribute.
+        """
+        return options(self)
+
+    def set_params(self, **params: Any) -> Self:
+        """Change some options and return the forecaster itself, which is then not fitted.
+
+        Raises TypeError for an unknown option, and what the constructor raises.
+        """
+        self._become(self._made({**self.get_params(), **params}), {})
+        return self
+
+    def clone(self) -> Self:
+        """Return a new forecaster with the same options, not fitted."""
+        return self._made({name: _cloned(value) for name, value in self.get_params().items()})
 
     def require_fitted(self) -> Fitted:
         """What is remembered of the training records; raises ValueError before `fit`."""
         if self.fitted is None:
             raise ValueError(f"{self.name} must be fitted before it is asked: call fit(record)")
         return self.fitted
+
+    def _made(self, params: dict[str, Any]) -> Self:
+        """A forecaster of the same class with these options."""
+        return type(self)(**params)
+
+    def _become(self, other: Self, kept: dict[str, Any]) -> None:
+        """Take over all attributes of another one but those that are kept."""
+        vars(self).clear()
+        vars(self).update({**vars(other), **kept})
 
     def _known(
         self,
@@ -331,6 +351,15 @@ def total(parts: Sequence[Array]) -> Array:
     """Their sum, with `OVERFLOWED` where it is not finite."""
     most = OVERFLOWED
     return np.nan_to_num(np.sum(parts, axis=0), nan=most, posinf=most, neginf=-most)
+
+
+def _cloned(option: Any) -> Any:
+    """An option of a clone: forecasters are cloned in turn, everything else is shared."""
+    if isinstance(option, Forecaster):
+        return option.clone()
+    if type(option) in (list, tuple):
+        return type(option)(_cloned(part) for part in option)
+    return option
 
 
 def _named(record: Record) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Self, final
+from typing import Self, final
 
 import numpy as np
 import numpy.typing as npt
@@ -41,9 +41,6 @@ class Ensemble(Forecaster):
     >>> model.name, model.predict(20).y.shape
     ('gru', (20, 1))
     """
-
-    _seeds: tuple[int, ...] | None = None
-    """None: 0, 1, ...; models that were saved by 0.1.0 have nothing else."""
 
     def __init__(
         self,
@@ -116,11 +113,6 @@ class Ensemble(Forecaster):
         """See `Forecaster`."""
         return self._of(self.member.simulated(record, horizon, *others))
 
-    def forget(self) -> None:
-        """See `Forecaster`."""
-        super().forget()
-        self.members = []
-
     def prepare(self, record: Record) -> None:
         """See `Forecaster`."""
         self.member.prepare(record)
@@ -141,7 +133,7 @@ class Ensemble(Forecaster):
         for i, of_first in enumerate(self.seeds):
             of_member = None if checkpoint is None else checkpoint.numbered(i)
             watch = None if progress is None else _shifted(progress, i, self.count)
-            member = self.member.copy()
+            member = self.member.clone()
             own = seed * (max(self.seeds) + 1) + of_first
             member.fit(*records, seed=own, progress=watch, checkpoint=of_member)
             self.members.append(member)
@@ -174,10 +166,8 @@ class Ensemble(Forecaster):
         """See `Forecaster`."""
         return self.members[0].describe() if self.members else ""
 
-    def _of(self, member: Forecaster) -> Any:
-        new = self.copy()
-        new.member = member
-        return new
+    def _of(self, member: Forecaster) -> Self:
+        return self.clone().set_params(member=member)
 
 
 def _shifted(

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from splitband import models
 from splitband.data import Record
 from splitband.filters.spectrum import oracle
-from splitband.forecasters.bands import Bands
+from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.known import Known
 from splitband.forecasters.network import Template, as_template, label_of
@@ -29,11 +29,14 @@ Array = npt.NDArray[np.float64]
 class _Hybrid(Banded):
     """A network beside something that holds the long term."""
 
+    fitted_base: Forecaster | None = None
+    """What the base has become by `fit`."""
+
     def __init__(
         self,
         base: Forecaster | Simulator | None,
         cell: Template,
-        bands: Bands | None,
+        bands: Bands,
         calibrated: bool,
         conditioned: bool,
         settings: Settings | None,
@@ -54,6 +57,12 @@ class _Hybrid(Banded):
                 f"and Harmonic do, got {base.name}"
             )
         self.base = base
+        self._calibrated = False  # as an option; from here on the base says it
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether the base is a simulator that is calibrated."""
+        return isinstance(self.base, Simulation) and self.base.calibrated is not False
 
     @property
     def needs(self) -> frozenset[str]:
@@ -87,25 +96,19 @@ class _Hybrid(Banded):
 
     def simulated(self, record: Record, horizon: int, *others: Record) -> Self:
         """See `Forecaster`."""
-        new = self.copy()
-        new.base = self.base.simulated(record, horizon, *others)
-        return new
-
-    def forget(self) -> None:
-        """See `Forecaster`."""
-        super().forget()
-        self.base = self.base.copy()
+        return self.clone().set_params(base=self.base.simulated(record, horizon, *others))
 
     def doubts(self, known: Known) -> list[str]:
         """See `Forecaster`: those of the base."""
-        return self.base.doubts(known)
+        return self._fitted_base().doubts(known)
 
     def describe(self) -> str:
         """See `Forecaster`."""
-        if not isinstance(self.base, Simulation):
-            said = f"{self.base.name}: {self.base.describe()}"
+        base = self._fitted_base()
+        if not isinstance(base, Simulation):
+            said = f"{base.name}: {base.describe()}"
         else:
-            said = f"simulator: {self.base.calibration}" if self.base.calibrated else ""
+            said = f"simulator: {base.calibration}" if base.calibrated else ""
         return "; ".join(filter(None, [said, super().describe()]))
 
     def with_defaults(self, settings: Settings, bands: Bands) -> Self:
@@ -113,15 +116,13 @@ class _Hybrid(Banded):
         # The usual bands are for the simulator whose output the record brings. Up to which
         # frequency another base is right is only known once it is fitted; they are chosen then.
         usual = bands if "simulator" in self.base.needs else Bands()
-        new = super().with_defaults(settings, usual).copy()
-        new.base = self.base.with_defaults(settings, bands)
-        return new
+        new = super().with_defaults(settings, usual).clone()
+        return new.set_params(base=self.base.with_defaults(settings, bands))
 
     def for_samples(self, samples: int, instead_of: int) -> Self:
         """See `Forecaster`."""
-        new = super().for_samples(samples, instead_of).copy()
-        new.base = self.base.for_samples(samples, instead_of)
-        return new
+        new = super().for_samples(samples, instead_of).clone()
+        return new.set_params(base=self.base.for_samples(samples, instead_of))
 
     def extrapolate(self, known: Known) -> dict[str, Array]:
         """See `Forecaster`."""
@@ -142,9 +143,9 @@ class _Hybrid(Banded):
 
     def _seen(self, records: Sequence[Record], seed: int) -> list[Record]:
         """The records with the slow part as their simulator's output."""
-        self.base.fit(*records, seed=seed)
-        if isinstance(self.base, Simulation):
-            return [self.base.on(record) for record in records]
+        base = self.fitted_base = self.base.clone().fit(*records, seed=seed)
+        if isinstance(base, Simulation):
+            return [base.on(record) for record in records]
         seen = []
         for i, record in enumerate(records):
             begin = None if i else 0.0
@@ -153,8 +154,13 @@ class _Hybrid(Banded):
         return seen
 
     def _slow(self, known: Known) -> Array:
-        base: Any = self.base  # the constructor has checked that it has a `trajectory`
+        base: Any = self._fitted_base()  # the constructor has checked that it has a `trajectory`
         return base.trajectory(known)
+
+    def _fitted_base(self) -> Forecaster:
+        self.require_fitted()
+        assert self.fitted_base is not None
+        return self.fitted_base
 
     def _parts_of_name(self, kind: str) -> str:
         slow = "" if isinstance(self.base, Simulation) else f"-{self.base.name}"
@@ -194,7 +200,7 @@ class Filtered(_Hybrid):
         self,
         base: Forecaster | Simulator | None,
         cell: Template,
-        bands: Bands | None = None,
+        bands: Bands = OPEN,
         calibrated: bool = False,
         conditioned: bool = False,
         settings: Settings | None = None,
@@ -227,8 +233,8 @@ class Filtered(_Hybrid):
                        record.seen)  # fmt: skip
         if not reachable.nothing_to_learn:
             return []
-        calibrated = isinstance(self.base, Simulation) and self.base.calibrated is not False
-        return [reachable.describe() + ("" if calibrated else "; calibrating it may change that")]
+        advice = "" if self.calibrated else "; calibrating it may change that"
+        return [reachable.describe() + advice]
 
     def _derived_name(self) -> str:
         return self._parts_of_name("filtered")

@@ -111,25 +111,22 @@ class Network(Forecaster):
         """See `Forecaster`."""
         if self.settings is not None:
             return self
-        new = self.copy()
-        new.settings, new.tunable = settings, True
+        new = self.clone().set_params(settings=settings)
+        new.tunable = True
         return new
 
     def trained_as(self, settings: Settings, size: float = 1.0) -> Self:
         """With other settings, and cells `size` times as large."""
-        new = self.copy()
-        new.settings = settings
-        for attribute in self.cells:
-            cell = getattr(self, attribute)
-            if size != 1 and hasattr(cell, "scaled"):
-                setattr(new, attribute, cell.scaled(size))
-        return new
+        changed: dict[str, Any] = {"settings": settings}
+        for name in self.cells if size != 1 else ():
+            cell = getattr(self, name)
+            if hasattr(cell, "scaled"):
+                changed[name] = cell.scaled(size)
+        return self.clone().set_params(**changed)
 
     def called(self, name: str) -> Self:
         """Under another name."""
-        new = self.copy()
-        new._name = name
-        return new
+        return self.clone().set_params(name=name)
 
     def training_in_words(self) -> str:
         """Sizes, window and steps, for tables."""
@@ -152,9 +149,7 @@ class Network(Forecaster):
         window = self.settings.window
         least = max(min(SHORTEST_WINDOW, longest_window(samples)), self.settings.warmup + 1)
         shorter = max(round(window * samples / instead_of), least)
-        new = self.copy()
-        new.settings = replace(self.settings, window=min(window, shorter))
-        return new
+        return self.clone().set_params(settings=replace(self.settings, window=min(window, shorter)))
 
     def check(self, *records: Record) -> None:
         """See `Forecaster`."""
@@ -171,13 +166,7 @@ class Network(Forecaster):
                 f"window must fit into the {len(first)} training samples, got {settings.window}"
             )
         windows_in(records, settings.window, settings.warmup)
-        self.copy()._built(first, settings, seed=0)
-
-    def forget(self) -> None:
-        """See `Forecaster`."""
-        super().forget()
-        self.model = self.trained_by = None
-        self.delays = ()
+        self.clone()._built(first, settings, seed=0)
 
     def learn(
         self,
@@ -231,6 +220,12 @@ class Network(Forecaster):
         steps = len(known.y) + known.steps - start
         begun = replace(known, y=known.y[:start], steps=steps)
         return np.concatenate([known.y[:start], total([*self.extrapolate(begun).values()])])
+
+    def _made(self, params: dict[str, Any]) -> Self:
+        """See `Forecaster`; where it runs and what a comparison may change are no options."""
+        new = super()._made(params)
+        new.device, new.tunable, new.resizable = self.device, self.tunable, self.resizable
+        return new
 
     def _inputs_shifted(self, records: Sequence[Record], seen: Sequence[Record]) -> list[Record]:
         """The records as the model sees them, with inputs that act at once."""

@@ -51,7 +51,7 @@ from splitband.simulators.absent import Absent
 from splitband.simulators.calibration import Calibration
 from splitband.training import Settings
 
-FORMAT = 1
+FORMAT = 2
 FILE = "forecaster.json"
 PARTS = "parts-0", "parts-1"
 """Folders for what a forecaster is made of and has weights of its own: the members of an ensemble,
@@ -203,7 +203,10 @@ def _loaded(
         model, facts = models.load(folder, cells)
     try:
         if facts["format"] != FORMAT:
-            raise ValueError(f"it has format {facts['format']!r}; this is for {FORMAT}")
+            raise ValueError(
+                f"it has format {facts['format']!r}, this version reads {FORMAT}; train it again, "
+                "with `splitband fit` or fit(record), and save it"
+            )
         loaded = _decode(facts["forecaster"], {**_KNOWN, **classes})
         for each in _simulations(loaded):
             if each.fitted is not None:
@@ -221,8 +224,8 @@ def _loaded(
         loaded.model = model
         _check_cells(loaded, folder)
     parts = folder / _place_of(facts)
-    if isinstance(loaded, Filtered | Residual) and not hasattr(loaded, "base"):
-        loaded.base = _loaded(parts / BASE, classes)[0]
+    if isinstance(loaded, Filtered | Residual) and loaded.fitted_base is None:
+        loaded.fitted_base = _loaded(parts / BASE, classes)[0]
     if isinstance(loaded, Ensemble):
         whole("count", getattr(loaded, "count", None))
         loaded.members = [
@@ -275,9 +278,9 @@ def _described(folder: Path) -> dict[str, Any]:
 
 
 def _place_of(facts: Mapping[str, Any]) -> str:
-    """The folder of the parts; 0.1.0 kept them beside the description."""
+    """Return the name of the folder of the parts, which is one of `PARTS`."""
     place = facts.get("parts")
-    return str(place) if place in PARTS else "."
+    return str(place) if place in PARTS else PARTS[0]
 
 
 def _is_forecaster(value: Any) -> bool:
@@ -311,8 +314,8 @@ def _end(forecaster: Forecaster) -> Fitted:
 def _network_below(forecaster: Forecaster) -> Forecaster | None:
     """What holds the slow part of a network, where it has weights of its own."""
     if isinstance(forecaster, Ensemble):
-        return _network_below(forecaster.member)
-    base = getattr(forecaster, "base", None)
+        return _network_below(forecaster.members[0])
+    base = getattr(forecaster, "fitted_base", None)
     return base if isinstance(base, Network) else None
 
 
@@ -323,7 +326,7 @@ def _apart(forecaster: Forecaster) -> set[str]:
         left.add("model")
     fitted = forecaster.fitted is not None  # otherwise it has no weights, and is saved in place
     if fitted and not isinstance(forecaster, Ensemble) and _network_below(forecaster) is not None:
-        left.add("base")
+        left.add("fitted_base")
     return left | {"members"} if isinstance(forecaster, Ensemble) else left
 
 
@@ -406,9 +409,7 @@ def _decode(  # noqa: PLR0911, PLR0912  a line for each kind
     if not _is_forecaster(make):
         raise ValueError(f"{name} is no forecaster")
     forecaster: Any = object.__new__(make)  # type: ignore[arg-type]
-    # 0.2.0 kept the interval of one level.
-    state = {k: again(v) for k, v in value["state"].items() if k != "interval"}
-    vars(forecaster).update(state)
+    vars(forecaster).update({k: again(v) for k, v in value["state"].items()})
     if isinstance(forecaster, Network):
         forecaster.model = None
     if isinstance(forecaster, Ensemble):

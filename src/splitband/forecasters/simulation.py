@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -93,10 +92,6 @@ class Simulation(Forecaster):
         self.calibration = Calibration()
         self._name = name
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
-        # A simulator may hold what cannot be copied, such as an FMU that has been loaded.
-        return copy.copy(self)
-
     @property
     def name(self) -> str:
         """See `Forecaster`."""
@@ -138,14 +133,11 @@ class Simulation(Forecaster):
             needed = self._needed(len(each) + ahead, max(len(record), len(each)))
             place = each.start, each.sampling_time
             samples[place] = max(needed, samples.get(place, 0))
-        new = self.copy()
-        new.simulator = _Runs(
-            {
-                (start, step): self._run(Grid(start, step, needed), record.ny)
-                for (start, step), needed in samples.items()
-            }
-        )
-        return new
+        outputs = {
+            (start, step): self._run(Grid(start, step, needed), record.ny)
+            for (start, step), needed in samples.items()
+        }
+        return self.clone().set_params(simulator=_Runs(outputs))
 
     def extrapolate(self, known: Known) -> Array:
         """See `Forecaster`."""

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from splitband import models
 from splitband.data import Record
-from splitband.forecasters.bands import Bands
+from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.network import Network, Template, as_template, label_of
 from splitband.models import Model
 from splitband.training import Settings
@@ -24,10 +24,10 @@ class Banded(Network):
     """The bands, or what has been chosen where they were left open."""
 
     def __init__(
-        self, bands: Bands | None, conditioned: bool, settings: Settings | None, name: str | None
+        self, bands: Bands, conditioned: bool, settings: Settings | None, name: str | None
     ) -> None:
         super().__init__(settings, name)
-        self.bands, self.conditioned = bands or Bands(), conditioned
+        self.bands, self.conditioned = bands, conditioned
 
     @property
     def shares_bands(self) -> bool:
@@ -39,14 +39,8 @@ class Banded(Network):
         new = super().with_defaults(settings, bands)
         # What is left open beside a cut-off or an order that is given has to be chosen to suit it.
         if self.shares_bands:
-            new = new.copy()
-            new.bands = bands
+            new = new.clone().set_params(bands=bands)
         return new
-
-    def forget(self) -> None:
-        """See `Forecaster`."""
-        super().forget()
-        self.trained_in = None
 
     def _decide(self, record: Record, settings: Settings) -> None:
         self.trained_in = self._bands_for(record, settings)
@@ -100,7 +94,7 @@ class Split(Banded):
         self,
         low: Template,
         high: Template,
-        bands: Bands | None = None,
+        bands: Bands = OPEN,
         filter_output: bool = False,
         conditioned: bool = False,
         settings: Settings | None = None,

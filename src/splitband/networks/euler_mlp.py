@@ -6,9 +6,10 @@ import torch
 from torch import Tensor, nn
 
 from splitband.networks.cell import are_plain, check_sizes
+from splitband.runtime.options import Written
 
 
-class EulerMLP(nn.Module):
+class EulerMLP(Written, nn.Module):
     """Integrate a multilayer perceptron by Euler steps, the paper's "RNN" (supplement).
 
     h_{n+1} = h_n + dt f(h_n, u_n) with three layers and tanh between them; the observation is

@@ -6,9 +6,10 @@ import torch
 from torch import Tensor, nn
 
 from splitband.networks.cell import are_plain, check_sizes
+from splitband.runtime.options import Written
 
 
-class GRU(nn.Module):
+class GRU(Written, nn.Module):
     """Combine a gated recurrent unit with a linear observation (paper, supplement).
 
     Parameters and their initialisation are those of `torch.nn.GRUCell` and `torch.nn.Linear`.

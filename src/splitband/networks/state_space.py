@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from splitband.networks.cell import are_plain, check_sizes
+from splitband.runtime.options import Written
 
 Array = npt.NDArray[np.float64]
 
@@ -21,7 +22,7 @@ _NONLINEAR = 0.1
 """The weights of f and g at the output, as a share of torch's initial values."""
 
 
-class StateSpace(nn.Module):
+class StateSpace(Written, nn.Module):
     """A linear state-space model with a layer of tanh units beside each of its equations.
 
     x_{n+1} = A x_n + B u_n + f(x_n, u_n) + a + K e_n and y_{n+1} = C x_{n+1} + D u_n +

@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from splitband.runtime.options import Written
+
 Array = npt.NDArray[np.float64]
 
 
-class Fmu:
+class Fmu(Written):
     """Run a functional mock-up unit by FMPy (the extra `splitband[fmu]`).
 
     The archive is unpacked once; its instance is reset, not loaded again, between runs. The
@@ -41,7 +43,8 @@ class Fmu:
             from fmpy.simulation import instantiate_fmu  # noqa: PLC0415
         except ImportError:
             raise ValueError("an FMU needs FMPy: pip install 'splitband[fmu]'") from None
-        self.path, self.start_values = Path(path), dict(start_values or {})
+        self.path = Path(path)
+        self.start_values = None if start_values is None else dict(start_values)
         if not self.path.is_file():
             raise FileNotFoundError(f"no such FMU: {self.path}")
         self._simulate_fmu = fmpy.simulate_fmu
@@ -59,7 +62,7 @@ class Fmu:
             raise ValueError(f"{self.path} is not an FMU that can be run here: {error}") from error
         variables = {v.name: v for v in self._description.modelVariables}
         given = outputs or [v.name for v in variables.values() if v.causality == "output"]
-        for name in (*given, *self.start_values):
+        for name in (*given, *(self.start_values or {})):
             if name not in variables:
                 self.close()
                 raise ValueError(f"{self.path} has no variable {name}; it has {_some(variables)}")
@@ -79,7 +82,7 @@ class Fmu:
             start_time=float(time[0]),
             stop_time=float(time[-1]),
             output_interval=step,
-            start_values=self.start_values,
+            start_values=self.start_values or {},
             output=self.outputs,
         )
         instance.reset()
@@ -94,7 +97,7 @@ class Fmu:
     def fingerprint(self) -> str:
         """Return the cache key: all that the output depends on besides the time grid."""
         content = hashlib.sha256(self.path.read_bytes()).hexdigest()
-        return f"{content} {self.outputs} {sorted(self.start_values.items())}"
+        return f"{content} {self.outputs} {sorted((self.start_values or {}).items())}"
 
     def close(self) -> None:
         """Free the instance and remove the unpacked files."""

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from splitband.runtime.options import Written
+
 Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Function:
+@dataclass(frozen=True, repr=False)
+class Function(Written):
     """Call a Python function, `function(time) -> (time,) or (time, ny)`.
 
     Attributes

@@ -10,11 +10,13 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from splitband.runtime.options import Written
+
 Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class Ode:
+@dataclass(frozen=True, eq=False, repr=False)
+class Ode(Written):
     """Solve an ordinary differential equation by `scipy.integrate.solve_ivp`.
 
     Attributes

@@ -9,12 +9,13 @@ import numpy.typing as npt
 
 from splitband.data import Aligned, Grid, Record, Stamp, aligned
 from splitband.data.alignment import reach
+from splitband.runtime.options import Written
 
 Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class Recorded:
+@dataclass(frozen=True, eq=False, repr=False)
+class Recorded(Written):
     """Hold a simulation that was made elsewhere, at its own times.
 
     Attributes

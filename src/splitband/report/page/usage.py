@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import ast
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.report.page.parts import Code, Section
-from splitband.report.page.python import making
+
+WIDTH = 88
+"""Characters in a line of Python."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,7 @@ def python(forecaster: Forecaster, record: Record, usage: Usage, steps: int) -> 
     if "simulator" in forecaster.needs:
         known += ", y_sim=simulated"
     lines += [
-        *making(forecaster),
+        *_making(forecaster),
         "model.fit(record, *more)" if usage.more else "model.fit(record)",
         f"prediction = model.predict({steps}{known}, level=0.9)",
         "prediction.to_frame()  # values and interval, with their times",
@@ -70,3 +74,16 @@ def python(forecaster: Forecaster, record: Record, usage: Usage, steps: int) -> 
         f'sb.load("model").predict({steps}, history=later_record{known})',
     ]
     return "\n".join(lines)
+
+
+def _making(forecaster: Forecaster) -> list[str]:
+    """The lines that make the forecaster, broken where Python allows it."""
+    line = f"model = {forecaster!r}"
+    lines = textwrap.wrap(
+        line, WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False
+    )
+    try:
+        ast.parse("\n".join(lines))
+    except SyntaxError:  # broken within a text
+        return [line]
+    return lines

@@ -1,0 +1,112 @@
+"""Options: what a constructor takes, kept under attributes of the same names.
+
+Where such an attribute is a property, because it says more than was given, as a derived `name`
+does, the value given is kept with an underscore before its name.
+"""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import fields, is_dataclass
+from pathlib import PurePath
+from types import FunctionType
+from typing import Any
+
+UNKNOWN = "..."
+"""Stands for a value that no short expression makes, such as an array."""
+
+
+class Written:
+    """Something whose `repr` is the Python that makes it, with `sb` for the package."""
+
+    def __repr__(self) -> str:
+        return expression(self)
+
+
+def options(value: object) -> dict[str, Any]:
+    """Return what the constructor of `value` was given, by name.
+
+    Raises
+    ------
+    TypeError
+        Where an argument is not kept as an attribute, or arguments have no names.
+    """
+    return {name: getattr(value, attribute) for name, attribute in attributes(value).items()}
+
+
+def attributes(value: object) -> dict[str, str]:
+    """Return the attribute that holds each option of `value`; raises TypeError as `options`."""
+    kind, found = type(value), {}
+    for parameter in _parameters(value):
+        if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+            raise TypeError(
+                f"the constructor of {kind.__name__} must name its arguments, got *{parameter.name}"
+            )
+        derived = isinstance(getattr(kind, parameter.name, None), property)
+        found[parameter.name] = attribute = f"{'_' * derived}{parameter.name}"
+        if not hasattr(value, attribute):
+            raise TypeError(
+                f"{kind.__name__} must keep its constructor's argument {parameter.name} in the "
+                f"attribute {attribute}, it has none"
+            )
+    return found
+
+
+def expression(value: object) -> str:  # noqa: PLR0911  a line for each kind
+    """Return Python that makes `value`, with the options that differ from their defaults.
+
+    An ellipsis stands for what no short expression makes; a function goes by its name.
+    """
+    if isinstance(value, Written) or _is_own(value):
+        return _call(value)
+    if isinstance(value, FunctionType) and value.__name__.isidentifier():
+        return value.__name__
+    if isinstance(value, tuple | list):
+        inner = ", ".join(expression(part) for part in value)
+        comma = "," if len(value) == 1 else ""
+        return f"[{inner}]" if isinstance(value, list) else f"({inner}{comma})"
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{expression(k)}: {expression(v)}' for k, v in value.items())}}}"
+    if isinstance(value, PurePath):
+        return repr(str(value))
+    if value is None or isinstance(value, bool | int | float | str):
+        return repr(getattr(value, "item", lambda: value)())
+    return UNKNOWN
+
+
+def _call(value: object) -> str:
+    kind = type(value)
+    package = "sb." if kind.__module__.startswith("splitband.") else ""
+    try:
+        given = options(value)
+    except TypeError:
+        return f"{package}{kind.__name__}({UNKNOWN})"
+    shown = []
+    for i, parameter in enumerate(_parameters(value)):
+        option, required = given[parameter.name], parameter.default is parameter.empty
+        if not required and _same(option, parameter.default):
+            continue
+        leading = required or (i == 0 and not is_dataclass(value))
+        shown.append(f"{'' if leading else f'{parameter.name}='}{expression(option)}")
+    return f"{package}{kind.__name__}({', '.join(shown)})"
+
+
+def _parameters(value: object) -> list[inspect.Parameter]:
+    """The constructor's; fields of a dataclass that its `repr` leaves out are none of them."""
+    left = {f.name for f in fields(value) if not f.repr} if is_dataclass(value) else set()
+    if type(value).__init__ is object.__init__:
+        return []
+    return [p for p in inspect.signature(type(value)).parameters.values() if p.name not in left]
+
+
+def _is_own(value: object) -> bool:
+    """Whether it is a cell of the user's own."""
+    return callable(getattr(value, "sized", None)) and not isinstance(value, type)
+
+
+def _same(value: Any, other: Any) -> bool:
+    """Whether two options are equal; False for what cannot be compared at once, such as arrays."""
+    try:
+        return value is other or (type(value) is type(other) and bool(value == other))
+    except (TypeError, ValueError):
+        return False
