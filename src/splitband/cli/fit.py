@@ -190,7 +190,7 @@ def _free_run(forecaster: Forecaster, error: float | None) -> str:
 
 
 def _calibration_of(forecaster: Forecaster) -> Calibration | None:
-    """The calibration of a hybrid model's simulator, where it has been calibrated."""
-    base = getattr(forecaster, "base", None)
+    """Return the calibration of a hybrid model's simulator, where it has been calibrated."""
+    base = getattr(forecaster, "fitted_base", None)
     calibrated = isinstance(base, Simulation) and base.calibrated is not False
     return base.calibration if isinstance(base, Simulation) and calibrated else None
