@@ -97,6 +97,6 @@ def test_a_damaged_calibration_is_one_line(
     for name in ("history.csv", "simulated.csv"):
         shutil.copy(name, tmp_path)
     monkeypatch.chdir(tmp_path)
-    change_json(lambda d: change(state(d)["base"]["state"]["calibration"]))(Path("damaged"))
+    change_json(lambda d: change(state(d)["fitted_base"]["state"]["calibration"]))(Path("damaged"))
     line = HYBRID_AHEAD.replace("filtered", "damaged") + "--simulator simulated.csv"
     assert_fails(line, ("damaged",), capsys)
