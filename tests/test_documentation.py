@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import doctest
 import io
+import os
 import re
 import subprocess
 import sys
@@ -68,6 +69,7 @@ def _built(pages: Path, out: Path, *options: str) -> subprocess.CompletedProcess
         capture_output=True,
         text=True,
         check=False,
+        env=os.environ | {"TMPDIR": str(out.parent)},  # where Sphinx leaves the log of an error
     )
 
 
