@@ -163,13 +163,6 @@ def calibration_of_v() -> dict[str, float]:
     return {term: _number(described, term) for term in ("delay", "clock")}
 
 
-def torsion_network() -> dict[str, Any]:
-    """Return the network with the lowest held-out error on the torsion record."""
-    of = {n: f for n, f in _methods("results/double-torsion").items() if f["mean_of_seeds"]}
-    name = min(of, key=lambda name: float(of[name]["held_out_rmse"]))
-    return {"name": name, "held_out": of[name]["held_out_rmse"], **of[name]["mean_of_seeds"]}
-
-
 def regrets_beyond() -> str:
     """Return the regret on each record beyond the paper, in order of size."""
     ratios = []
@@ -312,7 +305,7 @@ def losses() -> dict[str, str]:
 COMPUTED: dict[str, Callable[[], Any]] = {
     function.__name__: cache(function)
     for function in (
-        default_minutes, drill_string, drill_string_table, calibration_of_v, torsion_network,
+        default_minutes, drill_string, drill_string_table, calibration_of_v,
         regrets_beyond, reliability, tanks_published, conditioning, tsfast, paper,
         drill_string_of_the_paper, losses,
     )

@@ -39,8 +39,6 @@ ONLY_IN = {
     "rich": {"cli"},
     "fmpy": {"simulators"},
     "pooch": {"data"},
-    "optuna": {"evaluation"},
-    "sqlalchemy": {"evaluation"},
     "distributed": {"runtime"},
 }
 
@@ -115,7 +113,6 @@ def test_only_results_reach_up_to_be_shown() -> None:
     assert upward == {
         ("evaluation/comparison.py", "report"),
         ("evaluation/forecast.py", "report"),
-        ("evaluation/tuning.py", "report"),
         ("forecasters/prediction.py", "report"),
     }
 

@@ -8,10 +8,9 @@ if TYPE_CHECKING:
     from splitband.evaluation.comparison import Comparison, compare
     from splitband.evaluation.forecast import Forecast, forecast
     from splitband.evaluation.runs import Work
+    from splitband.evaluation.saved_settings import SavedSettings
     from splitband.evaluation.search import Search
     from splitband.evaluation.setup import Setup, default_setup
-    from splitband.evaluation.tuned import Tuned
-    from splitband.evaluation.tuning import Effort, Tuning, tune
     from splitband.filters import ComplementaryPair
     from splitband.forecasters.backtest import Origin, Question, backtest
     from splitband.forecasters.bands import Bands
@@ -49,8 +48,7 @@ _MODULES = {
     "evaluation.runs": ("Work",),
     "evaluation.search": ("Search",),
     "evaluation.setup": ("Setup", "default_setup"),
-    "evaluation.tuned": ("Tuned",),
-    "evaluation.tuning": ("Effort", "Tuning", "tune"),
+    "evaluation.saved_settings": ("SavedSettings",),
     "filters": ("ComplementaryPair",),
     "forecasters.backtest": ("Origin", "Question", "backtest"),
     "forecasters.bands": ("Bands",),
@@ -85,7 +83,6 @@ __all__ = [
     "Cluster",
     "Comparison",
     "ComplementaryPair",
-    "Effort",
     "Ensemble",
     "EulerMLP",
     "ExtrapolationWarning",
@@ -109,6 +106,7 @@ __all__ = [
     "Record",
     "Recorded",
     "Residual",
+    "SavedSettings",
     "Search",
     "SeasonalNaive",
     "Settings",
@@ -119,8 +117,6 @@ __all__ = [
     "Sizes",
     "Split",
     "StateSpace",
-    "Tuned",
-    "Tuning",
     "Work",
     "backtest",
     "compare",
@@ -134,7 +130,6 @@ __all__ = [
     "read",
     "rmse",
     "rollout",
-    "tune",
 ]
 
 

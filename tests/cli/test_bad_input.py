@@ -184,7 +184,6 @@ MODELS = [
     ),
     bad("compare record.csv --columns a --out out --methods mean,linear", "linear", "--inputs"),
     bad("spectrum record.csv --columns a --out out --simulator harmonic", "harmonic", "compare"),
-    bad("tune record.csv --columns a --out out --simulator linear", "linear", "--methods"),
     bad("fit record.csv --columns a --out out --method gru --device meta", "--device", "meta"),
     bad(
         "forecast record.csv --columns a --out out --steps 5 --method filtered-gru "

@@ -203,16 +203,6 @@ def test_a_list_is_compared_by_a_cluster(whole: Running, tmp_path: Path) -> None
     assert results(tmp_path / "out")["summary"]["failed"] == 0
 
 
-def test_trials_of_a_study_are_made_by_a_cluster(
-    whole: Running, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    line = f"tune record.csv --columns a --methods gru --trials 2 --cluster {whole.address}"
-    assert main([*line.split(), "--out", str(tmp_path / "none")]) == 2
-    assert "--storage must be given with --cluster" in capsys.readouterr().err
-    call(f"{line} --storage sqlite:///{tmp_path}/tune.db", tmp_path / "out")
-    assert len(results(tmp_path / "out")["trials"]) == 2
-
-
 # ---------------------------------------------------------------- what goes wrong
 
 

@@ -67,7 +67,6 @@ def test_a_simulation_never_replaces_a_file_of_its_model(
         ("compare record.csv --methods mean --more {}", "--more"),
         ("compare record.csv --methods mean --simulator {}", "--simulator"),
         ("spectrum {}", "RECORD"),
-        ("tune {} --trials 1", "RECORD"),
         ("fit {} --method mean", "RECORD"),
         ("forecast {} --method mean --steps 3", "RECORD"),
         ("forecast record.csv --steps 3 --future-inputs {}", "--future-inputs"),

@@ -116,10 +116,10 @@ def test_a_first_warm_up_after_the_training_part_does_not_hide_the_forecast() ->
 def test_a_channel_that_ends_before_the_held_out_part_is_named() -> None:
     y = np.concatenate([record().y, record().y], axis=1)
     measured = np.ones(y.shape, bool)
-    measured[110:, 1] = False
+    measured[110:TRAIN, 1] = False
     broken = Record(y, DT, columns=("a", "b"), measured=measured)
-    with pytest.raises(ValueError, match="b must have a measured sample among the last 40"):
-        sb.tune(broken, TRAIN, ["gru"], effort=sb.Effort(trials=1), setup=SETUP)
+    with pytest.raises(ValueError, match="the last quarter of the 160 training samples"):
+        sb.compare(broken, methods=["gru"], setup=SETUP)
 
 
 class _Diverging(Forecaster):

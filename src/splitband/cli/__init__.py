@@ -21,7 +21,6 @@ COMMANDS = {
     "compare": ("compare", "Compare models of a record with each other and with naive baselines."),
     "benchmark": ("benchmark", "Compare models of many records, and put them into one table."),
     "forecast": ("forecast", "Forecast a record beyond its end, with an interval."),
-    "tune": ("tune", "Search for a network and its settings by held-out samples of a record."),
     "fit": ("fit", "Train one model on a record and save it."),
     "simulate": ("simulate", "Simulate a saved model beyond a measured history."),
     "spectrum": ("spectrum", "Show where the power of a record lies, and what a cut-off parts."),
@@ -77,7 +76,7 @@ class Commands(TyperGroup):
 QUIET, JSON = "--quiet", "--json"
 """Options of every command; they may stand before it or after it."""
 WITH_JSON = (
-    "demo", "compare", "benchmark", "forecast", "tune", "fit", "simulate", "spectrum", "methods",
+    "demo", "compare", "benchmark", "forecast", "fit", "simulate", "spectrum", "methods",
     "doctor",
 )  # fmt: skip
 
@@ -175,7 +174,7 @@ def _complain(message: str) -> int:
 
 OPTIONS = (
     "calibrate", "columns", "conditioned", "cutoff", "downsampling", "epochs", "history",
-    "inputs", "level", "methods", "order", "settings", "simulator", "steps", "storage", "train",
+    "inputs", "level", "methods", "order", "settings", "simulator", "steps", "train",
     "warmup", "window",
 )  # fmt: skip
 """Arguments of the library that are options of the same name here."""

@@ -83,8 +83,8 @@ def compare(
 
     --calibrate and --conditioned add rows: each method that can be is also run that way.
 
-    With --settings the networks are trained as `splitband tune` has found; without --methods they
-    are its network alone, beside what needs no training.
+    With --settings networks are trained as the recommended network of an earlier comparison;
+    without --methods that network alone is compared, beside the baselines.
     """
     request = Request(
         record, reading, simulator, further, testing, model,

@@ -74,12 +74,12 @@ def prepared(request: Request, cores: int, ahead: int | None = None) -> Task:
     by default one, unless there are tests.
     """
     reading, simulator = request.reading, request.simulator
-    tuned = setups.load_settings(request.settings, request.model)
-    trajectory = records.load_record(request.record, reading, tuned)
+    saved = setups.load_settings(request.settings, request.model)
+    trajectory = records.load_record(request.record, reading, saved)
     hybrid = simulator.simulator is not None or trajectory.y_sim is not None
     by_default = default_names(hybrid, trajectory.nu > 0)
-    if tuned is not None:
-        by_default = [tuned.method, *(name for name in by_default if name not in TRAINED)]
+    if saved is not None:
+        by_default = [saved.method, *(name for name in by_default if name not in TRAINED)]
     asked = by_default if request.methods is None else naming.method_names(request.methods)
     chosen = with_variants(asked, request.calibrate, request.conditioned)
     based = simulator.simulator in BASES
@@ -91,9 +91,9 @@ def prepared(request: Request, cores: int, ahead: int | None = None) -> Task:
     ahead = 1 - tested if ahead is None else ahead
     setup = setups.setup(
         request.record, trajectory, request.train, request.model, chosen, ahead, tested,
-        cores, tuned,
+        cores, saved,
     )  # fmt: skip
-    if request.methods is None and tuned is None and not based:
+    if request.methods is None and saved is None and not based:
         usual = usual_names(trajectory, setup)
         chosen = with_variants(usual, request.calibrate, request.conditioned)
         setup = trying_bases(setup)

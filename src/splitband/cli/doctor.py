@@ -83,7 +83,7 @@ def _kernels() -> dict[str, str]:
     return {"first call": f"{seconds[0]:.2g} s", "second call": f"{seconds[1]:.2g} s"}
 
 
-EXTRAS = {"fmu": "fmpy", "cluster": "distributed", "tune": "optuna"}
+EXTRAS = {"fmu": "fmpy", "cluster": "distributed"}
 """A module of each optional part of the package that is for users."""
 
 

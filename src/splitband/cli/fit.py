@@ -78,20 +78,20 @@ def fit(
 
     MODEL_DIR gets the weights of networks (safetensors), everything else (JSON) and results.json.
     """
-    tuned = setups.load_settings(settings, model)
+    saved = setups.load_settings(settings, model)
     if method is None:
-        method = "split-gru" if tuned is None else tuned.method
+        method = "split-gru" if saved is None else saved.method
     if calibrate or conditioned:
         method = with_variants([method], calibrate, conditioned)[-1]
     if simulator.simulator in BASES:
         (method,) = with_base([method], simulator.simulator)
     naming.check_names("--method", [method], FITTED)
-    trajectory = records.load_record(record, reading, tuned)
+    trajectory = records.load_record(record, reading, saved)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=CALIBRATED in method)
     samples = len(trajectory) if train is None else train
     cores = jobs or available_cores()
     setup = setups.setup(
-        record, trajectory, samples, model, [method], ahead=0, cores=cores, tuned=tuned
+        record, trajectory, samples, model, [method], ahead=0, cores=cores, saved=saved
     )
     others = records.load_further(further.more, "--more", trajectory, reading)
     others = each_with_simulator(others, [method], further, simulator, reading)

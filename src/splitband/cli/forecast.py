@@ -73,18 +73,18 @@ def forecast(
     """Forecast a record beyond its end, with the interval that should hold nine tenths of it.
 
     Without --method, several are tried as `compare` tries them: each forecasts the last quarter of
-    the record from the rest of it; with --settings, the network that `tune` has found and what
-    needs no training. What did well is fitted again, on the whole record, and should
+    the record from the rest of it; with --settings, the network of that file and the
+    baselines. What did well is fitted again, on the whole record, and should
     then still forecast the same. A simulator must reach --steps samples beyond the record; a
     record with known inputs needs --future-inputs.
     """
     model = ModelOptions(epochs=epochs, budget=budget, effort=effort)
-    tuned = setups.load_settings(settings, model)
-    known = records.load_record(record, reading, tuned)
+    saved = setups.load_settings(settings, model)
+    known = records.load_record(record, reading, saved)
     hybrid = simulator.simulator is not None or known.y_sim is not None
     names = default_names(hybrid, known.nu > 0) if method is None else [method]
-    if method is None and tuned is not None:
-        names = [tuned.method, *(name for name in names if name not in TRAINED)]
+    if method is None and saved is not None:
+        names = [saved.method, *(name for name in names if name not in TRAINED)]
     naming.check_names("--method", names, NAMES)
     based = simulator.simulator in BASES
     if simulator.simulator in BASES:
@@ -94,8 +94,8 @@ def forecast(
     u = records.inputs_ahead(future_inputs, known, steps, reading.time_column)
     known = replace(known, u_beyond=u)
     with worker_pool(jobs, cluster) as workers:
-        setup = setups.setup_ahead(known, names, model, workers.cores, tuned)
-        if method is None and tuned is None and not based:
+        setup = setups.setup_ahead(known, names, model, workers.cores, saved)
+        if method is None and saved is None and not based:
             names, setup = usual_names(known, setup), trying_bases(setup)
         others = records.load_further(further.more, "--more", known, reading)
         others = each_with_simulator(others, names, further, simulator, reading)

@@ -22,7 +22,6 @@ WRITES = {
     "compare": COMPARED,
     "benchmark": ("results.json", "table.csv", "cases.png", "report.html"),
     "forecast": ("results.json", "forecast.csv", "forecast.png", "report.html", "recommended.json"),
-    "tune": ("results.json", "settings.json", "history.png", "importances.png"),
     "fit": ("results.json", saving.FILE, *NETWORK_FILES),
     "spectrum": ("results.json", "spectrum.png", "report.html"),
 }

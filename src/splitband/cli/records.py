@@ -20,22 +20,22 @@ from splitband.data.named import RECORDS
 from splitband.data.reading import ColumnError, ReadingWarning
 from splitband.data.record import described
 from splitband.data.timing import near_sampling, same_sampling
-from splitband.evaluation.tuned import Tuned
+from splitband.evaluation.saved_settings import SavedSettings
 
 
 def load_record(
-    record: str, reading: RecordOptions | None = None, tuned: Tuned | None = None
+    record: str, reading: RecordOptions | None = None, saved: SavedSettings | None = None
 ) -> Record:
     """Return a named record, or read a file, and print what its channels and inputs are.
 
-    Columns and inputs that no option names are those of --settings (`tuned`). Raises ValueError
+    Columns and inputs that no option names are those of --settings (`saved`). Raises ValueError
     where they are others than these.
     """
     reading = reading or RecordOptions()
-    trajectory = _named(record, reading) if record in RECORDS else _file(record, reading, tuned)
+    trajectory = _named(record, reading) if record in RECORDS else _file(record, reading, saved)
     announce(trajectory, record)
-    if tuned is not None:
-        tuned.check(trajectory)
+    if saved is not None:
+        saved.check(trajectory)
     return trajectory
 
 
@@ -63,7 +63,7 @@ def read_file(path: str | Path, needed: str = "", **options: Any) -> Record:
     return record
 
 
-def _file(record: str, reading: RecordOptions, tuned: Tuned | None) -> Record:
+def _file(record: str, reading: RecordOptions, saved: SavedSettings | None) -> Record:
     if not Path(record).exists():
         raise FileNotFoundError(
             f"RECORD must be a file or one of {', '.join(RECORDS)}, got {record}"
@@ -71,12 +71,12 @@ def _file(record: str, reading: RecordOptions, tuned: Tuned | None) -> Record:
     columns = None if reading.columns is None else names(reading.columns)
     inputs = None if reading.inputs is None else names(reading.inputs)
     needed = ""
-    if tuned is not None and tuned.columns:
-        needed = f"--settings is for {described(tuned.columns, tuned.inputs)}"
+    if saved is not None and saved.columns:
+        needed = f"--settings is for {described(saved.columns, saved.inputs)}"
         if inputs is None:
-            inputs = [name for name in tuned.inputs if name not in (columns or ())]
+            inputs = [name for name in saved.inputs if name not in (columns or ())]
         if columns is None:
-            columns = [name for name in tuned.columns if name not in inputs]
+            columns = [name for name in saved.columns if name not in inputs]
     trajectory = read_file(
         record,
         needed,

@@ -13,9 +13,9 @@ from splitband.cli.options.models import AUTO, ModelOptions
 from splitband.data import Record
 from splitband.data.named import RECORDS
 from splitband.evaluation.protocols import check_train
+from splitband.evaluation.saved_settings import SavedSettings
 from splitband.evaluation.search import Search
 from splitband.evaluation.setup import Setup, default_setup
-from splitband.evaluation.tuned import Tuned
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
 from splitband.training import Settings, default_warmup
@@ -31,9 +31,9 @@ def setup(
     ahead: int = 1,
     tested: bool = False,
     cores: int = 1,
-    tuned: Tuned | None = None,
+    saved: SavedSettings | None = None,
 ) -> Setup:
-    """What the options say (`None`: nothing), the rest as `tuned`, or else by the recipe.
+    """What the options say (`None`: nothing), the rest as `saved`, or else by the recipe.
 
     `record` is the argument that `trajectory` comes from, `methods` what the setup is for; `ahead`
     samples at least must be left to predict. What is `tested` on other records is trained on all of
@@ -48,8 +48,8 @@ def setup(
     bands = Bands(
         None if options.cutoff == AUTO else options.cutoff, options.order, options.downsampling
     )
-    if tuned is not None:
-        return _as_tuned(tuned, trajectory, train, options, bands, methods)
+    if saved is not None:
+        return _as_saved(saved, trajectory, train, options, bands, methods)
     settings = _trained(recipe_settings(options.recipe, trajectory[:train]), options)
     by_recipe = default_setup(trajectory, train, options.recipe, settings, bands, methods)
     sizes = _with_hidden(by_recipe.sizes, options)
@@ -61,22 +61,24 @@ def setup_ahead(
     methods: Sequence[str],
     options: ModelOptions,
     cores: int,
-    tuned: Tuned | None = None,
+    saved: SavedSettings | None = None,
 ) -> Setup:
     """For a forecast beyond the end of a record."""
-    if tuned is not None:
-        return _as_tuned(tuned, known, len(known), options, Bands(), methods)
+    if saved is not None:
+        return _as_saved(saved, known, len(known), options, Bands(), methods)
     settings = _trained(recipe_settings("default", known), options)
     chosen = default_setup(known, len(known), "default", settings, None, methods)
     return replace(chosen, search=_search(options, cores))
 
 
-def load_settings(path: Path | None, options: ModelOptions) -> Tuned | None:
+def load_settings(path: Path | None, options: ModelOptions) -> SavedSettings | None:
     """What --settings names; raises ValueError for options that it leaves nothing to."""
     if path is None:
         return None
     if not path.is_file():
-        raise FileNotFoundError(f"--settings must be a file that `tune` wrote, got {path}")
+        raise FileNotFoundError(
+            f"--settings must be a recommended.json that `compare` wrote, got {path}"
+        )
     for option, limit in (("--budget", options.budget), ("--effort", options.effort)):
         if limit is not None:
             raise ValueError(
@@ -84,7 +86,7 @@ def load_settings(path: Path | None, options: ModelOptions) -> Tuned | None:
             )
     if options.recipe != "default":
         raise ValueError(f"--recipe and --settings exclude each other, got {options.recipe}")
-    return Tuned.read(path)
+    return SavedSettings.read(path)
 
 
 def check_model_options(options: ModelOptions) -> None:
@@ -109,8 +111,8 @@ def seconds(duration: str, option: str = "--budget") -> float:
     return length
 
 
-def _as_tuned(
-    tuned: Tuned,
+def _as_saved(
+    saved: SavedSettings,
     trajectory: Record,
     train: int,
     options: ModelOptions,
@@ -120,10 +122,10 @@ def _as_tuned(
     """What the options say, the rest as it has been found before."""
     said = {name: value for name, value in vars(bands).items() if value is not None}
     # What was found for one cut-off is not for another one.
-    bands = bands if options.cutoff is not None else replace(tuned.bands, **said)
-    settings = _trained(tuned.settings, options)
+    bands = bands if options.cutoff is not None else replace(saved.bands, **said)
+    settings = _trained(saved.settings, options)
     chosen = default_setup(trajectory, train, "default", settings, bands, methods)
-    return replace(chosen, sizes=_with_hidden(tuned.sizes, options))
+    return replace(chosen, sizes=_with_hidden(saved.sizes, options))
 
 
 def _search(options: ModelOptions, cores: int) -> Search | None:

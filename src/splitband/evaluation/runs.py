@@ -27,8 +27,8 @@ class RunProgress:
     """An epoch of one run is over; `share` of the run's training is done.
 
     `stage` is "search" and a number where ways to train are tried, "three quarters" where methods
-    are, "on a baseline" where a network is put on one of them, "trials" in `tune`, and "whole"
-    where a method is fitted to the whole training part after all.
+    are, "on a baseline" where a network is put on one of them, and "whole" where a method is
+    fitted to the whole training part.
     """
 
     method: str

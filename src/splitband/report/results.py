@@ -21,7 +21,7 @@ from splitband.data.timing import as_json
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.evaluation.protocols import Run
-from splitband.evaluation.tuned import Tuned
+from splitband.evaluation.saved_settings import SavedSettings
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import time_header
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from splitband.report.page.usage import Usage
 
 FOUND = "recommended.json"
-"""File with the settings of the recommended network, as `tune` writes them, too."""
+"""File with the settings of the recommended network, for `--settings`."""
 
 
 def save(
@@ -82,14 +82,14 @@ def _write(
 
 def found_in(forecaster: Forecaster, folder: Path) -> Path | None:
     """Return the file that says how a recommended network is trained; None for what is none."""
-    return None if Tuned.of_forecaster(forecaster) is None else folder / FOUND
+    return None if SavedSettings.of_forecaster(forecaster) is None else folder / FOUND
 
 
 def save_found(forecaster: Forecaster, record: Record, folder: Path) -> None:
     """Write how a recommended network is trained, for --settings; nothing for what is none."""
-    tuned = Tuned.of_forecaster(forecaster)
-    if tuned is not None:
-        tuned.for_record(record).save(folder / FOUND)
+    saved = SavedSettings.of_forecaster(forecaster)
+    if saved is not None:
+        saved.for_record(record).save(folder / FOUND)
 
 
 def results(comparison: Comparison) -> dict[str, Any]:

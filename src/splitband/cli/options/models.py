@@ -166,9 +166,9 @@ SettingsFile = Annotated[
     typer.Option(
         "--settings",
         metavar="FILE",
-        help="Method, sizes, training and bands that `splitband tune` has found (settings.json), "
-        "in place of a search, and the columns and inputs that it is for. Other options override "
-        "it; a record with other columns or inputs is refused.",
+        help="Method, sizes, training and bands of an earlier comparison (its recommended.json), "
+        "in place of a search, and the columns and inputs that they are for. Other options "
+        "override the file; a record with other columns or inputs is refused.",
         rich_help_panel=_TRAINING,
         show_default=False,
     ),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
@@ -31,7 +30,7 @@ Section = TypeVar("Section", Sizes, Settings, Bands)
 
 
 @dataclass(frozen=True)
-class Tuned:
+class SavedSettings:
     """One network, and how it is trained.
 
     Attributes
@@ -40,7 +39,6 @@ class Tuned:
     settings : How it is trained.
     bands : Which band is whose, where the method has bands; None is chosen when it is fitted.
     sizes : Of its cells.
-    found : On what, and how well it did there; nothing depends on it.
     columns, inputs : Channels and inputs of the record that it is for; no `columns`: of any record.
     """
 
@@ -48,7 +46,6 @@ class Tuned:
     settings: Settings
     bands: Bands = field(default_factory=Bands)
     sizes: Sizes = field(default_factory=Sizes)
-    found: Mapping[str, Any] = field(default_factory=dict, compare=False)
     columns: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
 
@@ -65,7 +62,7 @@ class Tuned:
         network.tunable = False
         return network
 
-    def for_record(self, record: Record) -> Tuned:
+    def for_record(self, record: Record) -> SavedSettings:
         """Return the same network for records with the channels and inputs of this one."""
         return replace(self, columns=record.columns, inputs=record.inputs)
 
@@ -79,15 +76,6 @@ class Tuned:
                 "file they are for any record"
             )
 
-    def in_words(self) -> str:
-        """Sizes, window, steps and bands, for tables."""
-        said = [self.forecaster().training_in_words(), f"rate {self.settings.learning_rate:.2g}"]
-        bands = self.bands
-        if bands.cutoff is not None:
-            said.append(f"{bands.cutoff:.3g} Hz, order {bands.order}")
-            said[-1] += "" if bands.downsampling is None else f", k = {bands.downsampling}"
-        return ", ".join(said)
-
     def as_json(self) -> dict[str, Any]:
         """What `save` writes."""
         bands = asdict(self.bands)
@@ -98,7 +86,6 @@ class Tuned:
             "sizes": asdict(self.sizes),
             "bands": {name: bands[name] for name in _names(Bands)},
             "training": asdict(self.settings),
-            "found": dict(self.found),
         } | ({"columns": [*self.columns], "inputs": [*self.inputs]} if self.columns else {})
 
     def save(self, path: str | Path) -> None:
@@ -106,7 +93,7 @@ class Tuned:
         write_json(path, self.as_json())
 
     @classmethod
-    def of_forecaster(cls, forecaster: Forecaster) -> Tuned | None:
+    def of_forecaster(cls, forecaster: Forecaster) -> SavedSettings | None:
         """How a network of a known name is trained; None for everything else.
 
         Of a mean over seeds it is that of each member.
@@ -118,12 +105,12 @@ class Tuned:
             return None
         bands = getattr(network, "bands", Bands())
         sizes = _sizes(network)
-        tuned = cls(network.name, network.settings, replace(bands, choice=None), sizes)
-        same = tuned.forecaster().training_in_words() == network.training_in_words()
-        return tuned if same else None
+        saved = cls(network.name, network.settings, replace(bands, choice=None), sizes)
+        same = saved.forecaster().training_in_words() == network.training_in_words()
+        return saved if same else None
 
     @classmethod
-    def of(cls, facts: Any) -> Tuned:
+    def of(cls, facts: Any) -> SavedSettings:
         """From what `as_json` returns; raises ValueError that names the key that is wrong."""
         _check_keys("", facts, {"format", "version", "method", "sizes", "bands", "training"})
         if (facts["format"], facts["version"]) != (FORMAT, VERSION):
@@ -133,21 +120,17 @@ class Tuned:
             )
         if not isinstance(facts["method"], str):
             raise ValueError(f"method must be a name, got {facts['method']!r}")
-        found = facts.get("found", {})
-        if not isinstance(found, dict):
-            raise ValueError(f"found must be an object, got {found!r}")
         return cls(
             facts["method"],
             _section("training", facts["training"], Settings),
             _section("bands", facts["bands"], Bands),
             _section("sizes", facts["sizes"], Sizes),
-            found,
             _strings("columns", facts.get("columns", [])),
             _strings("inputs", facts.get("inputs", [])),
         )
 
     @classmethod
-    def read(cls, path: str | Path) -> Tuned:
+    def read(cls, path: str | Path) -> SavedSettings:
         """What `save` wrote, or somebody by hand.
 
         Raises
@@ -191,7 +174,7 @@ def _check_keys(where: str, given: Any, names: set[str]) -> None:
     if not isinstance(given, dict):
         raise ValueError(f"{where or 'the file'} must be an object, got {given!r}")
     dot = f"{where}." if where else ""
-    optional = set() if where else {"found", "columns", "inputs"}
+    optional = set() if where else {"columns", "inputs"}
     for key in given:
         if key not in names | optional:
             raise ValueError(

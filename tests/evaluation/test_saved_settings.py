@@ -12,23 +12,22 @@ import pytest
 
 from splitband import GRU, Ensemble, Forecaster, Mean, Single
 from splitband.data import Record
-from splitband.evaluation.tuned import Tuned
+from splitband.evaluation.saved_settings import SavedSettings
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import TRAINED, Sizes
 from splitband.training import Settings
 
-TUNED = Tuned(
+SAVED = SavedSettings(
     "split-gru-conditioned",
     Settings(60, 12, 3, 16, 2e-3, milestones=((2, 1e-4),), most_batches=4, quasi_newton=7),
     Bands(0.6, 2, 3),
     Sizes(12, 5),
-    {"held_out": 0.25},
 )
 
 
 def written(path: Path, *where: str, value: Any) -> Path:
     """A settings file with another value at a key, or without the key."""
-    TUNED.save(path)
+    SAVED.save(path)
     facts = inner = json.loads(path.read_text())
     for key in where[:-1]:
         inner = inner[key]
@@ -41,37 +40,36 @@ def written(path: Path, *where: str, value: Any) -> Path:
 
 @pytest.mark.parametrize("method", TRAINED)
 def test_what_is_read_is_what_was_written(method: str, tmp_path: Path) -> None:
-    tuned = replace(TUNED, method=method)
-    tuned.save(tmp_path / "settings.json")
-    read = Tuned.read(tmp_path / "settings.json")
-    assert read == tuned
-    assert read.found == {"held_out": 0.25}
+    saved = replace(SAVED, method=method)
+    saved.save(tmp_path / "settings.json")
+    read = SavedSettings.read(tmp_path / "settings.json")
+    assert read == saved
     forecaster = read.forecaster()
     assert forecaster.name == method
-    assert forecaster.settings == tuned.settings
+    assert forecaster.settings == saved.settings
     assert not forecaster.tunable  # a comparison does not search for other settings
 
 
 @pytest.mark.parametrize("method", TRAINED)
 def test_a_network_says_how_it_is_trained(method: str) -> None:
     """Whatever its cells have come to, as those of a search have."""
-    network = replace(TUNED, method=method).forecaster().trained_as(TUNED.settings, 2 / 3)
+    network = replace(SAVED, method=method).forecaster().trained_as(SAVED.settings, 2 / 3)
     for forecaster in (network, Ensemble(network, 3)):
-        found = Tuned.of_forecaster(forecaster)
+        found = SavedSettings.of_forecaster(forecaster)
         assert found is not None
         assert found.method == method
-        assert found.settings == TUNED.settings
+        assert found.settings == SAVED.settings
         assert found.forecaster().training_in_words() == network.training_in_words()
         assert getattr(found.forecaster(), "bands", None) == getattr(network, "bands", None)
 
 
 @pytest.mark.parametrize(
     "forecaster",
-    [Mean(), Single(GRU(4)), Single(GRU(4), TUNED.settings, name="mine"),
-     Ensemble(Mean(), 2), Single(GRU(1), TUNED.settings)],
+    [Mean(), Single(GRU(4)), Single(GRU(4), SAVED.settings, name="mine"),
+     Ensemble(Mean(), 2), Single(GRU(1), SAVED.settings)],
 )  # fmt: skip
 def test_what_has_no_settings_or_another_name_says_nothing(forecaster: Forecaster) -> None:
-    assert Tuned.of_forecaster(forecaster) is None
+    assert SavedSettings.of_forecaster(forecaster) is None
 
 
 @pytest.mark.parametrize(
@@ -96,7 +94,6 @@ def test_what_has_no_settings_or_another_name_says_nothing(forecaster: Forecaste
         (("bands", "order"), 0, "bands: order must be between 1 and 10000, got 0"),
         (("sizes", "hidden_low"), -3, "sizes: hidden_low must be between 1 and 10000, got -3"),
         (("training", "learning_rate"), float("nan"), "numbers must be finite, got NaN"),
-        (("found",), 1, "found must be an object, got 1"),
         (("columns",), "y", 'columns must be a list of names, got "y"'),
         (("inputs",), [1], "inputs must be a list of names, got [1]"),
     ],
@@ -106,7 +103,7 @@ def test_what_is_wrong_is_named(
 ) -> None:
     path = written(tmp_path / "settings.json", *where, value=value)
     with pytest.raises(ValueError, match=r"settings .*settings\.json: ") as caught:
-        Tuned.read(path)
+        SavedSettings.read(path)
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -116,7 +113,7 @@ def test_what_is_no_settings_file_is_refused(text: str, tmp_path: Path) -> None:
     path = tmp_path / "settings.json"
     path.write_bytes(text.encode("utf-8", "surrogatepass"))
     with pytest.raises(ValueError, match=r"settings"):
-        Tuned.read(path)
+        SavedSettings.read(path)
 
 
 def record(columns: tuple[str, ...], inputs: tuple[str, ...]) -> Record:
@@ -125,11 +122,11 @@ def record(columns: tuple[str, ...], inputs: tuple[str, ...]) -> Record:
 
 
 def test_settings_know_the_columns_and_inputs_they_are_for(tmp_path: Path) -> None:
-    TUNED.for_record(record(("pos", "angle"), ("force", "valve"))).save(tmp_path / "s.json")
-    tuned = Tuned.read(tmp_path / "s.json")
-    assert (tuned.columns, tuned.inputs) == (("pos", "angle"), ("force", "valve"))
-    tuned.check(record(("angle", "pos"), ("valve", "force")))
-    tuned.check(Record(np.zeros((9, 2)), 1, u=np.zeros((9, 2))))  # without names
+    SAVED.for_record(record(("pos", "angle"), ("force", "valve"))).save(tmp_path / "s.json")
+    saved = SavedSettings.read(tmp_path / "s.json")
+    assert (saved.columns, saved.inputs) == (("pos", "angle"), ("force", "valve"))
+    saved.check(record(("angle", "pos"), ("valve", "force")))
+    saved.check(Record(np.zeros((9, 2)), 1, u=np.zeros((9, 2))))  # without names
     for columns, inputs in (
         (("pos", "angle"), ("force",)),
         (("pos", "angle", "valve"), ("force",)),
@@ -137,7 +134,7 @@ def test_settings_know_the_columns_and_inputs_they_are_for(tmp_path: Path) -> No
         (("pos", "angle"), ("force", "rpm")),
     ):
         with pytest.raises(ValueError, match="inputs: force, valve; outputs: pos, angle") as caught:
-            tuned.check(record(columns, inputs))
+            saved.check(record(columns, inputs))
         own = f"inputs: {', '.join(inputs)}; outputs: {', '.join(columns)}"
         assert f"the record has {own}" in str(caught.value)
-    TUNED.check(record(("any",), ()))
+    SAVED.check(record(("any",), ()))
