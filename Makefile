@@ -1,5 +1,6 @@
 # `make demo` runs the main job, `make test` every check; both set up .venv first if need be.
 # `make figures` writes the figures of the documents from the result files.
+# `make paper` lists what is there of the paper's tables and figures, and what the rest would take.
 # `make docs` builds the documentation site, whose tutorials it executes: docs/_build/html/index.html.
 # `make fuzz` looks for failures at random, `make soak` repeats what takes long: both for minutes.
 PYTHON ?= python3
@@ -9,7 +10,7 @@ ifneq ($(wildcard ../shared/data),)
 export SPLITBAND_DATA_DIR ?= $(abspath ../shared/data)
 endif
 
-.PHONY: demo test check kernels format figures docs bench fuzz soak memory clean
+.PHONY: demo test check kernels format figures docs paper bench fuzz soak memory clean
 
 demo: .venv/.ready
 	$(BIN)/splitband demo --out demo
@@ -35,6 +36,9 @@ figures: .venv/.ready
 
 docs: .venv/.ready
 	$(BIN)/python -m sphinx -b html --fresh-env --fail-on-warning --keep-going docs docs/_build/html
+
+paper: .venv/.ready
+	$(BIN)/python -m reproduction list --out docs/results
 
 bench: .venv/.ready
 	mkdir -p docs/benchmarks

@@ -16,6 +16,7 @@ from rich.table import Table as RichTable
 from typer.exceptions import TyperException
 
 import splitband as sb
+from reproduction import long_runs, long_tables
 from reproduction.costs import progress
 from reproduction.figures import FIGURES, figure, needed
 from reproduction.jobs import SYSTEMS
@@ -80,7 +81,7 @@ Cluster = Annotated[
 
 @app.command("list")
 def list_names(seeds: Seeds = 5, out: Out = Path("paper")) -> None:
-    """List the tables, figures and systems, and how many runs of each table are in OUT/runs.
+    """List the tables, readings, figures and systems, and how many runs of each OUT has.
 
     A run counts with all of the paper's epochs. What is missing is estimated from the finished runs
     of the same method on the same system, or by the run times that the paper reports.
@@ -96,6 +97,10 @@ def list_names(seeds: Seeds = 5, out: Out = Path("paper")) -> None:
         mark = "" if state.measured else " *"
         takes = "" if state.there == state.needed else _duration(state.seconds) + mark
         listed.add_row("table", name, f"{state.there} of {state.needed}", takes, spec.title)
+    for part in long_runs.parts(out):
+        takes = "" if part.there == part.runs else _duration(part.seconds)
+        there = f"{part.there} of {part.runs}"
+        listed.add_row("readings", part.name, there, takes, long_runs.TITLES[part.name])
     for name in FIGURES:
         listed.add_row("figure", name)
     for name, system in SYSTEMS.items():
@@ -141,6 +146,21 @@ def make_table(
         write_json(out / "tables" / f"{each}.json", facts)
         console.print(_rich(made))
     console.print(f"tables: {out / 'tables'}/")
+
+
+@app.command("readings")
+def make_readings(out: Out = Path("paper"), run: Run = True) -> None:
+    """Run system (i) under other readings of the paper's text, and "+HP"; make their tables.
+
+    The tables are OUT/readings.md. Every run is one file in OUT/system-i or OUT/high-pass; what is
+    there is not run again, so that the same command goes on where it was stopped.
+    """
+    output_folder(out, "--out")
+    if run:
+        long_runs.complete(out, console.print)
+    with replacing(out / "readings.md") as temporary:
+        temporary.write_text(long_tables.page(out), encoding="utf-8")
+    console.print(f"tables: {out / 'readings.md'}")
 
 
 @app.command("figure")

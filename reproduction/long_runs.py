@@ -1,13 +1,10 @@
 """Run what the paper's tables leave open, one run after the other; each is a file, made once.
 
-python -m reproduction.long_runs --out DIR             # goes on where it was stopped
-python -m reproduction.long_runs --out DIR --plan      # what is missing, and for how long
-python -m reproduction.long_runs --out DIR --tables    # the results so far, in Markdown
+These are the runs of `python -m reproduction readings`.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import statistics
 import time
@@ -17,10 +14,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from benchmarks import study
-from reproduction import high_pass, long_tables
+from reproduction import high_pass
 from reproduction.readings import (
     ABLATIONS,
     BASE,
@@ -36,7 +31,18 @@ from reproduction.specs import DRAWS
 from reproduction.system_i import NAIVE, NETWORKS, path_of, quick, settings_of, tried
 from reproduction.systems import MassSpringOracle
 from splitband.runtime.files import write_json_lines
+from splitband.runtime.threads import one_thread
 
+TITLES = {
+    "oracle": "Least squares on the true form of (i), 200 noise draws, under both noises",
+    "baselines": "Baselines on (i) under the nearest reading, 20 noise draws",
+    "seeds": "Networks on (i) under the nearest reading, five seeds",
+    "readings": "Other readings of the text, one at a time, five seeds",
+    "ablations": "Cut-off and down-sampling under the nearest reading",
+    "draws": "Networks under the nearest reading, 20 noise draws",
+    "+HP": "A high band that learns, on the double-torsion record, five seeds",
+}
+"""The parts of the queue."""
 SEEDS = 5
 ORACLE_DRAWS = 200
 _SECONDS = {"gru": 0.045, "split-gru": 0.018, "split-gru-hp": 0.025}
@@ -50,7 +56,7 @@ class Item:
 
     Attributes
     ----------
-    part : For the plan.
+    part : One of `TITLES`.
     path : Its file.
     seconds : Of a core, roughly.
     run : Makes its facts.
@@ -143,31 +149,41 @@ def once(out: Path) -> list[Item]:
     return [*by_path.values()]
 
 
-def complete(out: Path) -> None:
-    """Run what has no file yet."""
+def complete(out: Path, report: Callable[[str], None]) -> None:
+    """Run what has no file yet, and report each run that is done."""
     for item in missing(out):
         item.path.parent.mkdir(parents=True, exist_ok=True)
         began = time.monotonic()
-        write_json_lines(item.path, item.run())
+        with one_thread():
+            write_json_lines(item.path, item.run())
         item.finish()
-        took = time.monotonic() - began
-        print(f"{time.strftime('%H:%M:%S')} {item.path.relative_to(out)} {took:.0f} s", flush=True)
+        report(f"{item.path.relative_to(out)} {time.monotonic() - began:.0f} s")
 
 
-def plan(out: Path) -> str:
-    """Return what is missing: runs and minutes of a core by part, as measured where runs are there.
+@dataclass(frozen=True)
+class Part:
+    """How much of one part is there: runs, and seconds of a core for those that are missing."""
+
+    name: str
+    runs: int
+    there: int
+    seconds: float
+
+
+def parts(out: Path) -> list[Part]:
+    """Return what is there and what is missing, by part.
 
     The cost of a part's missing runs is corrected by how long its finished ones took.
     """
     every = once(out)
-    rows = []
-    for part in dict.fromkeys(item.part for item in every):
-        of_part = [item for item in every if item.part == part]
+    found = []
+    for name in dict.fromkeys(item.part for item in every):
+        of_part = [item for item in every if item.part == name]
         todo = [item for item in of_part if not item.path.exists()]
         factor = _correction([item for item in of_part if item.path.exists()])
-        minutes = factor * sum(item.seconds for item in todo) / 60
-        rows.append((part, str(len(of_part)), str(len(of_part) - len(todo)), f"{minutes:.0f}"))
-    return "\n".join(study.table(("part", "runs", "there", "minutes of a core left"), rows))
+        seconds = factor * sum(item.seconds for item in todo)
+        found.append(Part(name, len(of_part), len(of_part) - len(todo), seconds))
+    return found
 
 
 def _correction(done: list[Item]) -> float:
@@ -178,23 +194,3 @@ def _correction(done: list[Item]) -> float:
         and not facts.get("resumed")
     ]
     return statistics.mean(ratios) if ratios else 1.0
-
-
-def main() -> None:
-    """Run, or print the plan or the tables."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--plan", action="store_true", help="print what is missing")
-    parser.add_argument("--tables", action="store_true", help="print the results so far")
-    arguments = parser.parse_args()
-    torch.set_num_threads(1)
-    if arguments.plan:
-        print(plan(arguments.out))
-    elif arguments.tables:
-        print(long_tables.page(arguments.out))
-    else:
-        complete(arguments.out)
-
-
-if __name__ == "__main__":
-    main()

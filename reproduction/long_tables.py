@@ -1,4 +1,4 @@
-"""The tables of `reproduction.long_runs`, made of the files that are there."""
+"""The tables of `python -m reproduction readings`, made of the files that are there."""
 
 from __future__ import annotations
 
@@ -29,15 +29,22 @@ from reproduction.specs import DRAWS
 from reproduction.system_i import NAIVE, NETWORKS, path_of
 from reproduction.tables import spread
 
+HEADING = """# System (i) under other readings of the paper's text
+
+Made by `python -m reproduction readings`. Errors are the RMSE of free runs from the start, against
+the noiseless signal; mean (standard deviation) over seeds, or as the heading says. The *nearest*
+reading has noise of standard deviation 0.1, and the record is filtered as a whole. The
+[claims](claims.md) say what follows from it.
+"""
 APART = 2.0
 """Standard errors by which two readings are called different."""
 PAPER = published.LEARNING_BASED["i"]
 Runs = Sequence[Mapping[str, Any]]
 
 
-def page(out: Path, results: Path = Path("docs/results/runs")) -> str:
-    """Return all tables in Markdown; `results` are the runs of the paper's Table 1."""
-    near = out / "system-i"
+def page(out: Path) -> str:
+    """Return all tables in Markdown, made of the runs in the folder of results."""
+    near, results = out / "system-i", out / "runs"
     sections = [
         ("(i) under the nearest reading, draw 0", block(near)),
         ("The same over noise draws", draws(near)),
@@ -49,7 +56,8 @@ def page(out: Path, results: Path = Path("docs/results/runs")) -> str:
         ('"+HP" on the double-torsion record', recipes(out / "high-pass", results)),
         ("Short and long term in the runs of Tables 1 to 3", horizons(results)),
     ]
-    return "\n\n".join("\n".join([f"## {title}", "", *lines]) for title, lines in sections)
+    tables = "\n\n".join("\n".join([f"## {title}", "", *lines]) for title, lines in sections)
+    return f"{HEADING}\n{tables}\n"
 
 
 def found(out: Path, method: str, name: str, draw: int = 0, seeds: int = 100) -> Runs:

@@ -87,10 +87,12 @@ def test_a_run_that_has_a_file_is_not_run_again(
         for seed in range(2)
     ]  # fmt: skip
     monkeypatch.setattr(long_runs, "items", lambda _: iter([*every, *every]))
-    long_runs.complete(tmp_path)
-    long_runs.complete(tmp_path)
-    assert len(made) == len(every)
-    assert "| seeds | 2 | 2 | 0 |" in long_runs.plan(tmp_path)
+    said: list[str] = []
+    assert long_runs.parts(tmp_path) == [long_runs.Part("seeds", 2, 0, 2.0)]
+    long_runs.complete(tmp_path, said.append)
+    long_runs.complete(tmp_path, said.append)
+    assert len(made) == len(said) == len(every)
+    assert long_runs.parts(tmp_path) == [long_runs.Part("seeds", 2, 2, 0.0)]
 
 
 def test_the_tables_average_the_files(tmp_path: Path) -> None:
@@ -102,6 +104,6 @@ def test_the_tables_average_the_files(tmp_path: Path) -> None:
     (tmp_path / "system-i" / "oracle-draws.json").write_text(
         json.dumps({"variance 0.01": [0.1] * 20}), encoding="utf-8"
     )
-    page = long_tables.page(tmp_path, tmp_path)
+    page = long_tables.page(tmp_path)
     assert "| split-gru | 0.250 (0.071) | 0.127 (0.008) |" in page
     assert "| split-gru | nearest | last | 0.200 |" in page
