@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import scipy.signal
 
@@ -70,6 +71,15 @@ def test_what_goes_on_in_the_time_of_the_training_record_is_left_out_by_name(
 ) -> None:
     assert usual.left_out == ["seasonal-naive"]
     assert usual.runs["seasonal-naive"][0].tests == ()
+
+
+@pytest.mark.parametrize(("start", "said"), [("2024-05-01T10:00", 1), ("2024-05-01T10:00Z", 0)])
+def test_dates_of_which_just_one_has_a_time_zone_are_named(start: str, said: int) -> None:
+    """Another record's stamps are not compared; a reader should know that they could not be."""
+    record = replace(driven(TRAIN, 0), start=pd.Timestamp("2024-03-01T10:00Z"))
+    test = replace(TESTS[0], start=pd.Timestamp(start))
+    (run,) = sb.compare(record, methods=[sb.Linear()], tests=[test], setup=SETUP).runs["linear"]
+    assert sum("just one has a time zone" in each for each in run.tests[0].warnings) == said
 
 
 def test_a_hybrid_model_needs_the_simulator_of_the_test_record() -> None:

@@ -55,7 +55,7 @@ def seconds_between(first: Stamp, second: Stamp) -> float:
     Raises ValueError if just one of them is a date, or just one has a time zone.
     """
     if isinstance(first, pd.Timestamp) and isinstance(second, pd.Timestamp):
-        if (first.tzinfo is None) != (second.tzinfo is None):
+        if zones_differ(first, second):
             raise ValueError(
                 "dates that are put together must all have a time zone, or none: got "
                 f"{in_words(first)} and {in_words(second)}"
@@ -67,6 +67,12 @@ def seconds_between(first: Stamp, second: Stamp) -> float:
             f"got {in_words(first)} and {in_words(second)}"
         )
     return second - first
+
+
+def zones_differ(first: Stamp | None, second: Stamp | None) -> bool:
+    """Return whether both are dates and just one of them has a time zone."""
+    dates = [each for each in (first, second) if isinstance(each, pd.Timestamp)]
+    return len(dates) == 2 and (dates[0].tzinfo is None) != (dates[1].tzinfo is None)
 
 
 def seconds_of(stamp: Stamp | None) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record, check_alike
-from splitband.data.timing import same_sampling
+from splitband.data.timing import same_sampling, zones_differ
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import Fitted
 from splitband.forecasters.intervals import HeldOut
@@ -219,7 +219,8 @@ class Forecaster(Written, ABC):
         Warns
         -----
         ExtrapolationWarning
-            For inputs beyond their range in training, for a simulator's output that ends too early,
+            For a history of another record whose dates have a time zone where those of the training
+            record have none, or the reverse, for inputs beyond their range in training, for a simulator's output that ends too early,
             for a function of time that disagrees with the history, and for a prediction that leaves
             the range of the training samples by far.
         """
@@ -248,6 +249,11 @@ class Forecaster(Written, ABC):
         beyond = fitted.inputs_beyond(None if known.u is None else known.u[len(known.y) :])
         messages = [each.describe(past.inputs[each.channel]) for each in beyond]
         messages += (doubts := self.doubts(known))
+        if zones_differ(past.start, fitted.record.start):
+            messages.append(
+                "of the dates of the history and of the training record just one has a time zone: "
+                f"the two were not compared ({past.grid} and {fitted.record.grid})"
+            )
         left = leaves_range(fitted.y_range, y)
         if left is not None:
             messages.append(
