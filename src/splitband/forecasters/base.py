@@ -220,9 +220,9 @@ class Forecaster(Written, ABC):
         -----
         ExtrapolationWarning
             For a history of another record whose dates have a time zone where those of the training
-            record have none, or the reverse, for inputs beyond their range in training, for a simulator's output that ends too early,
-            for a function of time that disagrees with the history, and for a prediction that leaves
-            the range of the training samples by far.
+            record have none, or the reverse, for inputs beyond their range in training, for a
+            simulator's output that ends too early, for a function of time that disagrees with the
+            history, and for a prediction that leaves the range of the training samples by far.
         """
         fitted = self.require_fitted()
         steps = whole("steps", steps)
