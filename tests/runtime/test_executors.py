@@ -110,7 +110,7 @@ def test_a_comparison_is_the_same_by_any_executor(executor: Executor, tmp_path: 
     done = [(at.stage, at.method, at.seed) for at in seen if at.share == 1 and at.method in trained]
     assert sorted(done) == sorted(
         (stage, method, seed)
-        for stage in ("three quarters", "whole")
+        for stage in ("held-out fit", "final fit")
         for method in trained
         for seed in (0, 1)
     )

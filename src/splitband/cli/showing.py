@@ -11,6 +11,7 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
+from rich.table import Column as TableColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -118,18 +119,24 @@ def progress(
     watched = sys.stderr.isatty() and not console.quiet
     if said and not console.quiet:
         Console(stderr=True).print(said, markup=False, highlight=False)
+    # What is done now comes last and is cut where the terminal ends: it may be longer than a line.
     bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
+        TextColumn(label),
+        BarColumn(bar_width=20),
         TextColumn("{task.percentage:>3.0f} %"),
         TextColumn("{task.fields[times]}"),
+        TextColumn(
+            "{task.description}",
+            table_column=TableColumn(ratio=1, no_wrap=True, overflow="ellipsis"),
+        ),
         console=Console(stderr=True),
+        expand=True,
         transient=True,
         disable=not watched,
     )
     began = now() if plan is None else plan.began
     with bar:
-        whole = bar.add_task(label, total=1.0, times="")
+        whole = bar.add_task("", total=1.0, times=_clock(now() - began))
         shares: dict[tuple[str, str, int], float] = {}
         reached = 0.0
 
@@ -142,12 +149,11 @@ def progress(
             remains = elapsed * (1 / reached - 1) if reached else None
             if remains is not None and plan is not None and plan.limited:
                 remains = min(remains, max(plan.deadline.left, 0.0))
-            left = "" if remains is None else f", {_clock(remains)} left"
             bar.update(
                 whole,
                 completed=reached,
-                description=f"{label}: {at.stage}, {at.method}",
-                times=f"{_clock(elapsed)}{left}",
+                description=": ".join(filter(None, (at.stage, at.method))),
+                times=_clock(elapsed) + _left(remains),
             )
 
         yield update
@@ -157,6 +163,13 @@ def kept(checkpoints: Path) -> str:
     """What is said where a command goes on from what an earlier one has left; else nothing."""
     count = len([*checkpoints.rglob("*.safetensors")])
     return f"resuming: {count} training{'s' if count != 1 else ''} kept" if count else ""
+
+
+def _left(seconds: float | None) -> str:
+    """Words for the time that remains; after the deadline only what has begun is finished."""
+    if seconds is None:
+        return ""
+    return f", {_clock(seconds)} left" if seconds >= 1 else ", finishing"
 
 
 def _clock(seconds: float) -> str:

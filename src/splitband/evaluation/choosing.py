@@ -22,7 +22,7 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import Ensemble
 from splitband.runtime.arguments import whole
 
-TRIAL, FINAL = "three quarters", "whole"
+TRIAL, FINAL = "held-out fit", "final fit"
 """The stages of the work: on how much of the training part the methods are fitted."""
 AFTER_BASELINES, AFTER_SEARCH, AFTER_TRIAL, AFTER_FINAL = 0.1, 0.6, 0.7, 0.95
 """Shares of a command that are done after these stages, for progress bars."""

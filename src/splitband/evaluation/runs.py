@@ -26,8 +26,8 @@ from splitband.training import Checkpoint, Progress
 class RunProgress:
     """An epoch of one run is over; `share` of the run's training is done.
 
-    `stage` is "search" and a number where ways to train are tried, "three quarters" where methods
-    are, "on a baseline" where a network is put on one of them, and "whole" where a method is
+    `stage` is "search" and a number where ways to train are tried, "held-out fit" where methods
+    are, "on a baseline" where a network is put on one of them, and "final fit" where a method is
     fitted to the whole training part.
     """
 
@@ -35,7 +35,7 @@ class RunProgress:
     seed: int
     share: float
     loss: float
-    stage: str = "whole"
+    stage: str = "final fit"
     overall: float = 0.0
 
 
@@ -63,7 +63,7 @@ class Work:
     jobs: int = 1
     progress: Callable[[RunProgress], None] | None = None
     checkpoints: str | Path | None = None
-    stage: str = "whole"
+    stage: str = "final fit"
     executor: Executor | None = None
     plan: Plan = field(default_factory=Plan)
     deadline: Deadline = field(default_factory=Deadline)
