@@ -46,5 +46,5 @@ if __name__ == "__main__":
     settings = sb.Settings(window=60, warmup=20, epochs=15, learning_rate=0.01)
     methods = [sb.Split(LSTM(6), LSTM(12), settings=settings), sb.Persistence()]
     result = sb.compare(record, 300, methods, seeds=1)
-    print(result.table[["held out", "forecast"]].round(3).to_string())
+    print(result.table[["forecast fit %", "held-out RMSE"]].round(3).to_string())
     print(f"recommended: {result.recommended}")

@@ -27,5 +27,5 @@ if __name__ == "__main__":
     rng = np.random.default_rng(0)
     record = sb.Record(0.01 * np.arange(400) + 0.1 * rng.standard_normal(400), 0.1)
     result = sb.compare(record, 300, [Drift(), sb.Mean(), sb.Persistence()])
-    print(result.table[["held out", "forecast"]].round(3).to_string())
+    print(result.table[["forecast fit %", "held-out RMSE"]].round(3).to_string())
     print(f"recommended: {result.recommended}")

@@ -131,7 +131,17 @@ def test_a_record_without_samples_has_no_nrmse(metric: Callable[..., Any], y: Ar
     "constant",
     [0.0, 2.0, 0.1, 1 / 3],
 )
-@pytest.mark.parametrize("metric", [nrmse, fit_percent])
-def test_a_constant_record_has_no_nrmse(metric: Callable[..., Any], constant: float) -> None:
+def test_a_constant_record_has_no_nrmse_and_no_fit(constant: float) -> None:
+    y = np.full(1000, constant)
     with pytest.raises(ValueError, match="y must not be constant"):
-        metric(np.full(1000, constant), np.ones(1000))
+        nrmse(y, np.ones(1000))
+    assert np.isnan(fit_percent(y, np.ones(1000)))
+
+
+def test_each_output_has_a_fit() -> None:
+    y, prediction = noise(50, 2), noise(50, 2, seed=1)
+    y[10:20, 0] = np.nan
+    known = ~np.isnan(y[:, 0])
+    expected = [fit_percent(y[known, 0], prediction[known, 0]),
+                fit_percent(y[:, 1], prediction[:, 1])]  # fmt: skip
+    np.testing.assert_allclose(fit_percent(y, prediction), expected)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -37,21 +38,41 @@ def cumulative_rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
 def nrmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
     """Return the RMSE divided by the standard deviation of y: 1 is as good as the mean."""
     error, y = rmse(y, prediction), np.asarray(y, float)
-    if not _range(y).any():
+    if not _varies(y).any():
         raise ValueError("y must not be constant: its standard deviation is 0")
     return error / rmse(y, np.broadcast_to(np.nanmean(y, axis=0), y.shape))
 
 
-def fit_percent(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
-    """Return the fit in percent, 100 (1 - NRMSE): 100 is perfect, 0 is as good as the mean."""
-    return 100 * (1 - nrmse(y, prediction))
+def fit_percent(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Any:
+    """Return the fit of each output in percent, 100 (1 - |y - prediction| / |y - mean(y)|).
+
+    100 is perfect, 0 is as good as the mean of y; MATLAB's `compare` prints the same number.
+
+    Returns
+    -------
+    fit : `(ny,)`, of a 1-D y a float. NaN for an output that is constant, or was not measured.
+
+    Examples
+    --------
+    >>> sb.fit_percent([0.0, 1.0, 2.0, 3.0], [0.1, 0.9, 2.1, 2.9]).round(2)
+    91.06
+    """
+    squared, y = _squared_errors(y, prediction), np.asarray(y, float)
+    columns = y.reshape(len(y), -1)
+    known = ~np.isnan(columns)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = np.nansum(columns, axis=0) / known.sum(axis=0)
+        error = np.where(known, squared, 0.0).sum(axis=0)
+        lost = error / np.nansum((columns - mean) ** 2, axis=0)
+        fit = np.where(_varies(columns), 100 * (1 - np.sqrt(lost)), np.nan)
+    return float(fit[0]) if y.ndim == 1 else fit
 
 
 def spread(y: npt.ArrayLike) -> Array:
     """Return each channel's standard deviation, `(ny,)`, of `y` `(time, ny)`; 1 for a constant."""
     y = np.asarray(y, float)
     # By its range, as rounding gives even a constant a deviation slightly above 0.
-    return np.asarray(np.where(_range(y) > 0, np.nanstd(y, axis=0), 1.0))
+    return np.asarray(np.where(_varies(y), np.nanstd(y, axis=0), 1.0))
 
 
 FARTHEST = 3.0
@@ -142,8 +163,9 @@ def input_range(inputs: Sequence[Array]) -> tuple[Array, Array]:
     )
 
 
-def _range(y: Array) -> Array:
-    return np.asarray(np.nanmax(y, axis=0) - np.nanmin(y, axis=0))
+def _varies(y: Array) -> npt.NDArray[np.bool_]:
+    """Tell which channels are not constant; one that was not measured is."""
+    return np.asarray(np.fmax.reduce(y, axis=0) > np.fmin.reduce(y, axis=0))
 
 
 def _squared_errors(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:

@@ -112,18 +112,17 @@ def test_the_table_has_the_numbers_of_the_cases(begun: Path) -> None:
     assert [*found.index] == NAMES
     for name, protocol in (("free", "forecast"), ("tested", "test"), ("beside", "forecast")):
         facts, row = results(begun / "out" / name), found.loc[name]
-        errors = {}
-        for method, of_method in facts["methods"].items():
-            mean = of_method["mean_of_seeds"] or {}
-            if protocol == "test" and "test_rmse" in mean:
-                errors[method] = np.mean(mean["test_rmse"])
-            elif protocol == "forecast":
-                errors[method] = mean.get("forecast_rmse", of_method["forecast_rmse"][0])
+        each: dict[str, list[float]] = {}
+        for column in facts["table"]:
+            if column["heading"] == f"{protocol} fit %":
+                for method, fit in column["values"].items():
+                    each.setdefault(method, []).append(1 - fit / 100)
+        errors = {method: np.mean(of_records) for method, of_records in each.items()}
         best = min(errors, key=lambda method: errors[method])
         assert (row["protocol"], row["best"]) == (protocol, best)
         assert row["recommended"] == facts["recommended"]
-        assert row["error"] == pytest.approx(errors[facts["recommended"]] / A.std())
-        assert row["best_error"] == pytest.approx(errors[best] / A.std())
+        assert row["error"] == pytest.approx(errors[facts["recommended"]])
+        assert row["best_error"] == pytest.approx(errors[best])
         assert row["regret"] == pytest.approx(errors[facts["recommended"]] / errors[best])
         assert row["seconds"] == facts["seconds"] > 0
         covers = facts["methods"][facts["recommended"]]["interval"].get("covers", np.nan)
@@ -362,8 +361,9 @@ def test_the_summary_counts_what_has_numbers() -> None:
         Row("d", failed="it does"),
     ]
     assert summary(rows) == {
-        "cases": 4, "failed": 1, "with_regret": 2, "recommended_is_best": 1, "median_error": 2.0,
-        "median_regret": 1.5, "worst_regret": 2.0, "median_held": pytest.approx(0.7),
+        "cases": 4, "failed": 1, "with_regret": 2, "recommended_is_best": 1, "median_fit": -100.0,
+        "median_error": 2.0, "median_regret": 1.5, "worst_regret": 2.0,
+        "median_held": pytest.approx(0.7),
     }  # fmt: skip
     assert summary(rows[3:])["median_regret"] is None
 

@@ -11,7 +11,7 @@ from splitband import read
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
-from splitband.report.page.parts import number
+from splitband.report.numbers import number
 from splitband.runtime.processes import over
 from splitband.training import Settings
 from tests.cli.support import (
@@ -65,7 +65,7 @@ def test_compare_writes_what_is_needed_to_run_it_again(compared: Path) -> None:
     found = results(compared)
     assert found["record"] == {
         "name": "record", "samples": SAMPLES, "sampling_time": pytest.approx(DT),
-        "start": 0.0, "columns": ["a"], "deviation": pytest.approx(A.std()),
+        "start": 0.0, "columns": ["a"], "units": [""],
         "inputs": 0, "gaps": 0, "truth": "measured",
     }  # fmt: skip
     settings = found["settings"]
@@ -148,9 +148,10 @@ def test_compare_prints_its_table_and_where_the_files_are(
     call("compare record.csv --columns a --methods persistence,harmonic --horizon 20", tmp_path)
     found, facts = capsys.readouterr(), results(tmp_path)["methods"]
     row = next(line for line in found.out.splitlines() if "persistence" in line)
-    assert number(facts["persistence"]["total_rmse"][0]) in row
-    assert number(facts["persistence"]["forecast_rmse"][0]) in row
-    assert "from the start" in found.out
+    assert f"{facts['persistence']['total_rmse'][0]:.2f}" in row
+    assert f"{facts['persistence']['forecast_rmse'][0]:.2f}" in row
+    (fit,) = (c["values"] for c in results(tmp_path)["table"] if c["heading"] == "forecast fit %")
+    assert f"fit {fit['harmonic']:.1f} %" in found.out
     assert str(tmp_path) in found.out
     assert found.err == ""
 
@@ -182,11 +183,11 @@ def test_compare_takes_several_channels_and_known_inputs(
     assert np.isfinite(found["methods"]["rnn"]["total_rmse"]).all()
     each = [[rms(y[n:] - y[n - 1]) for y in (A, B)] for n in (WARMUP, TRAIN)]
     shown = capsys.readouterr().out
-    for heading, errors in zip(("from the start", "forecast"), each, strict=True):
+    for heading, errors in zip(("RMSE from the start", "forecast RMSE"), each, strict=True):
         columns = [c for c in found["table"] if c["heading"] == heading]
         assert [c["channel"] for c in columns] == ["a", "b"]
         assert [c["values"]["persistence"] for c in columns] == pytest.approx(errors)
-        assert all(number(error) in shown for error in errors)
+    assert all(f"{error:.3f}" in shown for error in each[1])
     assert_pictures(tmp_path, "rollouts.png", "error.png", "spectrum.png", "components.png")
 
 
@@ -229,7 +230,7 @@ def test_the_recommendation_says_what_it_was_chosen_by(capsys: pytest.CaptureFix
     facts = results(Path("said"))["methods"][best]
     scores = {name: of["score"] for name, of in results(Path("said"))["methods"].items()}
     assert best == min(scores, key=lambda name: scores[name])
-    assert f"recommended: {best}. It has the lowest score, {number(facts['score'])}" in said
+    assert f"recommended: {best}. Lowest score, {number(facts['score'])}" in said
     assert "10 % are added" not in said.replace("\N{NO-BREAK SPACE}", " ")
 
 

@@ -236,7 +236,7 @@ def test_predictions_of_test_records_and_errors_by_channel_are_written() -> None
                 assert predicted.isna().tolist() == [True] * 10 + [False] * (len(table) - 10)
                 rmse = np.sqrt(np.mean((predicted - table[column])[10:] ** 2))
                 (errors,) = (c for c in found["table"] if c.get("record") == test["name"]
-                             and c["channel"] == column)  # fmt: skip
+                             and (c["heading"], c["channel"]) == ("test RMSE", column))  # fmt: skip
                 assert errors["values"][method] == pytest.approx(rmse)
     level = pd.read_csv("out/predictions-test-2.csv")["b, mean, from start"].dropna()
     assert level.to_numpy() == pytest.approx(B.mean())

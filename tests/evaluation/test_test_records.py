@@ -169,7 +169,7 @@ def test_test_records_of_one_name_are_told_apart() -> None:
     result = sb.compare(driven(TRAIN, 0), methods=[sb.Mean()], tests=tests, setup=SETUP)
     assert [test.name for test in result.tests] == ["run", "run (2)"]
     (run,) = result.runs["mean"]
-    columns = [f"test {name}" for name in ("run", "run (2)")]
+    columns = [f"test RMSE {name}" for name in ("run", "run (2)")]
     assert [*result.table.loc["mean", columns]] == [*run.errors.tests]
 
 

@@ -16,8 +16,8 @@ from splitband.evaluation.protocols import Runs
 from splitband.evaluation.selection import WORTH_TRAINING
 from splitband.forecasters.fitted import FitReport
 from splitband.report import results
+from splitband.report.numbers import number
 from splitband.report.page import words
-from splitband.report.page.parts import entry, number
 from splitband.report.table import Column, columns, remarks
 from tests.report import comparisons
 
@@ -72,7 +72,7 @@ def page_text(comparison: Comparison, folder: Path) -> str:
 
 def test_errors_are_of_the_mean_of_seeds_with_their_spread_beside(seeds: Comparison) -> None:
     record, train = seeds.record, seeds.setup.train
-    shown = column(seeds, "forecast")
+    shown = column(seeds, "forecast RMSE")
     level = record.y[:train].mean()
     expected = rmse(record.y[train:], np.full((len(record) - train, 1), level))
     assert shown.values["mean"] == pytest.approx(expected)
@@ -88,8 +88,8 @@ def test_every_renderer_shows_the_same_numbers(seeds: Comparison, tmp_path: Path
         assert c.unit == "seconds" or facts[c.heading] == dict(c.values)
         assert dict(seeds.table[c.title].dropna()) == pytest.approx(dict(c.values))
         for name in c.values:
-            assert entry(c, name) in terminal
-            assert " ".join(entry(c, name).split()) in page
+            assert c.entry(name) in terminal
+            assert " ".join(c.entry(name).split()) in page
 
 
 @pytest.mark.parametrize("best", ["mean", "persistence"])
@@ -104,13 +104,13 @@ def test_the_text_names_the_method_that_the_table_marks(seeds: Comparison, best:
         name: [y] for name, y in final.items()
     }))  # fmt: skip
     assert found.recommended == best
-    shown = column(found, "forecast")
+    shown = column(found, "forecast fit %")
     said = " ".join(words.afterwards(found))
-    assert number(shown.values[best]) in said
+    assert f"fit {shown.entry(best)} %" in " ".join(words.achieved(found))
     if shown.best == best:
-        assert "No other method had a lower error there." in said
+        assert "No other method had a better fit there." in said
     else:
-        assert f"{shown.best} {number(shown.values[shown.best])}" in said
+        assert f"{shown.best} {shown.entry(shown.best)} %" in said
 
 
 def test_each_channel_has_errors_of_its_own(scales: Comparison, tmp_path: Path) -> None:
@@ -118,13 +118,19 @@ def test_each_channel_has_errors_of_its_own(scales: Comparison, tmp_path: Path) 
     for i, channel in enumerate(record.columns):
         held = np.full(len(record) - train, record.y[train - 1, i])
         expected = rmse(record.y[train:, i], held)
-        shown = column(scales, "forecast", channel)
+        shown = column(scales, "forecast RMSE", channel)
         assert shown.values["persistence"] == pytest.approx(expected)
-        assert number(expected) in printed(scales)
-        assert f"forecast, {channel}" in page_text(scales, tmp_path)
-    assert {"held out", "changed", "from the start", "forecast", "in interval"} == {
-        c.heading for c in columns(scales) if c.channel
-    }
+        assert shown.entry("persistence") in printed(scales)
+        assert f"forecast fit %, {channel}" in page_text(scales, tmp_path)
+    assert {
+        "held-out RMSE",
+        "change",
+        "RMSE from the start",
+        "fit % from the start",
+        "forecast RMSE",
+        "forecast fit %",
+        "in interval",
+    } == {c.heading for c in columns(scales) if c.channel}
 
 
 def test_what_is_recommended_has_the_lowest_score(scales: Comparison) -> None:
@@ -145,12 +151,56 @@ def test_nothing_is_said_to_be_chosen_where_one_method_was_asked_for() -> None:
     assert said.startswith("No other method was tried.")
     both = comparisons.compared(r, ["mean", "seasonal-naive"]).require_trial()
     said = " ".join(words.why(both, comparisons.TRAIN, 100))
-    assert f"lowest score, {number(both.worth('seasonal-naive'))}" in said
-    assert f"mean, has {number(both.worth('mean'))}" in said
-    assert "times that" not in said
+    assert f"Lowest score, {number(both.worth('seasonal-naive'))}" in said
+    assert f"next: mean, {number(both.worth('mean'))}" in said
 
 
 def test_a_channel_that_was_never_measured_after_training_has_no_number() -> None:
-    nothing = Column("forecast", "record", {"mean": np.nan, "linear": 1.0})
-    assert (entry(nothing, "mean"), nothing.best) == ("–", "linear")  # noqa: RUF001
-    assert entry(nothing, "gru") == "–"  # noqa: RUF001
+    nothing = Column("forecast RMSE", "record", {"mean": np.nan, "linear": 1.0})
+    assert (nothing.entry("mean"), nothing.best) == ("–", "linear")  # noqa: RUF001
+    assert nothing.entry("gru") == "–"  # noqa: RUF001
+
+
+def test_fit_is_what_matlab_prints_for_each_output(scales: Comparison) -> None:
+    record, train = scales.record, scales.setup.train
+    for i, channel in enumerate(record.columns):
+        y, held = record.y[train:, i], record.y[train - 1, i]
+        expected = 100 * (1 - np.linalg.norm(y - held) / np.linalg.norm(y - y.mean()))
+        shown = column(scales, "forecast fit %", channel)
+        assert shown.values["persistence"] == pytest.approx(expected)
+        assert shown.best != "persistence"
+
+
+def test_rows_are_in_the_order_of_the_score_and_the_recommended_one_is_marked(
+    scales: Comparison,
+) -> None:
+    scores = column(scales, "score").values
+    assert [*scales.table.index] == sorted(scores, key=lambda name: scores[name])
+    first = next(line for line in printed(scales).splitlines() if "*" in line)
+    assert scales.recommended in first
+
+
+@pytest.mark.parametrize("ny", [1, 2])
+def test_a_table_fits_a_terminal_of_100_columns(ny: int, seeds: Comparison) -> None:
+    found = seeds if ny == 1 else comparisons.everything()
+    with showing.console.capture() as captured, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(showing.console, "width", 100)
+        showing.methods("", columns(found), remarks(found), found.recommended)
+    table = [line for line in captured.get().splitlines() if line.startswith(("┃", "│"))]
+    assert max(map(len, table)) <= 100
+    assert "fit %" in " ".join(table)
+    assert "Left out of a narrow terminal" in captured.get()
+
+
+@pytest.mark.parametrize(
+    ("values", "shown"),
+    [
+        ([0.0935, 1.7, 6.99], ["0.0935", "1.7000", "6.9900"]),
+        ([12.3, 456.0, 1e9], ["12.3", "456.0", "1.00e+09"]),
+        ([0.0, 0.5], ["0.000", "0.500"]),
+    ],
+)
+def test_a_column_has_one_number_of_digits(values: list[float], shown: list[str]) -> None:
+    names = "abc"[: len(values)]
+    listed = Column("forecast RMSE", "record", dict(zip(names, values, strict=True)))
+    assert [listed.entry(name) for name in names] == shown

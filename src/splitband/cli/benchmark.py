@@ -159,6 +159,7 @@ def _say(rows: Sequence[report.Row], out: Path) -> None:
         f"{found['with_regret']}"
     ]
     for what, key in (
+        ("median fit %", "median_fit"),
         ("median regret", "median_regret"),
         ("worst regret", "worst_regret"),
         ("median error", "median_error"),
@@ -173,12 +174,14 @@ def _say(rows: Sequence[report.Row], out: Path) -> None:
 
 def _table(rows: Sequence[report.Row]) -> Table:
     table = Table(
-        title="errors of the mean over seeds, as multiples of each record's standard deviation",
+        title="errors of the mean over seeds, as multiples of the standard deviation",
         title_justify="left",
         title_style="bold",
     )
     table.add_column("case", overflow="fold")
-    for heading in ("of", "recommended", "best"):
+    table.add_column("of")
+    table.add_column("fit %", justify="right")
+    for heading in ("recommended", "best"):
         table.add_column(heading)
     for heading in ("error", "regret", "in interval", "seconds"):
         table.add_column(heading, justify="right")
@@ -187,7 +190,8 @@ def _table(rows: Sequence[report.Row]) -> Table:
         table.add_column("note", style="dim")
     for row in rows:
         table.add_row(
-            row.name, row.protocol, row.recommended, row.best,
+            row.name, row.protocol, "-" if row.fit is None else f"{row.fit:.1f}",
+            row.recommended, row.best,
             _number(row.error), _number(row.regret),
             "-" if row.held is None else f"{row.held:.0%}",
             "-" if row.seconds is None else f"{row.seconds:.0f}",
@@ -199,7 +203,7 @@ def _table(rows: Sequence[report.Row]) -> Table:
 def _in_short(row: report.Row) -> str:
     if row.failed:
         return row.note
-    return f"{row.recommended}, error {_number(row.error)}, {row.seconds:.0f} s"
+    return f"{row.recommended}, fit {_number(row.fit)} %, {row.seconds:.0f} s"
 
 
 def _number(value: float | None) -> str:

@@ -19,10 +19,14 @@ def show(result: Comparison, names: list[str], out: Path, used: Usage) -> None:
     """Print the table, what is recommended and why, what to be warned of, and how it is used."""
     record, setup, trial = result.record, result.setup, result.require_trial()
     best = result.recommended
-    showing.methods(_title(record, setup), columns(result), remarks(result), best)
+    said = {
+        name: "; ".join(filter(None, [words.in_words(name), note]))
+        for name, note in remarks(result).items()
+    }
+    showing.methods(_title(record, setup), columns(result), said, best)
     showing.console.print(timing.in_words(result.plan))
     why = words.why(trial, setup.train, len(record) - setup.train)
-    showing.console.print(f"recommended: {best}. {' '.join(why)}")
+    showing.console.print(f"\nrecommended: {best}. {' '.join(why)}")
     if result.left_out:
         showing.console.print(
             f"not tested: {', '.join(result.left_out)}; they go on from the training record, or "
@@ -46,6 +50,8 @@ def show(result: Comparison, names: list[str], out: Path, used: Usage) -> None:
     for test, prediction in zip(result.tests, result.means[best].tests, strict=False):
         for message in prediction.warnings:
             showing.warn(f"{test.name}: {message}")
+    for line in words.achieved(result):
+        showing.console.print(line, style="bold")
     for what, command in used.commands[:1]:
         # In one line, so that it can be copied whole.
         showing.console.print(f"{what}:\n    {command}", soft_wrap=True)
@@ -54,8 +60,8 @@ def show(result: Comparison, names: list[str], out: Path, used: Usage) -> None:
 
 
 def _title(record: Record, setup: Setup) -> str:
-    truth = "the noise-free signal" if record.y_true is not None else "the measurement"
+    truth = "the noise-free signal" if record.y_true is not None else "what was measured"
     return (
-        f"{record.name}: free-run RMSE against {truth}, {setup.train} samples to train on, "
-        f"{len(record) - setup.train} beyond"
+        f"{record.name}: simulations and forecasts against {truth}; {setup.train:,} samples to "
+        f"train on, {len(record) - setup.train:,} after them"
     )

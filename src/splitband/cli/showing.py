@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import textwrap
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
+from rich.measure import Measurement
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Column as TableColumn
 from rich.table import Table
@@ -19,14 +21,13 @@ from splitband.evaluation.plan import Plan
 from splitband.evaluation.protocols import Runs
 from splitband.evaluation.runs import RunProgress
 from splitband.metrics import Extrapolation, ExtrapolationWarning
-from splitband.report.page.parts import entry
-from splitband.report.table import Column
+from splitband.report.table import NOTES, Column
 from splitband.runtime.deadlines import now
 from splitband.runtime.files import to_json
 
 console = Console(
     soft_wrap=not sys.stdout.isatty(),
-    width=None if sys.stdout.isatty() else 120,
+    width=None if sys.stdout.isatty() else 100,
     markup=False,  # brackets in names of files and columns are text
     emoji=False,
     highlight=False,
@@ -70,37 +71,68 @@ def results_file(path: Path) -> None:
 def methods(
     title: str, listed: Sequence[Column], said: Mapping[str, str], recommended: str
 ) -> None:
-    """Print a table of columns with a row for each method; the lowest error of each is bold.
+    """Print a table of columns with a row for each method; the best of each column is bold.
 
-    Of several channels each has a line in every row. Below stands what is `said` of each method:
-    in a column of its own it would be broken into single words.
+    Of several outputs each has a line in every row. Where the terminal is too narrow, the least
+    important columns are left out. Below stands what is `said` of each method.
     """
-    headings = list(dict.fromkeys((column.heading, column.record) for column in listed))
+    headings = [*dict.fromkeys((column.heading, column.record) for column in listed)]
+    least = [*NOTES]
+    headings.sort(key=lambda each: least.index(each[0]))
     channels = list(dict.fromkeys(column.channel for column in listed if column.channel))
-    table = Table(title=title, title_justify="left", title_style="bold", show_lines=bool(channels))
-    table.add_column("method", min_width=max(map(len, said)))
-    if channels:
-        table.add_column("channel")
-    for heading, record in headings:
-        # A number in two lines would be taken for two channels.
-        table.add_column(f"{heading} {record}".strip(), justify="right", no_wrap=True)
-    for name in said:
-        cells = [
-            _lines([c for c in listed if (c.heading, c.record) == of], name) for of in headings
-        ]
-        if channels:
-            cells.insert(0, Text("\n".join(channels)))
-        table.add_row(Text(name, style="bold" if name == recommended else ""), *cells)
+    left_out = []
+    while True:
+        of = [[c for c in listed if (c.heading, c.record) == each] for each in headings]
+        table = _table(title, of, channels, [*said], recommended)
+        if len(headings) == 1 or _width(table) <= console.width:
+            break
+        left_out.append(headings.pop()[0])
     console.print(table)
+    if left_out:
+        more = ", ".join(dict.fromkeys(left_out[::-1]))
+        console.print(f"Left out of a narrow terminal: {more}.", style="dim")
     for name, words in said.items():
         if words:
             console.print(f"{name}: {words}", style="dim")
 
 
+def _table(
+    title: str,
+    listed: Sequence[Sequence[Column]],
+    channels: Sequence[str],
+    names: Sequence[str],
+    recommended: str,
+) -> Table:
+    """Return a table; `listed` holds the columns of each heading, one for each output."""
+    table = Table(title=title, title_justify="left", title_style="bold", show_lines=bool(channels))
+    table.add_column("method", no_wrap=True)
+    if channels:
+        table.add_column("output", no_wrap=True)
+    for of_heading in listed:
+        single = f"{of_heading[0].heading} {of_heading[0].record}" if channels else ""
+        heading = (single or of_heading[0].label).strip()
+        widest = max(len(column.entry(name)) for column in of_heading for name in names)
+        # A number in two lines would be taken for two outputs.
+        header = textwrap.fill(heading, max(widest, 9), break_long_words=False)
+        table.add_column(header, justify="right", no_wrap=True)
+    for name in names:
+        cells = [_lines(of_heading, name) for of_heading in listed]
+        if channels:
+            cells.insert(0, Text("\n".join(channels)))
+        mark = "* " if name == recommended else "  "
+        table.add_row(Text(mark + name, style="bold" if mark.strip() else ""), *cells)
+    return table
+
+
+def _width(table: Table) -> int:
+    """Return how wide a table is where it has all the room there is."""
+    return Measurement.get(console, console.options.update(width=10_000), table).maximum
+
+
 def _lines(of_channels: Sequence[Column], method: str) -> Text:
     """Return a cell: a line for each channel."""
     said = [
-        Text(entry(column, method), style="bold" if column.best == method else "")
+        Text(column.entry(method), style="bold" if column.best == method else "")
         for column in of_channels
     ]
     return Text("\n").join(said)

@@ -27,6 +27,8 @@ LARGEST, SMALLEST = 1e120, 1e-120
 _NUMBERED = re.compile(r"[yu]\d*|\d+")
 """Names that are only a letter or a number, see `same_names`."""
 
+_UNIT = re.compile(r"[ _][(\[]([^()\[\]]+)[)\]]$")
+
 
 @dataclass(frozen=True, eq=False)
 class Record:
@@ -206,6 +208,11 @@ class Record:
         return 0 if self.u is None else int(self.u.shape[1])
 
     @property
+    def units(self) -> tuple[str, ...]:
+        """Return the unit of each channel, as its name ends with it: "m" of "position (m)"."""
+        return tuple(unit_of(name) for name in self.columns)
+
+    @property
     def sampling_rate(self) -> float:
         """Return the sampling rate in Hz."""
         return 1.0 / self.sampling_time
@@ -336,6 +343,12 @@ def check_alike(other: Record, record: Record, name: str) -> None:
             f"{name} must be sampled like the training record, every {record.sampling_time:g} s, "
             f"got every {other.sampling_time:g} s"
         )
+
+
+def unit_of(name: str) -> str:
+    """Return the unit that ends a column's name in brackets, "m" of "x (m)" or "x [m]"; or ""."""
+    found = _UNIT.search(name)
+    return found[1] if found else ""
 
 
 def same_names(names: Sequence[str], others: Sequence[str]) -> bool:

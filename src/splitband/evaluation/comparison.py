@@ -228,8 +228,8 @@ def compare(
     >>> result = sb.compare(record, 300, [sb.Mean(), sb.Persistence(), sb.Harmonic()])
     >>> result.recommended
     'harmonic'
-    >>> list(result.table["forecast"].round(1))
-    [0.7, 1.2, 0.0]
+    >>> list(result.table["forecast fit %"].round(1))
+    [100.0, -0.3, -77.9]
     """
     methods = [methods] if isinstance(methods, str) else methods
     if setup is None:

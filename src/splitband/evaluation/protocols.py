@@ -21,7 +21,14 @@ from splitband.forecasters.backtest import Backtest, Origin, Question, first_ori
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.prediction import Prediction, mean_of
-from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
+from splitband.metrics import (
+    Extrapolation,
+    extrapolations,
+    fit_percent,
+    input_range,
+    leaves_range,
+    rmse,
+)
 from splitband.runtime.arguments import whole
 
 Array = npt.NDArray[np.float64]
@@ -254,6 +261,15 @@ def by_channel(record: Record, predicted: Array) -> list[float]:
     """
     truth = record.truth[len(record) - len(predicted) :]
     return [rmse(y, x) for y, x in zip(truth.T, predicted.T, strict=True)]
+
+
+def fit_by_channel(record: Record, predicted: Array) -> list[float]:
+    """Return the fit in percent of each output, of a prediction that ends with the record.
+
+    NaN where it is constant, or was not measured.
+    """
+    truth = record.truth[len(record) - len(predicted) :]
+    return [float(fit) for fit in np.atleast_1d(fit_percent(truth, predicted))]
 
 
 def inputs_beyond(training: Sequence[Record], u: Array | None) -> list[Extrapolation]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,8 +22,8 @@ FAR = 10.0
 class Row:
     """What the comparison of one case came to.
 
-    Errors are RMSE of the mean over seeds, as multiples of the record's standard deviation: 1 is
-    as good as the record's mean.
+    Errors are RMSE of the mean over seeds, as multiples of the standard deviation of the predicted
+    samples: 1 is as good as their mean. Of several outputs it is the root mean square of theirs.
 
     Attributes
     ----------
@@ -49,6 +50,14 @@ class Row:
     failed: str = ""
 
     @property
+    def fit(self) -> float | None:
+        """Return the recommended method's fit in percent; of several outputs that of their errors.
+
+        None where it has no error.
+        """
+        return None if self.error is None else 100 * (1 - self.error)
+
+    @property
     def regret(self) -> float | None:
         """How many times the best method's error the recommended one has; 1 is ideal.
 
@@ -71,12 +80,9 @@ class Row:
         """
         protocol = "test" if facts.get("tests") else "forecast"
         methods, chosen = facts["methods"], facts["recommended"]
-        deviation = facts["record"]["deviation"]
-        errors = {
-            method: error / deviation
-            for method, of_method in methods.items()
-            if deviation and (error := _error(of_method, protocol)) is not None
-        }
+        fits = [c for c in facts["table"] if c["heading"] == f"{protocol} fit %"]
+        found = {method: _error(fits, method) for method in methods}
+        errors = {method: error for method, error in found.items() if error is not None}
         best = min(errors, key=lambda method: errors[method], default="")
         return cls(
             name,
@@ -100,17 +106,18 @@ class Row:
 
     def as_json(self) -> dict[str, Any]:
         """For results.json and a line of table.csv."""
-        return {**vars(self), "regret": self.regret}
+        return {**vars(self), "fit": self.fit, "regret": self.regret}
 
 
-def _error(facts: Mapping[str, Any], protocol: str) -> float | None:
-    """A method's error in its record's unit; None where it has none."""
-    mean = facts.get("mean_of_seeds") or {}
-    if protocol == "test":
-        return statistics.mean(mean["test_rmse"]) if mean.get("test_rmse") else None
-    alone = facts.get("forecast_rmse")
-    found = mean.get("forecast_rmse", alone[0] if alone else None)
-    return None if found is None else float(found)
+def _error(fits: Sequence[Mapping[str, Any]], method: str) -> float | None:
+    """Return a method's error, from its fits to each output of each record; None without any."""
+    known: dict[str, list[float]] = {}
+    for column in fits:
+        if method in column["values"]:
+            error = 1 - column["values"][method] / 100
+            known.setdefault(column.get("record", ""), []).append(error)
+    each = [math.hypot(*errors) / math.sqrt(len(errors)) for errors in known.values()]
+    return statistics.mean(each) if each else None
 
 
 def table(rows: Sequence[Row]) -> pd.DataFrame:
@@ -126,6 +133,7 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
         "failed": len(rows) - len(done),
         "with_regret": sum(row.regret is not None for row in done),
         "recommended_is_best": sum(row.regret == 1 for row in done),
+        "median_fit": _median([row.fit for row in done]),
         "median_error": _median([row.error for row in done]),
         "median_regret": _median([row.regret for row in done]),
         "worst_regret": max((r for row in done if (r := row.regret) is not None), default=None),
@@ -172,7 +180,7 @@ def _draw_errors(ax: Axes, rows: Sequence[Row], size: int) -> None:
         ax.plot(x, y, marker, ms=size, color=color, label=label)
     ax.set_xscale("log")
     ax.xaxis.set_major_formatter("{x:g}")
-    ax.set_xlabel("RMSE over the record's deviation (dotted: as good as its mean)")
+    ax.set_xlabel("RMSE over standard deviation of the samples (dotted: as good as their mean)")
     ax.legend(fontsize=8, ncols=2, loc="lower left", bbox_to_anchor=(0, 1))
 
 

@@ -25,7 +25,6 @@ from splitband.evaluation.saved_settings import SavedSettings
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import time_header
-from splitband.metrics import rmse
 from splitband.report import pictures, tested
 from splitband.report.table import columns, tried
 from splitband.runtime.deadlines import now
@@ -107,7 +106,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
             "sampling_time": record.sampling_time,
             "start": as_json(record.start),
             "columns": list(record.columns),
-            "deviation": deviation(record),
+            "units": list(record.units),
             "inputs": record.nu,
             "gaps": 0 if record.measured is None else int((~record.complete).sum()),
             "truth": "measured" if record.y_true is None else "noise-free",
@@ -132,13 +131,6 @@ def results(comparison: Comparison) -> dict[str, Any]:
         | {name: {"failed": reason} for name, reason in trial.failed.items()},
         "environment": environment(),
     }
-
-
-def deviation(record: Record) -> float:
-    """The RMSE of the record's own mean, all channels as in `metrics.rmse`: 0 for constant ones."""
-    y = record.seen
-    varies = np.nanmax(y, axis=0) > np.nanmin(y, axis=0)
-    return rmse(y[:, varies], np.broadcast_to(np.nanmean(y[:, varies], axis=0), y[:, varies].shape))
 
 
 def predictions(comparison: Comparison) -> pd.DataFrame:

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.protocols import Run, by_channel
+from splitband.evaluation.protocols import Run, by_channel, fit_by_channel
 from splitband.evaluation.selection import (
     CHANGE_COUNTS,
     LEVEL,
@@ -23,27 +23,36 @@ from splitband.evaluation.selection import (
 )
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import leaving
+from splitband.report.numbers import aligned, decimals, number, percent
 
-Unit = Literal["record", "deviation", "share", "seconds", "count"]
-"""Of a column: the record's own unit, standard deviations of the record, 0 to 1, seconds, none."""
+Unit = Literal["percent", "record", "deviation", "share", "seconds", "count"]
+"""Of a column: percent, the output's own unit, its standard deviation, 0 to 1, seconds, none."""
+FARTHEST = -999.0
+"""A worse fit is not told apart."""
 
 NOTES = {
-    "score": "what the recommendation goes by, the lowest: the held-out error in standard "
-    "deviations (of several channels the root of the sum of squares) or, where that is larger, "
+    "test fit %": "100 (1 - |y - prediction| / |y - mean(y)|) of the simulation of this test "
+    "record: 100 is perfect, 0 is as good as the mean of the record",
+    "forecast fit %": "100 (1 - |y - prediction| / |y - mean(y)|) of the forecast: 100 is perfect, "
+    "0 is as good as the mean of the samples after the training part",
+    "test RMSE": "root mean squared error of the simulation of this test record",
+    "forecast RMSE": "root mean squared error of the forecast from the end of the training part",
+    "score": "what the recommendation goes by: the lowest. It is the held-out RMSE in standard "
+    "deviations (of several outputs the root of the sum of squares) or, where that is larger, "
     f"{CHANGE_COUNTS**0.5:.2g} times the change, of a network {NETWORK_CHANGE_COUNTS**0.5:.2g} "
-    f"times; {WORTH_TRAINING:.0%} are added to a network's",
-    "held out": "RMSE of forecasts of the last quarter of the training part, fitted to the rest",
-    "changed": "RMSE between those fits' forecasts of what follows the training part and the final "
-    "one; it should not be above the held-out error",
-    "from the start": "RMSE of the simulation from the first samples to the end of the record",
-    "forecast": "RMSE of the forecast from the end of the training part",
-    "test": "RMSE of the simulation of this test record",
-    "in interval": f"share of the forecast's samples in its interval; it should be {LEVEL:.0%}",
-    "seeds": "trainings, of which the mean of the predictions is shown; after ±: the standard "
-    "deviation of the errors of the single ones",
+    f"times; a network's is raised by {WORTH_TRAINING:.0%}",
+    "in interval": f"share of the measured samples in the forecast's interval; {LEVEL:.0%} is "
+    "right",
+    "held-out RMSE": "of forecasts of the last quarter of the training part by fits to the rest",
+    "RMSE from the start": "of the simulation from the first samples to the end of the record",
+    "fit % from the start": "of the same simulation",
     "fit (s)": "seconds of one fit, mean over the seeds",
+    "change": "RMSE between the forecast and those of the fits to less of the training part; it "
+    "should not be above the held-out RMSE",
+    "seeds": "trainings, whose predictions are averaged; after ±: the standard deviation of the "
+    "errors of single seeds",
 }
-"""What the columns mean."""
+"""What the columns mean, the most important first: a narrow terminal leaves out the last ones."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +67,8 @@ class Column:
     channel : The measured column it is of; empty where it is of all of them, or the record has one.
     record : The test record it is of, by name; empty: the one that is compared on.
     spreads : Standard deviation over the seeds, by method, where there are several.
-    ranked : Whether the lowest number is the best one.
+    ranked : Whether the lowest number, of percents the highest, is the best one.
+    measure : The unit of the output, as its name says it: "m".
     """
 
     heading: str
@@ -68,6 +78,7 @@ class Column:
     record: str = ""
     spreads: Mapping[str, float] = field(default_factory=dict)
     ranked: bool = True
+    measure: str = ""
 
     @property
     def title(self) -> str:
@@ -81,10 +92,38 @@ class Column:
         return NOTES[self.heading]
 
     @property
+    def label(self) -> str:
+        """The title with the unit, unless the channel's name says it."""
+        said = self.measure and self.unit == "record" and not self.channel
+        return f"{self.title} ({self.measure})" if said else self.title
+
+    @property
     def best(self) -> str:
-        """The method with the lowest number; empty where numbers are not ranked."""
+        """The best method; empty where numbers are not ranked."""
         known = {name: value for name, value in self.values.items() if value == value}  # noqa: PLR0124
-        return min(known, key=lambda name: known[name], default="") if self.ranked else ""
+        if not (known and self.ranked):
+            return ""
+        return (max if self.unit == "percent" else min)(known, key=lambda name: known[name])
+
+    def entry(self, method: str) -> str:
+        """Return what a table shows of a method, with the spread of its seeds."""
+        value = self.values.get(method)
+        if value is None or value != value:  # noqa: PLR0124  NaN
+            return number(None)
+        if self.unit == "share":
+            return percent(value)
+        if self.unit == "percent" and value < FARTHEST:
+            return f"< {FARTHEST:.0f}"
+        if self.unit == "percent":
+            return f"{value:.1f}"
+        text = aligned(value, self._decimals)
+        spread = self.spreads.get(method)
+        return text if spread is None else f"{text} ± {aligned(spread, self._decimals)}"
+
+    @property
+    def _decimals(self) -> int:
+        fixed: dict[str, int] = {"seconds": 1, "count": 0}
+        return fixed[self.unit] if self.unit in fixed else decimals([*self.values.values()])
 
     def as_json(self) -> dict[str, Any]:
         """Return what results.json says of it."""
@@ -94,28 +133,32 @@ class Column:
             **({"channel": self.channel} if self.channel else {}),
             "note": self.note,
             "unit": self.unit,
+            **({"measure": self.measure} if self.measure and self.unit == "record" else {}),
             "values": {name: v for name, v in self.values.items() if math.isfinite(v)},
             **({"spreads": dict(self.spreads)} if self.spreads else {}),
         }
 
 
 def columns(comparison: Comparison) -> list[Column]:
-    """Return the columns of a comparison, in the order in which they are shown.
+    """Return the columns of a comparison: fit and error first, then what they rest on.
 
-    Errors are of the mean of the seeds' predictions, which is what is handed out, each channel by
+    Errors are of the mean of the seeds' predictions, which is what is handed out, each output by
     itself; beside them stands the standard deviation of the seeds' own errors.
     """
     runs, record, ahead = comparison.runs, comparison.record, bool(comparison.predictions)
-    found = [] if comparison.trial is None else tried(comparison.trial, record, [*runs], ahead)
-    found += _errors(comparison, "from the start", record, lambda run: run.from_start)
-    if ahead:
-        found += _errors(comparison, "forecast", record, lambda run: run.forecast)
+    found: list[Column] = []
     for i, test in enumerate(comparison.tests):
-        tested = _errors(comparison, "test", test, _test(i))
+        tested = _errors(comparison, ("test fit %", "test RMSE"), test, _test(i))
         found += [replace(column, record=test.name or str(i + 1)) for column in tested]
+    if ahead:
+        headings = "forecast fit %", "forecast RMSE"
+        found += _errors(comparison, headings, record, lambda run: run.forecast)
+    found += [] if comparison.trial is None else tried(comparison.trial, record, [*runs], ahead)
+    headings = "fit % from the start", "RMSE from the start"
+    found += _errors(comparison, headings, record, lambda run: run.from_start)
     if ahead and comparison.trial is not None:
         held = {name: comparison.coverages(name) for name in runs}
-        found += _by_channel("in interval", held, _channels(record), "share")
+        found += _by_channel("in interval", held, record, "share")
     if any(len(of_method) > 1 for of_method in runs.values()):
         counts = {name: float(len(of_method)) for name, of_method in runs.items()}
         found.append(Column("seeds", "count", counts, ranked=False))
@@ -123,26 +166,37 @@ def columns(comparison: Comparison) -> list[Column]:
     return [*found, Column("fit (s)", "seconds", seconds, ranked=False)]
 
 
+def ordered(trial: Trial | None, methods: Iterable[str]) -> list[str]:
+    """Return the methods in the order of what they are chosen by, the recommended one first."""
+    if trial is None:
+        return [*methods]
+    return sorted(methods, key=lambda name: (name in trial.left_out, trial.worth(name)))
+
+
 def tried(trial: Trial, record: Record, methods: Sequence[str], ahead: bool = True) -> list[Column]:
     """Return the columns of what a trial has found: score, held-out error and change.
 
     Only a forecast of what lies `ahead` of the training part can change.
     """
-    channels, settled = _channels(record), [name for name in methods if name in trial.final]
+    settled = [name for name in methods if name in trial.final]
     scores = {name: trial.worth(name) for name in settled}
     found = [Column("score", "deviation", scores)]
-    found += _by_channel("held out", {m: trial.errors[m] for m in methods}, channels)
+    found += _by_channel("held-out RMSE", {m: trial.errors[m] for m in methods}, record)
     if ahead:
         changes = {name: trial.change(name) for name in settled}
-        changed = _by_channel("changed", changes, channels)
+        changed = _by_channel("change", changes, record)
         found += [replace(column, ranked=False) for column in changed]
     return found
 
 
 def remarks(comparison: Comparison) -> dict[str, str]:
-    """Return what is to be said of each method beside its numbers; why it failed, if it did."""
+    """Return what is to be said of each method beside its numbers; why it failed, if it did.
+
+    The methods are in the order of the table's rows.
+    """
     found = {}
-    for name, runs in comparison.runs.items():
+    for name in ordered(comparison.trial, comparison.runs):
+        runs = comparison.runs[name]
         left = [run.leaves for run in runs if run.leaves is not None]
         said = [leaving(min(left)) if left else "", runs[0].description]
         found[name] = "; ".join(filter(None, said))
@@ -156,21 +210,26 @@ def remarks(comparison: Comparison) -> dict[str, str]:
 
 def _errors(
     comparison: Comparison,
-    heading: str,
+    headings: tuple[str, str],
     record: Record,
     predicted: Callable[[Run], Prediction | None],
 ) -> list[Column]:
-    """Return the errors on a record of the mean of each method's seeds, and their spread."""
-    means, spreads = {}, {}
-    for name, runs in comparison.runs.items():
-        of_mean = predicted(comparison.means[name])
-        if of_mean is None:
-            continue
-        means[name] = by_channel(record, of_mean.y)
-        each = [by_channel(record, p.y) for run in runs if (p := predicted(run)) is not None]
-        if len(each) > 1:
-            spreads[name] = [statistics.stdev(errors) for errors in zip(*each, strict=True)]
-    return _by_channel(heading, means, _channels(record), "record", spreads)
+    """Return the fit and the RMSE on a record of the mean of each method's seeds."""
+    found: list[Column] = []
+    measures = fit_by_channel, by_channel
+    units: tuple[Unit, Unit] = "percent", "record"
+    for heading, measure, unit in zip(headings, measures, units, strict=True):
+        means, spreads = {}, {}
+        for name, runs in comparison.runs.items():
+            of_mean = predicted(comparison.means[name])
+            if of_mean is None:
+                continue
+            means[name] = measure(record, of_mean.y)
+            each = [measure(record, p.y) for run in runs if (p := predicted(run)) is not None]
+            if len(each) > 1 and unit == "record":
+                spreads[name] = [statistics.stdev(errors) for errors in zip(*each, strict=True)]
+        found += _by_channel(heading, means, record, unit, spreads)
+    return found
 
 
 def _test(i: int) -> Callable[[Run], Prediction | None]:
@@ -178,15 +237,10 @@ def _test(i: int) -> Callable[[Run], Prediction | None]:
     return lambda run: run.tests[i] if run.tests else None
 
 
-def _channels(record: Record) -> Sequence[str]:
-    """Return what errors are said of: each measured column, or nothing in particular."""
-    return record.columns if record.ny > 1 else ("",)
-
-
 def _by_channel(
     heading: str,
     values: Mapping[str, Sequence[float]],
-    channels: Sequence[str],
+    record: Record,
     unit: Unit = "record",
     spreads: Mapping[str, Sequence[float]] | None = None,
 ) -> list[Column]:
@@ -195,9 +249,10 @@ def _by_channel(
             heading,
             unit,
             {name: float(of_method[i]) for name, of_method in values.items()},
-            channel,
+            channel if record.ny > 1 else "",
             spreads={name: float(of_method[i]) for name, of_method in (spreads or {}).items()},
-            ranked=unit == "record",
+            ranked=unit != "share",
+            measure=measure,
         )
-        for i, channel in enumerate(channels)
+        for i, (channel, measure) in enumerate(zip(record.columns, record.units, strict=True))
     ]

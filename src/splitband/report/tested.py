@@ -58,7 +58,11 @@ def picture(comparison: Comparison) -> Figure:
     size = max(3.6 * len(channels), 7), (0.9 + 0.22 * len(names)) * len(tests) + 0.5
     figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(len(tests), len(channels), sharey=True, squeeze=False)
-    errors = {(c.record, c.channel): c.values for c in columns(comparison) if c.record}
+    errors = {
+        (c.record, c.channel): c.values
+        for c in columns(comparison)
+        if c.record and c.unit == "record"
+    }
     for i, test in enumerate(tests):
         for channel, column in enumerate(channels):
             of_column = errors[test.name, "" if only else column]

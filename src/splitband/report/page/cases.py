@@ -9,14 +9,16 @@ import numpy as np
 from bokeh.models import HoverTool
 
 from splitband.report.benchmark import Row, summary
+from splitband.report.numbers import number, percent
 from splitband.report.page import figures
 from splitband.report.page.comparison import settings
-from splitband.report.page.parts import Cell, Page, Plot, Section, Table, number, percent
+from splitband.report.page.parts import Cell, Page, Plot, Section, Table
 from splitband.report.page.usage import Usage
 
 _NOTES = (
-    ("error", "RMSE of the recommended method as a multiple of the record's standard deviation; 1 "
-     "is as good as the record's mean"),
+    ("fit %", "100 (1 - error) of the recommended method: 100 is perfect, 0 as good as the mean"),
+    ("error", "its RMSE over the standard deviation of the predicted samples; of several outputs "
+     "the root mean square"),
     ("regret", "the recommended method's error over the lowest one; 1 is ideal"),
     ("in interval", "share of the forecast's samples in the recommended method's interval"),
 )  # fmt: skip
@@ -30,8 +32,8 @@ def page(rows: Sequence[Row], used: Usage, own_page: str) -> Page:
         f"{found['with_regret']} cases."
     ]
     facts = [("cases", str(found["cases"]))]
-    for title, key in (("median error", "median_error"), ("median regret", "median_regret"),
-                       ("worst regret", "worst_regret")):  # fmt: skip
+    for key in ("median_fit", "median_error", "median_regret", "worst_regret"):
+        title = key.replace("_", " ")
         facts += [] if found[key] is None else [(title, number(found[key]))]
     if found["median_held"] is not None:
         facts.append(("median share in the interval", percent(found["median_held"])))
@@ -55,6 +57,7 @@ def _table(rows: Sequence[Row], own_page: str) -> Table:
         [
             Cell(row.name, link="" if row.failed else f"{quote(row.name)}/{own_page}"),
             Cell(row.protocol),
+            Cell("" if row.fit is None else f"{row.fit:.1f}", row.fit),
             Cell(row.recommended),
             Cell(row.best),
             Cell(number(row.error), row.error),
@@ -68,6 +71,7 @@ def _table(rows: Sequence[Row], own_page: str) -> Table:
     headings = [
         "case",
         "of",
+        "fit %",
         "recommended",
         "best",
         "error",
@@ -76,7 +80,7 @@ def _table(rows: Sequence[Row], own_page: str) -> Table:
         "seconds",
         "note",
     ]
-    caption = "Errors of the mean over seeds, as multiples of each record's standard deviation"
+    caption = "Fit and error of the mean over seeds"
     return Table(caption, headings, cells, notes=_NOTES)
 
 
@@ -89,7 +93,7 @@ def _plots(rows: Sequence[Row]) -> list[Plot]:
     errors = np.array([row.error for _, row in known])
     best = np.array([row.best_error for _, row in known])
     shown = figures.plain(
-        "RMSE over the record's deviation", "case, in the order of the list", y_axis_type="log",
+        "RMSE over standard deviation", "case, in the order of the list", y_axis_type="log",
         x_range=figures.time_range(0.5, len(rows) + 0.5),
         y_range=figures.between(0.7 * float(best.min()), 1.4 * float(errors.max())),
     )  # fmt: skip

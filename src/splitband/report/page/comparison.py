@@ -10,8 +10,9 @@ import numpy.typing as npt
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.selection import Trial
+from splitband.report.numbers import number
 from splitband.report.page import horizon, tables, time_plots, usage, words
-from splitband.report.page.parts import MethodStyles, Page, Section, View, entry, number
+from splitband.report.page.parts import MethodStyles, Page, Section, View
 from splitband.report.page.spectra import spectrum
 from splitband.report.page.training import training
 from splitband.report.page.usage import Usage
@@ -74,7 +75,7 @@ def _answer(comparison: Comparison) -> Section:
     text += [" ".join(words.why(comparison.require_trial(), train, len(record) - train))]
     text += [" ".join(words.afterwards(comparison))]
     facts = [
-        (column.title, entry(column, best))
+        (column.title, column.entry(best))
         for column in columns(comparison)
         if column.unit in ("record", "share") and best in column.values
     ]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from splitband.evaluation.forecast import Forecast
 from splitband.metrics import leaving
+from splitband.report.numbers import number, percent
 from splitband.report.page import figures, tables, usage, words
 from splitband.report.page.comparison import lead, method_styles, settings
 from splitband.report.page.figures import TALL, TimeAxis
-from splitband.report.page.parts import Method, Page, Plot, Section, View, entry, number, percent
+from splitband.report.page.parts import Method, Page, Plot, Section, View
 from splitband.report.page.spectra import spectrum
 from splitband.report.page.thinning import bin_size, envelope, places, thinned
 from splitband.report.page.time_plots import MOST
@@ -55,7 +56,7 @@ def _answer(result: Forecast) -> Section:
     items += [f"{name} could not be fitted: {why}" for name, why in trial.failed.items()]
     half = interval.half_widths(len(result.prediction)).mean(axis=0)
     facts = [
-        (column.title, entry(column, method))
+        (column.title, column.entry(method))
         for column in tried(trial, record, [method])
         if column.unit == "record"
     ]

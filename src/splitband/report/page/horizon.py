@@ -9,9 +9,10 @@ import numpy.typing as npt
 
 from splitband.evaluation.comparison import Comparison
 from splitband.metrics import cumulative_rmse
+from splitband.report.numbers import number
 from splitband.report.page import figures
 from splitband.report.page.figures import TALL, TimeAxis
-from splitband.report.page.parts import MethodStyles, Plot, number
+from splitband.report.page.parts import MethodStyles, Plot
 from splitband.report.page.thinning import bin_size, places, thinned
 from splitband.report.page.time_plots import LEAST
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from splitband.report.colors import place
-from splitband.report.table import Column
 
 
 @dataclass(frozen=True)
@@ -190,30 +189,3 @@ class MethodStyles:
         color = place(self.names, name)
         dashed = [*self.names].index(name) != color
         return Method(name, color, dashed, name in self.shown, name == self.recommended)
-
-
-def number(value: float | None) -> str:
-    """Three digits; a dash where there is none."""
-    if value is None or value != value:  # noqa: PLR0124  NaN
-        return "–"  # noqa: RUF001
-    if value and not 1e-3 <= abs(value) < 1e5:
-        return f"{value:.2e}"
-    return f"{float(f'{value:.3g}'):,.12g}"
-
-
-def percent(share: float) -> str:
-    """A share as a percentage."""
-    digits = f"{100 * share:.0f}" if share >= 0.1 else f"{100 * share:.2g}"
-    return f"{digits}\N{NO-BREAK SPACE}%"
-
-
-def entry(column: Column, method: str) -> str:
-    """Return what a table shows of a method in a column, the spread of its seeds beside it."""
-    value = column.values.get(method)
-    if value is None or value != value:  # noqa: PLR0124  NaN
-        return number(None)
-    if column.unit == "share":
-        return percent(value)
-    text = f"{value:.1f}" if column.unit == "seconds" else number(value)
-    spread = column.spreads.get(method)
-    return text if spread is None else f"{text} ± {number(float(f'{spread:.2g}'))}"

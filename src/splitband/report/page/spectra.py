@@ -14,9 +14,10 @@ from splitband.data import Record
 from splitband.filters.cutoff import Choice
 from splitband.filters.spectrum import coherence, periodogram
 from splitband.report.colors import PALETTE
+from splitband.report.numbers import number
 from splitband.report.page import figures
 from splitband.report.page.figures import LOW, TALL
-from splitband.report.page.parts import Plot, number
+from splitband.report.page.parts import Plot
 
 Array = npt.NDArray[np.float64]
 

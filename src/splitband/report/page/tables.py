@@ -8,9 +8,10 @@ from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.search import SearchAttempt
 from splitband.evaluation.selection import Trial
-from splitband.report.page.parts import Cell, Table, entry, number
+from splitband.report.numbers import number
+from splitband.report.page.parts import Cell, Table
 from splitband.report.page.words import in_words
-from splitband.report.table import Column, columns, remarks
+from splitband.report.table import Column, columns, ordered, remarks
 from splitband.report.table import tried as columns_of_trial
 
 
@@ -18,9 +19,9 @@ def methods(comparison: Comparison) -> Table:
     """Return the table of a comparison: a row for each method."""
     said = remarks(comparison)
     caption = (
-        "The methods and their errors, each channel in its own unit; the lowest of each is bold"
+        "The methods and their errors, each channel in its own unit; the best of each is bold"
         if comparison.record.ny > 1
-        else "The methods and their errors, in the record's unit; the lowest of each is bold"
+        else "The methods and their errors, in the record's unit; the best of each is bold"
     )
     notes = [(name, words) for name in comparison.runs if (words := in_words(name))]
     listed = columns(comparison)
@@ -29,8 +30,8 @@ def methods(comparison: Comparison) -> Table:
 
 def tried(trial: Trial, record: Record) -> Table:
     """Return the table of a trial: a row for each method."""
-    said = {name: in_words(name) for name in trial.errors}
-    caption = "What the methods did on the record's last quarter; the lowest of each is bold"
+    said = {name: in_words(name) for name in ordered(trial, trial.errors)}
+    caption = "What the methods did on the record's last quarter; the best of each is bold"
     listed = columns_of_trial(trial, record, [*trial.errors])
     return _of_columns(caption, listed, said, "what it is", trial.recommended)
 
@@ -47,13 +48,13 @@ def _of_columns(
     rows = [
         [
             Cell(name),
-            *(Cell(entry(c, name), c.values.get(name), name == c.best) for c in listed),
+            *(Cell(c.entry(name), c.values.get(name), name == c.best) for c in listed),
             Cell(words),
         ]
         for name, words in said.items()
     ]
     explained = dict.fromkeys((column.heading, column.note) for column in listed)
-    headings = ["method", *(column.title for column in listed), last]
+    headings = ["method", *(column.label for column in listed), last]
     return Table(caption, headings, rows, frozenset([[*said].index(marked)]), [*explained, *notes])
 
 

@@ -13,9 +13,10 @@ from bokeh.plotting import figure
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.protocols import by_channel
+from splitband.report.numbers import number, percent
 from splitband.report.page import figures
 from splitband.report.page.figures import LOW, TALL, TimeAxis
-from splitband.report.page.parts import MethodStyles, Plot, number, percent
+from splitband.report.page.parts import MethodStyles, Plot
 from splitband.report.page.thinning import bin_size, envelope, places, thinned
 
 Array = npt.NDArray[np.float64]

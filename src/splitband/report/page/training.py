@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from splitband.evaluation.protocols import Run
+from splitband.report.numbers import number
 from splitband.report.page import figures
-from splitband.report.page.parts import MethodStyles, Plot, number
+from splitband.report.page.parts import MethodStyles, Plot
 
 
 def training(runs: Mapping[str, Sequence[Run]], styles: MethodStyles) -> list[Plot]:

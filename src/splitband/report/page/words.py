@@ -4,53 +4,69 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.selection import WORTH_TRAINING, Trial
 from splitband.forecasters.backtest import HELD_OUT
 from splitband.forecasters.names import CALIBRATED, CONDITIONED, base
 from splitband.metrics import Extrapolation, leaving
-from splitband.report.page.parts import entry, number, percent
+from splitband.report.numbers import number, percent
 from splitband.report.table import Column, columns
 
 _KINDS = {
-    "gru": "a recurrent network (GRU) that learns the whole signal",
-    "rnn": "a recurrent network (Euler MLP) that learns the whole signal",
-    "split-gru": "two recurrent networks, one for the slow and one for the fast part of the "
-    "signal, parted by a pair of complementary filters",
-    "split-gru-hp": "two recurrent networks, one for each part of the signal, the output of the "
-    "fast one high-passed, too",
-    "filtered": "{base} for the slow part of the signal and a network for the fast one, put "
-    "together by a pair of complementary filters",
-    "residual": "{base}, and a network that learns what it leaves",
-    "simulator": "the simulator of the record, as it comes",
-    "simulator-affine": "the simulator with gain and offset fitted to the training samples",
-    "mean": "the mean of the training samples",
-    "persistence": "the last measured value, held",
-    "seasonal-naive": "the last period, repeated",
-    "harmonic": "a sum of sinusoids and a trend, fitted to the training samples",
-    "periodic": "one waveform that repeats, fitted to the training samples",
-    "linear": "a linear model of the known inputs",
+    "gru": "GRU network",
+    "rnn": "Euler network (an MLP as state equation)",
+    "split-gru": "two GRU networks, one for the low band and one for the high band",
+    "split-gru-hp": "two GRU networks, one for each band, the output of the second high-passed",
+    "filtered": "{base} in the low band, {network} network in the high band",
+    "residual": "{base} plus a {network} network that learns its error",
+    "simulator": "the simulator as it is",
+    "simulator-affine": "the simulator with fitted gain and offset",
+    "mean": "mean of the training samples",
+    "persistence": "last measured value, held",
+    "seasonal-naive": "last period, repeated",
+    "harmonic": "sinusoids and a trend, fitted",
+    "periodic": "periodic waveform, fitted",
+    "linear": "linear model of the inputs (output error)",
 }
-_BASES = {"linear": "a linear model", "periodic": "a periodic waveform", "harmonic": "sinusoids"}
+_BASES = {"linear": "linear model", "periodic": "periodic waveform", "harmonic": "sinusoids"}
 POOR = 0.15
 """By how much an interval may miss the share that it should hold before the page warns of it."""
 
 
 def in_words(name: str) -> str:
-    """What a method is; empty for one of the user's own."""
+    """Return what a method is; empty for one of the user's own."""
     plain = base(name)
     kind, _, rest = plain.partition("-")
-    told = "; the network is told what the slower part says" if name.endswith(CONDITIONED) else ""
+    seen = ", which sees the slower part's output" if name.endswith(CONDITIONED) else ""
     if kind in ("filtered", "residual"):
-        slow = next((said for b, said in _BASES.items() if rest.startswith(b)), "the simulator")
-        slow = "the calibrated simulator" if CALIBRATED in name else slow
-        return _KINDS[kind].format(base=slow) + told
+        slow = next((said for b, said in _BASES.items() if rest.startswith(b)), "simulator")
+        slow = "calibrated simulator" if CALIBRATED in name else slow
+        network = "Euler" if rest.endswith("rnn") else "GRU"
+        return _KINDS[kind].format(base=slow, network=network) + seen
     if plain == "simulator" and CALIBRATED in name:
         return "the simulator, calibrated on the training samples"
-    return _KINDS[plain] + told if plain in _KINDS else ""
+    return _KINDS[plain] + seen if plain in _KINDS else ""
+
+
+def achieved(comparison: Comparison) -> list[str]:
+    """Return the fit and the error of the recommended method, a line for each output and record.
+
+    That is on the test records, or else on the samples after the training part.
+    """
+    best, record = comparison.recommended, comparison.record
+    listed = [column for column in columns(comparison) if best in column.values]
+    heading = "test" if any(c.heading == "test fit %" for c in listed) else "forecast"
+    fits = [column for column in listed if column.heading == f"{heading} fit %"]
+    errors = [column for column in listed if column.heading == f"{heading} RMSE"]
+    ahead = len(record) - comparison.setup.train
+    lines = []
+    for fit, error in zip(fits, errors, strict=True):
+        of = f"test record {fit.record}" if fit.record else f"forecast of {ahead:,} samples"
+        name = f", {fit.channel}" if fit.channel else ""
+        unit = f" {error.measure}" if error.measure else ""
+        lines.append(f"{of}{name}: fit {fit.entry(best)} %, RMSE {error.entry(best)}{unit}")
+    return lines
 
 
 def why(trial: Trial, train: int, ahead: int) -> list[str]:
@@ -64,79 +80,62 @@ def why(trial: Trial, train: int, ahead: int) -> list[str]:
         ]
     able = [name for name in settled if name not in trial.left_out] or settled
     others = sorted((trial.worth(name), name) for name in able if name != best)
-    words = [f"It has the lowest score, {number(trial.worth(best))}"]
+    words = [f"Lowest score, {number(trial.worth(best))}"]
     if others and len(able) < len(settled):
-        words[0] += ", of the methods that the test records could be simulated with"
+        words[0] += ", of the methods that could simulate the test records"
     if others:
-        words[0] += f"; the next one, {others[0][1]}, has {number(others[0][0])}"
+        words[0] += f"; next: {others[0][1]}, {number(others[0][0])}"
     words[0] += "."
     words.append(
-        f"Scores rest on the {train:,} training samples alone: every method was fitted to the "
-        f"first {percent(1 - HELD_OUT)} of them and forecast the rest (held out)."
+        f"The score uses the {train:,} training samples alone: every method was trained on the "
+        f"first {percent(1 - HELD_OUT)} of them and predicted the rest."
     )
     if ahead:
         words.append(
-            "Then it was fitted to all of them. A change of its forecast of what follows that the "
-            "held-out error does not explain is the score in that error's place."
+            "Then it was trained on all of them. If that changed its forecast by more than the "
+            "held-out error explains, the change is its score."
         )
     if trial.trained and set(trial.errors) - trial.trained:
-        words.append(f"{percent(WORTH_TRAINING)} are added to the score of a network.")
+        words.append(f"A network's score is raised by {percent(WORTH_TRAINING)}.")
     return words
 
 
 def afterwards(comparison: Comparison) -> list[str]:
     """Return what the recommended method did on samples that nothing had been fitted to."""
-    best, record = comparison.recommended, comparison.record
-    listed, words = columns(comparison), []
-    ahead = len(record) - comparison.setup.train
-    forecast = [column for column in listed if column.heading == "forecast"]
-    if forecast:
+    best, listed = comparison.recommended, columns(comparison)
+    words = []
+    held = [column for column in listed if column.heading == "in interval"]
+    if held:
         share = comparison.require_trial().intervals[best].share
-        held = [column for column in listed if column.heading == "in interval"]
         words.append(
-            f"On the {ahead:,} samples after them its forecast had RMSE "
-            f"{_each(forecast, best, record)}; its interval, which should hold {percent(share)} of "
-            f"the samples, held {_listed(held, best)}."
+            f"Its {percent(share)} interval held {_listed(held, best)} of the samples after the "
+            "training part."
         )
-    tested = [[c for c in listed if c.record == test.name] for test in comparison.tests]
-    for test, of_test in zip(comparison.tests, tested, strict=True):
-        if best in of_test[0].values:
-            words.append(
-                f"It simulated the test record {test.name} with RMSE {_each(of_test, best, test)}."
-            )
-    return words + _hindsight(best, [c for of_test in tested for c in of_test] or forecast)
-
-
-def _each(errors: Sequence[Column], method: str, record: Record) -> str:
-    """Return a method's errors, each with its share of the channel's standard deviation."""
-    said = []
-    for i, column in enumerate(errors):
-        y = record.seen[:, i]
-        of = f" ({column.channel})" if column.channel else ""
-        value = column.values[method]
-        if np.nanmax(y) > np.nanmin(y):
-            of += f", {percent(value / float(np.nanstd(y)))} of the standard deviation"
-        said.append(f"{number(value)}{of}")
-    return " and ".join(said)
+    tests = [column for column in listed if column.heading == "test fit %"]
+    ahead = [column for column in listed if column.heading == "forecast fit %"]
+    return words + _hindsight(best, tests or ahead)
 
 
 def _listed(found: Sequence[Column], method: str) -> str:
     """Return a method's entries with the channels they are of."""
     return " and ".join(
-        entry(column, method) + (f" ({column.channel})" if column.channel else "")
+        column.entry(method) + (f" ({column.channel})" if column.channel else "")
         for column in found
     )
 
 
-def _hindsight(best: str, errors: Sequence[Column]) -> list[str]:
-    """Return which methods had a lower error after all; `errors` are of samples not fitted to."""
-    if not errors or best not in errors[0].values:
+def _hindsight(best: str, fits: Sequence[Column]) -> list[str]:
+    """Return which methods had a better fit; `fits` are of samples not fitted to."""
+    if not fits or best not in fits[0].values:
         return []
-    lower = [c for c in errors if c.values[c.best] < c.values[best]]
-    if not lower:
-        return ["No other method had a lower error there."]
-    said = ", ".join(f"{c.best} {number(c.values[c.best])} ({c.title})" for c in lower)
-    return [f"Lower errors there, which could not be known before: {said}."]
+    better = [c for c in fits if c.best and c.values[c.best] > c.values[best]]
+    if not better:
+        return ["No other method had a better fit there."]
+    said = ", ".join(
+        f"{c.best} {c.entry(c.best)} %" + (f" ({of})" if (of := c.record or c.channel) else "")
+        for c in better
+    )
+    return [f"In hindsight, a better fit: {said}."]
 
 
 def doubts(comparison: Comparison) -> list[str]:

@@ -1,0 +1,37 @@
+"""Numbers as tables and sentences show them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+_MISSING = "–"  # noqa: RUF001
+_SMALLEST, _LARGEST = 1e-3, 1e5
+
+
+def number(value: float | None) -> str:
+    """Return three digits; a dash where there is none."""
+    if value is None or value != value:  # noqa: PLR0124  NaN
+        return _MISSING
+    if value and not _SMALLEST <= abs(value) < _LARGEST:
+        return f"{value:.2e}"
+    return f"{float(f'{value:.3g}'):,.12g}"
+
+
+def percent(share: float) -> str:
+    """Return a share as a percentage."""
+    digits = f"{100 * share:.0f}" if share >= 0.1 else f"{100 * share:.2g}"
+    return f"{digits}\N{NO-BREAK SPACE}%"
+
+
+def decimals(values: Sequence[float]) -> int:
+    """Return the decimals of a column's numbers: three digits of the smallest, four at most."""
+    sizes = [abs(v) for v in values if math.isfinite(v) and _SMALLEST <= abs(v) < _LARGEST]
+    return min(max(2 - math.floor(math.log10(min(sizes))), 0), 4) if sizes else 1
+
+
+def aligned(value: float, decimals: int) -> str:
+    """Return a number of a column; one that is much larger or smaller than the rest by `number`."""
+    if abs(value) >= _LARGEST or round(value, decimals) == 0 != value:
+        return number(value)
+    return f"{value:,.{decimals}f}"
