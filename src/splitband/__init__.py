@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from splitband.forecasters.simulation import Simulation
     from splitband.forecasters.single import Single
     from splitband.forecasters.split import Split
+    from splitband.forecasters.streaming import Stream
     from splitband.metrics import ExtrapolationWarning, cumulative_rmse, fit_percent, nrmse, rmse
     from splitband.networks import GRU, Cell, EulerMLP, StateSpace, rollout
     from splitband.runtime.cluster import Cluster
@@ -70,6 +71,7 @@ _MODULES = {
     "forecasters.simulation": ("Simulation",),
     "forecasters.single": ("Single",),
     "forecasters.split": ("Split",),
+    "forecasters.streaming": ("Stream",),
     "metrics": ("ExtrapolationWarning", "cumulative_rmse", "fit_percent", "nrmse", "rmse"),
     "networks": ("GRU", "Cell", "EulerMLP", "StateSpace", "rollout"),
     "runtime.cluster": ("Cluster",),
@@ -117,6 +119,7 @@ __all__ = [
     "Sizes",
     "Split",
     "StateSpace",
+    "Stream",
     "Work",
     "backtest",
     "compare",

@@ -105,7 +105,7 @@ class Modes(NamedTuple):
 
     def predict(self, index: npt.NDArray[np.number]) -> Array:
         """Return the values at these indices, counted from the first fitted sample."""
-        return np.asarray(self.basis(index) @ self.coefficients)
+        return self.basis(index) @ self.coefficients
 
     @property
     def beat_slowly(self) -> bool:

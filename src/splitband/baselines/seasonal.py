@@ -55,7 +55,11 @@ class SeasonalNaive:
     def predict(self, start: float, steps: int) -> Array:
         """Return the samples from `start` on, `(steps, ny)`."""
         index = round(start) + np.arange(steps)
-        return np.asarray(self.period[(index - self.end) % self.lag] + trending(self.trends, index))
+        return self.period[(index - self.end) % self.lag] + self.trend(round(start), steps)
+
+    def trend(self, start: float, steps: int) -> Array:
+        """Return the trend alone of the samples from `start` on, `(steps, ny)`."""
+        return trending(self.trends, start + np.arange(steps))
 
     def __str__(self) -> str:
         return f"the last {self.lag} training samples, repeated{described(self.trends)}"

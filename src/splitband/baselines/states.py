@@ -17,11 +17,11 @@ from splitband.baselines.naive import known
 
 Array = npt.NDArray[np.float64]
 
-_FACTORS = np.geomspace(1e-4, 1e6, 41)
+FACTORS = np.geomspace(1e-4, 1e6, 41)
 """Multiples of the usual covariance by which an initial state may differ from what is expected."""
-_SURPRISING = 8.0
+SURPRISING = 8.0
 """By how much twice the log-likelihood must rise for a factor other than the usual one."""
-_EXACT = 1e-9
+EXACT = 1e-9
 """Of the usual response to a state: a smaller error of a model is that of rounding."""
 _MOST_CORRELATED = 0.999
 
@@ -98,15 +98,15 @@ class States(NamedTuple):
         if not size.any():
             return np.zeros(samples)
         seen = outer.T @ both[:, -1]
-        noise = max(self.error, _EXACT * float(abs(answers).max())) ** 2
+        noise = max(self.error, EXACT * float(abs(answers).max())) ** 2
 
         def unlikely(factor: float) -> float:
             variance = noise + factor * size**2
             return float(np.sum(np.log(variance) + seen**2 / variance))
 
         usual = 0.0 if expected else 1.0
-        factor = min(_FACTORS, key=unlikely)
-        if unlikely(factor) + _SURPRISING > unlikely(usual):
+        factor = min(FACTORS, key=unlikely)
+        if unlikely(factor) + SURPRISING > unlikely(usual):
             factor = usual
         return np.asarray(answers @ (inner.T @ (factor * size * seen / (noise + factor * size**2))))
 

@@ -63,9 +63,9 @@ class Shape(NamedTuple):
         elapsed = np.maximum(index - self.begin, 0) / self.samples
         folds = self.rate * self.samples
         if not folds:
-            return np.asarray(np.sqrt(12) * (elapsed - 0.5))
+            return np.sqrt(12) * (elapsed - 0.5)
         mean, deviation = self._moments()
-        return np.asarray((np.exp(-folds * elapsed) - mean) / deviation)
+        return (np.exp(-folds * elapsed) - mean) / deviation
 
     def by_rate(self, index: npt.NDArray[np.number]) -> Array:
         """Return the derivative of an exponential by its rate, `(len(index),)`.

@@ -21,6 +21,8 @@ from splitband.forecasters.fitted import Fitted
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.known import Known, continued
 from splitband.forecasters.prediction import Prediction
+from splitband.forecasters.stepping import Extrapolated, NotSteppedError, Part, Recursion
+from splitband.forecasters.streaming import Asked, Stream
 from splitband.metrics import ExtrapolationWarning, leaves_range
 from splitband.runtime.arguments import whole
 from splitband.runtime.options import Written, attributes, options
@@ -263,6 +265,42 @@ class Forecaster(Written, ABC):
         for message in messages:
             warnings.warn(message, ExtrapolationWarning, stacklevel=2)
         return replace(prediction, warnings=tuple(messages), doubts=tuple(doubts))
+
+    @final
+    def stream(self, history: Record | None = None, other_record: bool = False) -> Stream:
+        """Return the forecaster with a state, that goes on sample by sample from a history.
+
+        Each step takes constant time and memory. A forecaster of your own, and a few that look
+        ahead or interpolate a simulator's output, are asked anew for each sample, which is slower.
+
+        Parameters
+        ----------
+        history, other_record : See `predict`.
+        """
+        past = self.require_fitted().record if history is None else history
+        u = None if past.u is None else past.u[:0]
+        y_sim = past.beyond if past.y_sim is None or past.beyond is not None else past.y_sim[:0]
+        known, _ = self._known(0, history, u, y_sim, other_record)
+        try:
+            recursion = self.stepped()
+        except NotSteppedError:
+            recursion = Asked(self, past, "simulator" in self.needs, other_record)
+        return Stream(self.name, recursion, recursion.followed(known))
+
+    def stepped(self) -> Recursion:
+        """Return what the fitted forecaster does with each sample, by default that of its `part`.
+
+        Raises NotSteppedError with the reason where `predict` has to be asked.
+        """
+        record = self.require_fitted().record
+        return Extrapolated(self.part(), record.ny, record.nu)
+
+    def part(self) -> Part:
+        """Return what the fitted forecaster says sample by sample, by itself or in a hybrid.
+
+        Raises NotSteppedError, see `stepped`.
+        """
+        raise NotSteppedError(f"{self.name} cannot be stepped: {type(self).__name__} has no `part`")
 
     def save(self, folder: str | Path) -> None:
         """Write the fitted forecaster to a folder, whole or not at all; `splitband.load` reads it.

@@ -19,6 +19,8 @@ from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import first_only
 from splitband.forecasters.known import Known
+from splitband.forecasters.stepping import Constant, Held, InTime, Part, Repeated
+from splitband.forecasters.stepping_linear import Driven
 
 Array = npt.NDArray[np.float64]
 
@@ -42,6 +44,10 @@ class Mean(Forecaster):
         """See `Forecaster`."""
         return np.tile(self.level, (known.steps, 1))
 
+    def part(self) -> Part:
+        """See `Forecaster`."""
+        return Constant(self.level)
+
     def describe(self) -> str:
         """See `Forecaster`."""
         return "the mean of the training samples"
@@ -60,6 +66,10 @@ class Persistence(Forecaster):
             raise ValueError("history must have a measured sample in every channel")
         last = len(known.y) - 1 - measured[::-1].argmax(axis=0)
         return np.tile(np.take_along_axis(known.y, last[None], axis=0), (known.steps, 1))
+
+    def part(self) -> Part:
+        """See `Forecaster`."""
+        return Held(self.require_fitted().record.ny)
 
     def describe(self) -> str:
         """See `Forecaster`."""
@@ -96,6 +106,10 @@ class _ByTime(Forecaster):
         """Over the history, too, `(time + steps, ny)`."""
         return self.baseline.predict(_whole(known.begin), len(known.y) + known.steps)
 
+    def part(self) -> Part:
+        """See `Forecaster`."""
+        return InTime(self.baseline.predict)
+
     def doubts(self, known: Known) -> list[str]:
         """See `Forecaster`: a history with which it disagrees is none of the training record."""
         if known.own:
@@ -125,6 +139,12 @@ class SeasonalNaive(_ByTime):
     def fit_to(self, y: Array) -> ByTime:
         """See `baselines.seasonal`."""
         return LastPeriod.fit(y)
+
+    def part(self) -> Part:
+        """See `Forecaster`."""
+        baseline = self.baseline
+        assert isinstance(baseline, LastPeriod)
+        return Repeated(baseline.period, baseline.end, baseline.trend)
 
 
 @final
@@ -180,6 +200,10 @@ class Linear(Forecaster):
         before = self.u[:begin] if 0 <= begin <= len(self.u) else None
         y = np.full_like(known.y, np.nan) if known.own else known.y  # the fit has told its state
         return self.model.continued(_inputs(known.u), y, before)
+
+    def part(self) -> Part:
+        """See `Forecaster`."""
+        return Driven(self.model, self.u)
 
     def describe(self) -> str:
         """See `Forecaster`."""

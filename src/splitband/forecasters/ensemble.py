@@ -15,6 +15,7 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.known import Known
 from splitband.forecasters.network import Network
+from splitband.forecasters.stepping import Averaged, Recursion
 from splitband.runtime.arguments import whole
 from splitband.training import Checkpoint, Progress, Settings
 
@@ -156,6 +157,10 @@ class Ensemble(Forecaster):
             each if isinstance(each, dict) else {self.name: each} for each in extrapolated
         ]
         return {name: np.mean([p[name] for p in parts], axis=0) for name in parts[0]}
+
+    def stepped(self) -> Recursion:
+        """See `Forecaster`: the mean of the members."""
+        return Averaged([member.stepped() for member in self.members])
 
     def doubts(self, known: Known) -> list[str]:
         """See `Forecaster`: those of every member."""

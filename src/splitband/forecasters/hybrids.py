@@ -18,6 +18,7 @@ from splitband.forecasters.known import Known
 from splitband.forecasters.network import Template, as_template, label_of
 from splitband.forecasters.simulation import Simulation
 from splitband.forecasters.split import Banded, check_warmup
+from splitband.forecasters.stepping import Part
 from splitband.models import Model
 from splitband.models.hybrid import FAST, SLOW
 from splitband.simulators import Simulator
@@ -156,6 +157,9 @@ class _Hybrid(Banded):
     def _slow(self, known: Known) -> Array:
         base: Any = self._fitted_base()  # the constructor has checked that it has a `trajectory`
         return base.trajectory(known)
+
+    def _slow_part(self) -> Part:
+        return self._fitted_base().part()
 
     def _fitted_base(self) -> Forecaster:
         self.require_fitted()

@@ -25,6 +25,7 @@ from splitband.forecasters.base import Forecaster, total
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.known import Known
 from splitband.forecasters.remembering import Remembered
+from splitband.forecasters.stepping import NotSteppedError, Part, Recursion, Warmed
 from splitband.models import Model
 from splitband.networks import Cell
 from splitband.runtime.threads import drawn_from
@@ -192,6 +193,14 @@ class Network(Forecaster):
         since = len(known.y) - self._start(known)
         return {name: part[since:] for name, part in parts.items()}
 
+    def stepped(self) -> Recursion:
+        """See `Forecaster`."""
+        try:
+            model = self._trained().stepped()
+        except ValueError as error:
+            raise NotSteppedError(f"{self.name} cannot be stepped: {error}") from None
+        return Warmed(model, self._slow_part(), self.warmup, self.delays)
+
     def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
         """What the model's filters are fed with, by name; empty for a model without filters."""
         known, _ = self._known(steps, history, None, None)
@@ -250,6 +259,10 @@ class Network(Forecaster):
 
     def _slow(self, known: Known) -> Array | None:
         """What the model is given beside the measured samples, `(time + steps, ny)`."""
+        return None
+
+    def _slow_part(self) -> Part | None:
+        """What that is sample by sample; None without any."""
         return None
 
     def _built(self, record: Record, settings: Settings, seed: int) -> Model:

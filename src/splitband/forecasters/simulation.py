@@ -16,6 +16,7 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import NEAR_ROW, first_only
 from splitband.forecasters.known import Known
 from splitband.forecasters.remembering import Remembered
+from splitband.forecasters.stepping import Given, NotSteppedError, Part
 from splitband.simulators import Recorded, Simulator, run
 from splitband.simulators.absent import Absent
 from splitband.simulators.calibration import Calibration, Term, calibrate, samples_needed
@@ -190,6 +191,16 @@ class Simulation(Forecaster):
         y_sim = simulator.on(replace(times, samples=samples)).values
         y = self.calibration.apply(y_sim, count, step, start, first)
         return np.concatenate([np.full((known.since, y.shape[1]), np.nan), y])
+
+    def part(self) -> Part:
+        """See `Forecaster`: its output comes with each sample."""
+        if not self.calibration.stays:
+            raise NotSteppedError(
+                f"{self.name} cannot be stepped, as its time is calibrated: {self.calibration}"
+            )
+        ny = self.require_fitted().record.ny
+        gain, offset = self.calibration.gain or [1.0] * ny, self.calibration.offset or [0.0] * ny
+        return Given(np.array(gain), np.array(offset), self.trajectory)
 
     def _before(self, known: Known) -> str:
         """Return what is wrong with a history that begins before the training record."""

@@ -21,6 +21,7 @@ from splitband.metrics import (
     input_range,
     spread,
 )
+from splitband.models.stepping import Stepped
 from splitband.networks import Cell
 from splitband.runtime.arguments import whole
 
@@ -174,6 +175,10 @@ class Model(nn.Module, ABC):
             name: self._shaped(part.double() * self.y_std + self.y_mean, y_warmup)
             for name, part in parts.items()
         }
+
+    def stepped(self) -> Stepped:
+        """Return the model sample by sample; raises ValueError where it cannot run so."""
+        raise ValueError(f"{type(self).__name__} cannot be stepped")
 
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """What is filtered after the warm-up `known.y`; nothing, unless a subclass filters."""

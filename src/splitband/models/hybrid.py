@@ -21,6 +21,7 @@ from splitband.models.base import (
     slope_scale,
     with_next_input,
 )
+from splitband.models.stepping import SteppedFiltered, SteppedResidual
 from splitband.networks import Cell, rollout
 
 SLOW, FAST = "simulator", "network"
@@ -97,6 +98,10 @@ class Filtered(Hybrid):
         low = _required(filtered)[:, known.y.shape[1] :][:, :steps]
         return {f"{SLOW}, low band": low, f"{FAST}, high band": self._high(filtered, steps)}
 
+    def stepped(self) -> SteppedFiltered:
+        """See `Model`."""
+        return SteppedFiltered(self)
+
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """The simulator's samples and the network's, before the filters."""
         warmup = known.y.shape[1]
@@ -139,6 +144,10 @@ class Residual(Hybrid):
         warmup = known.y.shape[1]
         residual = self._simulate(self._conditioned(known), steps)
         return {SLOW: _required(known)[:, warmup : warmup + steps], FAST: residual}
+
+    def stepped(self) -> SteppedResidual:
+        """See `Model`."""
+        return SteppedResidual(self)
 
     def tasks(self, record: Signals) -> list[Task]:
         """Reproduce the simulator's residual."""

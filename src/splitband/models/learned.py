@@ -23,6 +23,7 @@ from splitband.models.base import (
     slope_scale,
     with_next_input,
 )
+from splitband.models.stepping import SteppedRecurrent, SteppedSplit
 from splitband.networks import Cell, rollout
 
 
@@ -43,6 +44,10 @@ class Recurrent(Model):
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """The network's free run."""
         return {"network": self._simulate(known, steps)}
+
+    def stepped(self) -> SteppedRecurrent:
+        """See `Model`."""
+        return SteppedRecurrent(self)
 
     def tasks(self, record: Signals) -> list[Task]:
         """Reproduce the record."""
@@ -141,6 +146,16 @@ class Split(Model):
             )
             for band, name in enumerate(self._names())
         ]
+
+    def stepped(self) -> SteppedSplit:
+        """See `Model`: of two bands, and whose filters need no samples to come."""
+        if len(self.pairs) > 1:
+            raise ValueError(f"a split model of {len(self.networks)} bands cannot be stepped")
+        if self.filter_output and not self.nu and self.pairs[-1].zero_phase:
+            raise ValueError(
+                "a split model whose output is filtered forwards and backwards cannot be stepped"
+            )
+        return SteppedSplit(self)
 
     def adapt_to(self, records: Sequence[Record], normalize: bool = True) -> None:
         """Take the units from the training records, those of the slopes too."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
 from splitband.runtime.options import Written
 
@@ -104,6 +105,13 @@ class EulerMLP(Written, nn.Module):
         return len(self.dynamics) == len(kinds) and are_plain(
             (self.dynamics, nn.Sequential), *zip(self.dynamics.children(), kinds, strict=True)
         )
+
+    def in_numpy(self) -> plain.PlainEulerMLP | None:
+        """Return the cell in NumPy; None where its layers are others."""
+        dynamics, recognition = plain.dense(self.dynamics), plain.dense(self.recognition)
+        if dynamics is None or recognition is None:
+            return None
+        return plain.PlainEulerMLP(dynamics, recognition, self.ny, self.warmup, self.step_size)
 
     def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
         """Compute the rollout in one compiled call on the CPU."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
 from splitband.runtime.options import Written
 
@@ -56,6 +57,15 @@ class GRU(Written, nn.Module):
     def fusable(self) -> bool:
         """Return whether the layers have their original types and no hooks."""
         return are_plain((self.transition, nn.GRUCell), (self.observation, nn.Linear))
+
+    def in_numpy(self) -> plain.PlainGRU | None:
+        """Return the cell in NumPy; None where its layers are others."""
+        cell, out = self.transition, self.observation
+        if not self.fusable():
+            return None
+        of_input, of_state = (cell.weight_ih, cell.bias_ih), (cell.weight_hh, cell.bias_hh)
+        pairs = of_input, of_state, (out.weight, out.bias)
+        return plain.PlainGRU(*((plain.values(w), plain.values(b)) for w, b in pairs))
 
     def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
         """Compute the rollout in one compiled call on the CPU."""

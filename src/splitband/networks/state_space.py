@@ -7,6 +7,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
 from splitband.runtime.options import Written
 
@@ -151,6 +152,15 @@ class StateSpace(Written, nn.Module):
             (self.observation, nn.Linear),
             *zip(layers, kinds * 2, strict=True),
         )
+
+    def in_numpy(self) -> plain.PlainStateSpace | None:
+        """Return the cell in NumPy; None where its layers are others."""
+        f, g = plain.dense(self.f), plain.dense(self.g)
+        moves, out = self.transition, self.observation
+        if f is None or g is None or not are_plain((moves, nn.Linear), (out, nn.Linear)):
+            return None
+        gain = plain.values(self.gain)
+        return plain.PlainStateSpace(f, g, plain.linear(moves), plain.linear(out), gain)
 
     def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
         """What `splitband.rollout` computes step by step, in one compiled call on the CPU."""

@@ -1,0 +1,432 @@
+"""Define forecasters sample by sample, in NumPy: what streams run, and what is exported.
+
+A recursion takes one sample after the other. What was not measured, a forecast, is NaN: whether
+samples come from sensors or not may change at any sample, and a forecast is always that of
+`Forecaster.predict` from the origin. Time and memory of a sample are constant. The code can be
+traced, see `runtime.tracing`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.data.gaps import last_before
+from splitband.forecasters.known import Known
+from splitband.models.stepping import Stepped
+from splitband.runtime.tracing import cond
+
+Array = npt.NDArray[np.float64]
+State = dict[str, Any]
+"""All that is remembered, by name; it is never changed in place."""
+
+
+class NotSteppedError(ValueError):
+    """A forecaster has no form sample by sample; the message says why."""
+
+
+class Recursion(ABC):
+    """What a forecaster does with each sample.
+
+    Attributes
+    ----------
+    ny, nu : Channels and inputs.
+    ahead : How many samples after the present one a simulator's output is looked at, 0 or 1.
+    simulated : Whether a simulator's output is looked at.
+    warmup : How many samples in a row have to be measured before a forecast.
+    """
+
+    ny: int
+    nu: int
+    ahead = 0
+    simulated = False
+    warmup = 0
+
+    @abstractmethod
+    def initial(self, known: Known | None = None) -> State:
+        """Return the state before the first sample of a history; None: of another record."""
+
+    @abstractmethod
+    def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
+        """Return the state after a sample, what was predicted of it, and whether it could be.
+
+        Parameters
+        ----------
+        state : After the sample before.
+        y : What was measured, `(ny,)`; NaN for what was not.
+        u : Inputs of the sample, `(nu,)`.
+        y_sim : A simulator's output of the sample and of `ahead` more, `(1 + ahead, ny)`.
+        """
+
+    def first_row(self, known: Known) -> int:
+        """Return the first sample of a history on which its forecast depends."""
+        return 0
+
+    def simulated_over(self, known: Known) -> Array | None:
+        """Return the simulator's output over a history and `ahead` more samples, `(time, ny)`."""
+        return None
+
+    def followed(self, known: Known) -> State:
+        """Return the state after a history, which is that of a forecast from its end."""
+        begin, rows = self.first_row(known), len(known.y)
+        u = np.zeros((rows, 0)) if known.u is None else known.u
+        y_sim = self.simulated_over(known)
+        y_sim = np.zeros((rows + self.ahead, 0)) if y_sim is None else y_sim
+        state = self.initial(known)
+        for n in range(begin, rows):
+            state = self.tick(state, known.y[n], u[n], y_sim[n : n + 1 + self.ahead])[0]
+        return state
+
+
+class Part(ABC):
+    """Something that says a value for each sample, by itself or as the slow part of a hybrid.
+
+    What it says of a sample is a row for each channel: a value, and by how much that changes with
+    each number that is estimated from the history. Those are settled where a forecast begins.
+    """
+
+    simulated = False
+
+    @abstractmethod
+    def initial(self, known: Known | None) -> State:
+        """See `Recursion`."""
+
+    @abstractmethod
+    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        """Return the next state and the rows of a sample and `ahead` more, `(1 + ahead, ny, n)`."""
+
+    def learn(self, state: State, row: Array, y: Array) -> State:
+        """Return the state with a measured sample, `(ny,)`, NaN for what was not measured."""
+        return state
+
+    def settle(self, state: State) -> Array:
+        """Return what is estimated from the samples so far, `(ny, n - 1)`."""
+        return np.zeros((1, 0))
+
+    def simulated_over(self, known: Known, ahead: int) -> Array | None:
+        """See `Recursion`."""
+        return None
+
+    def after_training(self, state: State) -> State:
+        """Return the state at the end of the training record, from which nothing is learned."""
+        return state
+
+
+def read(rows: Array, settled: Array) -> Array:
+    """Return the values that rows say, `(time, ny)`."""
+    if rows.shape[-1] == 1:
+        return rows[..., 0]
+    return rows[..., 0] + (rows[..., 1:] * settled).sum(axis=-1)
+
+
+class Extrapolated(Recursion):
+    """A part by itself."""
+
+    def __init__(self, part: Part, ny: int, nu: int) -> None:
+        self.part, self.ny, self.nu, self.simulated = part, ny, nu, part.simulated
+
+    def initial(self, known: Known | None = None) -> State:
+        """See `Recursion`."""
+        part = self.part.initial(known)
+        return {"part": part, "settled": self.part.settle(part), "stale": np.ones(())}
+
+    def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
+        """See `Recursion`."""
+        part, rows = self.part.row(state["part"], u, y_sim, 0)
+        missing = np.isnan(y)
+        settled = cond(
+            missing.any() & (state["stale"] > 0),
+            lambda: self.part.settle(state["part"]),
+            lambda: state["settled"],
+        )
+        predicted = read(rows, settled)[0]
+        stale = np.where(missing.all(), np.where(missing.any(), 0.0, state["stale"]), 1.0)
+        new = {"part": self.part.learn(part, rows[0], y), "settled": settled, "stale": stale}
+        return new, predicted, np.logical_not(np.isnan(predicted).any())
+
+    def simulated_over(self, known: Known) -> Array | None:
+        """See `Recursion`."""
+        return self.part.simulated_over(known, self.ahead)
+
+    def followed(self, known: Known) -> State:
+        """See `Recursion`."""
+        state = super().followed(known)
+        return state | {"part": self.part.after_training(state["part"])} if known.own else state
+
+
+@dataclass(frozen=True)
+class DelayLine:
+    """Inputs that act late, each by so many samples; at first they have been what they are."""
+
+    delays: tuple[int, ...]
+
+    def initial(self) -> State:
+        """Return the line before the first sample."""
+        if not any(self.delays):
+            return {}
+        return {"past": np.zeros((max(self.delays), len(self.delays))), "filled": np.zeros(())}
+
+    def tick(self, state: State, u: Array) -> tuple[State, Array]:
+        """Return the next line, and the inputs that act."""
+        if not state:
+            return state, u
+        past = np.where(state["filled"] > 0, state["past"], u[None])
+        all_of_them = np.concatenate([past, u[None]])
+        last = len(all_of_them) - 1
+        late = np.stack([all_of_them[last - d, i] for i, d in enumerate(self.delays)])
+        return {"past": all_of_them[1:], "filled": np.ones(())}, late
+
+
+class Warmed(Recursion):
+    """A trained model, which warms up on the last measured samples; with a slow part or without.
+
+    It keeps as many samples as it warms up on. When a sample is not measured any more, the free
+    run begins from those; it goes on until as many have been measured in a row again.
+    """
+
+    def __init__(
+        self, model: Stepped, part: Part | None, warmup: int, delays: Sequence[int]
+    ) -> None:
+        self.model, self.part, self.warmup = model, part, warmup
+        self.ny, self.nu = len(model.y_mean), len(model.u_mean)
+        self.line = DelayLine(tuple(delays))
+        self.simulated = part is not None and part.simulated
+        self.ahead = model.ahead if part is not None else 0
+
+    def initial(self, known: Known | None = None) -> State:
+        """See `Recursion`."""
+        part = {} if self.part is None else self.part.initial(known)
+        y_sim = np.zeros((1 + self.ahead, self.ny))
+        _, rows = self._row(part, np.zeros(self.nu), y_sim)
+        y, u = np.zeros((self.warmup, self.ny)), np.zeros((self.warmup, self.nu))
+        window = np.zeros((self.warmup + 1 + self.ahead, self.ny))
+        run, _ = self.model.begin(y, np.zeros((self.warmup + 1, self.nu)), window)
+        return {
+            "line": self.line.initial(),
+            "part": part,
+            "y": y,
+            "u": u,
+            "rows": np.zeros((self.warmup, *rows.shape[1:])),
+            "count": np.zeros(()),
+            "running": np.zeros(()),
+            "run": run,
+            "settled": np.zeros((1, 0)) if self.part is None else self.part.settle(part),
+        }
+
+    def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
+        """See `Recursion`."""
+        last = self.warmup - 1
+        part, rows = self._row(state["part"], u, y_sim)
+        line, late = self.line.tick(state["line"], u)
+        inputs = np.concatenate([state["u"], late[None]])
+        window = np.concatenate([state["rows"], rows])
+        missing, running = np.isnan(y).any(), state["running"] > 0
+        count = np.where(missing, 0.0, np.minimum(state["count"] + 1, self.warmup))
+        ready = running | (state["count"] >= self.warmup)
+        runs = ready & (missing | (running & (count < self.warmup)))
+
+        def begun() -> list[Any]:
+            settled = state["settled"] if self.part is None else self.part.settle(part)
+            run, first = self.model.begin(state["y"], inputs, read(window, settled))
+            return [run, settled, first]
+
+        def moved() -> list[Any]:
+            slow = read(window[last:], state["settled"])
+            run, following = self.model.advance(state["run"], inputs[last:], slow)
+            return [run, state["settled"], following]
+
+        run, settled, predicted = cond(
+            runs,
+            lambda: cond(running, moved, begun),
+            lambda: [state["run"], state["settled"], np.full(self.ny, np.nan)],
+        )
+        new = {
+            "line": line,
+            "part": part if self.part is None else self.part.learn(part, rows[0], y),
+            "y": np.concatenate([state["y"][1:], y[None]]),
+            "u": inputs[1:],
+            "rows": window[1 : self.warmup + 1],
+            "count": count,
+            "running": np.where(runs, 1.0, 0.0),
+            "run": run,
+            "settled": settled,
+        }
+        return new, predicted, runs
+
+    def first_row(self, known: Known) -> int:
+        """See `Recursion`."""
+        if self.part is not None:
+            return 0
+        complete = np.asarray(~np.isnan(known.y).any(axis=1))
+        start = last_before(complete, self.warmup, len(known.y))
+        return max((start or 0) - self.warmup - max(self.line.delays, default=0), 0)
+
+    def simulated_over(self, known: Known) -> Array | None:
+        """See `Recursion`."""
+        return None if self.part is None else self.part.simulated_over(known, self.ahead)
+
+    def followed(self, known: Known) -> State:
+        """See `Recursion`."""
+        state = super().followed(known)
+        if self.part is None or not known.own:
+            return state
+        return state | {"part": self.part.after_training(state["part"])}
+
+    def _row(self, part: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+        if self.part is None:
+            return part, np.zeros((1, self.ny, 1))
+        return self.part.row(part, u, y_sim, self.ahead)
+
+
+class Averaged(Recursion):
+    """The mean of several."""
+
+    def __init__(self, members: Sequence[Recursion]) -> None:
+        self.members = [*members]
+        first = members[0]
+        self.ny, self.nu, self.simulated = first.ny, first.nu, first.simulated
+        self.ahead = max(member.ahead for member in members)
+        self.warmup = max(member.warmup for member in members)
+
+    def initial(self, known: Known | None = None) -> State:
+        """See `Recursion`."""
+        return {"members": [member.initial(known) for member in self.members]}
+
+    def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
+        """See `Recursion`."""
+        ticks = [
+            member.tick(own, y, u, y_sim[: 1 + member.ahead])
+            for member, own in zip(self.members, state["members"], strict=True)
+        ]
+        total, ready = ticks[0][1], ticks[0][2]
+        for _, predicted, able in ticks[1:]:
+            total, ready = total + predicted, ready & able
+        return {"members": [new for new, _, _ in ticks]}, total / len(ticks), ready
+
+    def followed(self, known: Known) -> State:
+        """See `Recursion`."""
+        return {"members": [member.followed(known) for member in self.members]}
+
+
+class Constant(Part):
+    """The same value for every sample."""
+
+    def __init__(self, level: Array) -> None:
+        self.level = level
+
+    def initial(self, known: Known | None) -> State:
+        """See `Part`."""
+        return {}
+
+    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        """See `Part`."""
+        return state, np.tile(self.level[:, None], (1 + ahead, 1, 1))
+
+
+class Held(Part):
+    """The last measured value of each channel."""
+
+    def __init__(self, ny: int) -> None:
+        self.ny = ny
+
+    def initial(self, known: Known | None) -> State:
+        """See `Part`."""
+        return {"last": np.full(self.ny, np.nan)}
+
+    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        """See `Part`."""
+        return state, np.tile([0.0, 1.0], (1 + ahead, self.ny, 1))
+
+    def learn(self, state: State, row: Array, y: Array) -> State:
+        """See `Part`."""
+        return {"last": np.where(np.isnan(y), state["last"], y)}
+
+    def settle(self, state: State) -> Array:
+        """See `Part`."""
+        return state["last"][:, None]
+
+
+class InTime(Part):
+    """A function of time.
+
+    Parameters
+    ----------
+    predict : Maps the time of the first sample and a number of samples to them, `(steps, ny)`.
+    """
+
+    def __init__(self, predict: Any) -> None:
+        self.predict = predict
+
+    def initial(self, known: Known | None) -> State:
+        """See `Part`."""
+        begin = 0.0 if known is None or known.begin is None else known.begin
+        return {"time": np.array(float(begin))}
+
+    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        """See `Part`."""
+        values = self.predict(state["time"], 1 + ahead)
+        return {"time": state["time"] + 1}, values[..., None]
+
+
+class Repeated(Part):
+    """A period that repeats itself, on top of a function of time.
+
+    Parameters
+    ----------
+    period : `(lag, ny)`.
+    end : Time after its last sample.
+    trend : See `InTime`.
+    """
+
+    def __init__(self, period: Array, end: int, trend: Any) -> None:
+        self.period, self.end, self.trend = period, end, trend
+
+    def initial(self, known: Known | None) -> State:
+        """See `Part`."""
+        begin = 0 if known is None or known.begin is None else round(known.begin)
+        rolled = np.roll(self.period, (self.end - begin) % len(self.period), axis=0)
+        return {"time": np.array(float(begin)), "period": rolled}
+
+    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        """See `Part`."""
+        period = state["period"]
+        following = np.concatenate([period[1:], period[:1]]) if len(period) > 1 else period
+        both = np.concatenate([period[:1], following[:1]])[: 1 + ahead]
+        values = both + self.trend(state["time"], 1 + ahead)
+        return {"time": state["time"] + 1, "period": following}, values[..., None]
+
+
+class Given(Part):
+    """A simulator's output, which comes with each sample.
+
+    Parameters
+    ----------
+    gain, offset : Of its calibration, `(ny,)`.
+    trajectory : The calibrated output over what is known, see `Simulation.trajectory`.
+    """
+
+    simulated = True
+
+    def __init__(self, gain: Array, offset: Array, trajectory: Any) -> None:
+        self.gain, self.offset, self.trajectory = gain, offset, trajectory
+
+    def initial(self, known: Known | None) -> State:
+        """See `Part`."""
+        return {}
+
+    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        """See `Part`."""
+        return state, (y_sim[: 1 + ahead] * self.gain + self.offset)[..., None]
+
+    def simulated_over(self, known: Known, ahead: int) -> Array | None:
+        """See `Part`; after the last sample that is known it stands still."""
+        known = replace(known, steps=0)
+        if ahead and known.y_sim is not None and len(known.y_sim) > len(known.y):
+            known = replace(known, steps=ahead)
+        values = (self.trajectory(known) - self.offset) / np.where(self.gain, self.gain, 1.0)
+        return np.concatenate([values, np.repeat(values[-1:], ahead, axis=0)])

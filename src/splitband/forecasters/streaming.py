@@ -1,0 +1,185 @@
+"""Run a forecaster step by step."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any, final
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.data import Record
+from splitband.forecasters.known import Known
+from splitband.forecasters.stepping import Recursion, State
+from splitband.metrics import ExtrapolationWarning
+
+Array = npt.NDArray[np.float64]
+
+
+@final
+class Stream:
+    """Observe samples as they are measured, and predict them where they are not.
+
+    `Forecaster.stream` makes one. At any sample, a forecast is that of `Forecaster.predict` from
+    the samples observed so far. Samples that were predicted count as not measured.
+
+    Parameters
+    ----------
+    name : Of the forecaster, for messages.
+    recursion : What it does with each sample.
+    state : After the history.
+
+    Examples
+    --------
+    >>> record = sb.Record(np.sin(0.3 * np.arange(120)), 0.1)
+    >>> stream = sb.Periodic().fit(record).stream()
+    >>> stream.observe(np.sin(0.3 * 120))
+    >>> what_if = stream.copy()
+    >>> what_if.step().shape
+    (1,)
+    """
+
+    def __init__(self, name: str, recursion: Recursion, state: State) -> None:
+        self.name, self.recursion, self.state = name, recursion, state
+
+    def observe(
+        self, y: npt.ArrayLike, u: npt.ArrayLike | None = None, y_sim: npt.ArrayLike | None = None
+    ) -> None:
+        """Take the next measured sample.
+
+        Parameters
+        ----------
+        y : What was measured, `(ny,)`; NaN for what was not.
+        u : Inputs of this sample, `(nu,)`, for a record with inputs.
+        y_sim : Output of the simulator at this sample, for a model with one, `(ny,)`. A
+            conditioned hybrid model without inputs also needs that of the next sample, `(2, ny)`.
+        """
+        self._tick(self._signal("y", y, (self.recursion.ny,), gaps=True), u, y_sim)
+
+    def step(self, u: npt.ArrayLike | None = None, y_sim: npt.ArrayLike | None = None) -> Array:
+        """Predict the next sample, which is not measured, `(ny,)`.
+
+        Parameters
+        ----------
+        u, y_sim : See `observe`.
+
+        Raises
+        ------
+        ValueError
+            Where too few samples have been measured in a row for a forecast to begin.
+        """
+        before = self.state
+        predicted, ready = self._tick(np.full(self.recursion.ny, np.nan), u, y_sim)
+        if not ready:
+            self.state = before
+            needed = self.recursion.warmup or "one"
+            raise ValueError(
+                f"{needed} measured sample(s) in a row must have been observed before {self.name} "
+                "can predict"
+            )
+        return predicted
+
+    def copy(self) -> Stream:
+        """Return a stream that goes on from the same state by itself, for what-if runs."""
+        return Stream(self.name, self.recursion, self.state)
+
+    def __repr__(self) -> str:
+        return f"Stream({self.name!r}, ny={self.recursion.ny}, nu={self.recursion.nu})"
+
+    def _tick(
+        self, y: Array, u: npt.ArrayLike | None, y_sim: npt.ArrayLike | None
+    ) -> tuple[Array, bool]:
+        recursion = self.recursion
+        inputs = self._given("u", u, recursion.nu > 0, (recursion.nu,))
+        shape = (1 + recursion.ahead, recursion.ny)
+        if not recursion.simulated and y_sim is not None:
+            raise ValueError(f"y_sim must be left out: {self.name} needs no simulator's output")
+        simulated = self._given("y_sim", y_sim, recursion.simulated, shape)
+        self.state, predicted, ready = recursion.tick(self.state, y, inputs, simulated)
+        return predicted, bool(ready)
+
+    def _given(
+        self, name: str, value: npt.ArrayLike | None, needed: bool, shape: tuple[int, ...]
+    ) -> Array:
+        if not needed:
+            if value is not None:
+                raise ValueError(f"{name} must be left out: {self.name} has no inputs")
+            return np.zeros((*shape[:-1], 0))
+        if value is None:
+            raise ValueError(f"{name} must be given at every sample for {self.name}, {shape}")
+        return self._signal(name, value, shape)
+
+    def _signal(
+        self, name: str, value: npt.ArrayLike, shape: tuple[int, ...], gaps: bool = False
+    ) -> Array:
+        signal = np.asarray(value, dtype=np.float64)
+        if signal.size != np.prod(shape) or signal.ndim > len(shape):
+            raise ValueError(f"{name} must have the shape {shape}, got {signal.shape}")
+        if (not gaps and not np.isfinite(signal).all()) or np.isinf(signal).any():
+            raise ValueError(f"{name} must be finite, got {signal.tolist()}")
+        return signal.reshape(shape)
+
+
+class Asked(Recursion):
+    """A forecaster that is asked anew for each sample; slower the longer the history is.
+
+    Parameters
+    ----------
+    forecaster : Any that is fitted.
+    history : Of which the record goes on.
+    simulated : Whether it needs a simulator's output.
+    other_record : See `Forecaster.predict`.
+    """
+
+    def __init__(
+        self, forecaster: Any, history: Record, simulated: bool, other_record: bool
+    ) -> None:
+        self.forecaster, self.history, self.other_record = forecaster, history, other_record
+        self.simulated = simulated
+        self.ny, self.nu, self.warmup = history.ny, history.nu, forecaster.warmup
+
+    def initial(self, known: Known | None = None) -> State:
+        """See `Recursion`."""
+        past = self.history
+        return {
+            "y": past.seen,
+            "u": np.zeros((len(past), 0)) if past.u is None else past.u,
+            "y_sim": past.y_sim if self.simulated else np.zeros((len(past), 0)),
+        }
+
+    def followed(self, known: Known) -> State:
+        """See `Recursion`."""
+        return self.initial(known)
+
+    def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
+        """See `Recursion`."""
+        rows = {"y": y[None], "u": u[None], "y_sim": y_sim}
+        new = {name: np.concatenate([state[name], row]) for name, row in rows.items()}
+        if np.isnan(y).any():
+            return new, self._predicted(new), True
+        return new, y, True
+
+    def _predicted(self, state: State) -> Array:
+        """Return the last of these samples, predicted from the last one that was measured."""
+        measured = np.flatnonzero(~np.isnan(state["y"]).all(axis=1))
+        origin = int(measured[measured < len(state["y"]) - 1].max()) + 1
+        past = self.history
+        record = Record.with_gaps(
+            state["y"][:origin],
+            past.sampling_time,
+            u=state["u"][:origin] if self.nu else None,
+            y_sim=state["y_sim"][:origin] if self.simulated else None,
+            columns=past.columns,
+            inputs=past.inputs,
+            start=past.start,
+        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExtrapolationWarning)
+            predicted = self.forecaster.predict(
+                len(state["y"]) - origin,
+                record,
+                state["u"][origin:] if self.nu else None,
+                state["y_sim"][origin:] if self.simulated else None,
+                other_record=self.other_record,
+            )
+        return predicted.y[-1]

@@ -1,0 +1,189 @@
+"""Define the cells in NumPy, without a batch: how they run step by step, and are exported.
+
+Each has the methods of `networks.Cell`, for `y` `(time, ny)` or `(ny,)` and `u` `(time, nu)` or
+`(nu,)`; without inputs `u` has no columns. The code can be traced, see `runtime.tracing`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from splitband.networks.cell import Cell, are_plain
+from splitband.runtime.tracing import Symbol, expit, scan
+
+Array = npt.NDArray[np.float64]
+Dense = tuple[tuple[Array, Array], ...]
+"""Weights and biases of layers with tanh behind them."""
+
+
+class PlainCell(Protocol):
+    """Define a cell in NumPy."""
+
+    def initial_state(self, y: Array, u: Array) -> Any:
+        """Return the state after measured samples."""
+
+    def step(self, h: Any, y: Array, u: Array) -> Any:
+        """Return the state one sample later."""
+
+    def observe(self, h: Any) -> Array:
+        """Return the output, `(ny,)`."""
+
+
+def in_numpy(cell: Cell) -> PlainCell:
+    """Return a cell in NumPy; one of the user's own is called as it is, and cannot be exported."""
+    # A subclass may step differently. Therefore only the class that declares it is trusted.
+    plain = cell.in_numpy() if "in_numpy" in vars(type(cell)) else None  # type: ignore[attr-defined]
+    return TorchCell(cell) if plain is None else plain
+
+
+class PlainGRU(NamedTuple):
+    """Hold weights and biases of a `GRU`, gates in torch's order: reset, update, new."""
+
+    of_input: tuple[Array, Array]
+    of_state: tuple[Array, Array]
+    observation: tuple[Array, Array]
+
+    def initial_state(self, y: Array, u: Array) -> Array:
+        """See `PlainCell`."""
+        return _observed(self, np.zeros(self.of_state[0].shape[1]), y, u)
+
+    def step(self, h: Array, y: Array, u: Array) -> Array:
+        """See `PlainCell`."""
+        n = self.of_state[0].shape[1]
+        given = self.of_input[0] @ np.concatenate([y, u]) + self.of_input[1]
+        kept = self.of_state[0] @ h + self.of_state[1]
+        gates = expit(given[: 2 * n] + kept[: 2 * n])
+        new = np.tanh(given[2 * n :] + gates[:n] * kept[2 * n :])
+        return new + gates[n:] * (h - new)
+
+    def observe(self, h: Array) -> Array:
+        """See `PlainCell`."""
+        return self.observation[0] @ h + self.observation[1]
+
+
+class PlainEulerMLP(NamedTuple):
+    """Hold the weights of an `EulerMLP`; the last layer of the dynamics has no tanh."""
+
+    dynamics: Dense
+    recognition: Dense
+    ny: int
+    warmup: int
+    step_size: float
+
+    def initial_state(self, y: Array, u: Array) -> Array:
+        """See `PlainCell`."""
+        seen = np.concatenate([y, u], axis=1)[len(y) - self.warmup :]
+        return _dense(self.recognition, seen.reshape(-1))
+
+    def step(self, h: Array, y: Array, u: Array) -> Array:
+        """See `PlainCell`."""
+        *hidden, (weight, bias) = self.dynamics
+        inner = _dense(tuple(hidden), np.concatenate([h, u]))
+        return h + self.step_size * (weight @ inner + bias)
+
+    def observe(self, h: Array) -> Array:
+        """See `PlainCell`."""
+        return h[: self.ny]
+
+
+class PlainStateSpace(NamedTuple):
+    """Hold the weights of a `StateSpace`."""
+
+    f: Dense
+    g: Dense
+    transition: tuple[Array, Array]
+    observation: tuple[Array, Array]
+    gain: Array
+
+    def initial_state(self, y: Array, u: Array) -> Array:
+        """See `PlainCell`."""
+        return _observed(self, self._with_output(np.zeros(len(self.gain)), u[0]), y, u)
+
+    def step(self, h: Array, y: Array, u: Array) -> Array:
+        """See `PlainCell`."""
+        n = len(self.gain)
+        moved = _mixed(self.f, self.transition, np.concatenate([h[:n], u]))
+        return self._with_output(moved + self.gain @ (y - h[n:]), u)
+
+    def observe(self, h: Array) -> Array:
+        """See `PlainCell`."""
+        return h[len(self.gain) :]
+
+    def _with_output(self, x: Array, u: Array) -> Array:
+        return np.concatenate([x, _mixed(self.g, self.observation, np.concatenate([x, u]))])
+
+
+class TorchCell:
+    """A cell of the user's own, called through torch."""
+
+    def __init__(self, cell: Cell) -> None:
+        self.cell = cell
+        weight = next(cell.parameters(), None)  # type: ignore[attr-defined]
+        self.like = torch.zeros((), dtype=torch.float64) if weight is None else weight.detach()
+
+    def initial_state(self, y: Array, u: Array) -> Any:
+        """See `PlainCell`."""
+        with torch.no_grad():
+            return self.cell.initial_state(self._tensor(y), self._inputs(u))
+
+    def step(self, h: Any, y: Array, u: Array) -> Any:
+        """See `PlainCell`."""
+        with torch.no_grad():
+            return self.cell.step(h, self._tensor(y), self._inputs(u))
+
+    def observe(self, h: Any) -> Array:
+        """See `PlainCell`."""
+        with torch.no_grad():
+            return self.cell.observe(h)[0].double().cpu().numpy()
+
+    def _tensor(self, x: Array) -> Tensor:
+        if isinstance(x, Symbol):
+            raise ValueError(
+                f"the cell {type(self.cell).__name__} cannot be exported, as it is Python code of "
+                "your own; GRU, EulerMLP and StateSpace can"
+            )
+        return torch.from_numpy(np.array(x)).to(self.like)[None]
+
+    def _inputs(self, u: Array) -> Tensor | None:
+        return self._tensor(u) if self.cell.nu else None
+
+
+def values(tensor: Tensor) -> Array:
+    """Return a tensor as an array in double precision."""
+    return tensor.detach().double().cpu().numpy()
+
+
+def linear(layer: nn.Linear) -> tuple[Array, Array]:
+    """Return weight and bias of a layer."""
+    return values(layer.weight), values(layer.bias)
+
+
+def dense(layers: nn.Sequential) -> Dense | None:
+    """Return the linear layers of layers with tanh between them; None where there are others."""
+    kinds = (nn.Linear, nn.Tanh)
+    pairs = [(layer, kinds[i % 2]) for i, layer in enumerate(layers.children())]
+    if not are_plain((layers, nn.Sequential), *pairs):
+        return None
+    return tuple(linear(layer) for layer in layers.children() if isinstance(layer, nn.Linear))
+
+
+def _observed(cell: Any, h: Any, y: Array, u: Array) -> Any:
+    """Return the state after steps over measured samples."""
+    return scan(lambda h, row: (cell.step(h, *row), None), h, [y, u])[0]
+
+
+def _dense(layers: Dense, x: Array) -> Array:
+    for weight, bias in layers:
+        x = np.tanh(weight @ x + bias)
+    return x
+
+
+def _mixed(layers: Dense, out: tuple[Array, Array], x: Array) -> Array:
+    """Return a linear map of x, and of the units that see it."""
+    weight, bias = out
+    return weight @ (np.concatenate([x, _dense(layers, x)]) if layers else x) + bias
