@@ -27,7 +27,7 @@ import scipy
 
 from splitband.data import Record
 from splitband.forecasters.backtest import Origin, Question, backtest
-from splitband.forecasters.names import QUICK, named
+from splitband.forecasters.names import NAMES, QUICK, named
 from splitband.metrics import rmse
 from splitband.runtime.files import write_json
 from splitband.runtime.processes import over
@@ -35,7 +35,7 @@ from splitband.runtime.processes import over
 Array = npt.NDArray[np.float64]
 Rng = np.random.Generator
 
-BASELINES = tuple(name for name in QUICK if not name.startswith("simulator") and name != "linear")
+BASELINES = tuple(name for name in QUICK if not NAMES[name].needs)
 TRAINING, AHEAD = (250, 600), 500
 DEVELOPMENT, REPORT = range(6), range(100, 106)
 

@@ -24,14 +24,13 @@ from benchmarks.comparing import forecasters, held_out
 from splitband.evaluation.protocols import compare_methods
 from splitband.evaluation.runs import Work
 from splitband.evaluation.setup import Setup, default_setup
-from splitband.forecasters.names import CALIBRATED, CONDITIONED
 from splitband.metrics import spread
 from splitband.runtime.files import write_json
 from splitband.training.recipes import paper_settings
 
 STUDIED = ("i, draw 0", "i, draw 1", "double-torsion record", "pendulum ii", "v", "vi")
-HYBRID = ("gru", "filtered-gru" + CALIBRATED + CONDITIONED)
-LEARNED = ("gru", "split-gru" + CONDITIONED)
+HYBRID = ("gru", "filtered-gru-calibrated-conditioned")
+LEARNED = ("gru", "split-gru-conditioned")
 SECONDS = "seconds"
 
 Found = dict[str, dict[str, list[float]]]

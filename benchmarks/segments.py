@@ -27,7 +27,7 @@ from benchmarks.beyond import SYSTEMS
 from reproduction import published
 from reproduction.settings import HYBRID
 from splitband.filters.spectrum import oracle
-from splitband.forecasters.simulation import Simulation
+from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import rmse
 from splitband.models import Filtered, Model, Residual
 from splitband.models.base import Signals
@@ -184,7 +184,7 @@ def segment(first: int, samples: int = SAMPLES) -> dict[str, float]:
     assert setup.bands.cutoff is not None
     counted = record.y.copy()
     counted[: setup.settings.warmup] = np.nan
-    simulation = Simulation(calibrated=True)
+    simulation = Calibrated()
     simulation.fit(record)
     found = {}
     for name, of in (("", record), ("calibrated ", simulation.on(record))):

@@ -26,9 +26,8 @@ from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import Origin, Question, backtest, first_origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
-from splitband.forecasters.names import named
+from splitband.forecasters.names import QUICK, named
 from splitband.forecasters.prediction import Prediction
-from splitband.forecasters.simulation import Simulation
 from splitband.metrics import rmse
 from splitband.report.results import environment
 from splitband.runtime.files import CHECKPOINTS, write_json_lines
@@ -144,9 +143,7 @@ def whole_rmse(facts: dict[str, Any], job: Job) -> float:
     What warms up on measured samples has no error there; a simulator has its own.
     """
     record = job.record
-    if job.method.startswith("simulator"):
-        simulator = named(job.method)
-        assert isinstance(simulator, Simulation)
+    if job.method in QUICK and "simulator" in (simulator := named(job.method)).needs:
         train = facts["settings"]["train"]
         simulator.fit(record[:train])
         y_sim = simulator.on(record).y_sim

@@ -29,7 +29,8 @@ def record(ahead: float) -> Record:
 
 
 def fitted(ahead: float, calibrated: bool = False) -> sb.Forecaster:
-    filtered = sb.Filtered(None, GRU(2), Bands(CUTOFF, 1, 2), calibrated, settings=QUICK)
+    base = sb.Calibrated() if calibrated else None
+    filtered = sb.Filtered(base, GRU(2), Bands(CUTOFF, 1, 2), settings=QUICK)
     return filtered.fit(record(ahead))
 
 

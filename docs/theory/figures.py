@@ -109,7 +109,7 @@ def calibration() -> Figure:
     figure, panels = _panels(2, sharey=True)
     record = van_der_pol()
     assert record.y_sim is not None
-    fitted = sb.Simulation(calibrated=True).fit(record[:TRAIN])
+    fitted = sb.Calibrated().fit(record[:TRAIN])
     calibrated = fitted.on(record).y_sim
     assert calibrated is not None
     titles = ("at the beginning", "at the end")

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from splitband.forecasters.names import Sizes, named
     from splitband.forecasters.prediction import Prediction
     from splitband.forecasters.saving import load
-    from splitband.forecasters.simulation import Simulation
+    from splitband.forecasters.simulation import Calibrated, Simulation
     from splitband.forecasters.single import Single
     from splitband.forecasters.split import Split
     from splitband.forecasters.streaming import Stream
@@ -68,7 +68,7 @@ _MODULES = {
     "forecasters.names": ("Sizes", "named"),
     "forecasters.prediction": ("Prediction",),
     "forecasters.saving": ("load",),
-    "forecasters.simulation": ("Simulation",),
+    "forecasters.simulation": ("Calibrated", "Simulation"),
     "forecasters.single": ("Single",),
     "forecasters.split": ("Split",),
     "forecasters.streaming": ("Stream",),
@@ -81,6 +81,7 @@ _MODULES = {
 __all__ = [
     "GRU",
     "Bands",
+    "Calibrated",
     "Cell",
     "Cluster",
     "Comparison",

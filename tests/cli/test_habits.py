@@ -10,7 +10,6 @@ import splitband as sb
 from splitband.cli import WITH_JSON, main
 from splitband.cli.methods import GROUPS
 from splitband.forecasters.names import NAMES
-from splitband.report.page.words import in_words
 from tests.cli.support import QUICK, call, process, results
 
 pytestmark = pytest.mark.usefixtures("inside", "undrawn")
@@ -90,7 +89,7 @@ def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) 
 def test_every_method_is_in_one_group_and_explained() -> None:
     grouped = [name for group in GROUPS for name in group.names]
     assert sorted(grouped) == sorted(NAMES)
-    assert all(map(in_words, NAMES))
+    assert all(method.in_words() for method in NAMES.values())
 
 
 def test_an_unknown_method_is_told_what_may_have_been_meant(

@@ -14,7 +14,7 @@ from splitband.evaluation.setup import Setup, default_names, default_setup, usua
 from splitband.forecasters.backtest import Origin, Question, backtest, for_trial, held_out_origins
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import FitReport
-from splitband.forecasters.names import CALIBRATED, HYBRIDS, Sizes
+from splitband.forecasters.names import HYBRIDS, Sizes
 from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
 from splitband.report.pictures import rollouts
@@ -126,8 +126,8 @@ def test_methods_without_a_simulator_get_the_pair_they_would_get_without_one() -
 def test_what_forecasts_the_held_out_part_best_is_recommended() -> None:
     trial = try_out(record(), SINES, SETUP)
     assert trial.recommended == "harmonic"
-    simulated = try_out(record(noise=0.3), [*SINES, "simulator", "simulator" + CALIBRATED], SETUP)
-    assert simulated.recommended == "simulator" + CALIBRATED
+    simulated = try_out(record(noise=0.3), [*SINES, "simulator", "simulator-calibrated"], SETUP)
+    assert simulated.recommended == "simulator-calibrated"
     assert simulated.errors[simulated.recommended] == min(simulated.errors.values())
 
 

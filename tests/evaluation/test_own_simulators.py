@@ -38,14 +38,11 @@ def known(record: Record) -> Record:
 def test_a_test_record_is_simulated_by_its_own_clock(calibrated: bool) -> None:
     """As if each record had brought its simulator's output."""
     record, tests = rig(160, 3.0), [rig(90, 50.0), rig(300, 3.0)]
-    own = [
-        sb.Simulation(sb.Function(slow), calibrated),
-        sb.Residual(sb.Function(slow), GRU(3), calibrated, settings=SETTINGS),
-    ]
-    brought = [
-        sb.Simulation(calibrated=calibrated),
-        sb.Residual(None, GRU(3), calibrated, settings=SETTINGS),
-    ]
+    kind = sb.Calibrated if calibrated else sb.Simulation
+    own, brought = (
+        [kind(simulator), sb.Residual(kind(simulator), GRU(3), settings=SETTINGS)]
+        for simulator in (sb.Function(slow), None)
+    )
     found = sb.compare(record, methods=own, tests=tests, seeds=1, setup=SETUP)
     expected = sb.compare(
         known(record), methods=brought, tests=[*map(known, tests)], seeds=1, setup=SETUP

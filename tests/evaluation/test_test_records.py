@@ -87,7 +87,7 @@ def test_a_hybrid_model_needs_the_simulator_of_the_test_record() -> None:
         return replace(record, y_sim=0.9 * record.y)
 
     tests = [simulated(test) for test in TESTS]
-    methods = [sb.Residual(None, sb.GRU(4)), sb.Simulation(calibrated=True)]
+    methods = [sb.Residual(None, sb.GRU(4)), sb.Calibrated()]
     record = simulated(driven(TRAIN, 0))
     found = sb.compare(record, methods=methods, tests=tests, seeds=1, setup=SETUP)
     assert found.left_out == []

@@ -55,10 +55,10 @@ def recorded() -> Recorded:
 MADE: dict[str, Callable[[], Forecaster]] = {
     **{name: lambda name=name: SETUP.forecaster(name) for name in NAMES},  # type: ignore[misc]
     "filtered, simulator of its own": lambda: sb.Filtered(
-        recorded(), GRU(3), BANDS, calibrated=True, conditioned=True, settings=SETTINGS
+        sb.Calibrated(recorded()), GRU(3), BANDS, conditioned=True, settings=SETTINGS
     ),
     "residual, simulator of its own": lambda: sb.Residual(recorded(), GRU(3), settings=SETTINGS),
-    "simulator of its own": lambda: sb.Simulation(recorded(), calibrated=True),
+    "simulator of its own": lambda: sb.Calibrated(recorded()),
     "filtered linear": lambda: sb.Filtered(sb.Linear(), GRU(3), BANDS, settings=SETTINGS),
     "residual of a residual": lambda: sb.Residual(
         sb.Residual(None, GRU(3), settings=SETTINGS), GRU(3), settings=SETTINGS
@@ -71,7 +71,7 @@ MADE: dict[str, Callable[[], Forecaster]] = {
         sb.Residual(sb.Single(GRU(3), SETTINGS), GRU(3), settings=SETTINGS), seeds=(0, 2)
     ),
     "ensemble of hybrids": lambda: sb.Ensemble(
-        sb.Filtered(recorded(), GRU(3), BANDS, calibrated=True, settings=SETTINGS), 2
+        sb.Filtered(sb.Calibrated(recorded()), GRU(3), BANDS, settings=SETTINGS), 2
     ),
 }
 
@@ -181,8 +181,8 @@ def test_saved_and_loaded_it_says_the_same(name: str, tmp_path: Path) -> None:
 
 def test_a_simulation_that_is_late_is_loaded_with_what_it_needs_of_the_past(tmp_path: Path) -> None:
     """A forecast begins with what the simulator said before the end of the training record."""
-    simulation = sb.Simulation(calibrated=("delay",)).fit(record()[:TRAIN])
-    assert simulation.calibration.delay is not None
+    simulation = sb.Calibrated(terms=("delay",)).fit(record()[:TRAIN])
+    assert simulation.applied.delay
     r = record()[:TRAIN]
     assert r.u_beyond is not None
     simulation.save(tmp_path / "model")
@@ -357,7 +357,7 @@ def test_a_simulation_that_ends_too_early_for_its_clock_is_said_to(several: bool
     y, y_sim = np.sin(1.04 * t), np.sin(t)
     whole = Record(y, DT, y_sim=y_sim)
     model: Forecaster = sb.Filtered(
-        sb.Simulation(calibrated=["clock"]), GRU(3), BANDS, settings=SETTINGS
+        sb.Calibrated(terms=["clock"]), GRU(3), BANDS, settings=SETTINGS
     )
     if several:
         model = sb.Ensemble(model, 2)
@@ -467,7 +467,7 @@ def test_before_the_training_record_a_simulator_begins_with_the_history() -> Non
         expected = output(start + DT * np.arange(samples, samples + STEPS))
         found = model.predict(STEPS, history).y[:, 0]
         np.testing.assert_allclose(found, expected, atol=1e-9)
-    late = sb.Simulation(sb.Function(lambda time: output(time + 0.5)), calibrated=["delay"])
+    late = sb.Calibrated(sb.Function(lambda time: output(time + 0.5)), ["delay"])
     late.fit(known)
     with pytest.raises(ValueError, match="must not begin before the training record"):
         late.predict(STEPS, replace(known[:100], start=20.0))

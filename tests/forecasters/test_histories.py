@@ -98,8 +98,8 @@ def test_recorded_output_has_to_cover_only_what_a_forecast_uses(
     """That is the warm-up and what follows it, or without a network what follows the origin."""
     at = 20 + 0.1 * np.arange(400)
     record = Record(np.sin(at), 0.1, y_sim=0.9 * np.sin(at), start=20.0)
-    hybrid = sb.Residual(None, sb.GRU(3), calibrated=True, settings=Settings(40, 10, 1))
-    (hybrid if network else sb.Simulation(calibrated=True)).fit(record[:200]).save(tmp_path)
+    hybrid = sb.Residual(sb.Calibrated(), sb.GRU(3), settings=Settings(40, 10, 1))
+    (hybrid if network else sb.Calibrated()).fit(record[:200]).save(tmp_path)
     used = 300 - 10 * network
     whole, part, short = (
         sb.load(tmp_path, sb.Recorded(0.9 * np.sin(at[begin:]), 0.1, at[begin]))

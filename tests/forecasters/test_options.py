@@ -22,12 +22,12 @@ MADE: dict[str, Forecaster] = {
     "rnn": sb.Single(sb.EulerMLP(state_size=7, hidden_size=9, step_size=0.25), SETTINGS),
     "split": sb.Split(sb.GRU(2), sb.GRU(3), BANDS, filter_output=True, settings=SETTINGS),
     "open bands": sb.Split(sb.GRU(2), sb.GRU(3), conditioned=True, settings=SETTINGS),
-    "filtered": sb.Filtered(None, sb.GRU(4), BANDS, calibrated=True, settings=SETTINGS),
+    "filtered": sb.Filtered(sb.Calibrated(), sb.GRU(4), BANDS, settings=SETTINGS),
     "on a baseline": sb.Residual(sb.Periodic(), sb.GRU(4), conditioned=True, settings=SETTINGS),
     "baseline": sb.Harmonic(),
-    "simulator": sb.Simulation(calibrated=["gain", "offset"]),
+    "simulator": sb.Calibrated(terms=["gain", "offset"]),
     "on an affine simulator": sb.Residual(
-        sb.Simulation(calibrated=["gain", "offset"]), sb.GRU(4), settings=SETTINGS
+        sb.Calibrated(terms=["gain", "offset"]), sb.GRU(4), settings=SETTINGS
     ),
     "on a network of other settings": sb.Residual(
         sb.Single(sb.GRU(5), sb.Settings(60, 20, 2)), sb.GRU(4), settings=SETTINGS
@@ -128,7 +128,7 @@ def test_options_are_read_and_changed_by_name() -> None:
 
 
 def test_options_changed_after_a_fit_ask_for_another_one() -> None:
-    model = sb.Simulation(sb.Function(rig)).fit(record()).set_params(calibrated=("gain",))
+    model = sb.Calibrated(sb.Function(rig)).fit(record()).set_params(terms=("gain",))
     assert model.name == "simulator-gain"
     with pytest.raises(ValueError, match="must be fitted"):
         model.predict(5)
@@ -138,7 +138,7 @@ def test_options_changed_after_a_fit_ask_for_another_one() -> None:
     "model",
     [
         sb.Residual(sb.Single(sb.GRU(2), SHORT), sb.GRU(2), settings=SHORT),
-        sb.Residual(sb.Function(rig), sb.GRU(2), calibrated=True, settings=SHORT),
+        sb.Residual(sb.Calibrated(sb.Function(rig)), sb.GRU(2), settings=SHORT),
         sb.Filtered(sb.Periodic(), sb.GRU(2), settings=SHORT),
         sb.Split(sb.GRU(2), sb.GRU(2), settings=SHORT),
         sb.Ensemble(sb.Single(sb.GRU(2), SHORT), 2),

@@ -67,7 +67,7 @@ WITH_INPUTS: dict[str, Callable[[], sb.Forecaster]] = {
     "mean": sb.Mean,
     "persistence": sb.Persistence,
     "linear": sb.Linear,
-    "simulator": lambda: sb.Simulation(calibrated=("gain", "offset")),
+    "simulator": lambda: sb.Calibrated(terms=("gain", "offset")),
     "gru": lambda: sb.Single(sb.GRU(5), SHORT),
     "rnn": lambda: sb.Single(sb.EulerMLP(hidden_size=7, recognition_size=5), SHORT),
     "state-space": lambda: sb.Single(sb.StateSpace(3, 4), SHORT),

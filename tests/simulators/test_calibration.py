@@ -12,9 +12,10 @@ import pytest
 from splitband import Record
 from splitband.data import drill_string
 from splitband.data.named import van_der_pol
+from splitband.forecasters.base import Forecaster
 from splitband.forecasters.hybrids import Filtered, Residual
 from splitband.forecasters.names import named
-from splitband.forecasters.simulation import Simulation
+from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import ExtrapolationWarning, rmse
 from splitband.simulators import Recorded, run
 from splitband.simulators.calibration import (
@@ -156,7 +157,7 @@ def test_calibration_brings_the_simulator_of_system_v_closer() -> None:
 def test_so_does_one_that_ends_with_the_record() -> None:
     """The figures of docs/theory/simulators.md and the changelog."""
     r = van_der_pol()
-    model = Simulation(calibrated=True).fit(r[:600])
+    model = Calibrated().fit(r[:600])
     with pytest.warns(ExtrapolationWarning, match="for the last 4 of 1400 samples"):
         found = model.predict(1400)
     assert rmse(r.y[600:], found.y) == pytest.approx(0.264, abs=5e-4)
@@ -176,10 +177,10 @@ def test_the_simulator_of_the_drill_string_keeps_its_clock() -> None:
 # ---------------------------------------------------------------- what may be known
 
 
-def seen_by(simulation: Simulation, r: Record) -> tuple[Record, Calibration]:
+def seen_by(simulation: Forecaster, r: Record) -> tuple[Record, Calibration]:
     """The record with the simulator fitted to its training part, and the calibration."""
     simulation.fit(r[:TRAIN])
-    return simulation.on(r), simulation.calibration
+    return simulation.on(r), simulation.calibration or Calibration()
 
 
 def test_samples_after_the_training_part_do_not_change_a_calibration() -> None:
@@ -187,8 +188,7 @@ def test_samples_after_the_training_part_do_not_change_a_calibration() -> None:
     altered = y.copy()
     altered[TRAIN:] = 25.0
     (expected_record, expected), (found_record, found) = (
-        seen_by(Simulation(calibrated=True), record(values, simulation()))
-        for values in (y, altered)
+        seen_by(Calibrated(), record(values, simulation())) for values in (y, altered)
     )
     assert expected == found
     assert expected_record.y_sim is not None
@@ -208,7 +208,6 @@ def test_only_calibrated_methods_see_another_simulator() -> None:
     ):
         network = named(method)
         assert isinstance(network, Filtered | Residual)
-        assert isinstance(network.base, Simulation)
         changed, found = seen_by(network.base, r)
         if "calibrated" not in method:
             assert found == Calibration()
@@ -228,9 +227,9 @@ def test_a_simulation_that_ends_with_the_record_is_calibrated_all_the_same(
     """Most exported ones do; what it does not reach is held, and said."""
     y, y_sim = measured(1, (), (), delay, clock), simulation(SAMPLES + spare)
     simulator = Recorded(y_sim, DT) if recorded else None
-    model = Simulation(simulator, calibrated=True)
+    model = Calibrated(simulator)
     model.fit((Record(y, DT) if recorded else record(y, y_sim))[:TRAIN])
-    found = model.calibration
+    found = model.applied
     assert found.delay == pytest.approx(delay, abs=WITHIN["delay"])
     assert found.clock == pytest.approx(clock, abs=WITHIN["clock"])
     missing = int((found.places(SAMPLES, DT) > SAMPLES + spare - 0.5).sum())

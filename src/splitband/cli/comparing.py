@@ -21,7 +21,7 @@ from splitband.evaluation.comparison import compare as compare_forecasters
 from splitband.evaluation.protocols import check
 from splitband.evaluation.selection import check_trial
 from splitband.evaluation.setup import Setup, default_names, trying_bases, usual_names
-from splitband.forecasters.names import BASES, CALIBRATED, TRAINED, with_base, with_variants
+from splitband.forecasters.names import BASES, NAMES, TRAINED, with_base, with_variants
 from splitband.report import results
 from splitband.report.page.usage import Usage
 from splitband.runtime.files import CHECKPOINTS, output_folder
@@ -85,7 +85,7 @@ def prepared(request: Request, cores: int, ahead: int | None = None) -> Task:
     based = simulator.simulator in BASES
     if simulator.simulator in BASES:
         chosen = with_base(chosen, simulator.simulator)
-    beyond = any(CALIBRATED in method for method in chosen)
+    beyond = any(NAMES[method].calibrates for method in chosen)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=beyond)
     tested = bool(request.testing.test)
     ahead = 1 - tested if ahead is None else ahead

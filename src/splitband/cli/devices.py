@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import TypeVar
 
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.ensemble import Ensemble
-from splitband.forecasters.network import Network
 
 AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
 
 
 def on_device(forecaster: AnyForecaster, device: str) -> AnyForecaster:
     """A forecaster whose network, if it has one, is trained and runs on a device."""
-    if isinstance(forecaster, Network | Ensemble) and device != "cpu":
+    if device != "cpu":
         check_device(device)
         forecaster.to(device)
     return forecaster

@@ -26,19 +26,17 @@ from splitband.evaluation.search import Search, search
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.names import BASES, CALIBRATED, NAMES, with_base, with_variants
+from splitband.forecasters.names import BASES, NAMES, TRAINED, with_base, with_variants
 from splitband.forecasters.network import Network
-from splitband.forecasters.simulation import Simulation
 from splitband.metrics import rmse
 from splitband.report import results
 from splitband.runtime import deadlines
 from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import staged, write_facts
 from splitband.runtime.threads import available_cores
-from splitband.simulators.calibration import Calibration
 from splitband.training import Checkpoint, Progress
 
-FITTED = tuple(name for name in NAMES if not name.startswith("simulator"))
+FITTED = tuple(name for name in NAMES if name in TRAINED or "simulator" not in NAMES[name].needs)
 """Methods whose saved models `simulate` reads: all that learn something of the record."""
 
 
@@ -87,7 +85,7 @@ def fit(
         (method,) = with_base([method], simulator.simulator)
     naming.check_names("--method", [method], FITTED)
     trajectory = records.load_record(record, reading, saved)
-    trajectory = with_simulator(trajectory, simulator, reading, beyond=CALIBRATED in method)
+    trajectory = with_simulator(trajectory, simulator, reading, beyond=NAMES[method].calibrates)
     samples = len(trajectory) if train is None else train
     cores = jobs or available_cores()
     setup = setups.setup(
@@ -119,7 +117,7 @@ def fit(
         assert forecaster.settings is not None
         setup = replace(setup, settings=forecaster.settings)
         training_in_words = forecaster.training_in_words()
-    calibration = _calibration_of(forecaster)
+    calibration = forecaster.calibration
     facts = {
         "method": method,
         "seed": seed,
@@ -187,10 +185,3 @@ def _free_run(forecaster: Forecaster, error: float | None) -> str:
     """The `_training_error` in words; empty where there is none."""
     begin = max(forecaster.warmup, 2)
     return "" if error is None else f"; free run over them from the first {begin}: RMSE {error:.4g}"
-
-
-def _calibration_of(forecaster: Forecaster) -> Calibration | None:
-    """Return the calibration of a hybrid model's simulator, where it has been calibrated."""
-    base = getattr(forecaster, "fitted_base", None)
-    calibrated = isinstance(base, Simulation) and base.calibrated is not False
-    return base.calibration if isinstance(base, Simulation) and calibrated else None

@@ -37,7 +37,7 @@ from splitband.evaluation.forecast import forecast as forecast_record
 from splitband.evaluation.protocols import check
 from splitband.evaluation.selection import check_trial
 from splitband.evaluation.setup import default_names, trying_bases, usual_names
-from splitband.forecasters.names import BASES, CALIBRATED, NAMES, TRAINED, with_base
+from splitband.forecasters.names import BASES, NAMES, TRAINED, with_base
 from splitband.metrics import leaving
 from splitband.report import page, results
 from splitband.report.table import tried
@@ -89,7 +89,7 @@ def forecast(
     based = simulator.simulator in BASES
     if simulator.simulator in BASES:
         names, hybrid = with_base(names, simulator.simulator), False
-    beyond = any(CALIBRATED in name for name in names)
+    beyond = any(NAMES[name].calibrates for name in names)
     known = with_simulator(known, simulator, reading, steps if hybrid else 0, beyond)
     u = records.inputs_ahead(future_inputs, known, steps, reading.time_column)
     known = replace(known, u_beyond=u)

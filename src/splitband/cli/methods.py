@@ -8,17 +8,8 @@ from rich.table import Table
 from rich.text import Text
 
 from splitband.cli import showing
-from splitband.forecasters.names import (
-    BASED,
-    CALIBRATED,
-    CONDITIONED,
-    HYBRIDS,
-    NAMES,
-    TRAINED,
-    base,
-    named,
-)
-from splitband.report.page.words import in_words
+from splitband.forecasters.names import BASED, HYBRIDS, NAMES, QUICK, variants
+from splitband.forecasters.network import Network
 
 
 @dataclass(frozen=True)
@@ -36,13 +27,17 @@ class Group:
     names: tuple[str, ...]
 
 
-_SPLIT = tuple(name for name in TRAINED if name.startswith("split-"))
-_SINGLE = tuple(name for name in TRAINED if name not in {*_SPLIT, *HYBRIDS, *BASED})
-_SIMULATORS = tuple(name for name in NAMES if name.startswith("simulator"))
-_BASELINES = tuple(name for name in NAMES if name not in {*TRAINED, *_SIMULATORS})
+def _alone(cells: int) -> tuple[str, ...]:
+    """Return the methods of so many networks that stand beside nothing."""
+    networks = {name: method for name, method in NAMES.items() if isinstance(method, Network)}
+    return tuple(n for n, m in networks.items() if m.base is None and len(m.cells) == cells)
+
+
+_SIMULATORS = tuple(name for name in QUICK if "simulator" in NAMES[name].needs)
+_BASELINES = tuple(name for name in QUICK if name not in _SIMULATORS)
 GROUPS = (
-    Group("one network", "any record; with known inputs often enough", _SINGLE),
-    Group("two networks, a band each", "a record with a slow and a fast part", _SPLIT),
+    Group("one network", "any record; with known inputs often enough", _alone(1)),
+    Group("two networks, a band each", "a record with a slow and a fast part", _alone(2)),
     Group("a simulator and a network", "a simulator that is right in the large", HYBRIDS),
     Group(
         "a fitted model and a network",
@@ -67,22 +62,24 @@ def methods() -> None:
     for group in GROUPS:
         table.add_section()
         table.add_row(Text(group.title, "bold"), Text(f"for {group.when}", "italic"))
+        shown: set[str] = set()
         for name in group.names:
-            if name == base(name) or name in _SIMULATORS:
-                table.add_row(f"  {name}", in_words(name), _variants(name), _needs(name))
+            if name not in shown:
+                others = _variants(name) if group.names != _SIMULATORS else []
+                shown.update(others)
+                also = ", ".join(other[len(name) :] for other in others)
+                table.add_row(f"  {name}", NAMES[name].in_words(), also, _needs(name))
     showing.console.print(table)
     showing.as_json(
-        {group.title: {name: in_words(name) for name in group.names} for group in GROUPS}
+        {group.title: {name: NAMES[name].in_words() for name in group.names} for group in GROUPS}
     )
 
 
-def _variants(name: str) -> str:
-    """The suffixes under which there is another variant of a method."""
-    if name.startswith("simulator"):
-        return ""
-    suffixes = (CALIBRATED, CONDITIONED, CALIBRATED + CONDITIONED)
-    return ", ".join(suffix for suffix in suffixes if name + suffix in NAMES)
+def _variants(name: str) -> list[str]:
+    """Return the other names under which a method is calibrated or conditioned."""
+    made = variants(NAMES[name], calibrate=True, conditioned=True)
+    return [each.name for each in made if each.name != name]
 
 
 def _needs(name: str) -> str:
-    return ", ".join(f"--{need}" for need in sorted(named(name).needs))
+    return ", ".join(f"--{need}" for need in sorted(NAMES[name].needs))

@@ -20,7 +20,7 @@ def show(result: Comparison, names: list[str], out: Path, used: Usage) -> None:
     record, setup, trial = result.record, result.setup, result.require_trial()
     best = result.recommended
     said = {
-        name: "; ".join(filter(None, [words.in_words(name), note]))
+        name: "; ".join(filter(None, [words.in_words(name, result.forecasters), note]))
         for name, note in remarks(result).items()
     }
     showing.methods(_title(record, setup), columns(result), said, best)

@@ -18,7 +18,7 @@ from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.records import read_beside
 from splitband.data import Grid, Record
 from splitband.data.timing import in_words
-from splitband.forecasters.names import BASES, CALIBRATED, HYBRIDS
+from splitband.forecasters.names import BASES, HYBRIDS, NAMES
 from splitband.simulators import Recorded, Simulator, SimulatorTimeoutError, run
 from splitband.simulators.calibration import samples_needed
 from splitband.simulators.isolation import Isolated
@@ -100,7 +100,7 @@ def each_with_simulator(
         )
     if not simulators:
         return [*records]
-    beyond = not hybrid or any(CALIBRATED in method for method in methods)
+    beyond = not hybrid or any(NAMES[method].calibrates for method in methods)
     return [
         with_simulator(record, replace(options, simulator=simulator), reading, beyond=beyond)
         for record, simulator in zip(records, simulators, strict=True)

@@ -21,7 +21,7 @@ from splitband.cli.simulators import refuse_bases, with_simulator
 from splitband.cli.usage import usage
 from splitband.data import Record
 from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
-from splitband.forecasters.simulation import Simulation
+from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import rmse
 from splitband.report import page, pictures
 from splitband.runtime.outputs import staged, write_facts
@@ -105,7 +105,7 @@ def _warn_of_nothing_to_learn(record: Record, cutoff: float, order: int) -> dict
     facts: dict[str, Any] = {"oracle": asdict(found), "nothing_to_learn": found.nothing_to_learn}
     if not found.nothing_to_learn:
         return facts
-    simulation = Simulation(calibrated=True)
+    simulation = Calibrated()
     simulation.fit(record)
     y_sim = simulation.on(record).y_sim
     assert y_sim is not None

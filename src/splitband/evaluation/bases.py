@@ -18,8 +18,7 @@ from splitband.evaluation.search import SearchAttempt, SearchResult
 from splitband.evaluation.selection import WORTH_TRAINING, Trial, try_out
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import HELD_OUT
-from splitband.forecasters.closed_form import Harmonic, Linear, Periodic
-from splitband.forecasters.names import BASES
+from splitband.forecasters.names import BASES, with_base
 from splitband.forecasters.network import Network
 
 STAGE = "on a baseline"
@@ -53,17 +52,15 @@ def on_baseline(
     able = [
         f.name
         for f in searched.forecasters
-        if isinstance(f, Periodic | Harmonic | Linear)
-        and f.name in BASES
-        and f.name in trial.scores
-        and f.name not in trial.left_out
+        if f.name in BASES and f.name in trial.scores and f.name not in trial.left_out
     ]
     if setup.search is None or not setup.search.bases or best not in networks or not able:
         return trial, searched
     base = min(able, key=lambda name: trial.scores[name])
     if best is None or trial.scores[base] >= trial.scores[best]:
         return trial, searched
-    network = setup.forecaster(f"residual-{base}-gru-conditioned")
+    (method,) = with_base(["residual-gru-conditioned"], base)
+    network = setup.forecaster(method)
     assert isinstance(network, Network)
     settings = networks[best].settings
     assert settings is not None

@@ -103,7 +103,7 @@ class SavedSettings:
             return None
         if network.name not in TRAINED:
             return None
-        bands = getattr(network, "bands", Bands())
+        bands = network.bands or Bands()
         sizes = _sizes(network)
         saved = cls(network.name, network.settings, replace(bands, choice=None), sizes)
         same = saved.forecaster().training_in_words() == network.training_in_words()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -10,12 +10,9 @@ from typing import Any
 from splitband.data import Record
 from splitband.evaluation.search import Search
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.base import Forecaster
-from splitband.forecasters.ensemble import Ensemble
-from splitband.forecasters.hybrids import Filtered, Residual
-from splitband.forecasters.names import Sizes, named
+from splitband.forecasters.base import Forecaster, parts_of
+from splitband.forecasters.names import NAMES, QUICK, Sizes, named
 from splitband.forecasters.network import Network
-from splitband.forecasters.simulation import Simulation
 from splitband.training import Settings
 from splitband.training.recipes import Recipe, recipe_settings
 
@@ -79,7 +76,7 @@ def usual_names(record: Record, setup: Setup) -> list[str]:
     names = default_names(record.y_sim is not None, record.nu > 0)
     if setup.bands.choice is None or setup.bands.choice.simulator_helps is not False:
         return names
-    kept = [name for name in names if name.startswith("simulator")]
+    kept = [name for name in names if name in QUICK and "simulator" in NAMES[name].needs]
     learned = default_names(False, record.nu > 0)
     return [*learned[:3], *kept, *learned[3:]]
 
@@ -115,10 +112,10 @@ def default_setup(
         search = Search.usual() if recipe == "default" else None
     if methods is None:
         methods = default_names(record.y_sim is not None)
-    beside = [f for f in _simulations(methods) if f.needs]
+    beside = [base for method in _made(methods) for base in _simulators_in(method)]
     y_sim = None
     if record.y_sim is not None and beside:
-        simulation = next((f for f in beside if f.calibrated), beside[0]).clone()
+        simulation = next((f for f in beside if f.calibrates), beside[0]).clone()
         simulation.fit(record[:train])
         y_sim = simulation.on(record[:train]).y_sim
     bands = bands or Bands()
@@ -135,9 +132,10 @@ def _made(methods: Sequence[Forecaster | str]) -> list[Forecaster]:
     return [named(each) if isinstance(each, str) else each for each in methods]
 
 
-def _simulations(methods: Sequence[Forecaster | str]) -> list[Simulation]:
-    """The simulators that networks among the methods stand beside."""
-    made = _made(methods)
-    members = [each.member if isinstance(each, Ensemble) else each for each in made]
-    bases = [each.base for each in members if isinstance(each, Filtered | Residual)]
-    return [base for base in bases if isinstance(base, Simulation)]
+def _simulators_in(forecaster: Forecaster) -> Iterator[Forecaster]:
+    """Yield what a forecaster is made of and reads the simulator's output of the record."""
+    for part in parts_of(forecaster).values():
+        if parts_of(part):
+            yield from _simulators_in(part)
+        elif "simulator" in part.needs:
+            yield part

@@ -19,7 +19,6 @@ from splitband.data.gaps import first_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
-from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import ExtrapolationWarning, rmse, spread
 from splitband.runtime.deadlines import OverError, current
@@ -142,8 +141,8 @@ def backtest(
             history = record[: origin.at]
             with without_warnings(ExtrapolationWarning):  # they are kept with the prediction
                 predictions[origin] = fitted.predict(end - origin.at, history)
-            if isinstance(fitted, Network):
-                unfiltered[origin] = fitted.unfiltered(end - origin.at, history)
+            if parts := fitted.unfiltered(end - origin.at, history):
+                unfiltered[origin] = parts
         if last is None or len(fitted.require_fitted().record) > len(last.require_fitted().record):
             last = fitted
         if current().over and len(predictions) < len(question.origins):

@@ -7,12 +7,13 @@ import time
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self, final
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from splitband.data import Record, check_alike
 from splitband.data.timing import same_sampling, zones_differ
@@ -27,12 +28,32 @@ from splitband.metrics import ExtrapolationWarning, leaves_range
 from splitband.runtime.arguments import whole
 from splitband.runtime.options import Written, attributes, options
 from splitband.runtime.threads import one_thread
+from splitband.simulators.calibration import Calibration
 from splitband.training import Checkpoint, Progress, Settings
 
 Array = npt.NDArray[np.float64]
 
 OVERFLOWED = 1e100
 """Stands for predicted values that are not finite, so that their errors are finite, and huge."""
+
+
+@dataclass(frozen=True)
+class AsBase:
+    """Tell what a hybrid says of the forecaster that holds its slow part.
+
+    Attributes
+    ----------
+    label : Of the slow part, among the components of a prediction.
+    before, after : What the hybrid's name has before and after the cell's.
+    words : In a sentence, such as "a linear model".
+    described : Whether the hybrid's description has that of its base.
+    """
+
+    label: str
+    before: str = ""
+    after: str = ""
+    words: str = ""
+    described: bool = True
 
 
 class Forecaster(Written, ABC):
@@ -62,26 +83,41 @@ class Forecaster(Written, ABC):
 
     @property
     def needs(self) -> frozenset[str]:
-        """What a record must bring: "inputs", "simulator"."""
-        return frozenset()
+        """Return what a record must bring: "inputs", "simulator"."""
+        return frozenset().union(*(part.needs for part in parts_of(self).values()))
 
     @property
     def random(self) -> bool:
-        """Whether the result depends on a seed; such a forecaster is trained, and takes longer."""
-        return False
+        """Return whether the result depends on a seed: it is trained then, which takes longer."""
+        return any(part.random for part in parts_of(self).values())
 
     @property
     def anchored(self) -> bool:
-        """Whether a forecast depends on the time since the training record began.
+        """Return whether a forecast depends on the time since the training record began.
 
         Such a forecaster cannot be asked about a record that has nothing to do with that time.
         """
-        return False
+        return any(part.anchored for part in parts_of(self).values())
+
+    @property
+    def calibrates(self) -> bool:
+        """Return whether a simulator is calibrated first, which may need output beyond the end."""
+        return any(part.calibrates for part in parts_of(self).values())
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """Return the calibration of the simulator that it runs, where one has been fitted."""
+        return None
 
     @property
     def shares_bands(self) -> bool:
-        """Whether it takes the bands that a comparison chooses, see `with_defaults`."""
-        return False
+        """Return whether it takes the bands that a comparison chooses, see `with_defaults`."""
+        return any(part.shares_bands for part in parts_of(self).values())
+
+    @property
+    def as_base(self) -> AsBase:
+        """Return what a hybrid says of it where it holds the slow part."""
+        return AsBase(self.name, before=f"-{self.name}")
 
     @property
     def warmup(self) -> int:
@@ -103,32 +139,69 @@ class Forecaster(Written, ABC):
         """Fit to the records; see `fit`. By default there is nothing to learn."""
         return
 
+    def trajectory(self, known: Known) -> Array:
+        """Return what it says of the history and of what comes after, `(time + steps, ny)`.
+
+        A forecaster that has this method can hold the slow part of a network.
+        """
+        raise NotImplementedError(f"{self.name} says nothing about a history")
+
+    def on(self, record: Record, first: bool = True) -> Record:
+        """Return a training record, the `first` or another, with its trajectory as `y_sim`."""
+        begin = 0.0 if first else None
+        known = Known(record.seen, 0, begin, record.u, record.y_sim, record.grid)
+        return replace(record, y_sim=self.trajectory(known), beyond=None)
+
+    def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
+        """Return what filters are fed with, by name; empty for a forecaster without filters."""
+        return {}
+
+    def in_words(self) -> str:
+        """Return what it is, in words that follow "is"; empty where nothing is known."""
+        return ""
+
     def describe(self) -> str:
-        """What the fit has settled on, in a few words for a table."""
+        """Return what the fit has settled on, in a few words for a table."""
         return ""
 
     def doubts(self, known: Known) -> list[str]:
         """Reasons to doubt what it extrapolates, in sentences, beside those that hold for all."""
         return []
 
-    def with_defaults(self, settings: Settings, bands: Bands) -> Self:
-        """With what a comparison shares, where the forecaster does not say otherwise."""
+    def to(self, device: str | torch.device) -> Self:
+        """Train and run networks on this device from now on, and return the forecaster itself."""
+        for part in parts_of(self).values():
+            part.to(device)
         return self
+
+    def with_defaults(self, settings: Settings, bands: Bands) -> Self:
+        """Return it with what a comparison shares, where it does not say otherwise."""
+        return self.with_parts(lambda part: part.with_defaults(settings, bands))
 
     def for_samples(self, samples: int, instead_of: int) -> Self:
-        """For a part of the training record, of so many samples instead of all."""
-        return self
+        """Return it for a part of the training record, of so many samples instead of all."""
+        return self.with_parts(lambda part: part.for_samples(samples, instead_of))
 
     def simulated(self, record: Record, horizon: int, *others: Record) -> Self:
-        """With the output of a simulator of its own computed, which is the same in every process.
+        """Return it with the output of its own simulator computed, the same in every process.
 
         That is over the training record and `horizon` samples more, and over other records.
         """
-        return self
+        return self.with_parts(lambda part: part.simulated(record, horizon, *others))
+
+    def with_parts(self, changed: Callable[[Forecaster], Forecaster]) -> Self:
+        """Return it with each of its parts changed; itself where it has none."""
+        parts = {name: changed(part) for name, part in parts_of(self).items()}
+        return self.clone().set_params(**parts) if parts else self
+
+    def calibrated(self) -> Forecaster:
+        """Return it with its simulator calibrated, if it has one; itself otherwise."""
+        return self.with_parts(lambda part: part.calibrated())
 
     def prepare(self, record: Record) -> None:
         """Compute once what the fits of several forecasters and seeds to a record share."""
-        return
+        for part in parts_of(self).values():
+            part.prepare(record)
 
     def check(self, *records: Record) -> None:
         """Raise ValueError for what is wrong with the training records, before anything runs."""
@@ -141,6 +214,8 @@ class Forecaster(Written, ABC):
                 raise ValueError(f"{self.name} needs known inputs, {_named(record)} has none")
             if "simulator" in self.needs and record.y_sim is None:
                 raise ValueError(f"{self.name} needs a simulator, {_named(record)} has none")
+        for part in parts_of(self).values():
+            part.check(*records)
 
     @final
     def fit(
@@ -389,6 +464,12 @@ class Forecaster(Written, ABC):
 
             self.held_out = held_out_by(self)
         return self.held_out
+
+
+def parts_of(forecaster: Forecaster) -> dict[str, Forecaster]:
+    """Return the options of a forecaster that are forecasters themselves, by name."""
+    options = forecaster.get_params()
+    return {name: value for name, value in options.items() if isinstance(value, Forecaster)}
 
 
 def total(parts: Sequence[Array]) -> Array:

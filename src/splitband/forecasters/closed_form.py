@@ -16,7 +16,7 @@ from splitband.baselines.naive import ByTime
 from splitband.baselines.periodic import PeriodicRegression
 from splitband.baselines.seasonal import SeasonalNaive as LastPeriod
 from splitband.data import Record
-from splitband.forecasters.base import Forecaster
+from splitband.forecasters.base import AsBase, Forecaster
 from splitband.forecasters.fitted import first_only
 from splitband.forecasters.known import Known
 from splitband.forecasters.stepping import Constant, Held, InTime, Part, Repeated
@@ -32,35 +32,39 @@ _EXACT = 1e-6
 
 @final
 class Mean(Forecaster):
-    """The mean of the training samples, the best forecast where nothing can be foreseen."""
+    """Forecast the mean of the training samples, the best where nothing can be foreseen."""
 
     name = "mean"
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
-        """See `Forecaster`."""
+        """Compute the mean of all records."""
         self.level = np.nanmean(np.concatenate([record.seen for record in records]), axis=0)
 
     def extrapolate(self, known: Known) -> Array:
-        """See `Forecaster`."""
+        """Return the mean."""
         return np.tile(self.level, (known.steps, 1))
 
     def part(self) -> Part:
-        """See `Forecaster`."""
+        """Return the mean."""
         return Constant(self.level)
 
+    def in_words(self) -> str:
+        """Return what it is."""
+        return "mean of the training samples"
+
     def describe(self) -> str:
-        """See `Forecaster`."""
+        """Return what it is."""
         return "the mean of the training samples"
 
 
 @final
 class Persistence(Forecaster):
-    """Nothing changes: the last measured sample, held."""
+    """Hold the last measured sample, as if nothing changed."""
 
     name = "persistence"
 
     def extrapolate(self, known: Known) -> Array:
-        """See `Forecaster`; raises ValueError where a channel has not been measured yet."""
+        """Return the last sample; raises ValueError where a channel has not been measured yet."""
         measured = ~np.isnan(known.y)
         if not measured.any(axis=0).all():
             raise ValueError("history must have a measured sample in every channel")
@@ -68,16 +72,20 @@ class Persistence(Forecaster):
         return np.tile(np.take_along_axis(known.y, last[None], axis=0), (known.steps, 1))
 
     def part(self) -> Part:
-        """See `Forecaster`."""
+        """Return the sample that is held."""
         return Held(self.require_fitted().record.ny)
 
+    def in_words(self) -> str:
+        """Return what it is."""
+        return "last measured value, held"
+
     def describe(self) -> str:
-        """See `Forecaster`."""
+        """Return what it is."""
         return "the last measured sample, held"
 
 
 class _ByTime(Forecaster):
-    """A function of the time since the training record began, fitted to its measured samples."""
+    """Fit a function of the time since the training record began."""
 
     baseline: ByTime
     error: Array
@@ -89,29 +97,29 @@ class _ByTime(Forecaster):
 
     @property
     def anchored(self) -> bool:
-        """See `Forecaster`."""
+        """Return True."""
         return True
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
-        """See `Forecaster`; of several records the first one is fitted."""
+        """Fit the function to the first of several records."""
         seen = records[0].seen
         self.baseline = self.fit_to(seen)
         self.error = _rmse_of_channels(seen - self.baseline.predict(0, len(seen)))
 
     def extrapolate(self, known: Known) -> Array:
-        """See `Forecaster`."""
+        """Return its values after the history."""
         return self.baseline.predict(_whole(known.begin) + len(known.y), known.steps)
 
     def trajectory(self, known: Known) -> Array:
-        """Over the history, too, `(time + steps, ny)`."""
+        """Return its values, over the history too, `(time + steps, ny)`."""
         return self.baseline.predict(_whole(known.begin), len(known.y) + known.steps)
 
     def part(self) -> Part:
-        """See `Forecaster`."""
+        """Return the function of time."""
         return InTime(self.baseline.predict)
 
     def doubts(self, known: Known) -> list[str]:
-        """See `Forecaster`: a history with which it disagrees is none of the training record."""
+        """Return whether it disagrees with the history: that is none of the training record."""
         if known.own:
             return []
         found = _rmse_of_channels(known.y - self.trajectory(replace(known, steps=0)))
@@ -126,22 +134,26 @@ class _ByTime(Forecaster):
         ]
 
     def describe(self) -> str:
-        """See `Forecaster`."""
+        """Return the periods and trends that were found."""
         return str(self.baseline) + first_only(self.require_fitted())
 
 
 @final
 class SeasonalNaive(_ByTime):
-    """The last period, repeated, on top of a trend where there is one."""
+    """Repeat the last period, on top of a trend where there is one."""
 
     name = "seasonal-naive"
 
+    def in_words(self) -> str:
+        """Return what it is."""
+        return "last period, repeated"
+
     def fit_to(self, y: Array) -> ByTime:
-        """See `baselines.seasonal`."""
+        """Fit `baselines.seasonal`."""
         return LastPeriod.fit(y)
 
     def part(self) -> Part:
-        """See `Forecaster`."""
+        """Return the period and its trend."""
         baseline = self.baseline
         assert isinstance(baseline, LastPeriod)
         return Repeated(baseline.period, baseline.end, baseline.trend)
@@ -149,29 +161,47 @@ class SeasonalNaive(_ByTime):
 
 @final
 class Harmonic(_ByTime):
-    """Sinusoids that may decay, and a trend (`baselines.harmonic`)."""
+    """Fit sinusoids that may decay, and a trend (`baselines.harmonic`)."""
 
     name = "harmonic"
 
+    @property
+    def as_base(self) -> AsBase:
+        """Return what a hybrid says of it."""
+        return replace(super().as_base, words="sinusoids")
+
+    def in_words(self) -> str:
+        """Return what it is."""
+        return "sinusoids and a trend, fitted"
+
     def fit_to(self, y: Array) -> ByTime:
-        """See `baselines.harmonic`."""
+        """Fit `baselines.harmonic`."""
         return HarmonicRegression.fit(y)
 
 
 @final
 class Periodic(_ByTime):
-    """A Fourier series of the record's own period, and a trend (`baselines.periodic`)."""
+    """Fit a Fourier series of the record's own period, and a trend (`baselines.periodic`)."""
 
     name = "periodic"
 
+    @property
+    def as_base(self) -> AsBase:
+        """Return what a hybrid says of it."""
+        return replace(super().as_base, words="periodic waveform")
+
+    def in_words(self) -> str:
+        """Return what it is."""
+        return "periodic waveform, fitted"
+
     def fit_to(self, y: Array) -> ByTime:
-        """See `baselines.periodic`."""
+        """Fit `baselines.periodic`."""
         return PeriodicRegression.fit(y)
 
 
 @final
 class Linear(Forecaster):
-    """An output-error model of the known inputs (`baselines.linear`).
+    """Fit an output-error model of the known inputs (`baselines.linear`).
 
     Several records are fitted together, each with an initial state of its own.
     """
@@ -179,19 +209,28 @@ class Linear(Forecaster):
     name = "linear"
     needs = frozenset({"inputs"})
 
+    @property
+    def as_base(self) -> AsBase:
+        """Return what a hybrid says of it."""
+        return replace(super().as_base, words="linear model")
+
+    def in_words(self) -> str:
+        """Return what it is."""
+        return "linear model of the inputs (output error)"
+
     def learn(self, records: Sequence[Record], **_: Any) -> None:
-        """See `Forecaster`."""
+        """Fit the model to all records."""
         first, *others = [(record.seen, _inputs(record.u)) for record in records]
         self.u = first[1]
         self.model = OutputError.fit(*first, others)
         self.delays = self.model.delays
 
     def extrapolate(self, known: Known) -> Array:
-        """See `Forecaster`."""
+        """Return its output after the history."""
         return self.trajectory(known)[len(known.y) :]
 
     def trajectory(self, known: Known) -> Array:
-        """Over the history, too, `(time + steps, ny)`, from a state that the history tells.
+        """Return its output, over the history too, from a state that the history tells.
 
         Where inputs are known from the beginning of the training record on, as for a history that
         is a part of it, the state to which they lead is what the history is compared with.
@@ -202,11 +241,11 @@ class Linear(Forecaster):
         return self.model.continued(_inputs(known.u), y, before)
 
     def part(self) -> Part:
-        """See `Forecaster`."""
+        """Return the model's recursion."""
         return Driven(self.model, self.u)
 
     def describe(self) -> str:
-        """See `Forecaster`."""
+        """Return the orders that were chosen, and which inputs act late."""
         late = self.require_fitted().late_inputs(self.delays)
         return "; ".join(filter(None, [str(self.model), late]))
 

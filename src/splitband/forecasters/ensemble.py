@@ -8,23 +8,22 @@ from typing import Self, final
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from splitband.data import Record
-from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.known import Known
-from splitband.forecasters.network import Network
 from splitband.forecasters.stepping import Averaged, Recursion
 from splitband.runtime.arguments import whole
-from splitband.training import Checkpoint, Progress, Settings
+from splitband.training import Checkpoint, Progress
 
 Array = npt.NDArray[np.float64]
 
 
 @final
 class Ensemble(Forecaster):
-    """Several of one kind, each fitted with a seed of its own; their mean is the forecast.
+    """Average several of one kind, each fitted with a seed of its own.
 
     Parameters
     ----------
@@ -67,60 +66,23 @@ class Ensemble(Forecaster):
 
     @property
     def name(self) -> str:
-        """See `Forecaster`."""
+        """Return the name that it was given, or the members'."""
         return self._name or self.member.name
-
-    @property
-    def needs(self) -> frozenset[str]:
-        """What the members need."""
-        return self.member.needs
-
-    @property
-    def random(self) -> bool:
-        """Whether the members are."""
-        return self.member.random
-
-    @property
-    def anchored(self) -> bool:
-        """Whether the members are."""
-        return self.member.anchored
-
-    @property
-    def shares_bands(self) -> bool:
-        """Whether the members do."""
-        return self.member.shares_bands
 
     @property
     def warmup(self) -> int:
         """The members'."""
         return max([m.warmup for m in self.members], default=self.member.warmup)
 
-    def to(self, device: str) -> Self:
+    def to(self, device: str | torch.device) -> Self:
         """Train and run the members' networks on this device from now on."""
-        for each in (self.member, *self.members):
-            if isinstance(each, Network):
-                each.to(device)
-        return self
+        for member in self.members:
+            member.to(device)
+        return super().to(device)
 
-    def with_defaults(self, settings: Settings, bands: Bands) -> Self:
-        """See `Forecaster`."""
-        return self._of(self.member.with_defaults(settings, bands))
-
-    def for_samples(self, samples: int, instead_of: int) -> Self:
-        """See `Forecaster`."""
-        return self._of(self.member.for_samples(samples, instead_of))
-
-    def simulated(self, record: Record, horizon: int, *others: Record) -> Self:
-        """See `Forecaster`."""
-        return self._of(self.member.simulated(record, horizon, *others))
-
-    def prepare(self, record: Record) -> None:
-        """See `Forecaster`."""
-        self.member.prepare(record)
-
-    def check(self, *records: Record) -> None:
-        """See `Forecaster`."""
-        self.member.check(*records)
+    def in_words(self) -> str:
+        """Return what the members are."""
+        return self.member.in_words()
 
     def learn(
         self,
@@ -130,7 +92,7 @@ class Ensemble(Forecaster):
         progress: Callable[[Progress], None] | None,
         checkpoint: Checkpoint | None,
     ) -> None:
-        """See `Forecaster`; each member has a checkpoint of its own, beside the one given."""
+        """Fit the members, each with a checkpoint of its own beside the one given."""
         for i, of_first in enumerate(self.seeds):
             of_member = None if checkpoint is None else checkpoint.numbered(i)
             watch = None if progress is None else _shifted(progress, i, self.count)
@@ -151,7 +113,7 @@ class Ensemble(Forecaster):
         self.fitted = replace(self.require_fitted(), report=report)
 
     def extrapolate(self, known: Known) -> dict[str, Array]:
-        """See `Forecaster`: the mean of the members, part by part."""
+        """Return the mean of the members, part by part."""
         extrapolated = [member.extrapolate(known) for member in self.members]
         parts: list[dict[str, Array]] = [
             each if isinstance(each, dict) else {self.name: each} for each in extrapolated
@@ -159,20 +121,17 @@ class Ensemble(Forecaster):
         return {name: np.mean([p[name] for p in parts], axis=0) for name in parts[0]}
 
     def stepped(self) -> Recursion:
-        """See `Forecaster`: the mean of the members."""
+        """Return the mean of the members."""
         return Averaged([member.stepped() for member in self.members])
 
     def doubts(self, known: Known) -> list[str]:
-        """See `Forecaster`: those of every member."""
+        """Return those of every member."""
         said = [doubt for member in self.members for doubt in member.doubts(known)]
         return [*dict.fromkeys(said)]
 
     def describe(self) -> str:
-        """See `Forecaster`."""
+        """Return what the first member has settled on."""
         return self.members[0].describe() if self.members else ""
-
-    def _of(self, member: Forecaster) -> Self:
-        return self.clone().set_params(member=member)
 
 
 def _shifted(

@@ -1,14 +1,17 @@
-"""Names for forecasters: for tables, files and the command line. Nothing else parses them."""
+"""Give names to forecasters, for tables, files and the command line.
+
+A name is derived from a forecaster; nothing takes one apart. To add a cell, a baseline or a kind of
+hybrid is to write its class, and one line in `_kinds`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import torch
 
-from splitband.forecasters.base import Forecaster
+from splitband.forecasters.base import Forecaster, parts_of
 from splitband.forecasters.closed_form import (
     Harmonic,
     Linear,
@@ -18,15 +21,11 @@ from splitband.forecasters.closed_form import (
     SeasonalNaive,
 )
 from splitband.forecasters.hybrids import Filtered, Residual
-from splitband.forecasters.network import Template
-from splitband.forecasters.simulation import AFFINE, Simulation
+from splitband.forecasters.simulation import AFFINE, Calibrated, Simulation
 from splitband.forecasters.single import Single
 from splitband.forecasters.split import Split
 from splitband.networks import GRU, EulerMLP
 from splitband.runtime.arguments import LARGEST_SIZE, whole
-
-CALIBRATED, CONDITIONED = "-calibrated", "-conditioned"
-"""Suffixes: the simulator is calibrated first; faster networks are told what is slower."""
 
 
 @dataclass(frozen=True)
@@ -51,149 +50,113 @@ class Sizes:
             object.__setattr__(self, name, whole(name, getattr(self, name), 1, LARGEST_SIZE))
 
 
-def _gru(sizes: Sizes) -> Template:
-    return GRU(sizes.hidden_high + sizes.hidden_low)
+def _kinds(sizes: Sizes) -> list[Forecaster]:
+    """Return one forecaster of each kind, simple ones last."""
+    cells = (
+        GRU(sizes.hidden_high + sizes.hidden_low),
+        EulerMLP(1, state_size=sizes.state_size, step_size=sizes.step_size),
+    )
+    bands = GRU(sizes.hidden_low), GRU(sizes.hidden_high)
+    hybrids = (
+        Filtered,
+        Residual,
+    )
+    return [
+        *(Single(cell) for cell in cells),
+        Split(*bands),
+        Split(*bands, filter_output=True),
+        *(kind(None, cell) for kind in hybrids for cell in cells),
+        Simulation(),
+        Calibrated(terms=AFFINE),
+        Calibrated(),
+        *_baselines(),
+    ]
 
 
-def _rnn(sizes: Sizes) -> Template:
-    return EulerMLP(1, state_size=sizes.state_size, step_size=sizes.step_size)
+def _baselines() -> list[Forecaster]:
+    return [
+        Mean(),
+        Persistence(),
+        SeasonalNaive(),
+        Harmonic(),
+        Periodic(),
+        Linear(),
+    ]
 
 
-def _split(sizes: Sizes, filter_output: bool, conditioned: bool) -> Forecaster:
-    low, high = GRU(sizes.hidden_low), GRU(sizes.hidden_high)
-    return Split(low, high, filter_output=filter_output, conditioned=conditioned)
-
-
-def _hybrid(
-    kind: Callable[..., Forecaster],
-    cell: Callable[[Sizes], Template],
-    sizes: Sizes,
-    calibrated: bool,
-    conditioned: bool,
-) -> Forecaster:
-    return kind(None, cell(sizes), calibrated=calibrated, conditioned=conditioned)
-
-
-_SPLITS = {"split-gru": False, "split-gru-hp": True}
-_HYBRIDS: dict[str, tuple[Callable[..., Forecaster], Callable[[Sizes], Template]]] = {
-    "filtered-gru": (Filtered, _gru),
-    "filtered-rnn": (Filtered, _rnn),
-    "residual-gru": (Residual, _gru),
-    "residual-rnn": (Residual, _rnn),
-}
-BASES: dict[str, Callable[[], Forecaster]] = {
-    "linear": Linear,
-    "periodic": Periodic,
-    "harmonic": Harmonic,
-}
+BASES = {each.name: each for each in _baselines() if each.as_base.words}
 """What may hold the slow part in a simulator's place: it is fitted to the training samples."""
 
 
-def _based(
-    kind: Callable[..., Forecaster], base: Callable[[], Forecaster], sizes: Sizes, conditioned: bool
-) -> Forecaster:
-    return kind(base(), _gru(sizes), conditioned=conditioned)
+def _methods(sizes: Sizes) -> Iterator[Forecaster]:
+    """Return each kind: as it comes, on each base, and each of these with its variants."""
+    for kind in _kinds(sizes):
+        for based in (kind, *(_on_base(kind, base) for base in BASES.values() if parts_of(kind))):
+            yield from variants(based, calibrate=True, conditioned=True)
 
 
-# A line for each name: to add a cell, a baseline or a kind of model is to add its class and a line.
-NAMES: dict[str, Callable[[Sizes], Forecaster]] = {
-    "gru": lambda sizes: Single(_gru(sizes)),
-    "rnn": lambda sizes: Single(_rnn(sizes)),
-    **{
-        name + CONDITIONED * told: partial(_split, filter_output=hp, conditioned=told)
-        for name, hp in _SPLITS.items()
-        for told in (False, True)
-    },
-    **{
-        name + CALIBRATED * calibrated + CONDITIONED * told: partial(
-            _hybrid, kind, cell, calibrated=calibrated, conditioned=told
-        )
-        for name, (kind, cell) in _HYBRIDS.items()
-        for told in (False, True)
-        for calibrated in (False, True)
-    },
-    **{
-        f"{kind}-{base}-gru" + CONDITIONED * told: partial(
-            _based, _HYBRIDS[f"{kind}-gru"][0], make, conditioned=told
-        )
-        for kind in ("filtered", "residual")
-        for base, make in BASES.items()
-        for told in (False, True)
-    },
-    "simulator": lambda _: Simulation(),
-    "simulator-affine": lambda _: Simulation(calibrated=AFFINE),
-    "simulator" + CALIBRATED: lambda _: Simulation(calibrated=True),
-    "mean": lambda _: Mean(),
-    "persistence": lambda _: Persistence(),
-    "seasonal-naive": lambda _: SeasonalNaive(),
-    "harmonic": lambda _: Harmonic(),
-    "periodic": lambda _: Periodic(),
-    "linear": lambda _: Linear(),
-}
-HYBRIDS = tuple(name for name in NAMES if name.startswith((*_HYBRIDS,)))
-BASED = tuple(name for name in NAMES if any(f"-{base}-" in name for base in BASES))
-"""Hybrid models whose slow part is fitted to the record: they need no simulator."""
-TRAINED = (
-    "gru",
-    "rnn",
-    *(name for name in NAMES if name.startswith((*_SPLITS,))),
-    *HYBRIDS,
-    *BASED,
-)
-QUICK = tuple(name for name in NAMES if name not in TRAINED)
+def variants(forecaster: Forecaster, calibrate: bool, conditioned: bool) -> list[Forecaster]:
+    """Return a forecaster and, if asked for, with its simulator calibrated, or conditioned."""
+    found = [forecaster]
+    if calibrate:
+        found.append(forecaster.calibrated())
+    if conditioned and "conditioned" in forecaster.get_params():
+        found += [each.clone().set_params(conditioned=True) for each in found]
+    return [*{each.name: each for each in found}.values()]
+
+
+def _on_base(forecaster: Forecaster, base: Forecaster) -> Forecaster:
+    """Return a forecaster with a base in its simulator's place."""
+    if "simulator" not in forecaster.needs:
+        return forecaster
+    if not parts_of(forecaster):
+        return base.clone()
+    return forecaster.with_parts(lambda part: _on_base(part, base))
+
+
+# A template draws weights that are never used; that must not change the user's random numbers.
+with torch.random.fork_rng(devices=[]):
+    NAMES = {each.name: each for each in _methods(Sizes())}
+"""All methods by name, of the usual sizes."""
+TRAINED = tuple(name for name, method in NAMES.items() if method.random)
+QUICK = tuple(name for name, method in NAMES.items() if not method.random)
 """What is fitted in closed form, and needs no seed."""
+HYBRIDS = tuple(name for name in TRAINED if "simulator" in NAMES[name].needs)
+BASED = tuple(name for name in TRAINED if parts_of(NAMES[name]) and name not in HYBRIDS)
+"""Hybrid models whose slow part is fitted to the record: they need no simulator."""
 
 
 def named(name: str, sizes: Sizes | None = None) -> Forecaster:
-    """The forecaster of a name; raises ValueError for an unknown one."""
+    """Return a new forecaster by its name; raises ValueError for an unknown one."""
     if name not in NAMES:
         raise ValueError(f"methods must be out of {', '.join(NAMES)}, got {name}")
-    # A template draws weights that are never used; that must not change the user's random numbers.
+    if sizes is None:
+        return NAMES[name].clone()
     with torch.random.fork_rng(devices=[]):
-        return NAMES[name](sizes or Sizes())
+        return next(method for method in _methods(sizes) if method.name == name)
 
 
 def with_base(names: Sequence[str], base: str) -> list[str]:
-    """The names with one of `BASES` in a simulator's place, as a part of hybrids and by itself."""
-    return [*dict.fromkeys(_on_base(name, base) for name in names)]
-
-
-def _on_base(name: str, base: str) -> str:
-    if name.startswith("simulator"):
-        return base
-    if name not in HYBRIDS:
-        return name
-    kind, _, rest = name.replace(CALIBRATED, "").partition("-")
-    method = f"{kind}-{base}-{rest}"
-    if method not in NAMES:
-        raise ValueError(f"methods on {base} must be out of {', '.join(BASED)}, got {method}")
-    return method
-
-
-def base(name: str) -> str:
-    """The name without its suffixes."""
-    return name.removesuffix(CONDITIONED).removesuffix(CALIBRATED)
+    """Return the names with one of `BASES` in a simulator's place, in hybrids and by itself."""
+    return [*dict.fromkeys(_on_base(named(name), BASES[base]).name for name in names)]
 
 
 def with_variants(names: Sequence[str], calibrate: bool, conditioned: bool) -> list[str]:
-    """The names and, after each, its calibrated and its conditioned variants, if asked for.
+    """Return the names and, after each, its calibrated and its conditioned variants.
 
-    Raises ValueError where there are none.
+    Raises ValueError where there are none of those that are asked for.
     """
-    variants: dict[str, None] = {}
-    for name in names:
-        variants[name] = None
-        for told in (False, True)[: 1 + conditioned]:
-            for calibrated in (False, True)[: 1 + calibrate]:
-                variant = base(name)
-                variant += CALIBRATED if calibrated or CALIBRATED in name else ""
-                variant += CONDITIONED if told or CONDITIONED in name else ""
-                variants |= {variant: None} if variant in NAMES else {}
-    for argument, wanted, suffix in (
-        ("calibrate", calibrate, CALIBRATED),
-        ("conditioned", conditioned, CONDITIONED),
+    found = {v.name: v for name in names for v in variants(named(name), calibrate, conditioned)}
+    for argument, wanted in (
+        ("calibrate", calibrate and not any(each.calibrates for each in found.values())),
+        ("conditioned", conditioned and not any(_conditioned(f) for f in found.values())),
     ):
-        if wanted and not any(suffix in name for name in variants):
-            able = dict.fromkeys(base(name) for name in NAMES if suffix in name)
+        if wanted:
+            options = {"calibrate": argument == "calibrate", "conditioned": argument != "calibrate"}
+            able = [name for name in NAMES if len(variants(NAMES[name], **options)) > 1]
             raise ValueError(f"{argument} needs one of {', '.join(able)}, got {', '.join(names)}")
-    return [*variants]
+    return [*found]
+
+
+def _conditioned(forecaster: Forecaster) -> bool:
+    return bool(forecaster.get_params().get("conditioned"))

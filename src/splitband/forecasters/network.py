@@ -1,8 +1,8 @@
-"""What all networks share as forecasters: how they are trained, and run freely.
+"""Train networks as forecasters, and run them freely.
 
-What is trained is a model of `splitband.models`; a forecaster adds how it is trained and which
-bands it has. One network is in `forecasters.single`, one for each band in `forecasters.split`, one
-beside a simulator or another forecaster in `forecasters.hybrids`.
+What is trained is a model of `splitband.models`; a forecaster adds how it is trained, which bands
+it has and beside what it stands. One network is in `forecasters.single`, one for each band in
+`forecasters.split`, one beside a simulator or another forecaster in `forecasters.hybrids`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Protocol, Self, runtime_checkable
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -20,15 +20,16 @@ from splitband.baselines.delays import delayed
 from splitband.baselines.linear import input_delays
 from splitband.data import Record
 from splitband.data.gaps import first_after, last_before
-from splitband.forecasters.bands import Bands
-from splitband.forecasters.base import Forecaster, total
+from splitband.forecasters.bands import OPEN, Bands
+from splitband.forecasters.base import AsBase, Forecaster, total
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.known import Known
 from splitband.forecasters.remembering import Remembered
 from splitband.forecasters.stepping import NotSteppedError, Part, Recursion, Warmed
 from splitband.models import Model
-from splitband.networks import Cell
+from splitband.models.hybrid import FAST, SLOW
 from splitband.runtime.threads import drawn_from
+from splitband.simulators.calibration import Calibration
 from splitband.training import Checkpoint, Progress, Settings, fit
 from splitband.training.recipes import recipe_settings
 from splitband.training.settings import SHORTEST_WINDOW, longest_window
@@ -38,22 +39,15 @@ Array = npt.NDArray[np.float64]
 
 DELAYS = Remembered(input_delays)
 """Many trainings ask for the delays of the same records."""
-
-
-@runtime_checkable
-class Template(Protocol):
-    """A cell, or something else, that cells of the right sizes are made after."""
-
-    def sized(self, ny: int, nu: int, warmup: int) -> Cell:
-        """A new cell, its weights drawn by torch's generator.
-
-        `ny` and `nu` are its channels and inputs, `warmup` is the number of measured samples that
-        set its initial state.
-        """
+CONDITIONED = "-conditioned"
+"""What it adds to a name that the fast network is told what is slower."""
 
 
 class Network(Forecaster):
     """A forecaster that is trained by gradients.
+
+    A kind of network says which options it has, what its model is (`build`) and what it is called
+    (`_derived_name`). What it has not stays as it is here: no base, no bands, not conditioned.
 
     Parameters
     ----------
@@ -63,10 +57,20 @@ class Network(Forecaster):
 
     cells: ClassVar[tuple[str, ...]] = ("cell",)
     """Attributes that hold the templates of its cells."""
+    base: Forecaster | None = None
+    """What holds the slow part, where the network stands beside something."""
+    bands: Bands | None = None
+    """Which band is whose, where it filters."""
+    conditioned: bool = False
+    """Whether the fast network is told what the slower part says."""
     model: Model | None = None
     """What has been trained."""
     trained_by: Settings | None = None
     """How: the settings, or what has been chosen where they were left open."""
+    trained_in: Bands | None = None
+    """The bands, or what has been chosen where they were left open."""
+    fitted_base: Forecaster | None = None
+    """What the base has become by `fit`."""
 
     def __init__(self, settings: Settings | None = None, name: str | None = None) -> None:
         self.settings = settings
@@ -79,41 +83,73 @@ class Network(Forecaster):
 
     @property
     def name(self) -> str:
-        """See `Forecaster`."""
+        """Return the name that it was given, or what it is made of."""
         return self._name or self._derived_name()
 
     @property
     def random(self) -> bool:
-        """See `Forecaster`."""
+        """Return True: its initial weights are drawn."""
         return True
 
     @property
     def warmup(self) -> int:
-        """See `Forecaster`; 0 where it is not decided before `fit`."""
+        """Return the samples of its warm-up; 0 where that is not decided before `fit`."""
         settings = self.trained_by or self.settings
         return 0 if settings is None else settings.warmup
 
+    @property
+    def calibration(self) -> Calibration | None:
+        """Return that of the base."""
+        return None if self.fitted_base is None else self.fitted_base.calibration
+
+    @property
+    def shares_bands(self) -> bool:
+        """Return whether its bands are open, or those of the base.
+
+        The usual bands are for the simulator whose output the record brings. Up to which frequency
+        another base is right is only known once it is fitted; they are chosen then.
+        """
+        beside_simulator = self.base is None or "simulator" in self.base.needs
+        return (self.bands == OPEN and beside_simulator) or super().shares_bands
+
+    @property
+    def as_base(self) -> AsBase:
+        """Return what a hybrid says of it where it holds the slow part."""
+        return replace(super().as_base, words="network")
+
+    @property
+    def conditioned_in_words(self) -> str:
+        """Return the end of `in_words`."""
+        seen = ", which sees the slower part's output"
+        return seen if self.conditioned else ""
+
     @abstractmethod
     def _derived_name(self) -> str:
-        """What it is made of, in a word."""
+        """Return what it is made of, in a word."""
 
     @abstractmethod
     def build(self, record: Record, settings: Settings) -> Model:
-        """The untrained model for a training record, its weights drawn by torch's generator."""
+        """Return the untrained model for a record, its weights drawn by torch's generator."""
 
     def to(self, device: str | torch.device) -> Self:
         """Train and run on this device from now on."""
         self.device = torch.device(device)
         if self.model is not None:
             self.model.to(self.device)
-        return self
+        if self.fitted_base is not None:
+            self.fitted_base.to(device)
+        return super().to(device)
 
     def with_defaults(self, settings: Settings, bands: Bands) -> Self:
-        """See `Forecaster`."""
-        if self.settings is not None:
-            return self
-        new = self.clone().set_params(settings=settings)
-        new.tunable = True
+        """Return it with the settings and bands of a comparison, where it leaves them open."""
+        new = super().with_defaults(settings, bands)
+        shared: dict[str, Any] = {} if self.settings is not None else {"settings": settings}
+        # What is left open beside a cut-off or an order that is given has to be chosen to suit it.
+        if self.bands == OPEN and (self.base is None or "simulator" in self.base.needs):
+            shared["bands"] = bands
+        if shared:
+            new = new.clone().set_params(**shared)
+            new.tunable = new.tunable or self.settings is None
         return new
 
     def trained_as(self, settings: Settings, size: float = 1.0) -> Self:
@@ -144,17 +180,24 @@ class Network(Forecaster):
         return sum(weight.numel() for weight in model.parameters())
 
     def for_samples(self, samples: int, instead_of: int) -> Self:
-        """See `Forecaster`: long windows shrink with the record."""
+        """Return it for a part of the training record: long windows shrink with the record."""
+        new = super().for_samples(samples, instead_of)
         if self.settings is None:
-            return self
+            return new
         window = self.settings.window
         least = max(min(SHORTEST_WINDOW, longest_window(samples)), self.settings.warmup + 1)
         shorter = max(round(window * samples / instead_of), least)
-        return self.clone().set_params(settings=replace(self.settings, window=min(window, shorter)))
+        settings = replace(self.settings, window=min(window, shorter))
+        return new.clone().set_params(settings=settings)
 
     def check(self, *records: Record) -> None:
-        """See `Forecaster`."""
+        """Raise ValueError for records that its warm-up, windows, filters or base do not fit."""
         super().check(*records)
+        if len(records) > 1 and self.base is not None and self.base.anchored:
+            raise ValueError(
+                f"{self.name} cannot be fitted to several records: its base, {self.base.name}, "
+                "depends on the time since the first one began"
+            )
         first, settings = records[0], self._settings_for(records[0])
         complete = first.complete
         if not complete.all() and first_after(complete, settings.warmup) is None:
@@ -168,6 +211,12 @@ class Network(Forecaster):
             )
         windows_in(records, settings.window, settings.warmup)
         self.clone()._built(first, settings, seed=0)
+        if settings.warmup <= (shortest := self._shortest_warmup()):
+            raise ValueError(
+                f"warmup must have more than {shortest} samples for filters of order "
+                f"{(self.bands and self.bands.order) or 1}, got {settings.warmup}; a record too "
+                "short for that is one for methods without filters"
+            )
 
     def learn(
         self,
@@ -177,10 +226,11 @@ class Network(Forecaster):
         progress: Callable[[Progress], None] | None,
         checkpoint: Checkpoint | None,
     ) -> None:
-        """See `Forecaster`."""
+        """Fit the base, choose what has been left open, and train the model."""
         settings = self.trained_by = self._settings_for(records[0])
         seen = self._inputs_shifted(records, self._seen(records, seed))
-        self._decide(seen[0], settings)
+        if self.bands is not None:
+            self.trained_in = self._bands_for(seen[0], settings)
         self.model = self._built(seen[0], settings, seed).to(self.device)
         history = fit(self.model, seen, settings, seed, progress, checkpoint)
         notes = (*self._remarks(seen[0]), *history.notes)
@@ -188,13 +238,13 @@ class Network(Forecaster):
         self.fitted = replace(self.require_fitted(), report=report)
 
     def extrapolate(self, known: Known) -> dict[str, Array]:
-        """See `Forecaster`: a free run from the last `warmup` samples without a gap."""
+        """Return a free run from the last `warmup` samples without a gap, part by part."""
         parts = self._trained().simulate_components(*self._warm(known))
         since = len(known.y) - self._start(known)
-        return {name: part[since:] for name, part in parts.items()}
+        return self._labelled({name: part[since:] for name, part in parts.items()})
 
     def stepped(self) -> Recursion:
-        """See `Forecaster`."""
+        """Return the recursion of its model, warmed up."""
         try:
             model = self._trained().stepped()
         except ValueError as error:
@@ -202,23 +252,29 @@ class Network(Forecaster):
         return Warmed(model, self._slow_part(), self.warmup, self.delays)
 
     def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
-        """What the model's filters are fed with, by name; empty for a model without filters."""
+        """Return what the model's filters are fed with; empty for a model without filters."""
         known, _ = self._known(steps, history, None, None)
         parts = self._trained().simulate_unfiltered(*self._warm(known))
         since = len(known.y) - self._start(known)
-        return {name: part[since:] for name, part in parts.items()}
+        return self._labelled({name: part[since:] for name, part in parts.items()})
+
+    def doubts(self, known: Known) -> list[str]:
+        """Return those of the base."""
+        return [] if self.fitted_base is None else self.fitted_base.doubts(known)
 
     def describe(self) -> str:
-        """See `Forecaster`."""
-        fitted = self.require_fitted()
-        said = [self.training_in_words() if self.tunable else "", fitted.late_inputs(self.delays)]
+        """Return what the base and the training have settled on."""
+        fitted, base = self.require_fitted(), self.fitted_base
+        said = []
+        if base is not None and base.as_base.described:
+            said = [f"{base.as_base.label}: {base.describe()}"]
+        said += [self.training_in_words() if self.tunable else "", fitted.late_inputs(self.delays)]
         return "; ".join(filter(None, [*said, *fitted.report.notes]))
 
     def trajectory(self, known: Known) -> Array:
-        """Over the history, too, `(time + steps, ny)`: a free run from its first warm-up on.
+        """Return a free run from the history's first warm-up on, `(time + steps, ny)`.
 
-        With it a network can hold the slow part of another one. Before the run begins it is what
-        was measured.
+        Before the run begins it is what was measured.
         """
         complete = np.asarray(~np.isnan(known.y).any(axis=1))
         start = first_after(complete, self.warmup)
@@ -231,7 +287,7 @@ class Network(Forecaster):
         return np.concatenate([known.y[:start], total([*self.extrapolate(begun).values()])])
 
     def _made(self, params: dict[str, Any]) -> Self:
-        """See `Forecaster`; where it runs and what a comparison may change are no options."""
+        """Return one with other options; where it runs and what may be tuned are none of them."""
         new = super()._made(params)
         new.device, new.tunable, new.resizable = self.device, self.tunable, self.resizable
         return new
@@ -247,23 +303,55 @@ class Network(Forecaster):
         ]
 
     def _seen(self, records: Sequence[Record], seed: int) -> list[Record]:
-        """The records as the model learns from them."""
-        return [*records]
-
-    def _decide(self, record: Record, settings: Settings) -> None:
-        """Choose what has been left open, by the record as the model sees it."""
+        """Return the records as the model learns from them, with the slow part as `y_sim`."""
+        if self.base is None:
+            return [*records]
+        base = self.fitted_base = self.base.clone().fit(*records, seed=seed)
+        return [base.on(record, first=i == 0) for i, record in enumerate(records)]
 
     def _remarks(self, record: Record) -> list[str]:
-        """What a user should know of a training record as the model sees it."""
+        """Return what a user should know of a training record as the model sees it."""
         return []
 
+    def _shortest_warmup(self) -> int:
+        """Return the samples that the filters are longer than."""
+        return 0
+
+    def _bands_for(self, record: Record, settings: Settings) -> Bands:
+        """Return the bands; what has been left open is chosen by the training record."""
+        assert self.bands is not None
+        if self.trained_in is not None:
+            return self.trained_in
+        if self.bands.complete:
+            return self.bands
+        slow = None if self.base is None else record.y_sim
+        return self.bands.chosen(record.y, record.sampling_rate, settings.warmup, slow)
+
     def _slow(self, known: Known) -> Array | None:
-        """What the model is given beside the measured samples, `(time + steps, ny)`."""
-        return None
+        """Return what holds the slow part, `(time + steps, ny)`; None where a network does."""
+        return None if self.fitted_base is None else self.fitted_base.trajectory(known)
+
+    def _fast_network_inputs(self, record: Record) -> int:
+        """Return the inputs of the network that sees every sample.
+
+        They are the record's, of this sample and of the next one, and value and slope of what is
+        slower.
+        """
+        return 2 * record.nu + (2 * record.ny if self.conditioned else 0)
+
+    def _labelled(self, parts: dict[str, Array]) -> dict[str, Array]:
+        """Return the model's components; the slow one is labelled by the base."""
+        if self.base is None:
+            return parts
+        # A base may be named as the fast component is, and two labels must not be the same.
+        slow = self.base.as_base.label
+        slow = slow if slow != FAST else "base"
+        return {label.replace(SLOW, slow, 1) if label.startswith(SLOW) else label: part
+                for label, part in parts.items()}  # fmt: skip
 
     def _slow_part(self) -> Part | None:
-        """What that is sample by sample; None without any."""
-        return None
+        """Return what that is sample by sample; None without any."""
+        return None if self.fitted_base is None else self.fitted_base.part()
 
     def _built(self, record: Record, settings: Settings, seed: int) -> Model:
         """The untrained model, its parameters drawn from `seed`."""
@@ -297,18 +385,3 @@ class Network(Forecaster):
         slow = self._slow(replace(known, since=begin))
         u, slow = (None if s is None else s[begin:] for s in (u, slow))
         return known.y[begin:start], len(known.y) + known.steps - start, u, slow
-
-
-def as_template(cell: Any) -> Template:
-    """Check that cells can be made after it; raises TypeError otherwise."""
-    if not isinstance(cell, Template):
-        raise TypeError(
-            f"a cell must have a method sized(ny, nu, warmup) that makes one of these sizes, got "
-            f"{type(cell).__name__}"
-        )
-    return cell
-
-
-def label_of(template: Template) -> str:
-    """What names and tables call a cell: its `label`, or its class."""
-    return str(getattr(template, "label", type(template).__name__.lower()))

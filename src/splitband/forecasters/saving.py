@@ -39,7 +39,7 @@ from splitband.forecasters.fitted import FitReport, Fitted
 from splitband.forecasters.hybrids import Filtered, Residual
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.network import Network
-from splitband.forecasters.simulation import Simulation
+from splitband.forecasters.simulation import Calibrated, Simulation
 from splitband.forecasters.single import Single
 from splitband.forecasters.split import Split
 from splitband.models import saving as models
@@ -68,7 +68,7 @@ _PLAIN = (
 )  # fmt: skip
 """Classes that are built from their fields."""
 _FORECASTERS = (
-    Ensemble, Filtered, Residual, Simulation, Single, Split,
+    Calibrated, Ensemble, Filtered, Residual, Simulation, Single, Split,
     closed_form.Harmonic, closed_form.Linear, closed_form.Mean, closed_form.Periodic,
     closed_form.Persistence, closed_form.SeasonalNaive,
 )  # fmt: skip
@@ -180,9 +180,9 @@ def _give(forecaster: Forecaster, simulator: Simulator) -> None:
         each.simulator = simulator
 
 
-def _simulations(value: Any) -> Iterator[Simulation]:
+def _simulations(value: Any) -> Iterator[Simulation | Calibrated]:
     """The simulations that a forecaster is made of."""
-    if isinstance(value, Simulation):
+    if isinstance(value, Simulation | Calibrated):
         yield value
     elif isinstance(value, Forecaster | list):
         for part in value if isinstance(value, list) else vars(value).values():
@@ -210,7 +210,7 @@ def _loaded(
         loaded = _decode(facts["forecaster"], {**_KNOWN, **classes})
         for each in _simulations(loaded):
             if each.fitted is not None:
-                each.calibration.check(each.fitted.record.ny)
+                each.applied.check(each.fitted.record.ny)
     except KeyError as error:
         raise ValueError(
             f"{folder} holds no forecaster: {error} is missing; a model that an older version "

@@ -1,4 +1,4 @@
-"""A simulator as a forecaster: as it comes, with gain and offset, or calibrated."""
+"""Forecast by a simulator: as it comes, with gain and offset, or calibrated."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ import numpy.typing as npt
 
 from splitband.data import Grid, Record, Stamp, check_alike
 from splitband.data.timing import in_words, stamp_after
-from splitband.forecasters.base import Forecaster
+from splitband.forecasters.base import AsBase, Forecaster
 from splitband.forecasters.fitted import NEAR_ROW, first_only
 from splitband.forecasters.known import Known
 from splitband.forecasters.remembering import Remembered
 from splitband.forecasters.stepping import Given, NotSteppedError, Part
+from splitband.models.hybrid import SLOW
 from splitband.simulators import Recorded, Simulator, run
 from splitband.simulators.absent import Absent
 from splitband.simulators.calibration import Calibration, Term, calibrate, samples_needed
@@ -34,7 +35,7 @@ AFFINE: tuple[Term, ...] = ("gain", "offset")
 
 @dataclass(frozen=True, eq=False)
 class _Runs:
-    """What a simulator has said, once for all processes.
+    """Keep what a simulator has said, once for all processes.
 
     Attributes
     ----------
@@ -44,18 +45,18 @@ class _Runs:
     outputs: Mapping[tuple[Stamp | None, float], Array]
 
     def reach(self, grid: Grid) -> int:
-        """How many times, counted on from the first of the grid, are covered."""
+        """Return how many times, counted on from the first of the grid, are covered."""
         return len(self._beginning(grid))
 
     def on(self, grid: Grid) -> Array:
-        """The output at these times; raises ValueError where they are not covered."""
+        """Return the output at these times; raises ValueError where they are not covered."""
         y = self._beginning(grid)
         if len(y) < grid.samples:
             raise ValueError(f"the simulator has not been run for {grid}")
         return y[: grid.samples]
 
     def _beginning(self, grid: Grid) -> Array:
-        """What begins with the grid, at a time between samples that is equal but for rounding."""
+        """Return what begins with the grid, its time between samples equal but for rounding."""
         return next(
             (
                 y
@@ -66,67 +67,42 @@ class _Runs:
         )
 
     def simulate(self, time: Array) -> npt.ArrayLike:
-        """Not asked: `on` is, which knows dates, too."""
+        """Raise NotImplementedError: `on` is asked, which knows dates, too."""
         raise NotImplementedError
 
 
-@final
-class Simulation(Forecaster):
-    """A simulator's own forecast.
+class _Simulated(Forecaster):
+    """Forecast what a simulator says.
 
     Parameters
     ----------
     simulator : What to run; by default a record brings its output (`y_sim`, `beyond`).
-    calibrated : Fit gain, offset, delay and clock to the training samples, each kept only where it
-        pays on held-out ones; or the terms to fit, whether they pay or not.
-    name : By default "simulator", "simulator-calibrated" or "simulator-affine".
     """
 
-    def __init__(
-        self,
-        simulator: Simulator | None = None,
-        calibrated: bool | Sequence[Term] = False,
-        name: str | None = None,
-    ) -> None:
-        self.simulator = simulator
-        self.calibrated = calibrated if isinstance(calibrated, bool) else tuple(calibrated)
-        self.calibration = Calibration()
-        self._name = name
+    applied = Calibration()
+    """How its output is changed."""
 
-    @property
-    def name(self) -> str:
-        """See `Forecaster`."""
-        return self._name or "simulator" + self.suffix
-
-    @property
-    def suffix(self) -> str:
-        """What its calibration adds to a name."""
-        if isinstance(self.calibrated, bool):
-            return "-calibrated" if self.calibrated else ""
-        return "-affine" if self.calibrated == AFFINE else "-" + "-".join(self.calibrated)
+    def __init__(self, simulator: Simulator | None, name: str | None) -> None:
+        self.simulator, self._name = simulator, name
 
     @property
     def needs(self) -> frozenset[str]:
-        """A simulator's output on the record, where it brings no simulator of its own."""
+        """Return "simulator" where a record must bring its output."""
         return frozenset({"simulator"} if self.simulator is None else ())
 
-    def learn(self, records: Sequence[Record], **_: Any) -> None:
-        """See `Forecaster`; the calibration is fitted to the first record."""
-        self.calibration = self._calibration(records[0])
+    @property
+    def name(self) -> str:
+        """Return the name that it was given, or "simulator" and what its calibration adds."""
+        return self._name or "simulator" + self.as_base.after
 
     def check(self, *records: Record) -> None:
-        """See `Forecaster`: of several records only the first one needs a simulator's output."""
+        """Raise ValueError for wrong records; only the first one needs a simulator's output."""
         super().check(*records[:1])
         for other in records[1:]:
             check_alike(other, records[0], other.name or "another record")
 
-    def prepare(self, record: Record) -> None:
-        """See `Forecaster`."""
-        if self.calibrated is not False:
-            self._calibration(record)
-
     def simulated(self, record: Record, horizon: int, *others: Record) -> Self:
-        """See `Forecaster`."""
+        """Return it with its simulator run over these records."""
         if self.simulator is None or isinstance(self.simulator, Recorded | _Runs):
             return self
         samples: dict[tuple[Stamp | None, float], int] = {}
@@ -141,7 +117,7 @@ class Simulation(Forecaster):
         return self.clone().set_params(simulator=_Runs(outputs))
 
     def extrapolate(self, known: Known) -> Array:
-        """See `Forecaster`."""
+        """Return the output after the history."""
         return self.trajectory(replace(known, since=len(known.y)))[len(known.y) :]
 
     def trajectory(self, known: Known) -> Array:
@@ -152,13 +128,13 @@ class Simulation(Forecaster):
         samples = len(known.y) + known.steps
         record = self.require_fitted().record
         begin = known.begin or 0.0  # a simulator of another record begins with it
-        if begin < 0 and not self.calibration.stays:
+        if begin < 0 and not self.applied.stays:
             raise ValueError(self._before(known))
         if isinstance(self.simulator, Recorded):
             return self._recorded(self.simulator, known, begin)
         y_sim, begin_sim = known.y_sim, begin
         if self.simulator is not None:
-            places = self.calibration.places(samples, record.sampling_time, begin)
+            places = self.applied.places(samples, record.sampling_time, begin)
             if not places[-1] < LONGEST:
                 raise ValueError(
                     f"history must lie so that {self.name} is run for at most {LONGEST} samples, "
@@ -172,7 +148,7 @@ class Simulation(Forecaster):
             y_sim = self._run(replace(times, samples=needed), record.ny)
         if y_sim is None:
             raise ValueError(f"{self.name} needs a simulator's output (y_sim)")
-        return self.calibration.apply(y_sim, samples, record.sampling_time, begin, begin_sim)
+        return self.applied.apply(y_sim, samples, record.sampling_time, begin, begin_sim)
 
     def _recorded(self, simulator: Recorded, known: Known, begin: float) -> Array:
         """Return the trajectory by recorded output, see `trajectory`; its end is held (`doubts`).
@@ -181,7 +157,7 @@ class Simulation(Forecaster):
         """
         times, step = self._times(known), self.require_fitted().record.sampling_time
         count, start = len(known.y) + known.steps - known.since, begin + known.since
-        places, first = self.calibration.places(count, step, start), 0.0
+        places, first = self.applied.places(count, step, start), 0.0
         if times.start is not None and simulator.start is not None:
             first = begin + math.floor(places[0] - begin + NEAR_PLACE)
             times = replace(times, start=stamp_after(times.start, first * step))
@@ -189,17 +165,17 @@ class Simulation(Forecaster):
         least = math.ceil(start + count - first - NEAR_PLACE)
         samples = min(samples, max(least, simulator.reach(times)))
         y_sim = simulator.on(replace(times, samples=samples)).values
-        y = self.calibration.apply(y_sim, count, step, start, first)
+        y = self.applied.apply(y_sim, count, step, start, first)
         return np.concatenate([np.full((known.since, y.shape[1]), np.nan), y])
 
     def part(self) -> Part:
-        """See `Forecaster`: its output comes with each sample."""
-        if not self.calibration.stays:
+        """Return the simulator's output, which comes with each sample."""
+        if not self.applied.stays:
             raise NotSteppedError(
-                f"{self.name} cannot be stepped, as its time is calibrated: {self.calibration}"
+                f"{self.name} cannot be stepped, as its time is calibrated: {self.applied}"
             )
         ny = self.require_fitted().record.ny
-        gain, offset = self.calibration.gain or [1.0] * ny, self.calibration.offset or [0.0] * ny
+        gain, offset = self.applied.gain or [1.0] * ny, self.applied.offset or [0.0] * ny
         return Given(np.array(gain), np.array(offset), self.trajectory)
 
     def _before(self, known: Known) -> str:
@@ -210,17 +186,17 @@ class Simulation(Forecaster):
         found = "" if begins is None else f": it begins at {in_words(begins)}"
         return (
             f"history must not begin before the training record{began}, for {self.name}, as the "
-            f"time of its calibration ({self.calibration}) counts from there{found}"
+            f"time of its calibration ({self.applied}) counts from there{found}"
         )
 
-    def on(self, record: Record) -> Record:
-        """A record that begins with the simulator, with its calibrated output as `y_sim`."""
+    def on(self, record: Record, first: bool = True) -> Record:
+        """Return a record that begins with the simulator, with its output as `y_sim`."""
         y_sim = self._output(record)
-        y_sim = self.calibration.apply(y_sim, len(record), record.sampling_time)
+        y_sim = self.applied.apply(y_sim, len(record), record.sampling_time)
         return replace(record, y_sim=y_sim, beyond=None)
 
     def doubts(self, known: Known) -> list[str]:
-        """See `Forecaster`: a calibrated clock or delay may ask for more output than there is."""
+        """Return whether a calibrated clock or delay asks for more output than there is."""
         begin, samples = known.begin or 0.0, len(known.y) + known.steps
         if isinstance(self.simulator, Recorded):
             end = float(self.simulator.reach(self._times(known)))
@@ -229,23 +205,15 @@ class Simulation(Forecaster):
         else:
             return []
         step = self.require_fitted().record.sampling_time
-        said = self.calibration.held(known.steps, step, begin, samples, end)
+        said = self.applied.held(known.steps, step, begin, samples, end)
         return [said] if said else []
 
     def describe(self) -> str:
-        """See `Forecaster`."""
-        alone = self.calibrated is not False and self.fitted is not None
-        return str(self.calibration) + (first_only(self.require_fitted()) if alone else "")
-
-    def _calibration(self, record: Record) -> Calibration:
-        """Of the simulator to a training record."""
-        if self.calibrated is False:
-            return Calibration()
-        terms = () if self.calibrated is True else (self.calibrated,)
-        return CALIBRATIONS(self._output(record), record.seen, record.sampling_time, *terms)
+        """Return how its output is changed."""
+        return str(self.applied)
 
     def _times(self, known: Known) -> Grid:
-        """On which a simulator of its own is run: from the training record's first sample on."""
+        """Return when a simulator of its own is run: from the training record's first sample on."""
         fitted = self.require_fitted()
         if known.begin is None and known.grid is not None:  # another record has its own clock
             return known.grid
@@ -253,7 +221,7 @@ class Simulation(Forecaster):
         return replace(fitted.record.grid, start=start)
 
     def _output(self, record: Record) -> Array:
-        """Over a record and what is known beyond, of a simulator of its own what is needed."""
+        """Return the output over a record and as far beyond as is known, or needed."""
         if self.simulator is not None:
             samples = self._needed(len(record), len(record))
             if isinstance(self.simulator, Recorded | _Runs):
@@ -266,11 +234,11 @@ class Simulation(Forecaster):
         )
 
     def _needed(self, samples: int, train: int) -> int:
-        """How many samples of a simulator of its own are asked for, to cover so many."""
-        return samples_needed(samples, train) if self.calibrated else samples
+        """Return how many samples of a simulator of its own are asked for, to cover so many."""
+        return samples
 
     def _run(self, grid: Grid, ny: int) -> Array:
-        """The simulator's own output at these times."""
+        """Return the simulator's own output at these times."""
         assert self.simulator is not None
         if isinstance(self.simulator, Recorded):
             return self.simulator.on(grid).values
@@ -279,3 +247,106 @@ class Simulation(Forecaster):
         if isinstance(self.simulator, Absent):
             self.simulator.simulate(None)
         return run(self.simulator, grid.samples, grid.step, ny, start=grid.start)
+
+
+@final
+class Simulation(_Simulated):
+    """Forecast what a simulator says, as it comes.
+
+    Parameters
+    ----------
+    simulator : What to run; by default a record brings its output (`y_sim`, `beyond`).
+    name : By default "simulator".
+    """
+
+    def __init__(self, simulator: Simulator | None = None, name: str | None = None) -> None:
+        super().__init__(simulator, name)
+
+    @property
+    def as_base(self) -> AsBase:
+        """Return what a hybrid says of it."""
+        return AsBase(SLOW, words="simulator", described=False)
+
+    def calibrated(self) -> Calibrated:
+        """Return it calibrated."""
+        return Calibrated(self.simulator)
+
+    def in_words(self) -> str:
+        """Return what it is."""
+        return "the simulator as it is"
+
+
+@final
+class Calibrated(_Simulated):
+    """Calibrate a simulator to the training samples first; not in the paper.
+
+    Gain, offset, delay and clock are fitted to the first training record.
+
+    Parameters
+    ----------
+    simulator : What to run; by default a record brings its output (`y_sim`, `beyond`).
+    terms : What to fit of "gain", "offset", "delay" and "clock"; by default each of them that pays
+        on held-out samples.
+    name : By default "simulator-calibrated", or "simulator-affine" for gain and offset.
+
+    Examples
+    --------
+    >>> time = 0.1 * np.arange(200)
+    >>> record = sb.Record(3 * np.sin(time), 0.1)
+    >>> model = sb.Calibrated(sb.Function(np.sin), ["gain"]).fit(record[:150])
+    >>> model.describe()
+    'gain 3'
+    >>> hybrid = sb.Residual(sb.Calibrated(sb.Function(np.sin)), sb.GRU(4), conditioned=True)
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator | None = None,
+        terms: Sequence[Term] | None = None,
+        name: str | None = None,
+    ) -> None:
+        super().__init__(simulator, name)
+        self.terms = None if terms is None else tuple(terms)
+
+    @property
+    def as_base(self) -> AsBase:
+        """Return what a hybrid says of it."""
+        after = "-calibrated"
+        if self.terms is not None:
+            after = "-affine" if self.terms == AFFINE else "-" + "-".join(self.terms)
+        return AsBase(SLOW, after=after, words="calibrated simulator")
+
+    @property
+    def calibrates(self) -> bool:
+        """Return True."""
+        return True
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """Return what has been fitted; None before `fit`."""
+        return None if self.fitted is None else self.applied
+
+    def in_words(self) -> str:
+        """Return what it is."""
+        if self.terms == AFFINE:
+            return "the simulator with fitted gain and offset"
+        return "the simulator, calibrated on the training samples"
+
+    def learn(self, records: Sequence[Record], **_: Any) -> None:
+        """Fit the terms to the first record."""
+        self.applied = self._fitted_to(records[0])
+
+    def prepare(self, record: Record) -> None:
+        """Fit the terms once for all seeds and trials."""
+        self._fitted_to(record)
+
+    def describe(self) -> str:
+        """Return the terms."""
+        return super().describe() + (first_only(self.fitted) if self.fitted is not None else "")
+
+    def _needed(self, samples: int, train: int) -> int:
+        return samples_needed(samples, train)
+
+    def _fitted_to(self, record: Record) -> Calibration:
+        terms = () if self.terms is None else (self.terms,)
+        return CALIBRATIONS(self._output(record), record.seen, record.sampling_time, *terms)

@@ -1,4 +1,4 @@
-"""One network on the whole band."""
+"""Forecast by one network on the whole band."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ from typing import final
 
 from splitband import models
 from splitband.data import Record
-from splitband.forecasters.network import Network, Template, as_template, label_of
+from splitband.forecasters.network import Network
+from splitband.forecasters.template import Template, as_template, label_of
 from splitband.models import Model
 from splitband.training import Settings
 
 
 @final
 class Single(Network):
-    """One network on the whole band: the baseline (paper, Sec. 4.1).
+    """Train one network on the whole band: the baseline (paper, Sec. 4.1).
 
     Parameters
     ----------
@@ -38,9 +39,13 @@ class Single(Network):
         self.cell = as_template(cell)
 
     def build(self, record: Record, settings: Settings) -> Model:
-        """See `Network`."""
-        cell = self.cell.sized(record.ny, 2 * record.nu, settings.warmup)
+        """Return one network that sees every sample."""
+        cell = self.cell.sized(record.ny, self._fast_network_inputs(record), settings.warmup)
         return models.Recurrent(cell, record.nu > 0)
+
+    def in_words(self) -> str:
+        """Return what it is."""
+        return f"{type(self.cell).__name__} network"
 
     def _derived_name(self) -> str:
         return label_of(self.cell)

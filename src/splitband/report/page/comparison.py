@@ -10,6 +10,7 @@ import numpy.typing as npt
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.selection import Trial
+from splitband.forecasters.base import parts_of
 from splitband.report.numbers import number
 from splitband.report.page import horizon, tables, time_plots, usage, words
 from splitband.report.page.parts import MethodStyles, Page, Section, View
@@ -69,7 +70,7 @@ def lead(record: Record) -> str:
 
 def _answer(comparison: Comparison) -> Section:
     best, record = comparison.recommended, comparison.record
-    kind = words.in_words(best)
+    kind = words.in_words(best, comparison.forecasters)
     text = [f"{best} is {kind}."] if kind else []
     train = comparison.setup.train
     text += [" ".join(words.why(comparison.require_trial(), train, len(record) - train))]
@@ -134,14 +135,14 @@ def _bases(comparison: Comparison) -> dict[str, Array]:
     """
     train, record = comparison.setup.train, comparison.record
     found: dict[str, Array] = {}
-    for runs_of in comparison.runs.values():
-        parts: Mapping[str, Array] = runs_of[0].unfiltered or runs_of[0].from_start.components
-        for label, y in parts.items():
-            base = next((b for b in ("linear", "periodic", "harmonic") if b in label), None)
-            if base is not None and base not in found:
-                whole = record.y.copy()
-                whole[len(whole) - len(y) :] = y
-                found[base] = whole[:train]
+    for name, method in comparison.forecasters.items():
+        run = comparison.runs[name][0]
+        parts: Mapping[str, Array] = run.unfiltered or run.from_start.components
+        slow = [part.as_base for part in parts_of(method).values()]
+        for label in [base.label for base in slow if base.before and base.label in parts]:
+            whole = record.y.copy()
+            whole[len(whole) - len(parts[label]) :] = parts[label]
+            found.setdefault(label, whole[:train])
     return found
 
 

@@ -46,7 +46,7 @@ def page(result: Forecast, used: Usage) -> Page:
 def _answer(result: Forecast) -> Section:
     method, trial, record = result.method, result.trial, result.record
     interval = trial.intervals[method]
-    kind = words.in_words(method)
+    kind = result.forecaster.in_words()
     text = [f"{method} is {kind}."] if kind else []
     text.append(" ".join(words.why(trial, len(record), len(result.prediction))))
     text += [result.description] if result.description else []

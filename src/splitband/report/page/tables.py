@@ -23,7 +23,8 @@ def methods(comparison: Comparison) -> Table:
         if comparison.record.ny > 1
         else "The methods and their errors, in the record's unit; the best of each is bold"
     )
-    notes = [(name, words) for name in comparison.runs if (words := in_words(name))]
+    made = comparison.forecasters
+    notes = [(name, words) for name in comparison.runs if (words := in_words(name, made))]
     listed = columns(comparison)
     return _of_columns(caption, listed, said, "settled on", comparison.recommended, notes)
 

@@ -2,51 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.selection import WORTH_TRAINING, Trial
 from splitband.forecasters.backtest import HELD_OUT
-from splitband.forecasters.names import CALIBRATED, CONDITIONED, base
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.names import NAMES
 from splitband.metrics import Extrapolation, leaving
 from splitband.report.numbers import number, percent
 from splitband.report.table import Column, columns
 
-_KINDS = {
-    "gru": "GRU network",
-    "rnn": "Euler network (an MLP as state equation)",
-    "split-gru": "two GRU networks, one for the low band and one for the high band",
-    "split-gru-hp": "two GRU networks, one for each band, the output of the second high-passed",
-    "filtered": "{base} in the low band, {network} network in the high band",
-    "residual": "{base} plus a {network} network that learns its error",
-    "simulator": "the simulator as it is",
-    "simulator-affine": "the simulator with fitted gain and offset",
-    "mean": "mean of the training samples",
-    "persistence": "last measured value, held",
-    "seasonal-naive": "last period, repeated",
-    "harmonic": "sinusoids and a trend, fitted",
-    "periodic": "periodic waveform, fitted",
-    "linear": "linear model of the inputs (output error)",
-}
-_BASES = {"linear": "linear model", "periodic": "periodic waveform", "harmonic": "sinusoids"}
 POOR = 0.15
 """By how much an interval may miss the share that it should hold before the page warns of it."""
 
 
-def in_words(name: str) -> str:
-    """Return what a method is; empty for one of the user's own."""
-    plain = base(name)
-    kind, _, rest = plain.partition("-")
-    seen = ", which sees the slower part's output" if name.endswith(CONDITIONED) else ""
-    if kind in ("filtered", "residual"):
-        slow = next((said for b, said in _BASES.items() if rest.startswith(b)), "simulator")
-        slow = "calibrated simulator" if CALIBRATED in name else slow
-        network = "Euler" if rest.endswith("rnn") else "GRU"
-        return _KINDS[kind].format(base=slow, network=network) + seen
-    if plain == "simulator" and CALIBRATED in name:
-        return "the simulator, calibrated on the training samples"
-    return _KINDS[plain] + seen if plain in _KINDS else ""
+def in_words(name: str, methods: Mapping[str, Forecaster] = NAMES) -> str:
+    """Return what a method is; empty for one of the user's own that does not say."""
+    method = methods.get(name, NAMES.get(name))
+    return "" if method is None else method.in_words()
 
 
 def achieved(comparison: Comparison) -> list[str]:
