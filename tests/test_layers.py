@@ -15,6 +15,7 @@ LAYERS = (
     "cli",
     "report",
     "evaluation",
+    "export",
     "forecasters",
     "training",
     "models",
@@ -37,7 +38,8 @@ ONLY_IN = {
     "numba": {"kernels"},
     "typer": {"cli"},
     "rich": {"cli"},
-    "fmpy": {"simulators"},
+    "fmpy": {"simulators", "export"},
+    "onnx": {"export"},
     "pooch": {"data"},
     "distributed": {"runtime"},
 }
@@ -101,7 +103,7 @@ def test_imports_point_downwards() -> None:
 
 
 def test_only_results_reach_up_to_be_shown() -> None:
-    """By their methods `plot`, `save` and `report`, when these are called."""
+    """By their methods `plot`, `save`, `report` and `export`, when these are called."""
     upward = {
         (str(path.relative_to(SOURCE)), called.split(".")[1])
         for path in FILES
@@ -113,6 +115,7 @@ def test_only_results_reach_up_to_be_shown() -> None:
     assert upward == {
         ("evaluation/comparison.py", "report"),
         ("evaluation/forecast.py", "report"),
+        ("forecasters/base.py", "export"),
         ("forecasters/prediction.py", "report"),
     }
 

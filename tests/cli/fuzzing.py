@@ -253,6 +253,7 @@ _COMMANDS = (
     "fit {record} --out out --method gru --epochs 1 --hidden 2,2 --window 12 --warmup 4",
     "compare {record} --out out --methods persistence,mean --seeds 1 --jobs 1 --warmup 4",
     "simulate model --history {record} --steps 3 --out out/ahead.csv",
+    "export model out/model.c",
     "forecast {record} --out out --steps 4 --method persistence --jobs 1",
     "data list",
     "{record}",

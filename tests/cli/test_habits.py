@@ -35,6 +35,7 @@ def test_every_command_that_compares_trains_or_simulates_prints_json(
         "fit": f"fit {record} --method gru {QUICK} --out {tmp_path}/model",
         "simulate": f"simulate {tmp_path}/model --history {workspace}/record.csv --steps 5 "
         f"--out {tmp_path}/simulated.csv",
+        "export": f"export {tmp_path}/model {tmp_path}/model.c",
         "methods": "methods",
         "doctor": "doctor",
     }
@@ -43,6 +44,7 @@ def test_every_command_that_compares_trains_or_simulates_prints_json(
         "forecast": "method",
         "fit": "training_rmse",
         "simulate": "file",
+        "export": "files",
         "methods": "simple baselines",
         "doctor": "versions",
     }

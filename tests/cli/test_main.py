@@ -19,6 +19,7 @@ pytestmark = pytest.mark.usefixtures("inside", "undrawn")
         ("compare", "--simulator"),
         ("fit", "MODEL_DIR"),
         ("simulate", "--future-inputs"),
+        ("export", "OUT"),
         ("spectrum", "--cutoff"),
         ("demo", "under a minute"),
         ("data", "fetch"),

@@ -93,7 +93,7 @@ def test_a_list_is_no_reason_to_replace_its_records(capsys: pytest.CaptureFixtur
 
 
 def test_every_command_that_writes_a_folder_is_checked() -> None:
-    assert {*COMMANDS} - {*WRITES} == {"simulate", "methods", "data", "doctor"}
+    assert {*COMMANDS} - {*WRITES} == {"simulate", "export", "methods", "data", "doctor"}
     names = [name for each in WRITES.values() for name in each if "*" not in name]
     model = {"forecaster.json", "model.json", "weights.safetensors"}
     assert {name for name in names if not belongs_to_result(name)} == model

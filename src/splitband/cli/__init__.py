@@ -23,6 +23,7 @@ COMMANDS = {
     "forecast": ("forecast", "Forecast a record beyond its end, with an interval."),
     "fit": ("fit", "Train one model on a record and save it."),
     "simulate": ("simulate", "Simulate a saved model beyond a measured history."),
+    "export": ("export", "Write a saved model as C, as an FMU or as ONNX."),
     "spectrum": ("spectrum", "Show where the power of a record lies, and what a cut-off parts."),
     "methods": ("methods", "List what there is to choose from, and when each is worth trying."),
     "data": ("data", "The public records of the paper."),
@@ -76,7 +77,7 @@ class Commands(TyperGroup):
 QUIET, JSON = "--quiet", "--json"
 """Options of every command; they may stand before it or after it."""
 WITH_JSON = (
-    "demo", "compare", "benchmark", "forecast", "fit", "simulate", "spectrum", "methods",
+    "demo", "compare", "benchmark", "forecast", "fit", "simulate", "export", "spectrum", "methods",
     "doctor",
 )  # fmt: skip
 

@@ -8,8 +8,9 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
-from typing import Any, Self, final
+from typing import Any, Literal, Self, final
 
 import numpy as np
 import numpy.typing as npt
@@ -361,6 +362,37 @@ class Forecaster(Written, ABC):
         except NotSteppedError:
             recursion = Asked(self, past, "simulator" in self.needs, other_record)
         return Stream(self.name, recursion, recursion.followed(known))
+
+    @final
+    def export(
+        self,
+        path: str | Path,
+        precision: Literal["double", "float"] = "double",
+        history: Record | None = None,
+    ) -> list[Path]:
+        """Write the fitted forecaster as a program that needs no Python; return its files.
+
+        What is written runs as `stream` does, sample by sample, with the same numbers. A
+        simulator's output is one of its inputs.
+
+        Parameters
+        ----------
+        path : Where to; its ending says as what. `.c` is C99, with a header beside it; `.fmu` is a
+            functional mock-up unit for co-simulation (FMI 2.0); `.onnx` is the graph of a step,
+            with the one of a whole simulation beside it.
+        precision : Of all numbers; an FMU computes in double precision.
+        history : After which it begins; by default the training record.
+
+        Raises
+        ------
+        ValueError
+            For another ending, and with the name of what cannot be exported, such as a cell of
+            your own.
+        """
+        files: list[Path] = import_module("splitband.export.writing").export(
+            self, path, precision, history
+        )
+        return files
 
     def stepped(self) -> Recursion:
         """Return what the fitted forecaster does with each sample, by default that of its `part`.

@@ -70,7 +70,7 @@ class Trace:
 
     def input(self, like: Any) -> Symbol:
         """Return a new input of the innermost block, of the shape of `like`."""
-        symbol = Symbol(self, np.shape(like), getattr(like, "flag", False))
+        symbol = Symbol(self, _shape(like), getattr(like, "flag", False))
         self.blocks[-1].inputs.append(symbol)
         return symbol
 
@@ -161,10 +161,12 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
             raise TypeError(f"{ufunc.__name__}.{method} cannot be traced")
         if ufunc is np.matmul:
             return _matmul(self.trace, *inputs)
+        if ufunc is np.power and np.array_equal(inputs[1], 2):
+            return self * self
         op = ELEMENTWISE.get(ufunc.__name__)
         if op is None:
             raise TypeError(f"{ufunc.__name__} cannot be traced")
-        shape = np.broadcast_shapes(*(np.shape(x) for x in inputs))
+        shape = np.broadcast_shapes(*(_shape(x) for x in inputs))
         return self.trace.add(op, inputs, shape, op in FLAGS)
 
     def __array_function__(
@@ -274,7 +276,8 @@ def _traced_scan(
     if [shape for shape, _ in like] != [s.shape for s in starts]:
         raise TypeError("a loop must keep the shapes of what it carries")
     like += [((length, *s.shape), s.flag) for s in block.outputs[len(starts) :]]
-    found = trace.control("scan", [*starts, *rows], (block,), like, length=length)
+    options = {"length": length, "carried": len(starts)}
+    found = trace.control("scan", [*starts, *rows], (block,), like, **options)
     return rebuilt(after, found[: len(starts)]), rebuilt(outs, found[len(starts) :])
 
 
@@ -326,9 +329,13 @@ def rebuilt(tree: Tree, new: Sequence[Any]) -> Tree:
     return of(tree)
 
 
+def _shape(x: Any) -> tuple[int, ...]:
+    return x.shape if isinstance(x, Symbol) else np.shape(x)
+
+
 def _matmul(trace: Trace, a: Any, b: Any) -> Symbol:
     """Record the product of matrices, or of a matrix and a vector."""
-    left, right = np.shape(a), np.shape(b)
+    left, right = _shape(a), _shape(b)
     if len(left) > 2 or len(right) > 2:
         raise TypeError("products of batches of matrices cannot be traced")
     return trace.add("matmul", [a, b], (*left[:-1], *right[1:]))
@@ -344,7 +351,7 @@ def _reduced(trace: Trace, op: str, x: Any, axis: int | None = None) -> Symbol:
 
 
 def _where(trace: Trace, flag: Any, yes: Any, no: Any) -> Symbol:
-    shape = np.broadcast_shapes(*(np.shape(x) for x in (flag, yes, no)))
+    shape = np.broadcast_shapes(*(_shape(x) for x in (flag, yes, no)))
     return trace.add("where", [flag, yes, no], shape)
 
 
@@ -382,7 +389,7 @@ _FUNCTIONS: dict[Callable[..., Any], Callable[..., Symbol]] = {
     np.sum: lambda trace, x, axis=None: _reduced(trace, "sum", x, axis),
     np.max: lambda trace, x, axis=None: _reduced(trace, "largest", x, axis),
     np.min: lambda trace, x, axis=None: _reduced(trace, "smallest", x, axis),
-    np.hstack: lambda trace, arrays: _concatenate(trace, arrays, min(np.ndim(arrays[0]), 1)),
+    np.hstack: lambda trace, arrays: _concatenate(trace, arrays, min(len(_shape(arrays[0])), 1)),
     np.clip: lambda trace, x, low, high: np.minimum(np.maximum(x, low), high),
     np.any: lambda trace, x: trace.symbol(x).any(),
 }

@@ -1,0 +1,1 @@
+"""Write a fitted forecaster as C, as an FMU or as ONNX."""

@@ -1,0 +1,141 @@
+"""Trace what a stream does with a sample, as the program that is rendered as C or ONNX."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import compress
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.data import Record
+from splitband.forecasters.base import Forecaster
+from splitband.runtime.tracing import Block, Node, Symbol, named_leaves, trace
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Leaf:
+    """An array of the state.
+
+    Attributes
+    ----------
+    name : Of a field of the state.
+    begun : Its value where the program begins.
+    cleared : Its value before anything has been measured.
+    """
+
+    name: str
+    begun: Array
+    cleared: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """What is done with a sample.
+
+    Attributes
+    ----------
+    name : An identifier.
+    forecaster : Of which it is the program.
+    block : Inputs are the state's leaves, y, u and y_sim; outputs are the state's leaves, the
+        predicted sample and whether it could be predicted.
+    leaves : The state.
+    given : Names and shapes of what comes with each sample: y, and u and y_sim where there are any.
+    empty : Whether it begins with nothing measured, as the simulator was not there to say what it
+        did until then.
+    """
+
+    name: str
+    forecaster: Forecaster
+    block: Block
+    leaves: tuple[Leaf, ...]
+    given: dict[str, tuple[int, ...]]
+    empty: bool
+
+    @property
+    def record(self) -> Record:
+        """Return the training record, for names and the sampling time."""
+        return self.forecaster.require_fitted().record
+
+
+def program(forecaster: Forecaster, name: str, history: Record | None = None) -> Program:
+    """Return the program of a fitted forecaster, which begins after a history.
+
+    Raises ValueError, with the name of what cannot be exported.
+    """
+    recursion = forecaster.stepped()
+    begun = cleared = recursion.initial()
+    try:
+        begun = forecaster.stream(history).state
+    except ValueError:  # a simulator that is not there
+        if not recursion.simulated or history is not None:
+            raise
+    ny = recursion.ny
+    given = {
+        "y": (ny,),
+        "u": (recursion.nu,),
+        "y_sim": (1 + recursion.ahead, ny if recursion.simulated else 0),
+    }
+    examples = [np.zeros(shape) for shape in given.values()]
+    try:
+        block, _ = trace(recursion.tick, cleared, *examples)
+    except TypeError as error:
+        raise ValueError(f"{forecaster.name} cannot be exported: {error}") from error
+    _prune(block)
+    leaves = [
+        Leaf(f"s_{path}", np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64))
+        for (path, one), (_, other) in zip(named_leaves(begun), named_leaves(cleared), strict=True)
+    ]
+    used = {signal: shape for signal, shape in given.items() if np.prod(shape)}
+    return Program(
+        identifier(name),
+        forecaster,
+        block,
+        tuple(leaves),
+        used,
+        begun is cleared,
+    )
+
+
+def identifier(name: str) -> str:
+    """Return a name as C and FMI take it."""
+    word = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return f"model_{word}" if not word or word[0].isdigit() or word[0] == "_" else word
+
+
+def size(symbol: Symbol) -> int:
+    """Return the number of elements."""
+    return int(np.prod(symbol.shape))
+
+
+def _prune(block: Block) -> set[Symbol]:
+    """Drop operations and outputs on which no output of a block depends; return what it uses."""
+    needed = {symbol for symbol in block.outputs if size(symbol)}
+    kept = []
+    for node in reversed(block.nodes):
+        if not needed.intersection(node.outputs):
+            continue
+        if node.blocks:
+            carried = node.options.get("carried", 0)
+            used = [i < carried or out in needed for i, out in enumerate(node.outputs)]
+            node.outputs = tuple(compress(node.outputs, used))
+            for inner in node.blocks:
+                inner.outputs = list(compress(inner.outputs, used))
+                needed |= _prune(inner)
+        needed.update(symbol for symbol in node.inputs if size(symbol))
+        kept.append(node)
+    block.nodes = kept[::-1]
+    return needed
+
+
+def used_by(node: Node) -> Iterator[Symbol]:
+    """Yield the symbols that a node uses, its blocks included; some of them are their own."""
+    yield from (symbol for symbol in node.inputs if size(symbol))
+    for block in node.blocks:
+        for inner in block.nodes:
+            yield from used_by(inner)
+        yield from (symbol for symbol in block.outputs if size(symbol))

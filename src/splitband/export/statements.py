@@ -1,0 +1,392 @@
+"""Write the operations of a program as statements of C99."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from itertools import zip_longest
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.export.program import size, used_by
+from splitband.runtime.tracing import Block, Node, Symbol
+
+Precision = Literal["double", "float"]
+Index = Sequence[str | int]
+
+_OPERATORS = {
+    "add": "({} + {})", "sub": "({} - {})", "mul": "({} * {})", "div": "({} / {})", "neg": "(-{})",
+    "lt": "({} < {})", "gt": "({} > {})", "le": "({} <= {})", "ge": "({} >= {})",
+    "eq": "({} == {})", "and": "({} && {})", "or": "({} || {})", "not": "(!{})",
+    "where": "({} ? {} : {})", "isnan": "isnan({})",
+}  # fmt: skip
+_FUNCTIONS = {
+    "tanh": "tanh", "exp": "exp", "log": "log", "sqrt": "sqrt", "sin": "sin", "cos": "cos",
+    "abs": "fabs", "floor": "floor", "max": "fmax", "min": "fmin", "sigmoid": "sigmoid",
+}  # fmt: skip
+_REDUCTIONS = {"sum": "{0} + {1}", "largest": "fmax", "smallest": "fmin"}
+_REUSED = ("matmul", "scan", "cond", "view", "reshape")
+"""Operations whose inputs are stored, as they may be read more than once."""
+
+
+class Renderer:
+    """Write the operations of a block as statements.
+
+    Parameters
+    ----------
+    precision : Of all numbers.
+    names : What the inputs of the program are called.
+    """
+
+    def __init__(self, precision: Precision, names: dict[Symbol, str]) -> None:
+        self.precision, self.names = precision, names
+        self.constants: dict[tuple[bytes, tuple[int, ...]], tuple[str, str]] = {}
+        self.inlined: set[Symbol] = set()
+        self.lines: list[str] = []
+        self.indent = 1
+        self.count = 0
+        self.functions: set[str] = set()
+
+    def block(self, block: Block) -> None:
+        """Write all nodes of a block."""
+        uses = Counter(symbol for node in block.nodes for symbol in used_by(node))
+        uses.update(block.outputs)
+        for node in block.nodes:
+            for symbol in node.inputs:
+                cheap = symbol.node is not None and symbol.node.op in (_OPERATORS | _FUNCTIONS)
+                if cheap and uses[symbol] == 1 and _reads_once(node, symbol):
+                    self.inlined.add(symbol)
+        for node in block.nodes:
+            self.node(node)
+
+    def node(self, node: Node) -> None:
+        """Write one operation."""
+        if node.op == "scan":
+            self._scan(node)
+        elif node.op == "cond":
+            self._cond(node)
+        elif node.op == "matmul":
+            self._matmul(node)
+        elif node.op in _REDUCTIONS:
+            self._reduce(node)
+        elif node.op == "concat":
+            self._concat(node)
+        elif node.op == "reshape":
+            name, source = self._declared(node.outputs[0]), node.inputs[0]
+            self.loops(source.shape, lambda i: f"{name}[{_flat(source.shape, i)}] = "
+                                                f"{self.element(source, i)};")  # fmt: skip
+        elif node.op != "view" and node.outputs[0] not in self.inlined:
+            self._stored(node.outputs[0])
+
+    def element(self, symbol: Symbol, index: Index) -> str:
+        """Return an expression for an element."""
+        if symbol.value is not None:
+            return self._constant(symbol.value, index)
+        node = symbol.node
+        if symbol in self.names:
+            name = self.names[symbol]
+            return f"{name}[{_flat(symbol.shape, index)}]" if symbol.shape else name
+        assert node is not None
+        if node.op == "view":
+            axes = node.options["axes"]
+            inner = [
+                start if out is None else _affine(start, step, index[out])
+                for start, step, out in axes
+            ]
+            return self.element(node.inputs[0], inner)
+        return self._expression(node, index)
+
+    def stored_outputs(self, block: Block) -> list[str]:
+        """Write the outputs of the program to variables; return their names.
+
+        It is empty for what has no elements, and for what is the input of the same place.
+        """
+        named = []
+        for symbol, old in zip_longest(block.outputs, block.inputs[: len(block.outputs) - 2]):
+            if not size(symbol) or symbol is old:
+                named.append("")
+            elif symbol in self.names and symbol.node is not None:
+                named.append(self.names[symbol])
+            else:
+                named.append(self._copied(symbol))
+        return named
+
+    def write(self, line: str) -> None:
+        """Write a line."""
+        self.lines.append("    " * self.indent + line)
+
+    def number(self, value: float) -> str:
+        """Return a literal."""
+        if np.isnan(value):
+            return "NAN"
+        if np.isinf(value):
+            return "INFINITY" if value > 0 else "(-INFINITY)"
+        single = self.precision == "float"
+        text = repr(float(str(np.float32(value)))) + "f" if single else repr(float(value))
+        return f"({text})" if text.startswith("-") else text
+
+    def copy(self, shape: tuple[int, ...], target: str, source: str) -> None:
+        """Write a copy of an array, or of a number."""
+        if not shape:
+            self.write(f"{target} = {source};")
+        else:
+            self.loops((int(np.prod(shape)),), lambda i: f"{target}[{i[0]}] = {source}[{i[0]}];")
+
+    def function(self, name: str) -> str:
+        """Return math.h's function for the precision."""
+        if name == "sigmoid":
+            self.functions.add(name)
+            return name
+        return f"{name}f" if self.precision == "float" else name
+
+    def array(self, values: npt.NDArray[np.float64], kind: str = "real") -> str:
+        """Return the name of a constant array."""
+        values = np.ascontiguousarray(values)
+        key = values.tobytes(), values.shape
+        if key not in self.constants:
+            name = f"w{len(self.constants)}"
+            flat = [str(int(v)) if kind == "int" else self.number(v) for v in values.ravel()]
+            rows = [", ".join(flat[i : i + 6]) for i in range(0, len(flat), 6)]
+            body = ",\n    ".join(rows)
+            text = f"static const {kind} {name}[{len(flat)}] = {{\n    {body}\n}};"
+            self.constants[key] = name, text
+        return self.constants[key][0]
+
+    def _expression(self, node: Node, index: Index) -> str:
+        parts = [self.element(x, _broadcast(x.shape, index)) for x in node.inputs]
+        if node.op in _OPERATORS:
+            return _OPERATORS[node.op].format(*parts)
+        return f"{self.function(_FUNCTIONS[node.op])}({', '.join(parts)})"
+
+    def _constant(self, value: npt.NDArray[np.float64], index: Index) -> str:
+        first = value.flat[0]
+        whole = all(isinstance(i, int) for i in index)
+        if whole or (value == first).all():
+            chosen = value[tuple(index)] if whole else first  # type: ignore[arg-type]
+            return str(int(chosen)) if value.dtype == np.bool_ else self.number(float(chosen))
+        kind = "int" if value.dtype == np.bool_ else "real"
+        return f"{self.array(value, kind)}[{_flat(value.shape, index)}]"
+
+    def _new(self) -> str:
+        self.count += 1
+        return f"t{self.count}"
+
+    def _declared(self, symbol: Symbol, name: str | None = None) -> str:
+        """Write the declaration of a variable for a symbol; return its name."""
+        name = self.names[symbol] = name or self._new()
+        kind = "int" if symbol.flag else "real"
+        self.write(f"{kind} {name}{f'[{size(symbol)}]' if symbol.shape else ''};")
+        return name
+
+    def _stored(self, symbol: Symbol) -> str:
+        """Write an element-wise operation to a variable."""
+        node = symbol.node
+        assert node is not None
+        if not symbol.shape:
+            value, name = self._expression(node, ()), self._new()
+            self.write(f"const {'int' if symbol.flag else 'real'} {name} = {value};")
+            self.names[symbol] = name
+            return name
+        name = self._declared(symbol)
+        self.loops(
+            symbol.shape,
+            lambda i: f"{name}[{_flat(symbol.shape, i)}] = {self._expression(node, i)};",
+        )
+        return name
+
+    def _copied(self, symbol: Symbol) -> str:
+        """Write a copy of a symbol, which may be an input, a constant or a view."""
+        name = self._new()
+        kind = "int" if symbol.flag else "real"
+        if not symbol.shape:
+            self.write(f"const {kind} {name} = {self.element(symbol, ())};")
+            return name
+        self.write(f"{kind} {name}[{size(symbol)}];")
+        self.loops(
+            symbol.shape,
+            lambda i: f"{name}[{_flat(symbol.shape, i)}] = {self.element(symbol, i)};",
+        )
+        return name
+
+    def loops(self, shape: tuple[int, ...], statement: Callable[[list[str | int]], str]) -> None:
+        """Write loops over all elements of a shape."""
+        index: list[str | int] = []
+        deep = 0
+        for axis, length in enumerate(shape):
+            if length == 1:
+                index.append(0)
+                continue
+            i = f"i{axis}"
+            self.write(f"for (int {i} = 0; {i} < {length}; {i}++) {{")
+            index.append(i)
+            self.indent += 1
+            deep += 1
+        self.write(statement(index))
+        for _ in range(deep):
+            self.indent -= 1
+            self.write("}")
+
+    def _matmul(self, node: Node) -> None:
+        (a, b), out = node.inputs, node.outputs[0]
+        name = self._declared(out)
+        if a.value is not None and len(a.shape) == 2 and len(b.shape) == 1:
+            # Column by column, which compilers turn into vector instructions.
+            rows, columns = a.shape
+            weights = self.array(a.value.T)
+            self.loops((rows,), lambda i: f"{name}[{i[0]}] = 0;")
+            self.write(f"for (int j = 0; j < {columns}; j++) {{")
+            self.indent += 1
+            self.write(f"const real x = {self.element(b, ['j'])};")
+            at = f"j * {rows} + " if columns > 1 else ""
+            self.loops((rows,), lambda i: f"{name}[{i[0]}] += {weights}[{at}{i[0]}] * x;")
+            self.indent -= 1
+            self.write("}")
+            return
+        inner = a.shape[-1]
+
+        def product(i: list[str | int]) -> str:
+            left, right = i[: len(a.shape) - 1], i[len(a.shape) - 1 :]
+            terms = [
+                f"{self.element(a, [*left, j])} * {self.element(b, [j, *right])}"
+                for j in range(inner)
+            ]
+            target = f"{name}[{_flat(out.shape, i)}]" if out.shape else name
+            return f"{target} = {' + '.join(terms)};"
+
+        self.loops(out.shape, product)
+
+    def _reduce(self, node: Node) -> None:
+        source, out, axis = node.inputs[0], node.outputs[0], node.options["axis"]
+        name, length = self._declared(out), source.shape[axis]
+        joined = _REDUCTIONS[node.op]
+        if node.op != "sum":
+            joined = f"{self.function(joined)}({{0}}, {{1}})"
+
+        def at(i: Index, k: str | int) -> str:
+            return self.element(source, [*i[:axis], k, *i[axis:]])
+
+        def first(i: list[str | int]) -> str:
+            target = f"{name}[{_flat(out.shape, i)}]" if out.shape else name
+            start = f"{target} = {at(i, 0)};"
+            if length == 1:
+                return start
+            step = f"{target} = {joined.format(target, at(i, 'k'))};"
+            return f"{start} for (int k = 1; k < {length}; k++) {{ {step} }}"
+
+        self.loops(out.shape, first)
+
+    def _concat(self, node: Node) -> None:
+        out, axis = node.outputs[0], node.options["axis"]
+        name, offset = self._declared(out), 0
+        for part in node.inputs:
+
+            def copied(i: list[str | int], part: Symbol = part, offset: int = offset) -> str:
+                at = [*i[:axis], _affine(offset, 1, i[axis]), *i[axis + 1 :]]
+                return f"{name}[{_flat(out.shape, at)}] = {self.element(part, i)};"
+
+            self.loops(part.shape, copied)
+            offset += part.shape[axis]
+
+    def _cond(self, node: Node) -> None:
+        flag = self.element(node.inputs[0], ())
+        targets = [self._declared(out) if size(out) else "" for out in node.outputs]
+        for block, opening in zip(node.blocks, (f"if ({flag}) {{", "} else {"), strict=True):
+            self.write(opening)
+            self.indent += 1
+            self.block(block)
+            for symbol, target in zip(block.outputs, targets, strict=True):
+                self._assign(symbol, target)
+            self.indent -= 1
+        self.write("}")
+
+    def _scan(self, node: Node) -> None:
+        block, length, carried = node.blocks[0], node.options["length"], node.options["carried"]
+        starts, xs = node.inputs[:carried], node.inputs[carried:]
+        for start, inner, out in zip(starts, block.inputs, node.outputs, strict=False):
+            if size(start):
+                name = self._declared(out)
+                self._assign(start, name)
+                self.names[inner] = name
+        for out in node.outputs[carried:]:
+            if size(out):
+                self._declared(out)
+        self.count += 1
+        n = f"n{self.count}"
+        self.write(f"for (int {n} = 0; {n} < {length}; {n}++) {{")
+        self.indent += 1
+        for x, inner in zip(xs, block.inputs[carried:], strict=True):
+            if size(inner):
+                name = self.names[inner] = self._new()
+                self._row(x, inner.shape, n, name)
+        self.block(block)
+        for symbol, out in zip(block.outputs[carried:], node.outputs[carried:], strict=True):
+            if size(out):
+                target = self.names[out]
+                rest = out.shape[1:]
+                self.loops(rest, lambda i, s=symbol, t=target, o=out: (  # type: ignore[misc]
+                    f"{t}[{_flat(o.shape, [n, *i])}] = {self.element(s, i)};"
+                ))  # fmt: skip
+        after = [
+            self._copied(symbol) if size(symbol) and symbol is not inner else ""
+            for symbol, inner in zip(block.outputs[:carried], block.inputs, strict=False)
+        ]
+        for out, new in zip(node.outputs, after, strict=False):
+            if new:
+                self.copy(out.shape, self.names[out], new)
+        self.indent -= 1
+        self.write("}")
+
+    def _row(self, x: Symbol, shape: tuple[int, ...], n: str, name: str) -> None:
+        """Write the n-th row of an array to a variable."""
+        if not shape:
+            self.write(f"const real {name} = {self.element(x, [n])};")
+            return
+        self.write(f"real {name}[{int(np.prod(shape))}];")
+        self.loops(shape, lambda i: f"{name}[{_flat(shape, i)}] = {self.element(x, [n, *i])};")
+
+    def _assign(self, symbol: Symbol, target: str) -> None:
+        """Write the elements of a symbol to a variable."""
+        if not target:
+            return
+        if not symbol.shape:
+            self.write(f"{target} = {self.element(symbol, ())};")
+            return
+        self.loops(
+            symbol.shape,
+            lambda i: f"{target}[{_flat(symbol.shape, i)}] = {self.element(symbol, i)};",
+        )
+
+
+def _reads_once(node: Node, symbol: Symbol) -> bool:
+    """Return whether an operation reads each element of an input once."""
+    if node.op in _REDUCTIONS or node.op == "concat":
+        return True
+    return node.op not in _REUSED and size(symbol) == size(node.outputs[0])
+
+
+def _broadcast(shape: tuple[int, ...], index: Index) -> list[str | int]:
+    """Return the index of an operand by that of the result."""
+    own = index[len(index) - len(shape) :]
+    return [0 if length == 1 else i for length, i in zip(shape, own, strict=True)]
+
+
+def _affine(start: int, step: int, i: str | int) -> str | int:
+    if isinstance(i, int):
+        return start + step * i
+    scaled = i if step == 1 else f"-{i}" if step == -1 else f"{step} * ({i})"
+    return scaled if not start else f"{start} + {scaled}" if step != -1 else f"{start} - ({i})"
+
+
+def _flat(shape: tuple[int, ...], index: Index) -> str:
+    """Return the place of an element, the last axis fastest."""
+    terms: list[str] = []
+    fixed, stride = 0, 1
+    for length, i in zip(reversed(shape), reversed(index), strict=True):
+        if isinstance(i, int):
+            fixed += stride * i
+        else:
+            terms.insert(0, f"({i}) * {stride}" if stride > 1 else i)
+        stride *= length
+    return " + ".join([*terms, *([str(fixed)] if fixed or not terms else [])])

@@ -1,0 +1,48 @@
+"""Write a fitted forecaster in the form that the ending of a file's name asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from splitband.data import Record
+from splitband.export.c import render
+from splitband.export.program import Program, program
+from splitband.export.statements import Precision
+from splitband.forecasters.base import Forecaster
+from splitband.runtime.files import replacing
+
+Writer = Callable[[Program, Path, Precision], list[Path]]
+
+
+def export(
+    forecaster: Forecaster,
+    path: str | Path,
+    precision: Precision = "double",
+    history: Record | None = None,
+) -> list[Path]:
+    """Write a program; return the files. See `Forecaster.export`."""
+    path = Path(path)
+    writer = WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise ValueError(f"path must end with one of {', '.join(WRITERS)}, got {path}")
+    if precision not in ("double", "float"):
+        raise ValueError(f"precision must be double or float, got {precision!r}")
+    return writer(program(forecaster, path.stem, history), path, precision)
+
+
+def _c(made: Program, path: Path, precision: Precision) -> list[Path]:
+    header, source = render(made, precision)
+    if path.stem != made.name:
+        raise ValueError(
+            f"path must be named as functions of C are, such as {made.name}.c, got {path.name}"
+        )
+    beside = path.with_suffix(".h")
+    for file, text in ((beside, header), (path, source)):
+        with replacing(file) as temporary:
+            temporary.write_text(text, encoding="ascii")
+    return [path, beside]
+
+
+WRITERS: dict[str, Writer] = {".c": _c}
+"""By the endings of files."""

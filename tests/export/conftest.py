@@ -1,0 +1,22 @@
+"""Forecasters that are exported by several tests are fitted once."""
+
+from functools import cache
+
+import pytest
+
+import splitband as sb
+from tests.streams import fitted
+
+KINDS = (
+    "persistence", "linear", "rnn", "state-space", "split, conditioned, +HP", "filtered",
+    "residual of linear", "ensemble", "seasonal-naive, no inputs", "periodic, no inputs",
+    "split, conditioned, no inputs", "filtered, no inputs",
+)  # fmt: skip
+
+_fitted = cache(fitted)
+
+
+@pytest.fixture(params=KINDS)
+def exported(request: pytest.FixtureRequest) -> tuple[sb.Forecaster, sb.Record]:
+    """A fitted forecaster and its record."""
+    return _fitted(request.param)

@@ -1,0 +1,103 @@
+"""Exported C says what a stream says."""
+
+import ctypes
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import splitband as sb
+from tests.streams import Leaky, free, rows
+
+STRICT = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror"]
+
+
+class Compiled:
+    """An exported program, compiled by gcc, with the methods of a stream."""
+
+    def __init__(self, source: Path, kind: Any = ctypes.c_double) -> None:
+        library = source.with_suffix(".so")
+        command = ["gcc", *STRICT, "-shared", "-fPIC", str(source), "-o", str(library), "-lm"]
+        subprocess.run(command, check=True)
+        self.program, self.name = ctypes.CDLL(str(library)), source.stem
+        self.type = np.float64 if kind is ctypes.c_double else np.float32
+        self.state = ctypes.create_string_buffer(1_000_000)
+        self.call("init")
+
+    def call(self, name: str, *arrays: Any) -> int:
+        given = [np.ascontiguousarray(a, dtype=self.type) for a in arrays if a is not None]
+        pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in given]
+        status: int = getattr(self.program, f"{self.name}_{name}")(self.state, *pointers)
+        return status
+
+    def observe(self, y: Any, u: Any = None, y_sim: Any = None) -> None:
+        self.call("observe", y, u, y_sim)
+
+    def step(self, ny: int, u: Any = None, y_sim: Any = None) -> Any:
+        y = np.zeros(ny, dtype=self.type)
+        assert self.call("step", u, y_sim, y) == 0
+        return y
+
+
+def test_c_says_what_a_stream_says(
+    exported: tuple[sb.Forecaster, sb.Record], tmp_path: Path
+) -> None:
+    forecaster, record = exported
+    forecaster.export(tmp_path / "rig.c")
+    compiled, stream = Compiled(tmp_path / "rig.c"), forecaster.stream()
+    at = rows(record, stream)
+    rng = np.random.default_rng(0)
+    observing, worst, scale = False, 0.0, np.std(record.y)
+    for n in range(600):
+        row = n % (len(record) - 1)
+        observing ^= bool(rng.random() < 0.03)
+        if observing:
+            y = np.where(rng.random(record.ny) < 0.02, np.nan, record.y[row])
+            stream.observe(y, **at(row))
+            compiled.observe(y, **at(row))
+        else:
+            said = compiled.step(record.ny, **at(row))
+            worst = max(worst, np.abs(said - stream.step(**at(row))).max())
+    assert worst < 1e-9 * scale
+
+
+def test_single_precision_is_as_close_as_it_can_be(tmp_path: Path) -> None:
+    record = free()
+    forecaster = sb.Single(sb.GRU(6), sb.Settings(window=60, warmup=20, epochs=1)).fit(record)
+    forecaster.export(tmp_path / "rig.c", precision="float")
+    compiled, stream = Compiled(tmp_path / "rig.c", ctypes.c_float), forecaster.stream()
+    errors = [np.abs(compiled.step(1) - stream.step()).max() for _ in range(1000)]
+    assert max(errors) < 1e-4 * np.std(record.y)
+
+
+def test_too_few_samples_leave_everything_as_it_is(tmp_path: Path) -> None:
+    record = free()
+    forecaster = sb.Single(sb.GRU(3), sb.Settings(window=60, warmup=20, epochs=1)).fit(record)
+    forecaster.export(tmp_path / "rig.c")
+    compiled = Compiled(tmp_path / "rig.c")
+    compiled.call("clear")
+    y = np.full(1, 7.0)
+    for n in range(20):
+        assert compiled.call("step", y) == 1
+        compiled.observe(record.y[n])
+    assert y == 7.0
+    assert compiled.step(1) == pytest.approx(forecaster.stream(record[:20]).step(), rel=1e-9)
+
+
+def test_what_cannot_be_exported_is_named(tmp_path: Path) -> None:
+    record = free()
+    short = sb.Settings(window=60, warmup=20, epochs=1)
+    own = sb.Single(Leaky(), short).fit(record)
+    split = sb.Split(sb.GRU(3), sb.GRU(3), sb.Bands(1.0, 2, 3), True, settings=short).fit(record)
+    mean = sb.Mean().fit(record)
+    for forecaster, name, message in (
+        (own, "rig.c", "the cell Leaky cannot be exported"),
+        (split, "rig.c", "filtered forwards and backwards"),
+        (mean, "rig.txt", r"path must end with one of \.c, "),
+        (mean, "my rig.c", r"such as my_rig\.c, got my rig\.c"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            forecaster.export(tmp_path / name)
+    assert not [*tmp_path.iterdir()]
