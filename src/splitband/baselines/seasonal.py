@@ -87,16 +87,6 @@ def self_similar_lags(y: Array, most: int = 200) -> list[int]:
     return [1 + int(i) for i in ranked[:most]] or [len(difference)]
 
 
-def self_similarity(y: Array) -> float:
-    """Return the highest autocorrelation of a channel `(time,)` at lags from a quarter to half.
-
-    A period of up to a quarter of the record has a multiple there, at which it is as similar to
-    itself as at the first; what repeats itself for a while only is not.
-    """
-    difference = _differences(y[:, None])
-    return 1 - float(difference[len(y) // 4 - 1 :].min(initial=np.inf)) / 2
-
-
 def _differences(y: Array) -> Array:
     """Return the mean of (y_n - y_{n+lag})^2 for the lags 1, 2, ... to half of `y` `(time, ny)`.
 
