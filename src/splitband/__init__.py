@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         SeasonalNaive,
     )
     from splitband.forecasters.ensemble import Ensemble
+    from splitband.forecasters.grey_box import GreyBox
     from splitband.forecasters.hybrids import Filtered, Residual
     from splitband.forecasters.known import Known
     from splitband.forecasters.names import Sizes, named
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from splitband.metrics import ExtrapolationWarning, cumulative_rmse, fit_percent, nrmse, rmse
     from splitband.networks import GRU, Cell, EulerMLP, StateSpace, rollout
     from splitband.runtime.cluster import Cluster
-    from splitband.simulators import Fmu, Function, Ode, Recorded, Simulator
+    from splitband.simulators import Estimate, Fmu, Function, Ode, Recorded, Simulator, identify
     from splitband.training import Progress, Settings
 
 __version__ = "0.2.0"
@@ -63,6 +64,7 @@ _MODULES = {
         "SeasonalNaive",
     ),
     "forecasters.ensemble": ("Ensemble",),
+    "forecasters.grey_box": ("GreyBox",),
     "forecasters.hybrids": ("Filtered", "Residual"),
     "forecasters.known": ("Known",),
     "forecasters.names": ("Sizes", "named"),
@@ -75,7 +77,7 @@ _MODULES = {
     "metrics": ("ExtrapolationWarning", "cumulative_rmse", "fit_percent", "nrmse", "rmse"),
     "networks": ("GRU", "Cell", "EulerMLP", "StateSpace", "rollout"),
     "runtime.cluster": ("Cluster",),
-    "simulators": ("Fmu", "Function", "Ode", "Recorded", "Simulator"),
+    "simulators": ("Estimate", "Fmu", "Function", "Ode", "Recorded", "Simulator", "identify"),
     "training": ("Progress", "Settings"),
 }
 __all__ = [
@@ -87,6 +89,7 @@ __all__ = [
     "Comparison",
     "ComplementaryPair",
     "Ensemble",
+    "Estimate",
     "EulerMLP",
     "ExtrapolationWarning",
     "Filtered",
@@ -94,6 +97,7 @@ __all__ = [
     "Forecast",
     "Forecaster",
     "Function",
+    "GreyBox",
     "Grid",
     "Harmonic",
     "Known",
@@ -128,6 +132,7 @@ __all__ = [
     "default_setup",
     "fit_percent",
     "forecast",
+    "identify",
     "load",
     "named",
     "nrmse",

@@ -102,7 +102,7 @@ def test_its_repr_and_its_clone_and_the_page_make_the_same_forecaster(name: str)
         (sb.Bands(0.5, 2, 3).chosen(record().y, 10.0, 20), repr(sb.Bands(0.5, 2, 3))),
         (sb.Function(rig, key="1"), "sb.Function(rig, key='1')"),
         (sb.Function(lambda t: t), "sb.Function(...)"),
-        (sb.Ode(rig, [0.0, 1.0], rtol=1e-6), "sb.Ode(rig, [0.0, 1.0], rtol=1e-06)"),  # type: ignore[arg-type]
+        (sb.Ode(rig, [0.0, 1.0], method="BDF"), "sb.Ode(rig, [0.0, 1.0], method='BDF')"),
         (sb.Recorded(np.zeros(3), 0.1), "sb.Recorded(..., 0.1)"),
         (Mine(np.float64(0.5), (sb.Mean(),)), "Mine(0.5, parts=(sb.Mean(),))"),
         (Forgetful(1.0), "Forgetful(...)"),

@@ -57,7 +57,9 @@ class _Announcement(event.Listener):
     said = False
 
     def on_start(self, event: Any) -> None:
-        ours = event.data["dispatcher"].py_func.__module__.startswith("splitband.")
+        module = event.data["dispatcher"].py_func.__module__
+        # What is compiled for a user's own equation is not kept, and not announced.
+        ours = module.startswith("splitband.") and not module.endswith(".ode")
         if ours and not self.said:
             self.said = True
             # A warning, as Python prints these even where no logging has been set up.

@@ -1,12 +1,16 @@
 """Black-box simulators: recorded, function, ODE, FMU, in a process of their own; calibration."""
 
 from splitband.simulators.base import Simulator, SimulatorError, SimulatorTimeoutError, run, within
+from splitband.simulators.estimate import Estimate
 from splitband.simulators.fmu import Fmu
 from splitband.simulators.function import Function
+from splitband.simulators.identification import Effort, identify
 from splitband.simulators.ode import Ode
 from splitband.simulators.recorded import Recorded
 
 __all__ = [
+    "Effort",
+    "Estimate",
     "Fmu",
     "Function",
     "Ode",
@@ -14,6 +18,7 @@ __all__ = [
     "Simulator",
     "SimulatorError",
     "SimulatorTimeoutError",
+    "identify",
     "run",
     "within",
 ]

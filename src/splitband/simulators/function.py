@@ -2,34 +2,77 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from splitband.kernels.ode import parameters_class
 from splitband.runtime.options import Written
+from splitband.simulators.parameters import Given, Parameters
+from splitband.simulators.sources import code_digest, count_arguments
 
 Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Function(Written):
-    """Call a Python function, `function(time) -> (time,) or (time, ny)`.
+    """Call a Python function of time, whose parameters may be fitted to a record.
 
     Attributes
     ----------
-    function : What to call.
+    function : `function(time, u, p) -> (time,) or (time, ny)`, or without the last or the last two
+        arguments: times in s `(time,)`, inputs `(time, nu)`, and parameters by name (`p.k`).
     key : Identifies it and its parameters in the cache of `run`; without one it is not cached.
+    parameters : By name a number, or a range `(low, high)` in which it is fitted; p holds them in
+        this order. Each record has its own of those whose names begin with `x0_`.
     """
 
-    function: Callable[[Array], npt.ArrayLike]
+    function: Callable[..., npt.ArrayLike]
     key: str | None = None
+    parameters: Given | None = None
+
+    states = 0
+    difference = 1e-6
+
+    @cached_property
+    def known(self) -> Parameters:
+        """Return the parameters, checked."""
+        return Parameters(dict(self.parameters or {}))
+
+    def fixed(self, values: Mapping[str, float]) -> Self:
+        """Return the function with these values of parameters."""
+        return replace(self, parameters=dict(self.known.fixed(values).given))
 
     def simulate(self, time: Array) -> npt.ArrayLike:
-        """Simulate the measured channels at the times `time` in s."""
-        return self.function(time)
+        """Simulate the measured channels at the times `time` in s.
+
+        A parameter with a range is in the middle of it.
+        """
+        return self._called(time, np.empty((len(time), 0)), self.known.middle())
+
+    def respond(
+        self, time: Array, u: Array | None, points: Sequence[tuple[Mapping[str, float], Any]]
+    ) -> list[tuple[Array, Array]]:
+        """See `Adjustable`: there are no states."""
+        inputs = np.empty((len(time), 0)) if u is None else u
+        found = []
+        for values, _ in points:
+            y = np.asarray(self._called(time, inputs, values), dtype=float)
+            found.append((y[:, None] if y.ndim == 1 else y, np.empty((len(time), 0))))
+        return found
 
     def fingerprint(self) -> str | None:
         """Return the cache key."""
-        return self.key
+        return None if self.key is None else f"{self.key} {self.known}".strip()
+
+    def digest(self) -> str:
+        """Return what its response depends on besides the parameters' values."""
+        return self.key or code_digest(self.function)
+
+    def _called(self, time: Array, u: Array, values: Mapping[str, float]) -> npt.ArrayLike:
+        p = parameters_class(tuple(self.known.given))(*(values[n] for n in self.known.given))
+        return self.function(*(time, u, p)[: count_arguments(self.function) or 1])

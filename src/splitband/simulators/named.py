@@ -13,7 +13,7 @@ from splitband.simulators.recorded import Recorded
 
 def van_der_pol_simulator(rtol: float = 1e-10) -> Simulator:
     """Return the simulator of the paper's system (v), solved to a relative tolerance."""
-    return Ode(unforced_van_der_pol, UNFORCED_START, rtol=rtol, atol=1e-3 * rtol)
+    return Ode(unforced_van_der_pol, UNFORCED_START, tolerances=(rtol, 1e-3 * rtol))
 
 
 def drill_string_simulator() -> Simulator:

@@ -2,59 +2,228 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Literal
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
+from splitband.kernels.ode import parameters_class, solver
 from splitband.runtime.options import Written
+from splitband.simulators.parameters import INITIAL, Given, Parameters
+from splitband.simulators.sources import code_digest, count_arguments
 
 Array = npt.NDArray[np.float64]
+Response = tuple[Array, Array]
+"""Measured channels `(time, ny)` and states `(time, nx)`."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Ode(Written):
-    """Solve an ordinary differential equation by `scipy.integrate.solve_ivp`.
+    """Solve an ordinary differential equation, whose parameters may be fitted to a record.
 
     Attributes
     ----------
-    derivative : `f(t, x) -> dx/dt`.
-    initial_state : x at the record's first sample.
-    observe : Maps the states `(time, nx)` to the measured channels; the first state by default.
-    rtol, atol : Tolerances of the solver.
-    method : Its name for SciPy.
-    key : As for `Function`; it stands for `derivative` and `observe`.
+    rhs : `rhs(t, x, u, p) -> dx/dt`, or without the last or the last two arguments. x and u are
+        arrays of the states and the inputs at time t in s, p holds the parameters by name (`p.k`).
+        While parameters are fitted, it is compiled by Numba if it can be.
+    x0 : x at the record's first sample.
+    observe : `observe(x)` or `observe(x, u, p)` maps the states `(time, nx)` to the measured
+        channels, `(time,)` or `(time, ny)`; by default the first state.
+    parameters : By name a number, or a range `(low, high)` in which it is fitted; p holds them in
+        this order. `x0_1`, `x0_2`, ... stand for the elements of `x0`.
+    held : Whether inputs keep their value until the next sample. By default they are interpolated.
+    method : Its name for SciPy. RK45, which is Dormand and Prince's, is also the compiled one.
+    tolerances : Relative and absolute.
+    key : As for `Function`; it stands for `rhs` and `observe`.
+
+    Examples
+    --------
+    >>> def cooling(t, x, u, p):
+    ...     return [-p.rate * (x[0] - u[0])]
+    >>> tank = sb.Ode(cooling, x0=[60.0], parameters={"rate": (0.01, 1.0)})
+    >>> outside = np.full((200, 1), 20.0)
+    >>> measured = 20 + 40 * np.exp(-0.1 * 0.5 * np.arange(200))
+    >>> fitted = sb.identify(tank, sb.Record(measured, 0.5, u=outside))
+    >>> round(fitted.values["rate"], 6)
+    0.1
     """
 
-    derivative: Callable[[float, Array], Any]
-    initial_state: npt.ArrayLike
-    observe: Callable[[Array], npt.ArrayLike] = lambda x: x[:, 0]
-    rtol: float = 1e-8
-    atol: float = 1e-10
+    rhs: Callable[..., Any]
+    x0: npt.ArrayLike
+    observe: Callable[..., npt.ArrayLike] = lambda x: x[:, 0]
+    parameters: Given | None = None
+    held: bool = False
     method: Literal["RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA"] = "RK45"
+    tolerances: tuple[float, float] = (1e-8, 1e-10)
     key: str | None = None
 
+    def __post_init__(self) -> None:
+        """Check that names of initial values are those of states."""
+        wrong = [name for name in self.known.given if name.startswith(INITIAL)
+                 and name not in self._states]  # fmt: skip
+        if wrong:
+            raise ValueError(
+                f"initial values must be out of {', '.join(self._states)}, as x0 says, "
+                f"got {wrong[0]}"
+            )
+
+    @cached_property
+    def known(self) -> Parameters:
+        """Return the parameters, checked."""
+        return Parameters(dict(self.parameters or {}))
+
+    @property
+    def states(self) -> int:
+        """Return the number of states."""
+        return len(self._states)
+
+    @property
+    def difference(self) -> float:
+        """See `Adjustable`: with the same steps nothing but rounding is in the way."""
+        return 1e-6 if self.method == "RK45" else 1e-4
+
+    @property
+    def driven(self) -> bool:
+        """Return whether it takes a record's inputs."""
+        return count_arguments(self.rhs) > 2 or count_arguments(self.observe) > 1
+
+    def fixed(self, values: Mapping[str, float]) -> Self:
+        """Return the equation with these values of parameters."""
+        return replace(self, parameters=dict(self.known.fixed(values).given))
+
     def simulate(self, time: Array) -> npt.ArrayLike:
-        """Solve at the times `time` in s; raises RuntimeError if the solver fails."""
-        solution = scipy.integrate.solve_ivp(
-            self.derivative,
-            (time[0], time[-1]),
-            np.asarray(self.initial_state, float),
-            method=self.method,
-            t_eval=time,
-            rtol=self.rtol,
-            atol=self.atol,
-        )
-        if not solution.success:
-            raise RuntimeError(f"the solver stopped at t = {solution.t[-1:]} s: {solution.message}")
-        return self.observe(solution.y.T)
+        """Solve at the times `time` in s; raises RuntimeError if the solver fails.
+
+        A parameter with a range is in the middle of it.
+        """
+        if self.driven:
+            y, _ = self.respond(time, None, [(self.known.middle(), None)])[0]
+            return y
+        x = self._scipy(self._plain, np.asarray(time, float), self._initial(self.known.middle()))
+        return self._observed(x, np.empty((len(time), 0)), self.known.middle())
+
+    def respond(
+        self, time: Array, u: Array | None, points: Sequence[tuple[Mapping[str, float], Any]]
+    ) -> list[Response]:
+        """Return the response at several points, with the steps of the first one.
+
+        Parameters
+        ----------
+        time, u : `(time,)` in s, and the inputs `(time, nu)`.
+        points : Values of the parameters, and the state at the first time, by default that of the
+            record's first sample.
+        """
+        inputs = np.empty((len(time), 0)) if u is None else np.ascontiguousarray(u, dtype=float)
+        steps = np.zeros(max(len(time) - 1, 0), dtype=np.int64)
+        found = []
+        for values, state in points:
+            initial = self._initial(values) if state is None else np.array(state, dtype=float)
+            x = self._solved(values, initial, time, inputs, steps)
+            found.append((self._observed(x, inputs, values), x))
+        return found
 
     def fingerprint(self) -> str | None:
-        """Return the cache key: the key, the initial state and the solver's settings."""
+        """Return the cache key: the key, the parameters and the solver's settings."""
         if self.key is None:
             return None
-        state = np.asarray(self.initial_state, float).tolist()
-        return f"{self.key} {state} {self.method} {self.rtol} {self.atol}"
+        return f"{self.key} {self._settings}"
+
+    def digest(self) -> str:
+        """Return what its response depends on besides the parameters' values: code and settings."""
+        code = self.key or code_digest(self.rhs, self.observe)
+        return f"{code} {self._settings} {self.held}"
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what other processes need: not what has been compiled."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
+
+    @property
+    def _settings(self) -> str:
+        state = np.asarray(self.x0, float).tolist()
+        return f"{state} {self.known} {self.method} {self.tolerances}"
+
+    @cached_property
+    def _states(self) -> list[str]:
+        return [f"{INITIAL}{i + 1}" for i in range(len(np.atleast_1d(np.asarray(self.x0, float))))]
+
+    @cached_property
+    def _named(self) -> Any:
+        names = [name for name in self.known.given if not name.startswith(INITIAL)]
+        return parameters_class(tuple(names))
+
+    def _p(self, values: Mapping[str, float]) -> Any:
+        return self._named(*(float(values[name]) for name in self._named._fields))
+
+    def _initial(self, values: Mapping[str, float]) -> Array:
+        x0 = np.atleast_1d(np.array(self.x0, dtype=float))
+        return np.array([values.get(name, x) for name, x in zip(self._states, x0, strict=True)])
+
+    def _plain(self, t: float, x: Array, u: Any = (), p: Any = None) -> Any:
+        arguments = (t, x, u, self._p(self.known.middle()) if p is None else p)
+        return self.rhs(*arguments[: count_arguments(self.rhs)])
+
+    def _solver(self, probe: tuple[Any, ...]) -> Callable[..., Array]:
+        """Return the compiled solver, or the plain one where Numba cannot compile the equation.
+
+        `probe` is a short simulation, in which both must agree: compiled code does not notice, for
+        instance, an index beyond the states.
+        """
+        usual = solver(self.rhs, count_arguments(self.rhs), compiled=False)
+        if not self.known.free:  # a single run is over before anything is compiled
+            return usual
+        p, initial, time, inputs, tolerances = probe
+        steps = np.zeros((2, len(time) - 1), dtype=np.int64)
+        expected = usual(p, initial, time, inputs, (steps[0], *tolerances))
+        try:
+            fast = solver(self.rhs, count_arguments(self.rhs), compiled=True)
+            found = fast(p, initial, time, inputs, (steps[1], *tolerances))
+        except Exception:  # whatever Numba does not know
+            return usual
+        return fast if np.allclose(found, expected, rtol=1e-6, equal_nan=True) else usual
+
+    def _solved(
+        self,
+        values: Mapping[str, float],
+        initial: Array,
+        time: Array,
+        u: Array,
+        steps: npt.NDArray[np.int64],
+    ) -> Array:
+        p, time = self._p(values), np.ascontiguousarray(time, dtype=float)
+        if self.method != "RK45":
+            return self._scipy(lambda t, x: self._plain(t, x, self._between(t, time, u), p),
+                               time, initial)  # fmt: skip
+        kept = vars(self)
+        if "_solve" not in kept:
+            short = slice(0, 3)
+            kept["_solve"] = self._solver(
+                (p, initial, time[short], (u[short], self.held), self.tolerances)
+            )
+        solved: Array = kept["_solve"](p, initial, time, (u, self.held), (steps, *self.tolerances))
+        return solved
+
+    def _between(self, t: float, time: Array, u: Array) -> Array:
+        """Return the inputs at a time."""
+        place = np.clip((t - time[0]) / (time[1] - time[0]), 0, len(time) - 1)
+        n = min(int(place), len(time) - 2)
+        return u[n] if self.held else u[n] + (place - n) * (u[n + 1] - u[n])
+
+    def _scipy(self, rhs: Callable[..., Any], time: Array, initial: Array) -> Array:
+        rtol, atol = self.tolerances
+        longest = float(time[1] - time[0]) if self.driven else np.inf
+        solution = scipy.integrate.solve_ivp(
+            rhs, (time[0], time[-1]), initial, method=self.method, t_eval=time,
+            rtol=rtol, atol=atol, max_step=longest,
+        )  # fmt: skip
+        if not solution.success:
+            raise RuntimeError(f"the solver stopped at t = {solution.t[-1:]} s: {solution.message}")
+        return np.asarray(solution.y.T)
+
+    def _observed(self, x: Array, u: Array, values: Mapping[str, float]) -> Array:
+        arguments = (x, u, self._p(values))
+        y = np.asarray(self.observe(*arguments[: count_arguments(self.observe)]), dtype=float)
+        return y[:, None] if y.ndim == 1 else y

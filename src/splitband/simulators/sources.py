@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import ast
 import hashlib
+import inspect
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.machinery import PathFinder
 from importlib.util import resolve_name
 from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+import numpy as np
 
 _INSTALLED = ("site-packages", "dist-packages")
 
@@ -74,3 +79,50 @@ def _located(name: str, search: Sequence[str]) -> Iterator[tuple[Path, str]]:
         where = spec.submodule_search_locations
         if spec.has_location and spec.origin is not None:
             yield Path(spec.origin).resolve(), full if where else ".".join(parts[:i])
+
+
+def code_digest(*functions: Callable[..., Any]) -> str:
+    """Return a digest of functions: their code, and the values and functions that it refers to.
+
+    Of other objects the type is taken.
+    """
+    said = hashlib.sha256()
+    waiting: list[Any] = [*functions]
+    seen: set[int] = set()
+    while waiting:
+        value = waiting.pop()
+        function = getattr(value, "py_func", value)  # of what Numba has compiled already
+        if isinstance(function, FunctionType):
+            if id(function) in seen:
+                continue
+            seen.add(id(function))
+            waiting += [function.__code__, *(function.__defaults__ or ())]
+            waiting += [cell.cell_contents for cell in function.__closure__ or ()]
+            used = inspect.getclosurevars(function).globals
+            waiting += [used[name] for name in sorted(used)]
+        elif isinstance(value, CodeType):
+            said.update(value.co_code)
+            waiting += value.co_consts
+        elif isinstance(value, np.ndarray):
+            said.update(value.tobytes())
+        elif isinstance(value, ModuleType):
+            said.update(value.__name__.encode())
+        elif isinstance(value, tuple | list):
+            waiting += value
+        elif isinstance(value, dict):
+            waiting += [part for pair in value.items() for part in pair]
+        elif value is None or isinstance(value, str | int | float):
+            said.update(repr(value).encode())
+        else:
+            said.update(type(value).__qualname__.encode())
+    return said.hexdigest()
+
+
+def count_arguments(function: Callable[..., Any]) -> int:
+    """Return how many positional arguments a function must be given; 0 if that is not known."""
+    kinds = inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD
+    try:
+        given = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):
+        return 0
+    return sum(p.kind in kinds and p.default is p.empty for p in given)

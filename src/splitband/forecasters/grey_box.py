@@ -1,0 +1,187 @@
+"""A simulator with fitted parameters as a forecaster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import final
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.data import Record
+from splitband.data.timing import seconds_of
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.known import Known
+from splitband.metrics import rmse
+from splitband.simulators.adjusted import Adjusted
+from splitband.simulators.estimate import Estimate
+from splitband.simulators.identification import Effort, identify
+from splitband.simulators.shooting import Adjustable, Experiment
+from splitband.training import Checkpoint, Progress
+
+Array = npt.NDArray[np.float64]
+
+STARTS = 0.5, 2 / 3, 5 / 6
+"""Shares of the training record, from which on forecasts are compared to choose the `memory`."""
+SHORTEST, GROWTH = 20, 4
+_PAYS = 0.9
+
+
+@final
+class GreyBox(Forecaster):
+    """A simulator whose parameters are fitted to the training samples.
+
+    Parameters
+    ----------
+    simulator : With ranges for its parameters, such as `Ode` and `Fmu`.
+    starts, seconds : Starting points, and time, that may go into the fit.
+    name : By default "grey-box".
+
+    Attributes
+    ----------
+    estimate : The values, how certain they are, and what the record does not tell.
+    adjusted : The simulator with these values.
+    memory : Samples of a history, counted from its end, that a forecast's state is estimated from;
+        0 for all of them.
+
+    Examples
+    --------
+    >>> def cooling(t, x, u, p):
+    ...     return [-p.rate * (x[0] - 20)]
+    >>> tank = sb.Ode(cooling, [60.0], parameters={"rate": (0.01, 1.0)})
+    >>> record = sb.Record(20 + 40 * np.exp(-0.1 * 0.5 * np.arange(60)), 0.5)
+    >>> sb.GreyBox(tank).fit(record[:40]).predict(20).y[-1].round(2)
+    array([22.09])
+    """
+
+    def __init__(
+        self,
+        simulator: Adjustable,
+        starts: int = Effort.starts,
+        seconds: float | None = None,
+        name: str | None = None,
+    ) -> None:
+        self.simulator = simulator
+        self.starts, self.seconds = starts, seconds
+        self._name = name
+        self.estimate = Estimate()
+        self.adjusted: Adjusted | None = None
+        self.memory = 0
+        self.u: Array | None = None
+
+    @property
+    def name(self) -> str:
+        """See `Forecaster`."""
+        return self._name or "grey-box"
+
+    def learn(
+        self,
+        records: Sequence[Record],
+        *,
+        seed: int,
+        progress: Callable[[Progress], None] | None,
+        checkpoint: Checkpoint | None,
+    ) -> None:
+        """See `Forecaster`; all records are fitted together."""
+        folder = None if checkpoint is None else checkpoint.path.parent
+        effort = Effort(self.starts, self.seconds, folder=folder)
+        self.estimate = identify(self.simulator, *records, effort=effort)
+        experiments = [Experiment.of(record) for record in records]
+        self.adjusted = Adjusted.of(self.simulator, self.estimate, experiments)
+        self.u = records[0].u
+        self.memory = self._chosen_memory(experiments[0])
+
+    def extrapolate(self, known: Known) -> Array:
+        """See `Forecaster`; from the state that the last samples of the history tell."""
+        memory = min(self.memory or len(known.y), len(known.y))
+        if memory == len(known.y):
+            return self.trajectory(known)[len(known.y) :]
+        whole = self._experiment(known)
+        return self._ahead(whole, len(known.y), memory)
+
+    def trajectory(self, known: Known) -> Array:
+        """Return the simulation over the history, too, `(time + steps, ny)`.
+
+        A history that is a part of the training record goes on from its first state; that of
+        another one is estimated.
+        """
+        adjusted, whole = self._adjusted(), self._experiment(known)
+        begin = known.begin
+        if begin is not None and begin % 1 == 0 and 0 <= begin <= self._reach():
+            before = self._before(int(begin), whole)
+            return adjusted.response(before)[0][int(begin) :]
+        state = adjusted.beginning(whole.part(0, len(known.y)))
+        return adjusted.response(whole, state)[0]
+
+    def describe(self) -> str:
+        """See `Forecaster`."""
+        return str(self.estimate)
+
+    def _adjusted(self) -> Adjusted:
+        self.require_fitted()
+        assert self.adjusted is not None
+        return self.adjusted
+
+    def _reach(self) -> float:
+        """Return how many samples of inputs are known from the first training sample on."""
+        return np.inf if self.u is None else len(self.u)
+
+    def _experiment(self, known: Known) -> Experiment:
+        """Return history and future; NaN is what has not been measured yet."""
+        fitted = self.require_fitted()
+        step = fitted.record.sampling_time
+        if known.begin is None:
+            start = seconds_of(None if known.grid is None else known.grid.start)
+        else:
+            start = seconds_of(fitted.start) + known.begin * step
+        ahead = np.full((known.steps, known.y.shape[1]), np.nan)
+        time = start + step * np.arange(len(known.y) + known.steps, dtype=np.float64)
+        return Experiment(time, np.concatenate([known.y, ahead]), known.u)
+
+    def _before(self, begin: int, whole: Experiment) -> Experiment:
+        """Return an experiment that begins with the training record, and its inputs."""
+        fitted = self.require_fitted()
+        step = fitted.record.sampling_time
+        time = seconds_of(fitted.start) + step * np.arange(begin + len(whole.y), dtype=np.float64)
+        u = None
+        if whole.u is not None:
+            assert self.u is not None
+            u = np.concatenate([self.u[:begin], whole.u])
+        y = np.concatenate([np.full((begin, whole.y.shape[1]), np.nan), whole.y])
+        return Experiment(time, y, u)
+
+    def _ahead(self, whole: Experiment, samples: int, memory: int) -> Array:
+        """Return what follows the first samples, by a state that the last of them tell."""
+        adjusted, part = self._adjusted(), whole.part(samples - memory, len(whole.y))
+        state = adjusted.beginning(part.part(0, memory))
+        return adjusted.response(part, state)[0][memory:]
+
+    def _chosen_memory(self, experiment: Experiment) -> int:
+        """Return from how many samples a state is estimated best: for a right model from all."""
+        samples, window = len(experiment.y), self.estimate.window
+        if not self.simulator.states:
+            return 0
+        origins = [int(share * samples) for share in STARTS]
+        ends = [min(origin + samples // 6, samples) for origin in origins]
+
+        def error(forecasts: Sequence[Array]) -> float:
+            pairs = zip(origins, forecasts, strict=True)
+            parts = [experiment.y[at : at + len(y)] - y for at, y in pairs]
+            left = np.concatenate(parts) / self._adjusted().noise
+            return rmse(left, np.zeros_like(left))
+
+        best = np.inf
+        if not window:
+            whole = self._adjusted().response(experiment)[0]
+            best = _PAYS * error([whole[a:b] for a, b in zip(origins, ends, strict=True)])
+        chosen, length = window, SHORTEST
+        while length <= min(window or samples, origins[0]):
+            try:
+                found = error([self._ahead(experiment.part(0, b), a, length)
+                               for a, b in zip(origins, ends, strict=True)])  # fmt: skip
+            except ValueError:
+                found = np.inf
+            if found < best:
+                best, chosen = found, length
+            length *= GROWTH
+        return chosen

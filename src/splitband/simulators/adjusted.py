@@ -1,0 +1,142 @@
+"""A simulator whose parameters have been fitted: it runs from the state that a history tells."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from splitband.simulators.estimate import Estimate
+from splitband.simulators.shooting import BAD, STATE_STEP, Adjustable, Experiment
+
+Array = npt.NDArray[np.float64]
+
+MOST_STATES = 500
+"""States of the training records that are kept, for what is usual and to begin searches with."""
+_TRIED = 3
+_COMPARED = 10
+_LEAST_NOISE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """Run a simulator with the values that were fitted.
+
+    Attributes
+    ----------
+    simulator : With ranges, as it was fitted.
+    values : Of every parameter; initial values are those of the first training record.
+    noise : RMSE of each channel in training, `(ny,)`.
+    states, outputs : Of the training records, `(n, nx)` and `(n, ny)`; at most `MOST_STATES` rows.
+    """
+
+    simulator: Any
+    values: dict[str, float]
+    noise: Array
+    states: Array = field(default_factory=lambda: np.empty((0, 0)))
+    outputs: Array = field(default_factory=lambda: np.empty((0, 0)))
+
+    @classmethod
+    def of(
+        cls, simulator: Adjustable, estimate: Estimate, experiments: Sequence[Experiment]
+    ) -> Self:
+        """Return the fitted simulator; `experiments` are those of the fit."""
+        values = {
+            name: estimate.values.get(name, x) for name, x in simulator.known.middle().items()
+        }
+        scale = np.maximum(_deviation(experiments), 1e-300)
+        noise = np.maximum(np.array(estimate.rmse), _LEAST_NOISE * scale)
+        usual = cls(simulator, values, noise)
+        found = [usual.response(each) for each in experiments[:1]]
+        outputs, states = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        rows = np.linspace(0, len(states) - 1, min(len(states), MOST_STATES)).round().astype(int)
+        rows = rows[np.isfinite(states[rows]).all(axis=1)]
+        return replace(usual, states=states[rows], outputs=outputs[rows])
+
+    def response(self, experiment: Experiment, state: Any = None) -> tuple[Array, Array]:
+        """Return channels and states over an experiment, from a state or the fitted first one.
+
+        Raises ValueError where the run fails.
+        """
+        if not callable(getattr(self.simulator, "respond", None)):
+            self.simulator.simulate(experiment.time)  # one that must be given says so
+        values, first = self._began(state)
+        y, x = self.simulator.respond(experiment.time, experiment.u, [(values, first)])[0]
+        if not np.isfinite(y).all():
+            bad = int(np.argmin(np.isfinite(y).all(axis=1)))
+            raise ValueError(
+                f"the simulator must return finite values, got others from {experiment.time[bad]:g}"
+                " s on"
+            )
+        return y, x
+
+    def beginning(self, history: Experiment) -> Array | None:
+        """Return the state in which a history begins, which fits it best; None where it has none.
+
+        Unlikely states are avoided as far as the history does not tell: those of the training
+        records have the weight of one sample each. A black box has initial values in place of it.
+        """
+        names = self.simulator.known.initial
+        usual = self.states
+        if not self.simulator.states:
+            if not names:
+                return None
+            low, high = np.transpose([self.simulator.known.range(name) for name in names])
+            return self._searched(history, [0.5 * (low + high)], 0.5 * (low + high), high - low)
+        mean, spread = usual.mean(axis=0), usual.std(axis=0)
+        spread = np.maximum(spread, 1e-6 * np.maximum(np.abs(mean), 1e-6))
+        return self._searched(history, [*self._similar(history), mean], mean, spread)
+
+    def _began(self, state: Any) -> tuple[Mapping[str, float], Any]:
+        """Return parameters and the first state, as `Adjustable.respond` takes them."""
+        if state is None or self.simulator.states:
+            return self.values, state
+        return {**self.values, **dict(zip(self.simulator.known.initial, state, strict=True))}, None
+
+    def _similar(self, history: Experiment) -> list[Array]:
+        """Return training states whose outputs are closest to the first samples of a history."""
+        first = history.y[:1]
+        distance = np.nansum(((self.outputs - first) / self.noise) ** 2, axis=1)
+        return [self.states[n] for n in np.argsort(distance, kind="stable")[:_TRIED]]
+
+    def _searched(
+        self, history: Experiment, begin: Sequence[Array], mean: Array, spread: Array
+    ) -> Array:
+        """Return the most likely state of those that searches from several ones lead to."""
+
+        def errors(states: Sequence[Array]) -> list[Array]:
+            points = [self._began(state) for state in states]
+            with np.errstate(all="ignore"):
+                found = self.simulator.respond(history.time, history.u, points)
+            return [self._weighed(history, y, state, mean, spread)
+                    for (y, _), state in zip(found, states, strict=True)]  # fmt: skip
+
+        def residuals(state: Array) -> Array:
+            return errors([state])[0]
+
+        def jacobian(state: Array) -> Array:
+            steps = max(STATE_STEP, self.simulator.difference) * spread
+            moved = [state + step for step in np.diag(steps)]
+            at, *others = errors([state, *moved])
+            return np.stack([(e - at) / s for e, s in zip(others, steps, strict=True)], axis=1)
+
+        results = [
+            scipy.optimize.least_squares(residuals, state, jacobian, x_scale=spread, max_nfev=50)
+            for state in begin
+        ]
+        return np.asarray(min(results, key=lambda result: float(result.cost)).x)
+
+    def _weighed(
+        self, history: Experiment, y: Array, state: Array, mean: Array, spread: Array
+    ) -> Array:
+        told = np.nan_to_num((y - history.y) / self.noise, nan=BAD, posinf=BAD, neginf=-BAD)
+        told = np.where(np.isnan(history.y), 0.0, np.clip(told, -BAD, BAD))
+        return np.concatenate([told.ravel(), (state - mean) / spread])
+
+
+def _deviation(experiments: Sequence[Experiment]) -> Array:
+    return np.asarray(np.nanstd(np.concatenate([each.y for each in experiments]), axis=0))

@@ -1,0 +1,229 @@
+"""Say what a fit has found: values, how certain they are, and what the record does not tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.simulators.parameters import Parameters
+
+Array = npt.NDArray[np.float64]
+Name = tuple[str, int]
+"""A parameter, and the number of the record whose it is; -1 for all."""
+
+AT_BOUND = 2e-3
+"""Distance from the end of a range, as a share of it, at which a parameter lies there."""
+UNKNOWN = 0.25
+"""Standard error, as a share of the range, from which on a direction is not identifiable."""
+QUIETEST = 1e-3
+"""Least error, in deviations of the record, that a model is taken to have."""
+INVOLVED = 0.2
+"""Least component of a parameter in a direction that is named with it."""
+_MOST_LAGS = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Hold the values of fitted parameters, with standard errors.
+
+    Attributes
+    ----------
+    values : By name; initial values of further records as `x0_1, record 2`.
+    errors : Standard errors, for errors of the simulation that are independent of each other, or
+        as strongly correlated as those that were found; NaN where there is none.
+    correlations : Of the errors of the values, in their order, `(n, n)`; NaN as above.
+    rmse : Of each channel over the training samples.
+    remarks : What is not identifiable, lies at a bound, or might as well be otherwise.
+    window : Samples of the windows in which the record was simulated; 0 for all of it.
+    starts : Of how many starting points how many led to the same fit.
+    """
+
+    values: dict[str, float] = field(default_factory=dict)
+    errors: dict[str, float] = field(default_factory=dict)
+    correlations: Any = field(default_factory=lambda: np.empty((0, 0)))
+    rmse: tuple[float, ...] = ()
+    remarks: tuple[str, ...] = ()
+    window: int = 0
+    starts: tuple[int, int] = (0, 0)
+
+    def __post_init__(self) -> None:
+        """Check values that may come from a file."""
+        for name, value in self.values.items():
+            if not isinstance(value, int | float) or not np.isfinite(value):
+                raise ValueError(f"an estimate must hold finite numbers, got {name}={value!r}")
+        if self.values.keys() != self.errors.keys():
+            raise ValueError("an estimate must have as many errors as values")
+
+    def __str__(self) -> str:
+        """Return each value with its standard error, and the remarks."""
+        said = [f"{name} = {_rounded(value, self.errors[name])}"
+                for name, value in self.values.items()]  # fmt: skip
+        return "; ".join([", ".join(said), *self.remarks] if said else self.remarks)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what result files hold."""
+        return {
+            "values": self.values,
+            "standard_errors": {k: None if np.isnan(e) else e for k, e in self.errors.items()},
+            "correlations": [
+                [None if np.isnan(c) else round(float(c), 4) for c in row]
+                for row in self.correlations
+            ],
+            "remarks": [*self.remarks],
+            "window": self.window or None,
+            "starts_that_agree": self.starts[0],
+            "starts": self.starts[1],
+        }
+
+
+def _rounded(value: float, error: float) -> str:
+    if not np.isfinite(error) or error <= 0:
+        return f"{value:.4g}"
+    digits = int(np.floor(np.log10(error)))
+    places = max(1 - digits, 0)
+    if abs(value) < 1e5 and places < 8:
+        return f"{value:.{places}f} ± {error:.{places}f}"
+    return f"{value:.5g} ± {error:.2g}"
+
+
+@dataclass(frozen=True, eq=False)
+class Curvature:
+    """Describe the fit around its minimum.
+
+    Attributes
+    ----------
+    places : Of the parameters in their ranges, `(n,)`.
+    residuals : `(samples, ny)`, in deviations of the channels; NaN in gaps.
+    jacobian : Of the residuals, `(samples * ny, n)`.
+    """
+
+    places: Array
+    residuals: Array
+    jacobian: Array
+
+    def uncertainty(
+        self, names: Sequence[Name], known: Parameters
+    ) -> tuple[Array, Array, list[str]]:
+        """Return standard errors of the values, their correlations, and remarks."""
+        fixed, remarks = self._at_bounds(names, known)
+        free = np.flatnonzero(~fixed)
+        covariance = np.full((len(names), len(names)), np.nan)
+        inner, lost, said = self._covariance(free, names, known)
+        covariance[np.ix_(free, free)] = inner
+        covariance[lost] = covariance[:, lost] = np.nan
+        slopes = np.array([known.slope(n, p) for (n, _), p in zip(names, self.places, strict=True)])
+        deviations = np.sqrt(np.diag(covariance))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            correlations = covariance / np.outer(deviations, deviations)
+        return (
+            deviations * np.abs(slopes),
+            correlations,
+            remarks + said + self._linked(correlations, names),
+        )
+
+    def _covariance(
+        self, free: npt.NDArray[np.int_], names: Sequence[Name], known: Parameters
+    ) -> tuple[Array, list[int], list[str]]:
+        """Return the covariance of places that are free, which of them are not identified, words.
+
+        Directions that the record does not tell are left out of it.
+        """
+        j = self.jacobian[:, free]
+        if not len(free):
+            return np.empty((0, 0)), [], []
+        _, s, vt = np.linalg.svd(j, full_matrices=False)
+        s = np.concatenate([s, np.zeros(len(vt) - len(s))])
+        noise = np.maximum(self._noise(), QUIETEST * np.sqrt(np.mean(self.residuals.shape[1:])))
+        weights = self._per_residual(noise)
+        level = float(np.sqrt(np.mean(weights**2)))
+        weak = level / np.maximum(s, 1e-300) > UNKNOWN
+        lost: list[int] = []
+        said: list[str] = []
+        for direction in vt[weak]:
+            involved = np.flatnonzero(np.abs(direction) > INVOLVED)
+            lost += [int(free[i]) for i in involved]
+            at = free[involved]
+            said.append(_told([names[i] for i in at], direction[involved] * self._relative(
+                [names[i] for i in at], self.places[at], known)))  # fmt: skip
+        kept = vt[~weak].T / s[~weak]
+        told = (j @ kept) * self._per_residual(self._noise())[:, None]
+        # (J'J)^-1 J' W J (J'J)^-1, with the error of each channel as W
+        return kept @ (told.T @ told) @ kept.T * self._correlated(), lost, said
+
+    @staticmethod
+    def _relative(names: Sequence[Name], places: Array, known: Parameters) -> Array:
+        """Return the relative change of each value over its range."""
+        pairs = [(name, float(place)) for (name, _), place in zip(names, places, strict=True)]
+        return np.array([known.slope(*pair) / (known.at(*pair) or 1.0) for pair in pairs])
+
+    def _noise(self) -> Array:
+        """Return the error of each channel, corrected for the number of parameters."""
+        measured = np.maximum((~np.isnan(self.residuals)).sum(axis=0), 1)
+        lost = len(self.places) / self.residuals.shape[1]
+        power = np.nansum(self.residuals**2, axis=0) / np.maximum(measured - lost, 1)
+        return np.asarray(np.sqrt(power))
+
+    def _per_residual(self, noise: Array) -> Array:
+        return np.tile(noise, len(self.residuals))
+
+    def _correlated(self) -> float:
+        """Return how many samples of the residuals say as much as an independent one, 1 or more."""
+        most = 1.0
+        for channel in self.residuals.T:
+            r = channel[~np.isnan(channel)]
+            n = len(r)
+            if n < 20 or not np.any(r):
+                continue
+            lags = max(int(_MOST_LAGS * n), 1)
+            spectrum = np.abs(np.fft.rfft(r, 2 * n)) ** 2
+            rho = np.fft.irfft(spectrum)[: lags + 1]
+            rho = rho[1:] / rho[0]
+            insignificant = np.flatnonzero(rho < 3 / np.sqrt(n))
+            end = int(insignificant[0]) if len(insignificant) else lags
+            most = max(most, 1 + 2 * float(rho[:end].sum()))
+        return most
+
+    def _at_bounds(
+        self, names: Sequence[Name], known: Parameters
+    ) -> tuple[npt.NDArray[np.bool_], list[str]]:
+        low, high = self.places < AT_BOUND, self.places > 1 - AT_BOUND
+        remarks = []
+        for name, at_low, at_high in zip(names, low, high, strict=True):
+            if at_low or at_high:
+                end = known.range(name[0])[int(at_high)]
+                side = "upper" if at_high else "lower"
+                remarks.append(f"{labelled(name)} is at its {side} bound, {end:.4g}")
+        return low | high, remarks
+
+    def _linked(self, correlations: Array, names: Sequence[Name]) -> list[str]:
+        """Return which pairs are hardly told from each other."""
+        with np.errstate(invalid="ignore"):
+            pairs = np.argwhere(np.triu(np.abs(correlations) > 0.99, 1))
+        return [
+            f"{labelled(names[i])} and {labelled(names[j])} are correlated by "
+            f"{correlations[i, j]:.3f}"
+            for i, j in pairs
+        ]
+
+
+def labelled(name: Name) -> str:
+    """Return what people call a parameter."""
+    return name[0] if name[1] < 1 else f"{name[0]}, record {name[1] + 1}"
+
+
+def _told(names: Sequence[Name], changes: Array) -> str:
+    """Return a sentence about a direction in which the record tells nothing.
+
+    `changes` are the relative changes of the values along it.
+    """
+    called = [labelled(name) for name in names]
+    if len(names) == 1:
+        return f"the record does not tell {called[0]}: its value does not matter"
+    said = f"the record does not tell {', '.join(called[:-1])} and {called[-1]} apart"
+    if len(names) > 2 or abs(abs(changes[0] / changes[1]) - 1) > 0.1:
+        return said
+    return f"{said}: only their {'product' if changes[0] * changes[1] < 0 else 'ratio'} matters"

@@ -1,0 +1,349 @@
+"""Fit the parameters of a simulator to records, from several starting points.
+
+By `scipy.optimize.least_squares` within the ranges, from the middle and from points of Sobol's
+sequence. Every other start begins with short windows, see `shooting`, which then grow: what a long
+simulation does not tell, as its phase is lost, a short one does.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from splitband.data import Record
+from splitband.metrics import spread
+from splitband.runtime.deadlines import Deadline, OverError, current, within
+from splitband.runtime.files import write_json
+from splitband.runtime.processes import over
+from splitband.simulators.estimate import Curvature, Estimate, labelled
+from splitband.simulators.shooting import BAD, Adjustable, Experiment, Shooting
+
+Array = npt.NDArray[np.float64]
+
+STARTS = 32
+"""Starting points at most."""
+ENOUGH = 4
+"""Starts that lead to the same error, after which no others are tried."""
+_BATCH = 4
+_SAME_ERROR = 1e-3  # relative
+_SAME_PLACE = 0.02  # share of a range
+SHORTEST = 16
+"""Samples of the shortest windows."""
+_GROWTH = 4
+_WINDOWS = 32
+_ROUNDS, _LAST_ROUNDS = 30, 100
+HOPELESS = 0.6
+"""Error of the simulation of whole records, in deviations, from which on it is done in windows."""
+_WORTH_WINDOWS = 0.3  # of that error
+
+
+@dataclass(frozen=True)
+class StartOutcome:
+    """What one starting point has led to.
+
+    Attributes
+    ----------
+    number : Of the start.
+    found : By length of the windows the places and the error, in deviations.
+    failure : What the last run that failed has said.
+    cut : Whether the time was over before it was done.
+    """
+
+    number: int
+    found: dict[int, tuple[list[float], float]] = field(default_factory=dict)
+    failure: str = ""
+    cut: bool = False
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Say how much may go into a fit.
+
+    Attributes
+    ----------
+    starts : Starting points at most.
+    seconds : Time at most; what has been found then counts. None: no limit.
+    workers : Processes in which starts are tried side by side, or an executor.
+    folder : Where an interrupted fit goes on; created if need be.
+    progress : Called with the number of starts that are done and of all.
+    """
+
+    starts: int = STARTS
+    seconds: float | None = None
+    workers: int | Executor = 1
+    folder: Path | None = None
+    progress: Callable[[int, int], None] | None = None
+
+
+def identify(simulator: Adjustable, *records: Record, effort: Effort | None = None) -> Estimate:
+    """Fit the parameters of a simulator to the measured samples of records.
+
+    Parameters
+    ----------
+    simulator : With ranges for the parameters that are fitted, such as an `Ode`.
+    records : All of whose samples are used. Initial values are those of each record.
+    effort : How much may go into it.
+
+    Returns
+    -------
+    Estimate
+        Values with standard errors, and what the records do not tell.
+
+    Raises
+    ------
+    ValueError
+        When no run of the simulator was successful; the message says why the last one was not.
+    """
+    effort = effort or Effort()
+    experiments = [Experiment.of(record) for record in records]
+    scale = spread(np.concatenate([e.y for e in experiments]))
+    shooting = Shooting(simulator, experiments, scale)
+    if not shooting.names:
+        return _without_parameters(shooting)
+    longest = max(len(e.y) for e in experiments)
+    deadline = min(current(), Deadline.after(effort.seconds))
+    outcomes = _tried(simulator, experiments, scale, effort, deadline)
+    failure = next((o.failure for o in outcomes if o.failure), "")
+    if not any(o.found for o in outcomes):
+        reason = failure or "the time was over before the first one was done"
+        raise ValueError(f"simulator must run for some parameters in their ranges: {reason}")
+    window = _window(outcomes, longest)
+    ranked = sorted((o.found[window][1], o.number) for o in outcomes if window in o.found)
+    best = next(o for o in outcomes if o.number == ranked[0][1])
+    places = np.array(best.found[window][0])
+    shooting.divide(window, places)
+    with within(Deadline()):  # what has been found is looked at however late it is
+        places = places if best.cut or deadline.over else _descend(shooting, places, _LAST_ROUNDS)
+        estimate = _told(shooting, places, window if window < longest else 0)
+    agreeing = [error for error, _ in ranked if error <= ranked[0][0] * (1 + _SAME_ERROR)]
+    remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, places)]
+    if any(o.cut for o in outcomes) or deadline.over:
+        remarks.append("the time was over before every starting point was tried")
+    if window < longest:
+        remarks.append(
+            f"simulated in windows of {window} samples, as a simulation of the whole record is lost"
+        )
+    return replace(estimate, remarks=tuple(remarks), starts=(len(agreeing), len(ranked)))
+
+
+def _without_parameters(shooting: Shooting) -> Estimate:
+    shooting.divide(10**9, np.empty(0))
+    return _told(shooting, np.empty(0), 0)
+
+
+def starting_points(count: int, dimensions: int) -> Array:
+    """Return places in the ranges, `(count, dimensions)`: their middle, and Sobol's sequence."""
+    sobol = scipy.stats.qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(0))
+    drawn = sobol.random_base2(max(int(np.ceil(np.log2(max(count, 2)))), 1))
+    return np.concatenate([np.full((1, dimensions), 0.5), drawn])[:count]
+
+
+def _tried(
+    simulator: Adjustable,
+    experiments: Sequence[Experiment],
+    scale: Array,
+    effort: Effort,
+    deadline: Deadline,
+) -> list[StartOutcome]:
+    """Return what starts lead to, in their order; no more of them than it takes to agree."""
+    dimensions = len(Shooting(simulator, experiments, scale).names)
+    points = starting_points(effort.starts, dimensions)
+    kept = _Kept.of(simulator, experiments, points, effort.folder)
+    done: dict[int, StartOutcome] = dict(kept.outcomes)
+    work = partial(_try, simulator, [*experiments], scale, points, deadline)
+    for first in range(0, len(points), _BATCH):
+        batch = [i for i in range(first, min(first + _BATCH, len(points))) if i not in done]
+        if done and deadline.over:
+            break
+        for outcome in over(work, batch, effort.workers):
+            done[outcome.number] = outcome
+            if not outcome.cut:
+                kept.keep(outcome)
+            if effort.progress is not None:
+                effort.progress(len(done), len(points))
+        if _agree([o for i, o in done.items() if i < first + _BATCH], experiments):
+            break
+    return [done[i] for i in sorted(done) if i < first + _BATCH]
+
+
+def _agree(outcomes: Sequence[StartOutcome], experiments: Sequence[Experiment]) -> bool:
+    longest = max(len(e.y) for e in experiments)
+    errors = sorted(o.found[longest][1] for o in outcomes if longest in o.found)
+    return sum(e <= errors[0] * (1 + _SAME_ERROR) for e in errors) >= ENOUGH if errors else False
+
+
+def _try(
+    simulator: Adjustable,
+    experiments: Sequence[Experiment],
+    scale: Array,
+    points: Array,
+    deadline: Deadline,
+    number: int,
+    _: Callable[[Any], None],
+) -> StartOutcome:
+    """Fit from one starting point."""
+    shooting = Shooting(simulator, experiments, scale)
+    found: dict[int, tuple[list[float], float]] = {}
+    longest, places = max(len(e.y) for e in experiments), points[number]
+    cut = False
+    try:
+        with within(min(current(), deadline)):
+            for length in _lengths(longest, growing=number % 2 == 1):
+                shooting.divide(length, places)
+                error = _error(shooting.residuals(places))
+                if error < 0.5 * BAD:
+                    places = _descend(shooting, places, _ROUNDS)
+                    found[length] = places.tolist(), _error(shooting.residuals(places))
+    except OverError:
+        cut = True
+    return StartOutcome(number, found, shooting.failure, cut)
+
+
+def _lengths(longest: int, growing: bool) -> list[int]:
+    """Return the lengths of the windows, one stage after the other."""
+    lengths = [longest]
+    while growing and lengths[0] > max(_GROWTH * SHORTEST, longest // _WINDOWS):
+        lengths.insert(0, -(-lengths[0] // _GROWTH))
+    return lengths
+
+
+def _descend(shooting: Shooting, places: Array, rounds: int) -> Array:
+    """Return better places, within the ranges; those of the best run where the time is over."""
+    least, best = np.inf, None
+
+    def residuals(at: Array) -> Array:
+        nonlocal least, best
+        found = shooting.residuals(at)
+        power = float(found @ found)
+        if power < least:
+            least, best = power, at.copy()
+        return found
+
+    begin = np.clip(places, 1e-6, 1 - 1e-6)
+    try:
+        scipy.optimize.least_squares(
+            residuals, begin, shooting.jacobian, bounds=(0.0, 1.0), max_nfev=rounds,
+            x_scale=0.1, ftol=1e-8, xtol=1e-8, gtol=1e-10,
+        )  # fmt: skip
+    except OverError:
+        if best is None:
+            raise
+    return places if best is None else best
+
+
+def _error(residuals: Array) -> float:
+    return float(np.sqrt(np.mean(residuals**2)))
+
+
+def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
+    """Return the longest windows that a simulation is not lost in."""
+    best: dict[int, float] = {}
+    for outcome in outcomes:
+        for length, (_, error) in outcome.found.items():
+            best[length] = min(error, best.get(length, np.inf))
+    lengths = sorted(best, reverse=True)
+    chosen = lengths[0]
+    if chosen < longest or best[chosen] < HOPELESS:
+        return chosen
+    return next((n for n in lengths[1:] if best[n] < _WORTH_WINDOWS * best[chosen]), chosen)
+
+
+def _told(shooting: Shooting, places: Array, window: int) -> Estimate:
+    """Return what is known at the best places."""
+    ny = len(shooting.scale)
+    residuals = shooting.residuals(places)
+    jacobian = shooting.jacobian(places)
+    measured = np.concatenate([w.part.y for w in shooting.windows])
+    by_channel = np.where(np.isnan(measured), np.nan, residuals.reshape(-1, ny))
+    known = shooting.simulator.known
+    curvature = Curvature(places, by_channel, jacobian)
+    errors, correlations, remarks = curvature.uncertainty(shooting.names, known)
+    names = [labelled(name) for name in shooting.names]
+    values = [known.at(n, float(p)) for (n, _), p in zip(shooting.names, places, strict=True)]
+    rmse = np.sqrt(np.nanmean(by_channel**2, axis=0)) * shooting.scale
+    return Estimate(
+        dict(zip(names, values, strict=True)),
+        dict(zip(names, map(float, errors), strict=True)),
+        correlations,
+        tuple(map(float, rmse)),
+        tuple(remarks),
+        window,
+    )
+
+
+def _alternatives(
+    shooting: Shooting,
+    outcomes: Sequence[StartOutcome],
+    window: int,
+    estimate: Estimate,
+    places: Array,
+) -> list[str]:
+    """Return other minima that fit as well, with values that are told apart."""
+    errors = [o.found[window][1] for o in outcomes if window in o.found]
+    told = np.array([np.isfinite(e) for e in estimate.errors.values()])
+    found: list[Array] = [places]
+    remarks = []
+    for outcome in outcomes:
+        if window not in outcome.found or not told.any():
+            continue
+        other, error = np.array(outcome.found[window][0]), outcome.found[window][1]
+        far = all(np.abs(other - each)[told].max() > _SAME_PLACE for each in found)
+        if far and error <= min(errors) * (1 + _SAME_ERROR):
+            found.append(other)
+            known = shooting.simulator.known
+            values = ", ".join(
+                f"{labelled(name)} = {known.at(name[0], float(place)):.4g}"
+                for name, place in zip(shooting.names, other, strict=True)
+            )
+            remarks.append(f"fits as well with {values}")
+    return remarks[:3]
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """What an earlier fit of the same has come to, in a file."""
+
+    path: Path | None
+    key: str
+    outcomes: dict[int, StartOutcome]
+
+    @classmethod
+    def of(
+        cls, simulator: Any, experiments: Sequence[Experiment], points: Array, folder: Path | None
+    ) -> _Kept:
+        if folder is None:
+            return cls(None, "", {})
+        said = sha256(f"{simulator.digest()} {simulator.known}".encode())
+        for array in (points, *(a for e in experiments for a in (e.time, e.y, e.u))):
+            said.update(b"none" if array is None else np.ascontiguousarray(array).tobytes())
+        key = said.hexdigest()
+        path = folder / f"parameters-{key[:16]}.json"
+        try:
+            facts = json.loads(path.read_text(encoding="utf-8"))
+            outcomes = [_outcome(each) for each in facts["starts"]] if facts["key"] == key else []
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            outcomes = []
+        return cls(path, key, {each.number: each for each in outcomes})
+
+    def keep(self, outcome: StartOutcome) -> None:
+        self.outcomes[outcome.number] = outcome
+        if self.path is None:
+            return
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        starts = [asdict(each) for each in self.outcomes.values()]
+        write_json(self.path, {"key": self.key, "starts": starts})
+
+
+def _outcome(facts: dict[str, Any]) -> StartOutcome:
+    found = {int(n): ([*map(float, at)], float(e)) for n, (at, e) in facts["found"].items()}
+    return StartOutcome(int(facts["number"]), found, str(facts["failure"]))

@@ -1,0 +1,145 @@
+"""Parameters of a simulator: numbers that are set, and ranges in which they are fitted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Given = Mapping[str, float | tuple[float, float]]
+
+INITIAL = "x0_"
+"""What the names of initial values begin with; each record has its own."""
+DECADE = 10.0
+"""A range is searched on a logarithmic scale if its ends differ by more than this factor."""
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Keep the parameters of a simulator in their order.
+
+    Attributes
+    ----------
+    given : By name a number, or the lower and upper end of a range. A range of positive numbers of
+        more than a decade is searched on a logarithmic scale.
+    """
+
+    given: Given = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check names, numbers and ranges."""
+        for name, value in self.given.items():
+            if not isinstance(name, str) or not name:
+                raise ValueError(f"parameters must have names, got {name!r}")
+            low, high = _ends(name, value)
+            if not (math.isfinite(low) and math.isfinite(high)) or low > high:
+                raise ValueError(
+                    f"parameters must be finite numbers or ranges (low, high) with low < high, "
+                    f"got {name}={value!r}"
+                )
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Return the names of those that are fitted."""
+        return tuple(name for name, value in self.given.items() if not _is_number(value))
+
+    @property
+    def shared(self) -> tuple[str, ...]:
+        """Return the fitted ones that all records have in common."""
+        return tuple(name for name in self.free if not name.startswith(INITIAL))
+
+    @property
+    def initial(self) -> tuple[str, ...]:
+        """Return the fitted ones of which each record has its own."""
+        return tuple(name for name in self.free if name.startswith(INITIAL))
+
+    def logarithmic(self, name: str) -> bool:
+        """Return whether a parameter is searched on a logarithmic scale."""
+        low, high = self.range(name)
+        return low > 0 and high / low > DECADE
+
+    def range(self, name: str) -> tuple[float, float]:
+        """Return the ends of a parameter's range, equal for one that is set."""
+        return _ends(name, self.given[name])
+
+    def at(self, name: str, place: float) -> float:
+        """Return the value at a place in a parameter's range, 0 to 1."""
+        low, high = self.range(name)
+        if self.logarithmic(name):
+            return float(low * (high / low) ** place)
+        return float(low + place * (high - low))
+
+    def place(self, name: str, value: float) -> float:
+        """Return where in its range a value lies, 0 to 1."""
+        low, high = self.range(name)
+        if self.logarithmic(name):
+            return math.log(value / low) / math.log(high / low)
+        return (value - low) / (high - low)
+
+    def slope(self, name: str, place: float) -> float:
+        """Return the derivative of the value with respect to its place."""
+        low, high = self.range(name)
+        if self.logarithmic(name):
+            return self.at(name, place) * math.log(high / low)
+        return high - low
+
+    def middle(self) -> dict[str, float]:
+        """Return every parameter as a number, a fitted one in the middle of its range."""
+        return {name: self.at(name, 0.5) for name in self.given}
+
+    def fixed(self, values: Mapping[str, float]) -> Parameters:
+        """Return the parameters with some of them set to numbers."""
+        unknown = [name for name in values if name not in self.given]
+        if unknown:
+            raise ValueError(f"parameters must be out of {', '.join(self.given)}, got {unknown[0]}")
+        return Parameters({**self.given, **values})
+
+    @classmethod
+    def read(cls, text: str) -> Parameters:
+        """Return what `k=0.1:10,c=0.05` says: ranges and numbers.
+
+        Raises ValueError for another form.
+        """
+        given: dict[str, Any] = {}
+        for part in filter(None, (each.strip() for each in text.split(","))):
+            name, equals, said = (each.strip() for each in part.partition("="))
+            try:
+                ends = [float(end) for end in said.split(":")]
+            except ValueError:
+                ends = []
+            if not equals or not name or len(ends) not in (1, 2) or name in given:
+                raise ValueError(
+                    "parameters must be given as NAME=VALUE or NAME=LOW:HIGH, separated by commas, "
+                    f"each once, got {part!r}"
+                )
+            given[name] = ends[0] if len(ends) == 1 else (ends[0], ends[1])
+        return cls(given)
+
+    def __str__(self) -> str:
+        """Return the form that `read` takes."""
+        return ",".join(
+            f"{name}={_ends(name, value)[0]:.6g}"
+            + ("" if _is_number(value) else f":{_ends(name, value)[1]:.6g}")
+            for name, value in self.given.items()
+        )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+
+
+def _ends(name: str, value: Any) -> tuple[float, float]:
+    if _is_number(value):
+        return float(value), float(value)
+    try:
+        low, high = map(float, value)
+    except (TypeError, ValueError):
+        low, high = math.nan, math.nan
+    if low == high:
+        raise ValueError(f"a range must have two different ends, got {name}={value!r}")
+    return low, high

@@ -1,0 +1,309 @@
+"""Compare a simulator with records: residuals and their derivatives, over whole records or windows.
+
+Where a long simulation says nothing about the parameters, as its phase is lost or it is unstable,
+records are simulated in windows, each from a state of its own (multiple shooting; Bock, 1987). The
+states of the windows are eliminated: for each set of parameters they are the best ones, and
+derivatives are projected accordingly (variable projection; Kaufman, BIT 15, 1975).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.data import Record
+from splitband.data.timing import seconds_of
+from splitband.runtime import deadlines
+from splitband.simulators.parameters import Parameters
+
+Array = npt.NDArray[np.float64]
+Point = tuple[Mapping[str, float], Any]
+
+BAD = 1e3
+"""Residual, in deviations of a channel, of a run that failed; none is larger."""
+STATE_STEP = 1e-6
+"""Relative step of finite differences with respect to a state."""
+WORTH_A_ROUND = 1e-3
+"""Share of the squared error that the search for a window's state has to gain to go on."""
+_ROUNDS = 6
+_DAMPINGS = (1e-8, 1e-4, 1e-1, 1e1)
+
+
+class Adjustable(Protocol):
+    """Define what is asked of a simulator whose parameters are fitted."""
+
+    @property
+    def known(self) -> Parameters:
+        """Its parameters."""
+
+    @property
+    def states(self) -> int:
+        """The number of states from which it can be begun; 0 for a black box."""
+
+    @property
+    def difference(self) -> float:
+        """The step of finite differences, as a share of a parameter's range."""
+
+    def respond(
+        self, time: Array, u: Array | None, points: Sequence[Point]
+    ) -> Sequence[tuple[Array, Array]]:
+        """The channels `(time, ny)` and the states `(time, nx)` at several neighbouring points.
+
+        A point has the values of all parameters, and the first state, or None for the usual one.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """Hold what a simulator needs of a record, and what was measured.
+
+    Attributes
+    ----------
+    time : `(time,)`, as a simulator is called with it, in s.
+    y, u : `(time, ny)`, NaN in gaps, and `(time, nu)` or None.
+    """
+
+    time: Array
+    y: Array
+    u: Array | None
+
+    @classmethod
+    def of(cls, record: Record) -> Experiment:
+        """Return that of a record."""
+        begin = seconds_of(record.start)
+        time = begin + np.arange(len(record), dtype=np.float64) * record.sampling_time
+        return cls(time, record.seen, record.u)
+
+    def part(self, begin: int, end: int) -> Experiment:
+        """Return some of its samples."""
+        u = None if self.u is None else self.u[begin:end]
+        return Experiment(self.time[begin:end], self.y[begin:end].copy(), u)
+
+
+@dataclass(eq=False)
+class Window:
+    """Simulate a part of a record from a state of its own.
+
+    Attributes
+    ----------
+    record : Its number.
+    part : The samples.
+    state : `(nx,)`, as found last; None at the beginning of a record, whose state the parameters
+        tell.
+    slope : The derivatives of its residuals with respect to the state, `(residuals, nx)`.
+    kept, places, follows : The state where derivatives were asked for last, at which places, and
+        how it follows them, `(nx, places)`.
+    """
+
+    record: int
+    part: Experiment
+    state: Array | None = None
+    slope: Array | None = None
+    kept: Array | None = None
+    places: Array | None = None
+    follows: Array | None = None
+
+    def moved(self, places: Array) -> None:
+        """Begin the next search where the state should be at other places."""
+        if self.kept is not None and self.follows is not None and self.places is not None:
+            self.state = self.kept + self.follows @ (places - self.places)
+
+
+class Shooting:
+    """Compare a simulator with records at places of its parameters, 0 to 1 in their ranges.
+
+    Parameters
+    ----------
+    simulator : Whose parameters are looked for.
+    experiments : Of the records.
+    scale : Deviation of each channel, `(ny,)`, in which residuals are counted.
+
+    Attributes
+    ----------
+    names : Of the places: parameters that all records share, then initial values of each record.
+    failure : What the last run that failed has said.
+    """
+
+    def __init__(self, simulator: Adjustable, experiments: Sequence[Experiment], scale: Array):
+        self.simulator, self.experiments, self.scale = simulator, experiments, scale
+        known = simulator.known
+        self.names = [(name, -1) for name in known.shared]
+        self.names += [(name, r) for r in range(len(experiments)) for name in known.initial]
+        self.failure = ""
+        self.windows: list[Window] = []
+
+    def values(self, places: Array, record: int) -> dict[str, float]:
+        """Return every parameter's value for a record."""
+        known = self.simulator.known
+        found = known.middle()
+        for (name, of), place in zip(self.names, places, strict=True):
+            if of in (-1, record):
+                found[name] = known.at(name, float(place))
+        return found
+
+    def respond(self, part: Experiment, points: Sequence[Point]) -> list[tuple[Array, Array]]:
+        """Return the simulator's response at several points; NaN for runs that failed."""
+        deadlines.check()
+        try:
+            with np.errstate(all="ignore"):
+                return [*self.simulator.respond(part.time, part.u, points)]
+        except Exception as error:
+            if isinstance(error, deadlines.OverError):
+                raise
+            self.failure = f"{type(error).__name__}: {error}"
+            nothing = np.full(part.y.shape, np.nan)
+            return [(nothing, np.full((len(part.y), self.simulator.states), np.nan))] * len(points)
+
+    def divide(self, length: int, places: Array) -> None:
+        """Divide every record into windows of at most so many samples.
+
+        A window begins with the state to which the one before it leads. A black box can only be run
+        from the beginning of a record: it has a single window there.
+        """
+        self.windows = []
+        for r, experiment in enumerate(self.experiments):
+            samples = len(experiment.y)
+            if not self.simulator.states:
+                self.windows.append(Window(r, experiment.part(0, min(length, samples))))
+                continue
+            count = -(-samples // length)
+            cuts = np.linspace(0, samples, count + 1).round().astype(int)
+            state = None
+            for begin, end in pairwise(cuts):
+                window = Window(r, experiment.part(begin, min(end + 1, samples)), state)
+                if end < samples:  # its last sample, where the next one begins, counts there
+                    window.part.y[-1] = np.nan
+                self.windows.append(window)
+                self._settle(window, places)
+                _, states = self.respond(window.part, [self._point(window, places)])[0]
+                last = states[-1]
+                if np.isfinite(last).all():
+                    state = last.copy()
+                elif state is None:
+                    state = np.zeros(self.simulator.states)
+
+    def residuals(self, places: Array) -> Array:
+        """Return all residuals in deviations of the channels, `(samples * ny,)`, 0 in gaps."""
+        found = []
+        for window in self.windows:
+            window.moved(places)
+            found.append(self._settle(window, places))
+        return np.concatenate(found)
+
+    def jacobian(self, places: Array) -> Array:
+        """Return the derivatives of the residuals, `(samples * ny, places)`.
+
+        States of windows follow the parameters.
+        """
+        blocks = []
+        step = self.simulator.difference
+        for window in self.windows:
+            block = self._slopes(window, places, step)
+            if window.slope is not None:
+                u, s, vt = np.linalg.svd(window.slope, full_matrices=False)
+                kept = s > 1e-9 * max(s.max(initial=0.0), 1e-300)
+                u, s, vt = u[:, kept], s[kept], vt[kept]
+                told = u.T @ block
+                window.follows = -(vt.T / s) @ told
+                window.kept, window.places = window.state, places.copy()
+                block = block - u @ told
+            blocks.append(block)
+        return np.concatenate(blocks)
+
+    def _point(self, window: Window, places: Array, state: Array | None = None) -> Point:
+        return self.values(places, window.record), window.state if state is None else state
+
+    def _errors(self, window: Window, y: Array) -> Array:
+        errors = (y - window.part.y) / self.scale
+        bad = ~np.isfinite(y)
+        errors = np.where(bad, BAD, np.clip(errors, -BAD, BAD))
+        return np.asarray(np.where(np.isnan(window.part.y), 0.0, errors).ravel())
+
+    def _slopes(self, window: Window, places: Array, step: float) -> Array:
+        """Return the derivatives of a window's residuals at a given state."""
+        if not len(places):
+            return np.zeros((window.part.y.size, 0))
+        steps = np.where(places + step <= 1, step, -step)
+        points = [self._point(window, places)]
+        concerned = [i for i, (_, r) in enumerate(self.names) if r in (-1, window.record)]
+        for i in concerned:
+            moved = places.copy()
+            moved[i] += steps[i]
+            points.append(self._point(window, moved))
+        responses = [self._errors(window, y) for y, _ in self.respond(window.part, points)]
+        block = np.zeros((len(responses[0]), len(places)))
+        for i, response in zip(concerned, responses[1:], strict=True):
+            block[:, i] = _difference(responses[0], response, steps[i])
+        return block
+
+    def _settle(self, window: Window, places: Array) -> Array:
+        """Find the best state of a window and return its residuals (Levenberg, Marquardt)."""
+        if window.state is None:
+            y, _ = self.respond(window.part, [self._point(window, places)])[0]
+            return self._errors(window, y)
+        x, gained = window.state, 1.0
+        for _ in range(_ROUNDS):
+            responses, steps = self._around(window, places, x)
+            errors = [self._errors(window, y) for y, _ in responses]
+            pairs = zip(errors[1:], steps, strict=True)
+            slope = np.stack([_difference(errors[0], e, step) for e, step in pairs], axis=1)
+            found = self._step(window, places, (x, errors[0], slope), steps / STATE_STEP)
+            window.state, window.slope, best = x, slope, errors[0]
+            if found is None:
+                break
+            gained = 1 - np.sum(found[1] ** 2) / np.sum(best**2)
+            x, best = found
+            window.state = x
+            if gained < WORTH_A_ROUND:
+                break
+        return best
+
+    def _around(
+        self, window: Window, places: Array, x: Array
+    ) -> tuple[list[tuple[Array, Array]], Array]:
+        """Return the responses at a state and at its neighbours, and how far away they are."""
+        steps = STATE_STEP * np.maximum(np.abs(x), self.sizes)
+        points = [self._point(window, places, x)]
+        points += [self._point(window, places, x + step * unit)
+                   for step, unit in zip(steps, np.eye(len(x)), strict=True)]  # fmt: skip
+        return self.respond(window.part, points), steps
+
+    def _step(
+        self, window: Window, places: Array, at: tuple[Array, Array, Array], size: Array
+    ) -> tuple[Array, Array] | None:
+        """Return a better state and its residuals, or None where no step is worth it.
+
+        `at` holds the state, its residuals and their derivatives.
+        """
+        x, r, slope = at
+        scaled = slope * size
+        normal, power = scaled.T @ scaled, float(np.sum(r**2))
+        for damping in _DAMPINGS:
+            damped = normal + damping * (np.trace(normal) + 1e-12) * np.eye(len(x))
+            step = -size * np.linalg.solve(damped, scaled.T @ r)
+            y, _ = self.respond(window.part, [self._point(window, places, x + step)])[0]
+            errors = self._errors(window, y)
+            if np.sum(errors**2) < (1 - 1e-9) * power:
+                return x + step, errors
+            if np.abs(step / size).max() < 1e-8:
+                return None
+        return None
+
+    @property
+    def sizes(self) -> Array:
+        """Return the typical size of each state, in which steps are counted."""
+        initial = [w.state for w in self.windows if w.state is not None]
+        if not initial:
+            return np.full(self.simulator.states, 1e-3)
+        return np.maximum(np.abs(np.stack(initial)).mean(axis=0), 1e-3)
+
+
+def _difference(at: Array, beside: Array, step: float) -> Array:
+    """Return the slope between residuals; 0 where one of the runs has failed."""
+    whole = (np.abs(at) < BAD) & (np.abs(beside) < BAD)
+    return np.asarray(np.where(whole, (beside - at) / step, 0.0))

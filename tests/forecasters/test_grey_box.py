@@ -1,0 +1,92 @@
+"""A simulator with fitted parameters as a forecaster: from any origin, on any record."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import scipy
+
+import splitband as sb
+
+Array = npt.NDArray[np.float64]
+DT, STEPS = 0.1, 80
+
+
+def lagging(t: float, x: Any, u: Any, p: Any) -> list[float]:
+    return [x[1], p.k * (u[0] - x[0]) - p.c * x[1]]
+
+
+def rig(**parameters: Any) -> sb.Ode:
+    given: dict[str, Any] = {"k": (0.5, 20.0), "c": (0.05, 2.0)} | parameters
+    return sb.Ode(lagging, [0.0, 0.0], parameters=given)
+
+
+def driven(seed: int, state: tuple[float, float] = (0.0, 0.0), noise: float = 0.01) -> sb.Record:
+    """By SciPy's linear simulation: k = 4, c = 0.5."""
+    random = np.random.default_rng(seed)
+    u = np.repeat(random.normal(size=40), 10)
+    system = [[0.0, 1.0], [-4.0, -0.5]], [[0.0], [4.0]], [[1.0, 0.0]], [[0.0]]
+    _, y, _ = scipy.signal.lsim(system, u, DT * np.arange(400), X0=state)
+    return sb.Record(y + random.normal(0, noise, 400), DT, u=u, y_true=y)
+
+
+def inputs(record: sb.Record) -> Array:
+    assert record.u is not None
+    return record.u
+
+
+@pytest.fixture(scope="module")
+def model() -> sb.GreyBox:
+    return sb.GreyBox(rig(), starts=4).fit(driven(0)[:300])
+
+
+def test_it_forecasts_from_the_end_of_its_training_record(model: sb.GreyBox) -> None:
+    record = driven(0)
+    found = model.predict(100, u=inputs(record)[300:])
+    np.testing.assert_allclose(found.y, record.truth[300:], atol=0.01)
+    assert model.describe().startswith("k = ")
+
+
+def test_it_forecasts_from_a_history_that_goes_on_from_training(model: sb.GreyBox) -> None:
+    record = driven(0)
+    found = model.predict(STEPS, record[:320])
+    np.testing.assert_allclose(found.y[:STEPS], record.truth[320 : 320 + STEPS], atol=0.01)
+
+
+@pytest.mark.parametrize("warmup", [5, 100])
+def test_another_record_begins_in_a_state_of_its_own(model: sb.GreyBox, warmup: int) -> None:
+    record = driven(1, state=(2.0, -1.0))
+    found = model.predict(STEPS, record[:warmup], other_record=True)
+    expected = record.truth[warmup : warmup + STEPS]
+    assert sb.nrmse(expected, found.y) < (0.1 if warmup < 10 else 0.02)
+
+
+def test_a_wrong_model_goes_on_from_what_was_measured_last() -> None:
+    """Its friction is missing: a free run of the whole record is late and too large."""
+
+    def without_friction(t: float, x: Any, u: Any, p: Any) -> list[float]:
+        return [x[1], -p.k * x[0]]
+
+    time = DT * np.arange(400)
+    y = 3 * np.exp(-0.05 * time) * np.cos(2 * time)
+    record = sb.Record(y + np.random.default_rng(0).normal(0, 0.005, 400), DT)
+    simulator = sb.Ode(without_friction, [3.0, 0.0], parameters={"k": (1.0, 10.0)},
+                       tolerances=(1e-5, 1e-5))  # fmt: skip
+    model = sb.GreyBox(simulator, starts=2).fit(record[:300])
+    assert 0 < model.memory < 100
+    assert sb.nrmse(y[300:310, None], model.predict(10).y) < 0.1
+
+
+def test_a_black_box_function_is_fitted_too() -> None:
+    def decays(t: Array, u: Any, p: Any) -> Array:
+        return np.asarray(p.x0_1 * np.exp(-p.rate * (t - t[0])))
+
+    y = 3 * np.exp(-0.5 * DT * np.arange(100))
+    simulator = sb.Function(decays, parameters={"rate": (0.01, 10.0), "x0_1": (0.0, 5.0)})
+    model = sb.GreyBox(simulator, starts=4).fit(sb.Record(y[:60], DT))
+    assert model.estimate.values == pytest.approx({"rate": 0.5, "x0_1": 3.0}, rel=1e-4)
+    np.testing.assert_allclose(model.predict(40).y[:, 0], y[60:], atol=1e-5)
+    other = sb.Record(2.0 * y[:30] / 3.0, DT)
+    found = model.predict(20, other, other_record=True)
+    np.testing.assert_allclose(found.y[:, 0], 2 / 3 * y[30:50], atol=1e-4)
