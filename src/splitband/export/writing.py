@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
 from splitband.data import Record
@@ -44,5 +45,15 @@ def _c(made: Program, path: Path, precision: Precision) -> list[Path]:
     return [path, beside]
 
 
-WRITERS: dict[str, Writer] = {".c": _c}
+def _onnx(made: Program, path: Path, precision: Precision) -> list[Path]:
+    onnx_graph = import_module("splitband.export.onnx_graph")  # it needs the extra
+    beside = path.with_name(f"{path.stem}-rollout{path.suffix}")
+    contents = onnx_graph.render(made, precision)
+    for file, content in zip((path, beside), contents, strict=True):
+        with replacing(file) as temporary:
+            temporary.write_bytes(content)
+    return [path, beside]
+
+
+WRITERS: dict[str, Writer] = {".c": _c, ".onnx": _onnx}
 """By the endings of files."""

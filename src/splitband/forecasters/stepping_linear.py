@@ -155,7 +155,7 @@ class Driven(Part):
         taken = np.where(
             least + SURPRISING > unlikely[0], usual, (unlikely <= least) & np.logical_not(usual)
         )
-        weights = np.where(taken > 0, 1.0, 0.0)
+        weights = np.where(taken, 1.0, 0.0)
         state_found = (weights[..., None] * states).sum(axis=0) / weights.sum(axis=0)[:, None]
         return np.where(state["own"] > 0, 0.0, state_found)
 

@@ -352,7 +352,8 @@ def _reduced(trace: Trace, op: str, x: Any, axis: int | None = None) -> Symbol:
 
 def _where(trace: Trace, flag: Any, yes: Any, no: Any) -> Symbol:
     shape = np.broadcast_shapes(*(_shape(x) for x in (flag, yes, no)))
-    return trace.add("where", [flag, yes, no], shape)
+    branches = [trace.symbol(x) for x in (yes, no)]
+    return trace.add("where", [flag, *branches], shape, all(x.flag for x in branches))
 
 
 def _concatenate(trace: Trace, arrays: Sequence[Any], axis: int = 0) -> Symbol:
