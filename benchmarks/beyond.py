@@ -27,9 +27,10 @@ from reproduction.systems import MassSpringOracle, double_torsion_pendulum
 from splitband.data import Record, double_torsion, drill_string
 from splitband.data.named import double_mass_spring, van_der_pol
 from splitband.evaluation.comparison import compare
-from splitband.evaluation.protocols import compare_methods
+from splitband.evaluation.plan import Plan
+from splitband.evaluation.protocols import Run, run_methods
 from splitband.evaluation.runs import Work
-from splitband.evaluation.setup import Setup, default_names, default_setup
+from splitband.evaluation.setup import Options, Setup, default_names
 from splitband.forecasters.names import with_variants
 from splitband.metrics import rmse
 from splitband.report.results import results
@@ -83,9 +84,15 @@ def by_default(name: str, jobs: int) -> Facts:
     comparison = compare(record, system.train, work=Work(jobs))
     facts = results(comparison)
     if name.startswith("i,"):
-        (oracle,) = compare_methods(record, [MassSpringOracle()], comparison.setup)["oracle"]
+        (oracle,) = _oracle(record, comparison.setup)
         facts["oracle"] = {"total_rmse": oracle.total_rmse, "forecast_rmse": oracle.forecast_rmse}
     return facts
+
+
+def _oracle(record: Record, setup: Setup) -> list[Run]:
+    """What the true masses and springs come to."""
+    methods = [MassSpringOracle()]
+    return run_methods(Plan.of(record, methods, setup), methods)["oracle"]
 
 
 def measured(name: str, seeds: int, jobs: int) -> Facts:
@@ -99,7 +106,7 @@ def measured(name: str, seeds: int, jobs: int) -> Facts:
     if not many:
         plain = ["residual-gru"] if hybrid else []
         methods = [*dict.fromkeys([*methods, *with_variants(base, hybrid, True), *plain])]
-    setup = default_setup(record, system.train)
+    setup = Options().decided(record, system.train)
     chosen = range(1 if many else seeds)
     comparison = compared(record, methods, setup, chosen, jobs)
     facts = results(comparison)
@@ -112,7 +119,7 @@ def measured(name: str, seeds: int, jobs: int) -> Facts:
         if of_method[0].fit.losses
     }
     if many:
-        (oracle,) = compare_methods(record, [MassSpringOracle()], setup)["oracle"]
+        (oracle,) = _oracle(record, setup)
         facts["oracle"] = {"total_rmse": oracle.total_rmse, "forecast_rmse": oracle.forecast_rmse}
     else:
         column = (LEARNING_BASED | HYBRID)[system.column].setup(record.sampling_rate, "gru")
@@ -124,8 +131,8 @@ def measured(name: str, seeds: int, jobs: int) -> Facts:
         facts["variants"] = {
             f"{method}, {name}": [run.total_rmse for run in of_method]
             for name, variant in left_out.items()
-            for method, of_method in compare_methods(
-                record, forecasters(best, variant), variant, chosen[:3], Work(jobs)
+            for method, of_method in run_methods(
+                Plan.of(record, (), variant), forecasters(best, variant), chosen[:3], Work(jobs)
             ).items()
         }
     return facts

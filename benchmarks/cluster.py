@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.timing import circumstances, write
-from splitband import Cluster, Record, Work, default_setup
+from splitband import Cluster, Options, Record, Work
 from splitband.evaluation.runs import run_all
 from splitband.forecasters.backtest import Origin, Question, first_origin
 from splitband.runtime.processes import over
@@ -57,7 +57,7 @@ def trained(executor: Executor, seeds: int, epochs: int) -> None:
     noise = 0.05 * np.random.default_rng(0).standard_normal(SAMPLES)
     y = np.sin(2 * np.pi * 0.05 * t) + 0.4 * np.sin(2 * np.pi * 1.1 * t) + noise
     record = Record(y[:, None], STEP)
-    setup = default_setup(record, TRAIN)
+    setup = Options().decided(record, TRAIN)
     settings = replace(setup.settings, epochs=epochs, window=100, warmup=20, most_batches=4)
     network = replace(setup, settings=settings).forecaster("split-gru")
     origins = [first_origin(record, TRAIN, settings.warmup), Origin(TRAIN, TRAIN)]

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from splitband import Comparison, Forecaster, Record
-from splitband.evaluation.protocols import compare_methods
+from splitband.evaluation.plan import Plan, check
+from splitband.evaluation.protocols import run_methods
 from splitband.evaluation.runs import Work
 from splitband.evaluation.selection import try_out
 from splitband.evaluation.setup import Setup
@@ -25,8 +26,10 @@ def compared(
     """Like `splitband.compare`, without its search, and with all seeds tried out instead of two."""
     methods, work = forecasters(names, setup), Work(jobs)
     trial = try_out(record[: setup.train], methods, len(record) - setup.train, seeds, work)
-    runs = compare_methods(record, methods, setup, seeds, work)
-    return Comparison(record, setup, runs, trial.settled(runs.ahead, runs.failed))
+    plan = Plan.of(record, methods, setup)
+    check(plan)
+    runs = run_methods(plan, methods, seeds, work)
+    return Comparison(plan, runs, trial.settled(runs.ahead, runs.failed))
 
 
 def held_out(record: Record, setup: Setup) -> tuple[Record, Setup]:

@@ -19,7 +19,7 @@ from torch import Tensor
 from benchmarks.beyond import SYSTEMS
 from benchmarks.comparing import held_out
 from splitband.data import Record
-from splitband.evaluation.setup import Setup, default_setup
+from splitband.evaluation.setup import Options, Setup
 from splitband.metrics import rmse, spread
 from splitband.models import Split
 from splitband.models.base import Signals
@@ -71,7 +71,7 @@ def main() -> None:
     found: dict[str, dict[str, list[dict[str, float]]]] = {}
     for name in arguments.systems or STUDIED:
         record = replace(SYSTEMS[name].record(), y_sim=None, beyond=None)
-        part, setup = held_out(record, default_setup(record, SYSTEMS[name].train))
+        part, setup = held_out(record, Options().decided(record, SYSTEMS[name].train))
         found[name] = {
             label: [error(part, setup, kind, seed) for seed in range(arguments.seeds)]
             for label, kind in (("prediction", Split), ("measurement", ToldTheMeasurement))

@@ -24,7 +24,7 @@ from benchmarks.public_page import CORES, FOR_TRAINING, errors_of
 from benchmarks.sets import SETS, Benchmark, load
 from splitband.evaluation.runs import Work
 from splitband.evaluation.search import Search
-from splitband.evaluation.setup import default_setup
+from splitband.evaluation.setup import Options
 from splitband.report.results import results
 from splitband.runtime.files import CHECKPOINTS, write_json
 
@@ -33,7 +33,7 @@ def measure(benchmark: Benchmark, minutes: float, jobs: int, checkpoints: Path) 
     """What one budget comes to: the command's results, and how long it took."""
     record = load(benchmark.training)
     tests = [load(test) for test in benchmark.tests]
-    setup = default_setup(record, len(record))
+    setup = Options().decided(record, len(record))
     if minutes:
         setup = replace(setup, search=Search(FOR_TRAINING * 60 * minutes * CORES))
     began = time.perf_counter()

@@ -21,9 +21,10 @@ from pathlib import Path
 
 from benchmarks.beyond import SYSTEMS
 from benchmarks.comparing import forecasters, held_out
-from splitband.evaluation.protocols import compare_methods
+from splitband.evaluation.plan import Plan
+from splitband.evaluation.protocols import run_methods
 from splitband.evaluation.runs import Work
-from splitband.evaluation.setup import Setup, default_setup
+from splitband.evaluation.setup import Options, Setup
 from splitband.metrics import spread
 from splitband.runtime.files import write_json
 from splitband.training.recipes import paper_settings
@@ -105,11 +106,11 @@ def measured(name: str, seeds: int, jobs: int) -> Found:
         record, train = SYSTEMS[system].record(), SYSTEMS[system].train
         methods = LEARNED if record.y_sim is None else HYBRID
         part, shorter = held_out(
-            record, VARIANTS[name](_training(default_setup(record, train), learning_rate=3e-3))
+            record, VARIANTS[name](_training(Options().decided(record, train), learning_rate=3e-3))
         )
-        runs = compare_methods(
-            part, forecasters(methods, shorter), shorter, range(seeds), Work(jobs)
-        )
+        networks = forecasters(methods, shorter)
+        plan = Plan.of(part, networks, shorter)
+        runs = run_methods(plan, networks, range(seeds), Work(jobs))
         scale = float(spread(part.y).mean())
         found[system] = {m: [r.forecast_rmse / scale for r in of] for m, of in runs.items()}
         found[system][SECONDS] = [r.fit.seconds for of in runs.values() for r in of]

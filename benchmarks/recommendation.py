@@ -38,7 +38,7 @@ from splitband import Comparison, compare
 from splitband.data import Record, double_torsion, drill_string
 from splitband.data.named import double_mass_spring, van_der_pol
 from splitband.evaluation.selection import Trial
-from splitband.evaluation.setup import default_setup, usual_names
+from splitband.evaluation.setup import Options, usual_names
 from splitband.forecasters.intervals import Interval
 from splitband.forecasters.names import QUICK
 from splitband.metrics import rmse
@@ -130,10 +130,10 @@ def _measured(job: RecordJob, report: object) -> Facts:
 def _comparison(record: Record, job: RecordJob) -> Comparison:
     if job.methods == DEFAULT:
         return compare(record, job.train)
-    setup = default_setup(record, job.train)
+    setup = Options().decided(record, job.train)
     methods = job.methods.split(",")
     if job.methods in (USUAL, BASELINES):
-        usual = usual_names(record, setup)
+        usual = usual_names(record, setup.bands)
         methods = [name for name in usual if job.methods == USUAL or name in QUICK]
     return compared(record, methods, setup, seeds=[0], jobs=1)
 

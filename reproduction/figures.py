@@ -9,6 +9,7 @@ from reproduction.jobs import ORACLE, SYSTEMS, Job
 from reproduction.runs import as_run, finished, load
 from reproduction.specs import SPECS, Line, chosen, lines
 from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.plan import Plan
 from splitband.evaluation.protocols import Run, Runs
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.names import QUICK
@@ -69,7 +70,7 @@ def figure(name: str, system: str, of: Sequence[Line], folder: Path) -> pictures
             runs[line.method] = good
     job = Job(system, next(iter(runs), "persistence"))
     record = job.record
-    return FIGURES[name](Comparison(record, job.setup(record), Runs(runs)))
+    return FIGURES[name](Comparison(Plan.of(record, (), job.setup(record)), Runs(runs)))
 
 
 def _shown(name: str, method: str) -> bool:

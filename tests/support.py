@@ -11,7 +11,8 @@ import numpy.typing as npt
 import pytest
 
 from splitband import Forecaster, Record
-from splitband.evaluation.protocols import Run, Runs, compare_methods
+from splitband.evaluation.plan import Plan, check
+from splitband.evaluation.protocols import Run, Runs, run_methods
 from splitband.evaluation.protocols import as_run as run_of
 from splitband.evaluation.runs import RunProgress, Work
 from splitband.evaluation.selection import Trial
@@ -91,7 +92,10 @@ def compare(
 ) -> Runs:
     """Methods by name, under both protocols."""
     work = Work(jobs, progress, checkpoints)
-    return compare_methods(record, forecasters(names, setup), setup, seeds, work, others)
+    methods = forecasters(names, setup)
+    plan = Plan.of(record, methods, setup, others)
+    check(plan)
+    return run_methods(plan, methods, seeds, work)
 
 
 def try_out(

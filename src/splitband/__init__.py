@@ -5,12 +5,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from splitband.data import Grid, Record, read
-    from splitband.evaluation.comparison import Comparison, compare
+    from splitband.evaluation.comparison import Comparison, compare, run
     from splitband.evaluation.forecast import Forecast, forecast
+    from splitband.evaluation.plan import Plan, plan
     from splitband.evaluation.runs import Work
     from splitband.evaluation.saved_settings import SavedSettings
     from splitband.evaluation.search import Search
-    from splitband.evaluation.setup import Setup, default_setup
+    from splitband.evaluation.setup import Options, Setup
     from splitband.filters import ComplementaryPair
     from splitband.forecasters.backtest import Origin, Question, backtest
     from splitband.forecasters.bands import Bands
@@ -45,11 +46,12 @@ __version__ = "0.2.0"
 # Loaded on first use: torch and pandas take seconds.
 _MODULES = {
     "data": ("Grid", "Record", "read"),
-    "evaluation.comparison": ("Comparison", "compare"),
+    "evaluation.comparison": ("Comparison", "compare", "run"),
     "evaluation.forecast": ("Forecast", "forecast"),
     "evaluation.runs": ("Work",),
     "evaluation.search": ("Search",),
-    "evaluation.setup": ("Setup", "default_setup"),
+    "evaluation.plan": ("Plan", "plan"),
+    "evaluation.setup": ("Options", "Setup"),
     "evaluation.saved_settings": ("SavedSettings",),
     "filters": ("ComplementaryPair",),
     "forecasters.backtest": ("Origin", "Question", "backtest"),
@@ -104,9 +106,11 @@ __all__ = [
     "Linear",
     "Mean",
     "Ode",
+    "Options",
     "Origin",
     "Periodic",
     "Persistence",
+    "Plan",
     "Prediction",
     "Progress",
     "Question",
@@ -129,16 +133,17 @@ __all__ = [
     "backtest",
     "compare",
     "cumulative_rmse",
-    "default_setup",
     "fit_percent",
     "forecast",
     "identify",
     "load",
     "named",
     "nrmse",
+    "plan",
     "read",
     "rmse",
     "rollout",
+    "run",
 ]
 
 

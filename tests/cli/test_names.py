@@ -8,7 +8,7 @@ import pytest
 
 import splitband as sb
 from splitband.cli import main
-from splitband.cli.comparing import Request, prepared
+from splitband.cli.comparing import Request, planned
 from splitband.forecasters.names import Sizes, named
 from splitband.forecasters.network import Network
 from splitband.report.results import FOUND, save_found
@@ -38,7 +38,7 @@ def test_settings_bring_columns_and_inputs(
     assert (facts["columns"], facts["inputs"]) == (["a"], ["force"])
     said = f"record.csv: inputs: force; outputs: a; {SAMPLES} samples every {DT} s"
     assert said in capsys.readouterr().out.splitlines()
-    assert prepared(Request("record.csv", settings=found), 1).record.inputs == ("force",)
+    assert planned(Request("record.csv", settings=found), 1).record.inputs == ("force",)
 
 
 @pytest.mark.parametrize(

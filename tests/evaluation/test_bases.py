@@ -9,10 +9,11 @@ import scipy
 
 from splitband import Record, Settings
 from splitband.evaluation.bases import on_baseline
+from splitband.evaluation.plan import Plan
 from splitband.evaluation.runs import Work
 from splitband.evaluation.search import Search, SearchResult
 from splitband.evaluation.selection import Trial, try_out
-from splitband.evaluation.setup import Setup, trying_bases
+from splitband.evaluation.setup import Setup
 from splitband.forecasters.names import Sizes
 
 SAMPLES, STEPS = 300, 60
@@ -47,7 +48,8 @@ def tried(
     if of_network is not None:
         trial = replace(trial, scores={**trial.scores, "gru": of_network})
     found = SearchResult([setup.forecaster(n) for n in ("gru", "linear", "mean")], left=left)
-    return on_baseline(record(nonlinear), trial, found, setup, STEPS, (0,), Work())
+    plan = Plan(record(nonlinear), (), setup, STEPS)
+    return on_baseline(plan, trial, found, (0,), Work())
 
 
 def test_what_a_linear_model_leaves_is_learned_on_top_of_it() -> None:
@@ -77,7 +79,3 @@ def test_it_is_not_tried_where(search: Search, left: float, of_network: float | 
     trial, searched = tried(0.5, search, left, of_network)
     assert not searched.attempts
     assert BASED not in trial.scores
-
-
-def test_where_nothing_is_searched_nothing_is_added() -> None:
-    assert trying_bases(replace(SETUP, search=None)).search is None

@@ -8,9 +8,10 @@ import scipy
 
 from splitband import Record, Settings
 from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.plan import Plan
 from splitband.evaluation.protocols import Errors, Run, by_channel, mean_run
 from splitband.evaluation.selection import Trial
-from splitband.evaluation.setup import Setup, default_names, default_setup, usual_names
+from splitband.evaluation.setup import Options, Setup, default_names, usual_names
 from splitband.forecasters.backtest import Origin, Question, backtest, for_trial, held_out_origins
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import FitReport
@@ -89,28 +90,28 @@ def test_the_setup_looks_at_nothing_after_the_training_part(simulated: bool) -> 
     r = record() if simulated else replace(record(), y_sim=None)
     y = r.y.copy()
     y[TRAIN:] += 100
-    assert default_setup(replace(r, y=y), TRAIN) == default_setup(r, TRAIN)
+    assert Options().decided(replace(r, y=y), TRAIN) == Options().decided(r, TRAIN)
 
 
 def test_a_simulator_that_does_not_help_leaves_the_learned_models() -> None:
     useless = np.random.default_rng(1).standard_normal((LENGTH, 1))
     r = replace(record(), y_sim=useless)
-    setup = default_setup(r, TRAIN)
+    setup = Options().decided(r, TRAIN)
     assert setup.bands.choice is not None
     assert setup.bands.choice.simulator_helps is False
-    assert setup.bands.cutoff == default_setup(replace(r, y_sim=None), TRAIN).bands.cutoff
-    methods = usual_names(r, setup)
+    assert setup.bands.cutoff == Options().decided(replace(r, y_sim=None), TRAIN).bands.cutoff
+    methods = usual_names(r, setup.bands)
     assert "split-gru-conditioned" in methods
     assert "simulator" in methods
     assert not set(methods) & set(HYBRIDS)
-    good = default_setup(record(), TRAIN)
-    assert usual_names(record(), good) == default_names(with_simulator=True)
+    good = Options().decided(record(), TRAIN)
+    assert usual_names(record(), good.bands) == default_names(with_simulator=True)
 
 
 def test_a_record_with_inputs_is_compared_with_a_linear_model_too() -> None:
     u = np.random.default_rng(2).standard_normal((LENGTH, 1))
     r = replace(record(), u=u)
-    methods = usual_names(r, default_setup(r, TRAIN))
+    methods = usual_names(r, Options().decided(r, TRAIN).bands)
     assert sorted(methods) == sorted([*default_names(with_simulator=True), "linear"])
     driven = replace(r, y=np.cumsum(0.3 * u - 0.1, axis=0), y_true=None)
     (found,) = compare(driven, ["linear"], SETUP)["linear"]
@@ -118,9 +119,9 @@ def test_a_record_with_inputs_is_compared_with_a_linear_model_too() -> None:
 
 
 def test_methods_without_a_simulator_get_the_pair_they_would_get_without_one() -> None:
-    alone = default_setup(replace(record(), y_sim=None), TRAIN)
-    assert default_setup(record(), TRAIN, methods=["split-gru", "mean"]) == alone
-    assert default_setup(record(), TRAIN, methods=["filtered-gru"]) != alone
+    alone = Options().decided(replace(record(), y_sim=None), TRAIN)
+    assert Options().decided(record(), TRAIN, methods=["split-gru", "mean"]) == alone
+    assert Options().decided(record(), TRAIN, methods=["filtered-gru"]) != alone
 
 
 def test_what_forecasts_the_held_out_part_best_is_recommended() -> None:
@@ -285,7 +286,7 @@ def test_channels_of_different_units_have_errors_and_scales_of_their_own() -> No
         assert np.linalg.norm(of_channels) == pytest.approx(found.total_rmse)
         left = both.y[-len(found.from_start) :] - found.from_start.y
         np.testing.assert_allclose(of_channels, np.sqrt(np.mean(left**2, axis=0)))
-    picture = rollouts(Comparison(both, SETUP, runs))
+    picture = rollouts(Comparison(Plan.of(both, (), SETUP), runs))
     for i, ax in enumerate(picture.axes):
         low, high = ax.get_ylim()
         seen = both.y[:, i // 2 % 2]

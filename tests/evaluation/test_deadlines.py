@@ -8,9 +8,9 @@ from dataclasses import replace
 import pytest
 
 from splitband.evaluation import search as searching
+from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.comparison import Comparison, compare
 from splitband.evaluation.forecast import forecast
-from splitband.evaluation.plan import Plan
 from splitband.evaluation.runs import RunProgress, Work
 from splitband.evaluation.search import Search
 from splitband.runtime.deadlines import Deadline
@@ -26,11 +26,11 @@ def short_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(searching, "LADDER", (3,))
     monkeypatch.setattr(searching, "FREE_RUNS", (10,))
     monkeypatch.setattr(searching, "FIRST_STEPS", 4)
-    monkeypatch.setattr("splitband.evaluation.plan.speed", lambda: 1.0)
+    monkeypatch.setattr("splitband.evaluation.budget.speed", lambda: 1.0)
 
 
-def compared(plan: Plan) -> Comparison:
-    return compare(record(), TRAIN, METHODS, setup=SEARCHED, work=Work(plan=plan))
+def compared(plan: TimeBudget) -> Comparison:
+    return compare(record(), TRAIN, METHODS, setup=SEARCHED, work=Work(time=plan))
 
 
 @pytest.mark.parametrize("looks", [-10, 3, 100, 1000])
@@ -39,7 +39,7 @@ def test_there_is_a_result_whatever_the_deadline(
 ) -> None:
     clock = slowed(monkeypatch, 1.0)
     began = clock.at
-    result = compared(Plan(Deadline(began + looks), began=began))
+    result = compared(TimeBudget(Deadline(began + looks), began=began))
     assert {"mean", "persistence"} <= set(result.runs)
     assert result.recommended in result.runs
     assert set(result.table.index) == set(METHODS)
@@ -49,14 +49,14 @@ def test_there_is_a_result_whatever_the_deadline(
     # What follows the deadline are the forecasts of what runs then, and baselines.
     assert clock.at - began <= max(looks, 0) + 200
     if missing:
-        assert not result.plan.reproducible
+        assert not result.time.reproducible
 
 
 def test_a_forecast_has_a_result_whatever_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = slowed(monkeypatch, 1.0)
     setup = replace(SEARCHED, train=TRAIN)
     for looks in (-1, 300):
-        work = Work(plan=Plan(Deadline(clock.at + looks)))
+        work = Work(time=TimeBudget(Deadline(clock.at + looks)))
         found = forecast(record()[:TRAIN], 10, ["gru", "mean"], setup=setup, work=work)
         assert found.method in ("gru", "mean")
         assert found.prediction.y.shape == (10, 1)
@@ -64,17 +64,17 @@ def test_a_forecast_has_a_result_whatever_the_deadline(monkeypatch: pytest.Monke
 
 def test_networks_alone_have_a_result_however_late_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = slowed(monkeypatch, 1.0)
-    plan = Plan(Deadline(clock.at - 5))
-    result = compare(record(), TRAIN, ["gru", "split-gru"], setup=SEARCHED, work=Work(plan=plan))
+    plan = TimeBudget(Deadline(clock.at - 5))
+    result = compare(record(), TRAIN, ["gru", "split-gru"], setup=SEARCHED, work=Work(time=plan))
     assert result.recommended == "gru"
-    assert [*result.plan.left_out] == ["split-gru"]
+    assert [*result.time.left_out] == ["split-gru"]
 
 
 def test_where_the_clock_changes_nothing_the_work_alone_decides() -> None:
     by_time = compare(record(), TRAIN, METHODS, setup=SEARCHED)
     by_work = compare(record(), TRAIN, METHODS, setup=replace(SEARCHED, search=Search(4.0)))
-    assert by_time.plan.reproducible
-    assert not by_work.plan.limited
+    assert by_time.time.reproducible
+    assert not by_work.time.limited
     assert by_time.attempts == by_work.attempts
     columns = [name for name in by_work.table.columns if name != "fit (s)"]
     assert by_time.table[columns].equals(by_work.table[columns])
@@ -84,15 +84,15 @@ def test_a_slower_machine_tries_less_and_the_plan_says_so() -> None:
     """A hundred seconds of wall time are enough for a quick machine, and too few for a slow one."""
     tried = []
     for pace in (0.001, 5000.0):
-        result = compared(Plan(Deadline.after(100.0), pace=pace))
+        result = compared(TimeBudget(Deadline.after(100.0), pace=pace))
         tried.append(len(result.attempts))
-        assert result.plan.reproducible == (pace < 1)
+        assert result.time.reproducible == (pace < 1)
     assert tried[1] < tried[0]
 
 
 def test_the_phases_add_up_to_the_time_that_is_used() -> None:
-    plan = compare(record(), TRAIN, METHODS, setup=SEARCHED).plan
-    assert [*plan.used] == [
+    plan = compare(record(), TRAIN, METHODS, setup=SEARCHED).time
+    assert [*plan.phases] == [
         "start", "baselines", "search", "trial", "on a baseline", "final trainings"
     ]  # fmt: skip
     facts = plan.as_json()
@@ -117,10 +117,10 @@ def test_a_budget_is_planned_on_this_machine(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_the_pace_is_learned_from_what_trainings_took() -> None:
-    plan = Plan(Deadline.after(100.0), cores=2)
+    plan = TimeBudget(Deadline.after(100.0), cores=2)
     assert plan.reckoned(plan.deadline) == pytest.approx(160.0, rel=0.01)
     for _ in range(20):
         plan.measured(2.0, 8.0)
     assert plan.pace == pytest.approx(4.0, rel=0.01)
     assert plan.reckoned(plan.deadline) == pytest.approx(40.0, rel=0.02)
-    assert math.isinf(Plan().reckoned(Deadline()))
+    assert math.isinf(TimeBudget().reckoned(Deadline()))

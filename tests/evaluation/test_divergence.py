@@ -15,6 +15,7 @@ import splitband.forecasters.network
 from splitband import GRU, Record, Settings
 from splitband.cli import main
 from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.plan import Plan
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.closed_form import Mean
@@ -82,7 +83,7 @@ def test_a_baseline_that_raises_is_neither_tried_nor_recommended() -> None:
     assert trial.failed == final.failed == {"mean": "SVD did not converge"}
     assert {*final.errors} == {*final.final} == {"persistence", CALIBRATED}
     assert final.recommended == CALIBRATED
-    found = results(Comparison(RECORD, SETUP, runs, final))
+    found = results(Comparison(Plan.of(RECORD, (), SETUP), runs, final))
     assert found["methods"]["mean"] == {"failed": "SVD did not converge"}
 
 
@@ -169,7 +170,7 @@ def test_forecast_takes_another_method_than_one_that_failed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(
-        "splitband.cli.forecast.usual_names", lambda *_: ["mean", "persistence", CALIBRATED]
+        "splitband.evaluation.plan.usual_names", lambda *_: ["mean", "persistence", CALIBRATED]
     )
     assert main(files("forecast begun.csv --steps 50")) == 0
     assert "mean: could not be fitted: SVD did not converge" in capsys.readouterr().out

@@ -13,7 +13,7 @@ import pytest
 
 import splitband as sb
 from splitband import GRU, Bands, Forecaster, Known, Record, Settings, Setup
-from splitband.evaluation.setup import default_setup
+from splitband.evaluation.setup import Options
 from splitband.forecasters.prediction import mean_of
 from splitband.metrics import ExtrapolationWarning
 
@@ -43,7 +43,7 @@ def test_a_method_can_be_fitted_again_and_says_the_same(name: str, tmp_path: Pat
 
 
 def test_it_is_trained_as_the_search_has_found() -> None:
-    setup = replace(default_setup(record(), TRAIN), settings=SETTINGS, search=sb.Search(8.0))
+    setup = replace(Options().decided(record(), TRAIN), settings=SETTINGS, search=sb.Search(8.0))
     result = sb.compare(record(), methods=[sb.Single(GRU(4))], setup=setup)
     model = result.forecaster()
     member = model.member if isinstance(model, sb.Ensemble) else model
@@ -81,7 +81,7 @@ def test_a_forecast_hands_out_what_it_was_made_with() -> None:
 
 
 def test_the_setup_of_a_forecast_is_for_all_of_the_record() -> None:
-    with pytest.raises(ValueError, match="train of setup must be all 200 samples of the record"):
+    with pytest.raises(ValueError, match="train must be that of setup, 160, got 200"):
         sb.forecast(record(), 30, ["mean"], setup=SETUP)
 
 

@@ -12,7 +12,7 @@ import scipy
 
 from splitband.data import Record
 from splitband.evaluation.selection import Trial
-from splitband.evaluation.setup import default_setup
+from splitband.evaluation.setup import Options
 from splitband.forecasters.intervals import FARTHEST, Interval
 from tests.support import compare, settled, try_out
 
@@ -224,7 +224,7 @@ def test_noise_that_a_forecast_repeats_is_counted_once() -> None:
     for seed in range(4):
         y = SEASON + 0.2 * np.random.default_rng(seed).standard_normal(1000)
         record = Record(y[:, None], 0.1)
-        setup = default_setup(record, 400)
+        setup = Options().decided(record, 400)
         runs = compare(record, ["seasonal-naive"], setup)
         found = settled(try_out(record, ["seasonal-naive"], setup), runs)
         interval = found.intervals["seasonal-naive"]

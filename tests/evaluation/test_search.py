@@ -21,7 +21,7 @@ from splitband.evaluation.search import (
     search,
 )
 from splitband.evaluation.selection import try_out
-from splitband.evaluation.setup import Setup, default_setup
+from splitband.evaluation.setup import Options, Setup
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.network import Network
 from tests.records import SETUP, TRAIN, record
@@ -191,9 +191,9 @@ def test_compare_searches_by_default_and_says_what_it_has_tried(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     setup = replace(
-        default_setup(record(), TRAIN), settings=QUICK, bands=SETUP.bands, search=Search(2.0)
+        Options().decided(record(), TRAIN), settings=QUICK, bands=SETUP.bands, search=Search(2.0)
     )
-    monkeypatch.setattr("splitband.evaluation.comparison.default_setup", lambda *_, **__: setup)
+    monkeypatch.setattr(Options, "decided", lambda *_: setup)
     comparison = sb.compare(record(), TRAIN, [sb.Single(sb.GRU(4)), sb.Mean()])
     assert {attempt.method for attempt in comparison.attempts} == {"gru"}
     assert len(comparison.runs["gru"]) > 1

@@ -12,6 +12,7 @@ import torch
 import splitband.forecasters.simulation
 from splitband import Record, Settings
 from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.plan import Plan
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
@@ -154,6 +155,6 @@ def test_a_method_with_settings_of_its_own_warms_up_as_they_say(tmp_path: Path) 
             np.testing.assert_allclose(
                 runs[name][0].ahead, alone[name][0].ahead, rtol=1e-5, atol=1e-6
             )
-    comparison = Comparison(RECORD, SETUP, runs, settled(trial, runs))
+    comparison = Comparison(Plan.of(RECORD, (), SETUP), runs, settled(trial, runs))
     for picture in (rollouts(comparison), components(comparison)):
         picture.canvas.draw()

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from splitband import GRU, Progress, Record
-from splitband.evaluation.protocols import check
+from splitband.evaluation.plan import Plan, check
 from splitband.forecasters.backtest import Origin
 from splitband.models import Recurrent
 from splitband.training import fit
@@ -70,7 +70,7 @@ def test_a_record_shorter_than_a_window_is_refused_with_its_length() -> None:
 )
 def test_other_records_must_be_of_the_same_kind(other: Record, words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        check(record(), forecasters(["gru"], SETUP), SETUP, [other])
+        check(Plan.of(record(), forecasters(["gru"], SETUP), SETUP, [other]))
 
 
 def test_a_network_without_a_simulator_trains_on_records_with_and_without_one() -> None:

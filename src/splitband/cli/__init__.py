@@ -175,7 +175,7 @@ def _complain(message: str) -> int:
 
 OPTIONS = (
     "calibrate", "columns", "conditioned", "cutoff", "downsampling", "epochs", "history",
-    "inputs", "level", "methods", "order", "settings", "simulator", "steps", "train",
+    "horizon", "inputs", "level", "methods", "order", "settings", "simulator", "steps", "train",
     "warmup", "window",
 )  # fmt: skip
 """Arguments of the library that are options of the same name here."""

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from splitband.cli import in_words, naming, setups, showing
 from splitband.cli.cases import COLUMNS, OVERALL, Case, read_cases
-from splitband.cli.comparing import Request, arguments, carried_out, prepared, save
+from splitband.cli.comparing import Request, arguments, carried_out, planned, save
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Conditioned, ModelOptions, Seeds
 from splitband.cli.options.simulators import Calibrate
@@ -108,8 +108,7 @@ def _row(case: Case, folder: Path, workers: WorkerPool) -> report.Row:
             return found
         began = now()
         request = case.request
-        task = prepared(request, workers.cores)
-        result = carried_out(task, request.seeds, workers, folder, case.name, began)
+        result = carried_out(planned(request, workers.cores), workers, folder, case.name, began)
         seconds = now() - began
         save(result, folder, {"command": "benchmark", **identity, "seconds": seconds})
         return report.Row.of(case.name, _read(folder))

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from splitband.cli.comparing import Request, arguments, carried_out, prepared, save
+from splitband.cli.comparing import Request, arguments, carried_out, planned, save
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Conditioned, ModelOptions, Seeds, SettingsFile
 from splitband.cli.options.records import (
@@ -91,8 +91,7 @@ def compare(
         train, horizon, methods, seeds, calibrate, conditioned, settings,
     )  # fmt: skip
     with worker_pool(jobs, cluster) as workers:
-        task = prepared(request, workers.cores)
-        result = carried_out(task, seeds, workers, out)
+        result = carried_out(planned(request, workers.cores), workers, out)
     facts = {"command": context.info_name, "arguments": arguments(context.params)}
     used = save(result, out, facts)
-    show(result, task.names, out, used)
+    show(result, out, used)

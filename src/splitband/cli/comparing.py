@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,19 @@ from splitband.cli.simulators import each_with_simulator, tests_with_simulator, 
 from splitband.cli.usage import usage
 from splitband.cli.worker_pool import WorkerPool
 from splitband.data import Record
-from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.comparison import compare as compare_forecasters
-from splitband.evaluation.protocols import check
-from splitband.evaluation.selection import check_trial
-from splitband.evaluation.setup import Setup, default_names, trying_bases, usual_names
-from splitband.forecasters.names import BASES, NAMES, TRAINED, with_base, with_variants
+from splitband.data.named import RECORDS
+from splitband.evaluation.comparison import Comparison, run
+from splitband.evaluation.plan import Plan, check_train, plan
+from splitband.evaluation.saved_settings import SavedSettings
+from splitband.evaluation.setup import default_names
+from splitband.forecasters.names import (
+    BASES,
+    NAMES,
+    TRAINED,
+    named,
+    with_base,
+    with_variants,
+)
 from splitband.report import results
 from splitband.report.page.usage import Usage
 from splitband.runtime.files import CHECKPOINTS, output_folder
@@ -29,7 +36,7 @@ from splitband.runtime.files import CHECKPOINTS, output_folder
 
 @dataclass(frozen=True)
 class Request:
-    """The options of `splitband compare`, but for where its results go."""
+    """The options of a command that fits methods to a record, but for where its results go."""
 
     record: str
     reading: RecordOptions = field(default_factory=RecordOptions)
@@ -44,76 +51,75 @@ class Request:
     calibrate: bool = False
     conditioned: bool = False
     settings: Path | None = None
+    future_inputs: Path | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Task:
-    """What is to be compared on what.
+def planned(request: Request, cores: int, steps: int = 0, fitting: bool = False) -> Plan:
+    """Read the records and simulators that the options name, and plan what is to be done with them.
 
-    Attributes
+    Parameters
     ----------
-    record, setup : See `evaluation.comparison.compare`.
-    names : Of the methods.
-    others : Further records to train on.
-    tests : Records to test on.
-    device : Of the networks.
-    """
-
-    record: Record
-    names: list[str]
-    setup: Setup
-    others: list[Record]
-    tests: list[Record]
-    device: str
-
-
-def prepared(request: Request, cores: int, ahead: int | None = None) -> Task:
-    """The records and simulators that the options name, and the settings they come to.
-
-    `cores` are what a budget is spent on; `ahead` samples at least must follow the training part,
-    by default one, unless there are tests.
+    request : The options.
+    cores : What a budget is spent on.
+    steps : Samples to forecast beyond the end of the record, all of which is trained on.
+    fitting : Nothing is forecast; by default, all of the record is trained on.
     """
     reading, simulator = request.reading, request.simulator
     saved = setups.load_settings(request.settings, request.model)
-    trajectory = records.load_record(request.record, reading, saved)
-    hybrid = simulator.simulator is not None or trajectory.y_sim is not None
-    by_default = default_names(hybrid, trajectory.nu > 0)
-    if saved is not None:
-        by_default = [saved.method, *(name for name in by_default if name not in TRAINED)]
-    asked = by_default if request.methods is None else naming.method_names(request.methods)
-    chosen = with_variants(asked, request.calibrate, request.conditioned)
-    based = simulator.simulator in BASES
-    if simulator.simulator in BASES:
-        chosen = with_base(chosen, simulator.simulator)
-    beyond = any(NAMES[method].calibrates for method in chosen)
-    trajectory = with_simulator(trajectory, simulator, reading, beyond=beyond)
-    tested = bool(request.testing.test)
-    ahead = 1 - tested if ahead is None else ahead
-    setup = setups.setup(
-        request.record, trajectory, request.train, request.model, chosen, ahead, tested,
-        cores, saved,
-    )  # fmt: skip
-    if request.methods is None and saved is None and not based:
-        usual = usual_names(trajectory, setup)
-        chosen = with_variants(usual, request.calibrate, request.conditioned)
-        setup = trying_bases(setup)
-    if request.horizon is not None:
-        if setup.train + request.horizon > len(trajectory):
-            raise ValueError(
-                f"--horizon must end within the record: at most {len(trajectory) - setup.train} "
-                f"samples after the {setup.train} of --train, got {request.horizon}"
-            )
-        trajectory = trajectory[: setup.train + request.horizon]
-    others = records.load_further(request.further.more, "--more", trajectory, reading)
-    others = each_with_simulator(others, chosen, request.further, simulator, reading)
-    tests = records.load_further(request.testing.test, "--test", trajectory, reading)
+    record = records.load_record(request.record, reading, saved)
+    names = _names(request, record, saved)
+    hybrid = simulator.simulator is not None or record.y_sim is not None
+    expected = names or default_names(hybrid, record.nu > 0)
+    beyond = any(NAMES[method].calibrates for method in expected)
+    past = steps if hybrid and simulator.simulator not in BASES else 0
+    record = with_simulator(record, simulator, reading, past, beyond)
+    if steps:
+        u = records.inputs_ahead(request.future_inputs, record, steps, reading.time_column)
+        record = replace(record, u_beyond=u)
+    naming.check_needs([named(name) for name in expected], record)
+    others = records.load_further(request.further.more, "--more", record, reading)
+    others = each_with_simulator(others, expected, request.further, simulator, reading)
+    tests = records.load_further(request.testing.test, "--test", record, reading)
     tests = tests_with_simulator(tests, request.testing, simulator, reading)
-    return Task(trajectory, chosen, setup, others, tests, request.model.device)
+    train = len(record) if steps else request.train
+    if fitting:
+        train = len(record) if train is None else train
+        check_train(record, train, 0)
+        record = record[:train]
+    if train is None and not tests and request.record in RECORDS:
+        train = RECORDS[request.record].train
+    found = plan(
+        record,
+        train,
+        names,
+        horizon=0 if fitting else steps or request.horizon,
+        others=others,
+        tests=tests,
+        seeds=request.seeds,
+        setup=setups.options_of(request.model, cores, saved),
+    )
+    device = request.model.device
+    return replace(found, methods=tuple(devices.on_device(m, device) for m in found.methods))
+
+
+def _names(request: Request, record: Record, saved: SavedSettings | None) -> list[str] | None:
+    """The methods that the options ask for; None where they do not."""
+    base = request.simulator.simulator
+    if request.methods is not None:
+        names = naming.method_names(request.methods)
+    elif saved is None and not (request.calibrate or request.conditioned or base in BASES):
+        return None
+    else:
+        hybrid = base is not None or record.y_sim is not None
+        names = default_names(hybrid, record.nu > 0)
+        if saved is not None:
+            names = [saved.method, *(name for name in names if name not in TRAINED)]
+    names = with_variants(names, request.calibrate, request.conditioned)
+    return with_base(names, base) if base in BASES else names
 
 
 def carried_out(
-    task: Task,
-    seeds: int | None,
+    planned: Plan,
     workers: WorkerPool,
     out: Path,
     label: str = "comparing",
@@ -124,24 +130,12 @@ def carried_out(
     `label` stands beside the progress bar. A budget of time counts from when it `began`, by default
     from when the command did.
     """
-    record, setup, others, tests = task.record, task.setup, task.others, task.tests
-    methods = [devices.on_device(setup.forecaster(name), task.device) for name in task.names]
-    naming.check_needs(methods, record)
-    check(record, methods, setup, others, tests)
-    check_trial(record, methods, setup, others)
     output_folder(out, "--out")
-    numbers = (len(record) + sum(map(len, tests))) * record.ny * 2 * len(methods)
-    plan = timing.planned(setup, workers.cores, numbers, began)
-    with showing.progress(label, plan, showing.kept(out / CHECKPOINTS)) as progress:
-        return compare_forecasters(
-            record,
-            methods=methods,
-            others=others,
-            tests=tests,
-            seeds=seeds,
-            setup=setup,
-            work=workers.work(progress, out, plan),
-        )
+    record, tests = planned.record, planned.tests
+    numbers = (len(record) + sum(map(len, tests))) * record.ny * 2 * len(planned.methods)
+    time = timing.planned(planned.setup, workers.cores, numbers, began)
+    with showing.progress(label, time, showing.kept(out / CHECKPOINTS)) as progress:
+        return run(planned, workers.work(progress, out, time))
 
 
 def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> Usage:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,14 +9,15 @@ import numpy as np
 import typer
 
 from splitband.cli import showing
-from splitband.cli.comparing import Task, arguments, carried_out, save
+from splitband.cli.comparing import arguments, carried_out, save
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.workers import Jobs
 from splitband.cli.outcome import show
 from splitband.cli.worker_pool import worker_pool
 from splitband.data.crane import overhead_crane
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.setup import default_setup
+from splitband.evaluation.plan import plan
+from splitband.evaluation.setup import Options
 from splitband.forecasters.names import Sizes
 
 TRAIN = 2000
@@ -52,13 +52,13 @@ def demo(
         f"{record.name}: {len(record)} samples of the position of a swinging load, "
         f"{TRAIN} of them to learn from"
     )
-    setup = default_setup(record, TRAIN, methods=METHODS)
-    setup = replace(setup, settings=replace(setup.settings, **RECIPE), sizes=SIZES, search=None)
+    options = Options(changes=RECIPE, sizes=SIZES)
     with worker_pool(jobs, None) as workers:
-        result = carried_out(Task(record, METHODS, setup, [], [], "cpu"), 1, workers, out)
+        planned = plan(record, TRAIN, METHODS, seeds=1, setup=options)
+        result = carried_out(planned, workers, out)
     facts = {"command": context.info_name, "arguments": arguments(context.params)}
     used = save(result, out, facts)
-    show(result, METHODS, out, used)
+    show(result, out, used)
     _tell(result)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
@@ -11,33 +10,26 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from splitband.cli import devices, naming, records, setups, showing, timing
+from splitband.cli import naming, setups, showing, timing
+from splitband.cli.comparing import Request, planned
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Conditioned, ModelOptions, SettingsFile
 from splitband.cli.options.records import FurtherRecords, RecordArgument, RecordOptions
 from splitband.cli.options.simulators import Calibrate, SimulatorOrBaseOptions
 from splitband.cli.options.workers import Jobs
-from splitband.cli.simulators import each_with_simulator, with_simulator
-from splitband.data import Record
 from splitband.data.timing import as_json
-from splitband.evaluation.plan import SEARCH
-from splitband.evaluation.runs import RunProgress, Work
-from splitband.evaluation.search import Search, search
+from splitband.evaluation.fitting import fit as fit_planned
+from splitband.evaluation.runs import Work
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.names import BASES, NAMES, TRAINED, with_base, with_variants
+from splitband.forecasters.names import BASES, with_base, with_variants
 from splitband.forecasters.network import Network
 from splitband.metrics import rmse
 from splitband.report import results
-from splitband.runtime import deadlines
 from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import staged, write_facts
 from splitband.runtime.threads import available_cores
-from splitband.training import Checkpoint, Progress
-
-FITTED = tuple(name for name in NAMES if name in TRAINED or "simulator" not in NAMES[name].needs)
-"""Methods whose saved models `simulate` reads: all that learn something of the record."""
 
 
 @with_groups
@@ -76,41 +68,24 @@ def fit(
 
     MODEL_DIR gets the weights of networks (safetensors), everything else (JSON) and results.json.
     """
-    saved = setups.load_settings(settings, model)
     if method is None:
+        saved = setups.load_settings(settings, model)
         method = "split-gru" if saved is None else saved.method
     if calibrate or conditioned:
         method = with_variants([method], calibrate, conditioned)[-1]
     if simulator.simulator in BASES:
         (method,) = with_base([method], simulator.simulator)
-    naming.check_names("--method", [method], FITTED)
-    trajectory = records.load_record(record, reading, saved)
-    trajectory = with_simulator(trajectory, simulator, reading, beyond=NAMES[method].calibrates)
-    samples = len(trajectory) if train is None else train
-    cores = jobs or available_cores()
-    setup = setups.setup(
-        record, trajectory, samples, model, [method], ahead=0, cores=cores, saved=saved
-    )
-    others = records.load_further(further.more, "--more", trajectory, reading)
-    others = each_with_simulator(others, [method], further, simulator, reading)
-    forecaster: Forecaster = devices.on_device(setup.forecaster(method), model.device)
-    training = trajectory[: setup.train]
-    naming.check_needs([forecaster], training)
-    forecaster.check(training, *others)
-    plan = timing.planned(setup, cores, 0)
-    with showing.progress("fitting", plan, showing.kept(out / CHECKPOINTS)) as bar:
-
-        def update(at: Progress) -> None:
-            overall = SEARCH + at.share * (1 - SEARCH)
-            bar(RunProgress(f"{method}, {at.task}", seed, at.share, at.loss, overall=overall))
-
-        if setup.search is not None:
-            work = Work(cores, bar, out / CHECKPOINTS, plan=plan)
-            forecaster = _searched(training, forecaster, setup.search, work, others)
-        (out / CHECKPOINTS).mkdir(exist_ok=True)
-        checkpoint = Checkpoint(out / CHECKPOINTS / f"{method}-{seed}.safetensors")
-        with deadlines.within(plan.deadline):
-            forecaster.fit(training, *others, seed=seed, progress=update, checkpoint=checkpoint)
+    naming.check_names("--method", [method], naming.FITTED)
+    request = Request(
+        record, reading, simulator, further, model=model, train=train, methods=method,
+        settings=settings,
+    )  # fmt: skip
+    plan = planned(request, jobs or available_cores(), fitting=True)
+    time = timing.planned(plan.setup, jobs or available_cores(), 0)
+    with showing.progress("fitting", time, showing.kept(out / CHECKPOINTS)) as bar:
+        work = Work(jobs or available_cores(), bar, out / CHECKPOINTS, time=time)
+        forecaster = fit_planned(plan, seed, work)
+    training, setup = plan.training, plan.setup
     fitted = forecaster.require_fitted()
     training_in_words = ""
     if isinstance(forecaster, Network):
@@ -122,7 +97,7 @@ def fit(
         "method": method,
         "seed": seed,
         "record": training.name,
-        "more": [other.name for other in others],
+        "more": [other.name for other in plan.others],
         "range": fitted.y_range.tolist(),
         "sampling_time": training.sampling_time,
         "start": as_json(training.start),
@@ -154,20 +129,6 @@ def fit(
         + f"model: {out}/",
     )
     showing.results_file(out / "results.json")
-
-
-def _searched(
-    training: Record,
-    forecaster: Forecaster,
-    allowed: Search,
-    work: Work,
-    others: Sequence[Record],
-) -> Forecaster:
-    """The forecaster with the training that has been found for it."""
-    with work.staffed() as staff:
-        until = work.plan.share(SEARCH)
-        stage = replace(staff, deadline=until, span=(0.0, SEARCH))
-        return search(training, [forecaster], 0, allowed, stage, others).forecasters[0]
 
 
 def _training_error(forecaster: Forecaster) -> float | None:

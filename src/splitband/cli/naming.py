@@ -7,7 +7,10 @@ from difflib import get_close_matches
 
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.names import NAMES
+from splitband.forecasters.names import NAMES, TRAINED
+
+FITTED = tuple(name for name in NAMES if name in TRAINED or "simulator" not in NAMES[name].needs)
+"""Methods whose saved models `simulate` reads: all that learn something of the record."""
 
 
 def names(text: str) -> list[str]:

@@ -15,7 +15,7 @@ from splitband.report.page.usage import Usage
 from splitband.report.table import columns, remarks
 
 
-def show(result: Comparison, names: list[str], out: Path, used: Usage) -> None:
+def show(result: Comparison, out: Path, used: Usage) -> None:
     """Print the table, what is recommended and why, what to be warned of, and how it is used."""
     record, setup, trial = result.record, result.setup, result.require_trial()
     best = result.recommended
@@ -24,7 +24,7 @@ def show(result: Comparison, names: list[str], out: Path, used: Usage) -> None:
         for name, note in remarks(result).items()
     }
     showing.methods(_title(record, setup), columns(result), said, best)
-    showing.console.print(timing.in_words(result.plan))
+    showing.console.print(timing.in_words(result.time))
     why = words.why(trial, setup.train, len(record) - setup.train)
     showing.console.print(f"\nrecommended: {best}. {' '.join(why)}")
     if result.left_out:
@@ -41,7 +41,7 @@ def show(result: Comparison, names: list[str], out: Path, used: Usage) -> None:
             + (bands.choice.reason if bands.choice else f"{below:.0%} of the power lies below it")
         )
     unhelpful = bands.choice is not None and bands.choice.simulator_helps is False
-    if unhelpful and not set(names) & set(HYBRIDS):
+    if unhelpful and not set(result.plan.names) & set(HYBRIDS):
         showing.console.print("hybrid models are left out; --methods brings them back")
     showing.warn_of_trainings(result.runs)
     showing.warn_of_inputs(result.inputs_beyond_training, record.inputs)

@@ -1,74 +1,45 @@
-"""Setups of comparisons: what options say of models and their training, the rest by a recipe."""
+"""What the options of a command say of models and their training."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
 
 from splitband.cli.devices import check_device
 from splitband.cli.naming import names
 from splitband.cli.options.models import AUTO, ModelOptions
-from splitband.data import Record
-from splitband.data.named import RECORDS
-from splitband.evaluation.protocols import check_train
 from splitband.evaluation.saved_settings import SavedSettings
 from splitband.evaluation.search import Search
-from splitband.evaluation.setup import Setup, default_setup
+from splitband.evaluation.setup import Options
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
-from splitband.training import Settings, default_warmup
-from splitband.training.recipes import recipe_settings
+from splitband.training import Settings
 
 
-def setup(
-    record: str,
-    trajectory: Record,
-    train: int | None,
-    options: ModelOptions,
-    methods: Sequence[str] | None = None,
-    ahead: int = 1,
-    tested: bool = False,
-    cores: int = 1,
-    saved: SavedSettings | None = None,
-) -> Setup:
-    """What the options say (`None`: nothing), the rest as `saved`, or else by the recipe.
+def options_of(given: ModelOptions, cores: int, saved: SavedSettings | None = None) -> Options:
+    """What the options say, the rest as `saved`, or else left open.
 
-    `record` is the argument that `trajectory` comes from, `methods` what the setup is for; `ahead`
-    samples at least must be left to predict. What is `tested` on other records is trained on all of
-    this one by default.
     `cores` are what a budget is spent on.
     """
-    if train is None:
-        usual = RECORDS[record].train if record in RECORDS else None
-        train = usual or int(0.75 * len(trajectory))
-        train = len(trajectory) if tested else train
-    check_train(trajectory, train, ahead)
-    bands = Bands(
-        None if options.cutoff == AUTO else options.cutoff, options.order, options.downsampling
-    )
-    if saved is not None:
-        return _as_saved(saved, trajectory, train, options, bands, methods)
-    settings = _trained(recipe_settings(options.recipe, trajectory[:train]), options)
-    by_recipe = default_setup(trajectory, train, options.recipe, settings, bands, methods)
-    sizes = _with_hidden(by_recipe.sizes, options)
-    return replace(by_recipe, sizes=sizes, search=_search(options, cores))
-
-
-def setup_ahead(
-    known: Record,
-    methods: Sequence[str],
-    options: ModelOptions,
-    cores: int,
-    saved: SavedSettings | None = None,
-) -> Setup:
-    """For a forecast beyond the end of a record."""
-    if saved is not None:
-        return _as_saved(saved, known, len(known), options, Bands(), methods)
-    settings = _trained(recipe_settings("default", known), options)
-    chosen = default_setup(known, len(known), "default", settings, None, methods)
-    return replace(chosen, search=_search(options, cores))
+    cutoff = None if given.cutoff == AUTO else given.cutoff
+    bands = Bands(cutoff, given.order, given.downsampling)
+    changes = {
+        field.name: getattr(given, field.name)
+        for field in fields(Settings)
+        if getattr(given, field.name, None) is not None
+    }
+    if given.lr_milestones is not None:
+        changes["milestones"] = _milestones(given.lr_milestones)
+    sizes = None if saved is None else saved.sizes
+    if given.hidden is not None:
+        high, low = _hidden(given.hidden)
+        sizes = replace(sizes or Sizes(), hidden_high=high, hidden_low=low)
+    if saved is None:
+        return Options(given.recipe, None, changes, bands, sizes, _search(given, cores))
+    said = {name: value for name, value in vars(bands).items() if value is not None}
+    # What was found for one cut-off is not for another one.
+    bands = bands if given.cutoff is not None else replace(saved.bands, **said)
+    return Options("default", saved.settings, changes, bands, sizes)
 
 
 def load_settings(path: Path | None, options: ModelOptions) -> SavedSettings | None:
@@ -92,7 +63,8 @@ def load_settings(path: Path | None, options: ModelOptions) -> SavedSettings | N
 def check_model_options(options: ModelOptions) -> None:
     """Raise ValueError for what would be wrong with any record."""
     _search(options, 1)
-    _with_hidden(Sizes(), options)
+    if options.hidden is not None:
+        _hidden(options.hidden)
     if options.lr_milestones is not None:
         _milestones(options.lr_milestones)
     if options.device != "cpu":
@@ -111,25 +83,8 @@ def seconds(duration: str, option: str = "--budget") -> float:
     return length
 
 
-def _as_saved(
-    saved: SavedSettings,
-    trajectory: Record,
-    train: int,
-    options: ModelOptions,
-    bands: Bands,
-    methods: Sequence[str] | None,
-) -> Setup:
-    """What the options say, the rest as it has been found before."""
-    said = {name: value for name, value in vars(bands).items() if value is not None}
-    # What was found for one cut-off is not for another one.
-    bands = bands if options.cutoff is not None else replace(saved.bands, **said)
-    settings = _trained(saved.settings, options)
-    chosen = default_setup(trajectory, train, "default", settings, bands, methods)
-    return replace(chosen, sizes=_with_hidden(saved.sizes, options))
-
-
 def _search(options: ModelOptions, cores: int) -> Search | None:
-    """How much goes into finding out how to train; None where the options say how."""
+    """How much goes into finding out how to train; None where no option says so."""
     said = {
         "--window": options.window,
         "--epochs": options.epochs,
@@ -145,41 +100,16 @@ def _search(options: ModelOptions, cores: int) -> Search | None:
             "--budget and --effort exclude each other (the one limits the time, the other the "
             f"work), got {options.budget} and {options.effort}"
         )
-    if decided:
-        if limit is not None:
-            raise ValueError(
-                f"{limit} is for finding out how to train, which {decided[0]} decides, got "
-                f"{limits[limit]}"
-            )
-        return None
-    sizes = options.hidden is None
+    if decided and limit is not None:
+        raise ValueError(
+            f"{limit} is for finding out how to train, which {decided[0]} decides, got "
+            f"{limits[limit]}"
+        )
     if options.effort is not None:
-        work = seconds(options.effort, "--effort")
-        return Search(work, sizes=sizes)
-    if options.budget is None:
-        return replace(Search.usual(), sizes=sizes)
-    return replace(Search.within(seconds(options.budget), cores), sizes=sizes)
-
-
-def _trained(settings: Settings, options: ModelOptions) -> Settings:
-    """Settings with what the options say about training."""
-    said: dict[str, Any] = {
-        field.name: getattr(options, field.name)
-        for field in fields(Settings)
-        if getattr(options, field.name, None) is not None
-    }
-    if "window" in said:
-        said.setdefault("warmup", default_warmup(said["window"], settings.warmup))
-    if options.lr_milestones is not None:
-        said |= {"milestones": _milestones(options.lr_milestones), "one_cycle": False}
-    return replace(settings, **said)
-
-
-def _with_hidden(sizes: Sizes, options: ModelOptions) -> Sizes:
-    if options.hidden is None:
-        return sizes
-    high, low = _hidden(options.hidden)
-    return replace(sizes, hidden_high=high, hidden_low=low)
+        return Search(seconds(options.effort, "--effort"))
+    if options.budget is not None:
+        return Search.within(seconds(options.budget), cores)
+    return None
 
 
 def _milestones(text: str) -> tuple[tuple[int, float], ...]:

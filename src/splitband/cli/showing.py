@@ -17,7 +17,7 @@ from rich.table import Column as TableColumn
 from rich.table import Table
 from rich.text import Text
 
-from splitband.evaluation.plan import Plan
+from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.protocols import Runs
 from splitband.evaluation.runs import RunProgress
 from splitband.metrics import Extrapolation, ExtrapolationWarning
@@ -140,12 +140,15 @@ def _lines(of_channels: Sequence[Column], method: str) -> Text:
 
 @contextmanager
 def progress(
-    label: str = "training", plan: Plan | None = None, said: str = "", total: int | None = None
+    label: str = "training",
+    time: TimeBudget | None = None,
+    said: str = "",
+    total: int | None = None,
 ) -> Iterator[Callable[[RunProgress], None]]:
     """One bar for the whole command, with the phase by name; silent where nobody watches.
 
     It shows what is done by reckoned costs, the time that has passed since the command began, and
-    what remains by both: no more than is left until the plan's deadline. Where there are a `total`
+    what remains by both: no more than is left until the deadline. Where there are a `total`
     of trainings, it shows their share. What is `said` is printed first.
     """
     watched = sys.stderr.isatty() and not console.quiet
@@ -166,7 +169,7 @@ def progress(
         transient=True,
         disable=not watched,
     )
-    began = now() if plan is None else plan.began
+    began = now() if time is None else time.began
     with bar:
         whole = bar.add_task("", total=1.0, times=_clock(now() - began))
         shares: dict[tuple[str, str, int], float] = {}
@@ -179,8 +182,8 @@ def progress(
             reached = max(reached, share)
             elapsed = now() - began
             remains = elapsed * (1 / reached - 1) if reached else None
-            if remains is not None and plan is not None and plan.limited:
-                remains = min(remains, max(plan.deadline.left, 0.0))
+            if remains is not None and time is not None and time.limited:
+                remains = min(remains, max(time.deadline.left, 0.0))
             bar.update(
                 whole,
                 completed=reached,

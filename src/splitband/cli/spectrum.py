@@ -20,6 +20,8 @@ from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import refuse_bases, with_simulator
 from splitband.cli.usage import usage
 from splitband.data import Record
+from splitband.data.named import RECORDS
+from splitband.evaluation.plan import TRAINING_SHARE, check_train
 from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import rmse
@@ -58,7 +60,10 @@ def spectrum(
     trajectory = records.load_record(record, reading)
     trajectory = with_simulator(trajectory, simulator, reading, beyond=True)
     model = ModelOptions(cutoff=cutoff, order=order)
-    setup = setups.setup(record, trajectory, train, model, ahead=0)
+    trained = train or (RECORDS[record].train if record in RECORDS else None)
+    trained = trained or int(TRAINING_SHARE * len(trajectory))
+    check_train(trajectory, trained, 0)
+    setup = setups.options_of(model, 1).decided(trajectory, trained)
     trajectory = trajectory[:train]
     rate = trajectory.sampling_rate
     measured_spectrum = periodogram(trajectory.y, rate)

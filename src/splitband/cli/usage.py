@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from splitband.cli.fit import FITTED
+from splitband.cli.naming import FITTED
 from splitband.cli.options.simulators import PATIENCE
 from splitband.data.named import RECORDS
 from splitband.forecasters.names import named as named_forecaster

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from splitband.cli import showing
-from splitband.evaluation.plan import Plan
+from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.runs import RunProgress, Work
 from splitband.runtime.cluster import Cluster, silence
 from splitband.runtime.files import CHECKPOINTS
@@ -24,12 +24,12 @@ class WorkerPool:
     executor: Executor | None = None
 
     def work(
-        self, progress: Callable[[RunProgress], None], out: Path, plan: Plan | None = None
+        self, progress: Callable[[RunProgress], None], out: Path, time: TimeBudget | None = None
     ) -> Work:
         """How a comparison is computed by them, with checkpoints in the folder `out`."""
         checkpoints = out / CHECKPOINTS
-        plan = plan or Plan()
-        return Work(self.cores, progress, checkpoints, executor=self.executor, plan=plan)
+        time = time or TimeBudget()
+        return Work(self.cores, progress, checkpoints, executor=self.executor, time=time)
 
 
 @contextmanager

@@ -11,12 +11,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from splitband.data import Record
 from splitband.evaluation.costs import training_cost
+from splitband.evaluation.plan import Plan
 from splitband.evaluation.runs import Work
 from splitband.evaluation.search import SearchAttempt, SearchResult
 from splitband.evaluation.selection import WORTH_TRAINING, Trial, try_out
-from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import HELD_OUT
 from splitband.forecasters.names import BASES, with_base
 from splitband.forecasters.network import Network
@@ -26,27 +25,18 @@ STAGE = "on a baseline"
 
 
 def on_baseline(
-    record: Record,
-    trial: Trial,
-    searched: SearchResult,
-    setup: Setup,
-    ahead: int,
-    seeds: Sequence[int],
-    work: Work,
-    others: Sequence[Record] = (),
+    plan: Plan, trial: Trial, searched: SearchResult, seeds: Sequence[int], work: Work
 ) -> tuple[Trial, SearchResult]:
     """The trial and the methods, with a network on the best baseline where that pays.
 
     Parameters
     ----------
-    record : The training part, and nothing else.
+    plan : The search of its setup says whether this is wanted.
     trial, searched : What has been found of all other methods; `trial.left_out` are no bases.
-    setup : Its `search` says whether this is wanted.
-    ahead : Samples to be forecast after all.
     seeds : Of the network, whose mean is scored.
     work : Processes, progress and checkpoints.
-    others : Further training records.
     """
+    record, others, setup = plan.training, plan.others, plan.setup
     networks = {f.name: f for f in searched.forecasters if isinstance(f, Network)}
     best = trial.best_network
     able = [
@@ -69,11 +59,11 @@ def on_baseline(
     spent = len(seeds) * (1 - HELD_OUT) * cost
     if network.name in trial.scores or spent + cost > searched.left:
         return trial, searched
-    if spent > work.plan.reckoned(work.deadline):
-        work.plan.narrowed(f"{network.name} (not tried)")
+    if spent > work.time.reckoned(work.deadline):
+        work.time.narrowed(f"{network.name} (not tried)")
         return trial, searched
     stage = work.for_stage(STAGE)
-    found = try_out(record, [network], ahead, seeds, stage, others, need_one=False)
+    found = try_out(record, [network], plan.horizon, seeds, stage, others, need_one=False)
     score = found.scores.get(network.name)
     attempt = SearchAttempt(network.name, network.training_in_words(), len(seeds), score)
     searched = replace(searched, attempts=(*searched.attempts, attempt), left=searched.left - spent)

@@ -2,40 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from splitband.data import Record
-from splitband.evaluation.choosing import (
-    as_trained,
-    candidates,
-    choose,
-    last_stages,
-    last_trainings,
-    timed,
-)
-from splitband.evaluation.plan import Plan
-from splitband.evaluation.protocols import (
-    TRAINING_SHARE,
-    Run,
-    Runs,
-    check,
-    check_train,
-    inputs_beyond,
-    mean_run,
-    run_methods,
-)
+from splitband.evaluation.budget import TimeBudget
+from splitband.evaluation.choosing import as_trained, choose, last_stages, last_trainings, timed
+from splitband.evaluation.plan import Plan, plan
+from splitband.evaluation.protocols import Run, Runs, inputs_beyond, mean_run, run_methods
 from splitband.evaluation.runs import Work
 from splitband.evaluation.search import SearchAttempt, SearchResult
-from splitband.evaluation.selection import LEVEL, Trial, check_trial
-from splitband.evaluation.setup import Setup, default_setup
+from splitband.evaluation.selection import LEVEL, Trial
+from splitband.evaluation.setup import Setup
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import Extrapolation
@@ -50,26 +35,40 @@ class Comparison:
 
     Attributes
     ----------
-    record : The whole of it.
-    setup : What they shared.
+    plan : What was asked: record, methods, setup.
     runs : Of each method, one for each seed.
     trial : What they did on held-out training samples; None where none has been made.
-    others : Further records that were trained on.
-    tests : Records that nothing was fitted to, simulated from their first samples.
     attempts : What has been tried to find out how networks are trained.
     forecasters : The methods with all that has been chosen for them, by name, not fitted.
-    plan : The time that it took, and what was left out for want of time.
+    time : The time that it took, and what was left out for want of time.
     """
 
-    record: Record
-    setup: Setup
+    plan: Plan
     runs: Runs
     trial: Trial | None = None
-    others: tuple[Record, ...] = ()
-    tests: tuple[Record, ...] = ()
     attempts: tuple[SearchAttempt, ...] = ()
     forecasters: Mapping[str, Forecaster] = field(default_factory=dict)
-    plan: Plan = field(default_factory=Plan)
+    time: TimeBudget = field(default_factory=TimeBudget)
+
+    @property
+    def record(self) -> Record:
+        """The whole of it."""
+        return self.plan.record
+
+    @property
+    def setup(self) -> Setup:
+        """What the methods shared."""
+        return self.plan.setup
+
+    @property
+    def others(self) -> tuple[Record, ...]:
+        """Further records that were trained on."""
+        return self.plan.others
+
+    @property
+    def tests(self) -> tuple[Record, ...]:
+        """Records that nothing was fitted to, simulated from their first samples."""
+        return self.plan.tests
 
     @property
     def recommended(self) -> str:
@@ -188,39 +187,26 @@ class Comparison:
 def compare(
     record: Record,
     train: int | None = None,
-    methods: Sequence[Forecaster | str] | None = None,
+    methods: Sequence[Forecaster | str] | str | None = None,
     *,
-    others: Sequence[Record] = (),
-    tests: Sequence[Record] = (),
-    seeds: int | None = None,
-    setup: Setup | None = None,
     work: Work | None = None,
+    **options: Any,
 ) -> Comparison:
-    """Compare forecasters on a record, as `splitband compare` does.
+    """Compare forecasters on a record, as `splitband compare` does: `run(plan(record, ...))`.
 
     Each is fitted to the first `train` samples, and for the recommendation to three quarters of
     them.
 
     Parameters
     ----------
-    record : What was measured, and known beside it.
-    train : Samples to train on, by default three quarters; with `tests` all.
-    methods : Forecasters, or names of those that have one (`splitband methods`); what they leave
-        open is as in `setup`. By default what is worth comparing on such a record. How the first
-        network is trained is searched most thoroughly.
-    others : Further records of the same system, to train on.
-    tests : Records of the same system that nothing is fitted to: each is simulated to its end by
-        what warms up on its first samples.
-    seeds : Trainings of each network; by default as many as the budget of `setup.search` pays for,
-        and `SEEDS` of what is not searched.
-    setup : Settings, bands and sizes; by default chosen by the training samples, and how networks
-        are trained by trials on the last quarter of them (`Setup.search`), within two minutes.
+    record, train, methods : See `plan`.
     work : Processes, progress and checkpoints.
+    options : Further arguments of `plan`: others, tests, seeds, setup, horizon.
 
     Raises
     ------
     ValueError
-        For what `check` finds, before anything is computed; where no method can be fitted.
+        For what `plan` finds, before anything is computed; where no method can be fitted.
 
     Examples
     --------
@@ -231,74 +217,50 @@ def compare(
     >>> list(result.table["forecast fit %"].round(1))
     [100.0, -0.3, -77.9]
     """
-    methods = [methods] if isinstance(methods, str) else methods
-    if setup is None:
-        usual = len(record) if tests else int(TRAINING_SHARE * len(record))
-        train = usual if train is None else train
-        check_train(record, train, 0 if tests else 1)
-        setup = default_setup(record, train, methods=methods)
-    elif train not in (None, setup.train):
-        raise ValueError(f"train must be that of setup, {setup.train}, got {train}")
-    work = work or Work()
-    chosen, setup = candidates(record, setup, methods)
-    check(record, chosen, setup, others, tests)
-    check_trial(record, chosen, setup, others)
-    tests = _called_apart(tests)
-    training, ahead = record[: setup.train], len(record) - setup.train
-    with timed(work, setup).staffed() as staff:
-        trial, searched = choose(training, chosen, ahead, setup, seeds, staff, others, bool(tests))
-        fitted = [method for method in searched.forecasters if method.name in trial.errors]
-        run = partial(run_methods, record, setup=setup, others=others, tests=tests)
-        asked = ahead + len(record) + sum(map(len, tests))
-        stages = last_stages(staff, asked, setup.train, ahead)
-        runs = _last_runs(run, fitted, searched, trial, seeds, stages)
+    return run(plan(record, train, methods, **options), work)
+
+
+def run(plan: Plan, work: Work | None = None) -> Comparison:
+    """Compute what has been planned.
+
+    Parameters
+    ----------
+    plan : Of `splitband.plan`.
+    work : Processes, progress and checkpoints.
+
+    Raises
+    ------
+    ValueError
+        Where no method can be fitted.
+    """
+    with timed(work or Work(), plan.setup.search).staffed() as staff:
+        trial, searched = choose(plan, staff)
+        runs = _last_runs(plan, searched, trial, staff)
     comparison = Comparison(
-        record,
-        setup,
+        plan,
         runs,
-        others=tuple(others),
-        tests=tuple(tests),
         attempts=searched.attempts,
-        forecasters={method.name: method for method in fitted if method.name in runs},
-        plan=staff.plan,
+        forecasters={m.name: m for m in searched.forecasters if m.name in runs},
+        time=staff.time,
     )
     trial = replace(trial, left_out=frozenset(comparison.left_out))
-    failed = staff.plan.left_out | runs.failed
-    return replace(comparison, trial=trial.settled(runs.ahead, failed))
+    return replace(comparison, trial=trial.settled(runs.ahead, staff.time.left_out | runs.failed))
 
 
-def _last_runs(
-    run: Callable[..., Runs],
-    methods: Sequence[Forecaster],
-    searched: SearchResult,
-    trial: Trial,
-    seeds: int | None,
-    stages: tuple[Work, Work],
-) -> Runs:
+def _last_runs(plan: Plan, searched: SearchResult, trial: Trial, work: Work) -> Runs:
     """The methods on the whole training part: what needs no training, then networks."""
-    of_quick, of_slow = stages
-    with of_quick.plan.phase("final trainings"):
+    methods = [method for method in searched.forecasters if method.name in trial.errors]
+    asked = plan.horizon + len(plan.record) + sum(map(len, plan.tests))
+    of_quick, of_slow = last_stages(plan, work, asked)
+    with work.time.phase("final trainings"):
         quick = [f for f in methods if not f.random]
-        runs = run(
-            forecasters=quick, seeds=(0,), work=of_quick, need_one=len(quick) == len(methods)
-        )
-        wanted = last_trainings([f for f in methods if f.random], searched, trial, seeds, of_slow)
+        runs = run_methods(plan, quick, (0,), of_quick, need_one=len(quick) == len(methods))
+        networks = [f for f in methods if f.random]
+        wanted = last_trainings(plan, networks, searched, trial, of_slow)
         if not wanted:
             return runs
         slow = [next(f for f in methods if f.name == name) for name in wanted]
-        trained = run(forecasters=slow, seeds=wanted, work=of_slow, need_one=not runs)
+        trained = run_methods(plan, slow, wanted, of_slow, need_one=not runs)
     every = {**runs, **trained}
     ordered = {f.name: every[f.name] for f in methods if f.name in every}
     return Runs(ordered, (*runs.failures, *trained.failures))
-
-
-def _called_apart(tests: Sequence[Record]) -> list[Record]:
-    """The test records, each with a name of its own: those that share one are counted."""
-    names: list[str] = []
-    for i, test in enumerate(tests):
-        name, count = test.name or str(i + 1), 1
-        while name in names:
-            count += 1
-            name = f"{test.name} ({count})"
-        names.append(name)
-    return [replace(test, name=name) for test, name in zip(tests, names, strict=True)]

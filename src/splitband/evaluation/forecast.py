@@ -6,23 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from splitband.data import Record
-from splitband.evaluation.choosing import (
-    as_trained,
-    candidates,
-    choose,
-    last_stages,
-    last_trainings,
-    timed,
-)
-from splitband.evaluation.plan import Plan
-from splitband.evaluation.protocols import check, inputs_beyond
+from splitband.evaluation.budget import TimeBudget
+from splitband.evaluation.choosing import as_trained, choose, last_stages, last_trainings, timed
+from splitband.evaluation.plan import Plan, plan
+from splitband.evaluation.protocols import inputs_beyond
 from splitband.evaluation.runs import Failure, Work, run_all
-from splitband.evaluation.selection import LEVEL, Trial, check_trial
-from splitband.evaluation.setup import Setup, default_setup
+from splitband.evaluation.search import SearchResult
+from splitband.evaluation.selection import LEVEL, Trial
 from splitband.forecasters.backtest import Backtest, Origin, Question
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.ensemble import Ensemble
 from splitband.forecasters.prediction import Prediction, mean_of
 from splitband.metrics import Extrapolation, leaves_range
 from splitband.runtime.arguments import whole
@@ -34,26 +30,34 @@ class Forecast:
 
     Attributes
     ----------
-    record : It goes on from.
+    plan : What was asked: record, methods, setup.
     forecaster : The recommended method, not fitted: to be fitted again, and saved.
     prediction : Its forecast, the mean over seeds, with the interval.
     trial : What was tried, and how it did.
-    seeds : Of the recommended method.
     description : What its fit has settled on.
     leaves : Samples before the forecast leaves the range of the training samples by far.
     inputs_beyond_training : Which inputs to come go beyond those that were trained on.
-    plan : See `Comparison`.
+    time : See `Comparison`.
     """
 
-    record: Record
+    plan: Plan
     forecaster: Forecaster
     prediction: Prediction
     trial: Trial
-    seeds: tuple[int, ...]
     description: str
     leaves: int | None
     inputs_beyond_training: list[Extrapolation]
-    plan: Plan = field(default_factory=Plan)
+    time: TimeBudget = field(default_factory=TimeBudget)
+
+    @property
+    def record(self) -> Record:
+        """It goes on from."""
+        return self.plan.record
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """Of the recommended method."""
+        return self.forecaster.seeds if isinstance(self.forecaster, Ensemble) else (0,)
 
     @property
     def method(self) -> str:
@@ -68,12 +72,10 @@ class Forecast:
 def forecast(
     record: Record,
     steps: int,
-    methods: Sequence[Forecaster | str] | None = None,
+    methods: Sequence[Forecaster | str] | str | None = None,
     *,
-    others: Sequence[Record] = (),
-    seeds: int | None = None,
-    setup: Setup | None = None,
     work: Work | None = None,
+    **options: Any,
 ) -> Forecast:
     """What comes after the end of a record, by the method that its own last quarter recommends.
 
@@ -82,7 +84,8 @@ def forecast(
     record : All of it is trained on. Its known inputs, and its simulator's output, must reach
         `steps` samples beyond it (`u_beyond`, `beyond`).
     steps : How many samples.
-    methods, others, seeds, setup, work : See `compare`.
+    methods, work : See `compare`.
+    options : Further arguments of `plan`: others, seeds, setup.
 
     Raises
     ------
@@ -96,46 +99,27 @@ def forecast(
     >>> found.method, found.prediction.y.shape, found.prediction.lower.shape
     ('harmonic', (50, 1), (50, 1))
     """
-    _check_ahead(record, steps)
-    methods = [methods] if isinstance(methods, str) else methods
-    if setup is None:
-        setup = default_setup(record, len(record), methods=methods)
-    elif setup.train != len(record):
-        raise ValueError(
-            f"train of setup must be all {len(record)} samples of the record, got {setup.train}"
-        )
-    work = work or Work()
-    chosen, setup = candidates(record, setup, methods)
-    check(record, chosen, setup, others, beyond=True)
-    check_trial(record, chosen, setup, others)
-    with timed(work, setup).staffed() as staff:
-        trial, searched = choose(record, chosen, steps, setup, seeds, staff, others)
+    whole("steps", steps)
+    return run_forecast(plan(record, len(record), methods, horizon=steps, **options), work)
+
+
+def run_forecast(plan: Plan, work: Work | None = None) -> Forecast:
+    """Forecast what lies beyond the record of a plan, all of which is trained on."""
+    record, steps = plan.record, plan.horizon
+    with timed(work or Work(), plan.setup.search).staffed() as staff:
+        trial, searched = choose(plan, staff)
         # Training is slow: of the networks, only the best one is trained on all of the record.
         fitted = [m for m in searched.forecasters if m.name in trial.errors]
         fitted = [m for m in fitted if not m.random or m.name == trial.best_network]
-        origin = Origin(len(record), len(record))
-        question = Question(record, [origin], len(record) + steps, others)
-        stages = last_stages(staff, steps, len(record), steps)
-        networks = [m for m in fitted if m.random]
-        all_seeds = last_trainings(networks, searched, trial, seeds, stages[1])
-        backtests: dict[str, dict[int, Backtest]] = {}
-        failures: list[Failure] = []
-        with staff.plan.phase("final trainings"):
-            quick = [m for m in fitted if not m.random]
-            for part, stage in zip((quick, networks), stages, strict=True):
-                asked = {method.name: question for method in part}
-                need_one = part == fitted or (part == networks and not any(backtests.values()))
-                found, lost = run_all(part, asked, all_seeds, stage, need_one and bool(part))
-                backtests |= found
-                failures += lost
-    backtests = {method.name: backtests[method.name] for method in fitted}
+        backtests, failures = _last_fits(plan, fitted, searched, trial, staff)
+    origin = Origin(len(record), len(record))
     means = {
         name: mean_of([backtest.predictions[origin] for backtest in of_method.values()])
         for name, of_method in backtests.items()
         if of_method
     }
     failed = {f.method: f.reason for f in failures[::-1] if f.method not in means}
-    failed = staff.plan.left_out | failed
+    failed = staff.time.left_out | failed
     final = {
         name: [backtest.predictions[origin].y for backtest in backtests[name].values()]
         for name in means
@@ -146,24 +130,37 @@ def forecast(
     left = [leaves_range(each.y_range, each.predictions[origin].y) for each in done.values()]
     u = record.u_beyond
     return Forecast(
-        record,
+        plan,
         as_trained(next(f for f in fitted if f.name == best), [*done]),
         replace(mean, lower=mean.y - half, upper=mean.y + half, level=LEVEL),
         trial,
-        tuple(done),
         next(iter(done.values())).description,
         min((samples for samples in left if samples is not None), default=None),
-        inputs_beyond([record, *others], None if u is None else u[:steps]),
-        staff.plan,
+        inputs_beyond([record, *plan.others], None if u is None else u[:steps]),
+        staff.time,
     )
 
 
-def _check_ahead(record: Record, steps: int) -> None:
-    whole("steps", steps)
-    for what, known, ahead in (
-        ("known inputs", record.u, record.u_beyond),
-        ("the simulator", record.y_sim, record.beyond),
-    ):
-        reach = 0 if ahead is None else len(ahead)
-        if known is not None and reach < steps:
-            raise ValueError(f"{what} must reach {steps} samples beyond the record, got {reach}")
+def _last_fits(
+    plan: Plan,
+    fitted: Sequence[Forecaster],
+    searched: SearchResult,
+    trial: Trial,
+    work: Work,
+) -> tuple[dict[str, dict[int, Backtest]], list[Failure]]:
+    """The forecasts of methods fitted to all of the record: what needs no training first."""
+    origin = Origin(plan.train, plan.train)
+    question = Question(plan.record, [origin], plan.train + plan.horizon, plan.others)
+    stages = last_stages(plan, work, plan.horizon)
+    quick, networks = ([m for m in fitted if m.random == random] for random in (False, True))
+    seeds = last_trainings(plan, networks, searched, trial, stages[1])
+    backtests: dict[str, dict[int, Backtest]] = {}
+    failures: list[Failure] = []
+    with work.time.phase("final trainings"):
+        for part, stage in zip((quick, networks), stages, strict=True):
+            asked = {method.name: question for method in part}
+            need_one = part == fitted or (part == networks and not any(backtests.values()))
+            found, lost = run_all(part, asked, seeds, stage, need_one and bool(part))
+            backtests |= found
+            failures += lost
+    return {method.name: backtests[method.name] for method in fitted}, failures

@@ -1,145 +1,257 @@
-"""How the time of a comparison is spent: until when it must be done, what is left, what it took.
-
-Costs of trainings are reckoned in seconds of a reference core (`evaluation.costs`). What such a
-second takes on this machine, with whatever else runs on it, is measured by the trainings of the
-same run, so that a busy machine is known to be slower.
-"""
+"""Deciding all of a comparison, and checking it, before anything is computed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-from splitband.evaluation.costs import speed
-from splitband.runtime.deadlines import Deadline, now
+import numpy as np
 
-BASELINES = 0.3
-"""Share of the time that baselines may take."""
-SEARCH, TRIAL, BASE = 0.5, 0.65, 0.7
-"""Shares of the time after them when the search for trainings must be over, the trial of all
-methods on three quarters, and that of a network on a baseline; the rest is for final trainings."""
-ONE = 0.3
-"""Share of the time that a single training of a candidate may take."""
-SLOWER = 2.0
-"""By how much trainings are taken to be slower than the gradient by which a core is measured, until
-they have been measured themselves."""
-START = "start"
-"""The phase before a comparison: loading the package, reading the record."""
-PROCESSES = 1.5
-"""Multiples of what the command took to start that must be left for other processes to be worth
-starting, too."""
-BUSY = 0.8
-"""Share of the time of all cores that trainings side by side make use of."""
-NEWEST = 0.5
-"""Weight of what has just been measured against what was known of the machine's pace."""
+from splitband.data import Record, check_alike
+from splitband.data.gaps import first_after
+from splitband.evaluation.setup import Options, Setup, usual_names
+from splitband.forecasters.backtest import for_trial, held_out_from
+from splitband.forecasters.base import Forecaster
+from splitband.runtime.arguments import whole
+
+TRAINING_SHARE = 0.75
+"""The share of a record to train on, where no number of samples is given."""
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Plan:
-    """The time of one command, and where it went.
+    """What is to be computed, decided and checked; `run` computes it.
 
     Attributes
     ----------
-    deadline : When all forecasts must be there; what comes after them has been allowed for.
-    cores : Trainings side by side.
-    began : When the command began, by the clock of `runtime.deadlines.now`.
-    pace : Wall seconds that a second of a reference core takes here; 1 until it is measured.
-    asking : Seconds that a job needed after its training at most, to be asked for forecasts.
-    left_out : Methods for which there was no time, and why.
-    cut : Trainings that the deadline ended, and choices that it narrowed.
-    used : Seconds of each phase, in their order.
-    asked : Seconds of wall time, and of work of a reference core, that were allowed; None where
-        there was no such limit.
+    record : What was measured, up to the last sample that is predicted of it.
+    methods : Forecasters, with nothing left open but what a search may change.
+    setup : What they share.
+    horizon : Samples to forecast beyond the training part.
+    others : Further records to train on.
+    tests : Records that nothing is fitted to, each with a name of its own.
+    seeds : Trainings of each network; None where the search decides.
     """
 
-    deadline: Deadline = field(default_factory=Deadline)
-    cores: int = 1
-    began: float = field(default_factory=now)
-    pace: float = 1.0
-    asking: float = 0.0
-    left_out: dict[str, str] = field(default_factory=dict)
-    cut: list[str] = field(default_factory=list)
-    used: dict[str, float] = field(default_factory=dict)
-    asked: tuple[float | None, float | None] = (None, None)
+    record: Record
+    methods: tuple[Forecaster, ...]
+    setup: Setup
+    horizon: int
+    others: tuple[Record, ...] = ()
+    tests: tuple[Record, ...] = ()
+    seeds: int | None = None
 
     @classmethod
     def of(
-        cls, seconds: float | None, cores: int, began: float | None = None, after: float = 0.0
+        cls,
+        record: Record,
+        methods: Sequence[Forecaster],
+        setup: Setup,
+        others: Sequence[Record] = (),
+        tests: Sequence[Record] = (),
     ) -> Plan:
-        """Return the plan of a command.
-
-        Parameters
-        ----------
-        seconds : Of wall time for all of it; None: no limit.
-        cores : Trainings side by side.
-        began : When it began, by default now.
-        after : Seconds for what is done with the forecasts.
-        """
-        began = now() if began is None else began
-        if seconds is None:
-            return cls(Deadline(), cores, began)
-        deadline, pace = Deadline(began + seconds - after), SLOWER / speed()
-        return cls(deadline, cores, began, pace, used={START: now() - began})
+        """Return a plan of what has been decided by hand, to the end of the record, unchecked."""
+        horizon = len(record) - setup.train
+        return cls(record, tuple(methods), setup, horizon, tuple(others), tuple(tests))
 
     @property
-    def limited(self) -> bool:
-        """Whether there is a deadline at all."""
-        return self.deadline != Deadline()
-
-    def allows_processes(self, until: Deadline) -> bool:
-        """Whether there is time for other processes to start, which takes as long as this one."""
-        return until.left > PROCESSES * self.used.get(START, 0.0)
+    def train(self) -> int:
+        """Samples at the beginning of the record that are trained on."""
+        return self.setup.train
 
     @property
-    def reproducible(self) -> bool:
-        """Whether the clock has changed nothing: the same command finds the same again."""
-        return not self.left_out and not self.cut
+    def training(self) -> Record:
+        """The training part of the record."""
+        return self.record[: self.train]
 
-    def share(self, share: float) -> Deadline:
-        """Return when so large a share of the time that is left now will be over."""
-        return (
-            self.deadline.earlier((1 - share) * self.deadline.left) if self.limited else Deadline()
+    @property
+    def names(self) -> list[str]:
+        """Of the methods."""
+        return [method.name for method in self.methods]
+
+
+def plan(
+    record: Record,
+    train: int | None = None,
+    methods: Sequence[Forecaster | str] | str | None = None,
+    *,
+    horizon: int | None = None,
+    others: Sequence[Record] = (),
+    tests: Sequence[Record] = (),
+    seeds: int | None = None,
+    setup: Setup | Options | None = None,
+) -> Plan:
+    """Decide what a comparison computes, and find what is wrong with it.
+
+    Parameters
+    ----------
+    record : What was measured, and known beside it.
+    train : Samples to train on, by default three quarters; with `tests` all.
+    methods : Forecasters, or names of those that have one (`splitband methods`); what they leave
+        open is as in `setup`. By default what is worth comparing on such a record. How the first
+        network is trained is searched most thoroughly.
+    horizon : Samples to predict after the training part, by default to the end of the record. Where
+        all of the record is trained on, they lie beyond it, as far as its inputs and its
+        simulator's output are known (`u_beyond`, `beyond`); 0 is for fitting alone.
+    others : Further records of the same system, to train on.
+    tests : Records of the same system that nothing is fitted to: each is simulated to its end by
+        what warms up on its first samples.
+    seeds : Trainings of each network; by default as many as the budget of the search pays for, and
+        `SEEDS` of what is not searched.
+    setup : Settings, bands and sizes, as far as they are decided (`Options`) or all of them
+        (`Setup`); by default they are chosen by the training samples, and how networks are trained
+        by trials on the last quarter of them, within two minutes.
+
+    Returns
+    -------
+    Plan
+        For `run`; nothing has been fitted yet.
+
+    Raises
+    ------
+    ValueError
+        For what is wrong with records, methods, settings and numbers of samples.
+    """
+    methods = [methods] if isinstance(methods, str) else methods
+    if train is None:
+        train = getattr(setup, "train", None)
+    if train is None:
+        train = len(record) if tests else int(TRAINING_SHARE * len(record))
+    record, horizon = _reaching(record, train, horizon, bool(tests))
+    decided = (setup or Options()).decided(record, train, methods)
+    if seeds is not None:
+        whole("seeds", seeds)
+    if methods is None:
+        methods = usual_names(record, decided.bands)
+        if decided.search is not None:
+            decided = replace(decided, search=replace(decided.search, bases=True))
+    made = [decided.forecaster(each) if isinstance(each, str) else each for each in methods]
+    made = [method.with_defaults(decided.settings, decided.bands) for method in made]
+    found = Plan(record, tuple(made), decided, horizon, tuple(others), tuple(tests), seeds)
+    check(found)
+    if horizon or tests:
+        _check_trial(found)
+    return replace(found, tests=_called_apart(tests))
+
+
+def check_train(record: Record, train: int, horizon: int = 1) -> None:
+    """Check that there is something to train on and `horizon` samples to predict."""
+    if not 2 <= whole("train", train, None) <= len(record) - horizon:
+        raise ValueError(
+            f"train must be between 2 and {len(record) - horizon} for a record of {len(record)} "
+            f"samples, got {train}"
         )
 
-    def reckoned(self, until: Deadline) -> float:
-        """Return how many seconds of a reference core all cores together have until then."""
-        return max(BUSY * self.cores * until.left / self.pace, 0.0)
 
-    def reckoned_alone(self, until: Deadline) -> float:
-        """Return the same of a single training."""
-        return max(until.left / self.pace, 0.0)
+def check(plan: Plan) -> None:
+    """Find what is wrong with a plan, but for the trial on held-out samples.
 
-    def measured(self, reckoned: float, took: float) -> None:
-        """Learn the pace from trainings that were reckoned to take some time, and took another."""
-        if reckoned > 0:
-            self.pace += NEWEST * (took / reckoned - self.pace)
-
-    def narrowed(self, what: str) -> None:
-        """Note what the clock has changed, once."""
-        if what not in self.cut:
-            self.cut.append(what)
-
-    @contextmanager
-    def phase(self, name: str) -> Iterator[None]:
-        """Count what happens in here as a phase; a name may come again."""
-        began = now()
+    A method that cannot be fitted does not keep the others from it: its reason is raised only where
+    none can be, and is in its row otherwise.
+    """
+    _check_methods(plan.methods)
+    _check_records(plan)
+    wrong: list[ValueError] = []
+    for forecaster in plan.methods:
         try:
-            yield
-        finally:
-            self.used[name] = self.used.get(name, 0.0) + now() - began
+            forecaster.check(plan.training, *plan.others)
+        except ValueError as error:
+            wrong.append(error)
+    if len(wrong) == len(plan.methods):
+        raise wrong[0]
 
-    def as_json(self) -> dict[str, Any]:
-        """What result files say of it: what was limited, what was asked for, and what was used."""
-        seconds, work = self.asked
-        limited = "nothing" if work is None else "work" if seconds is None else "time"
-        return {
-            "limited": limited,
-            "asked_seconds": seconds,
-            "asked_core_seconds": work,
-            "used_seconds": round(now() - self.began, 2),
-            "phases": {name: round(seconds, 2) for name, seconds in self.used.items()},
-            "changed_by_the_clock": [*self.cut],
-            "left_out": dict(self.left_out),
-        }
+
+def _reaching(record: Record, train: int, horizon: int | None, tested: bool) -> tuple[Record, int]:
+    """The record to the last sample that is predicted, and how many of these are not trained on."""
+    beyond = horizon is not None and train == len(record)
+    check_train(record, train, 0 if tested or beyond else 1)
+    if horizon is None:
+        return record, len(record) - train
+    whole("horizon", horizon, 0 if beyond else 1)
+    if beyond:
+        _check_beyond(record, horizon)
+        return record, horizon
+    if train + horizon > len(record):
+        raise ValueError(
+            f"horizon must end within the record: at most {len(record) - train} samples after the "
+            f"{train} of train, got {horizon}"
+        )
+    return record[: train + horizon], horizon
+
+
+def _check_beyond(record: Record, horizon: int) -> None:
+    for what, known, coming in (
+        ("known inputs", record.u, record.u_beyond),
+        ("the simulator", record.y_sim, record.beyond),
+    ):
+        reach = 0 if coming is None else len(coming)
+        if known is not None and reach < horizon:
+            raise ValueError(f"{what} must reach {horizon} samples beyond the record, got {reach}")
+
+
+def _check_methods(methods: Sequence[Forecaster]) -> None:
+    if not methods:
+        raise ValueError("methods must be one or several, got none")
+    names = [forecaster.name for forecaster in methods]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice:
+        raise ValueError(
+            f"methods must have names that differ, two are {twice}; a forecaster takes another "
+            "one as `name`"
+        )
+
+
+def _check_records(plan: Plan) -> None:
+    record, train, warmup = plan.record, plan.train, plan.setup.settings.warmup
+    for other in plan.others:
+        check_alike(other, record, other.name or "another record")
+    for test in plan.tests:
+        _check_test(test, plan)
+    if warmup >= train:
+        raise ValueError(f"warmup must be shorter than the {train} training samples, got {warmup}")
+    for name, part in (("training", slice(train)), ("predicted", slice(train, None))):
+        predicted = record.truth[part]
+        if len(predicted) and np.isnan(predicted).all(axis=0).any():
+            raise ValueError(f"the {name} part must have a measured sample in every channel")
+
+
+def _check_test(test: Record, plan: Plan) -> None:
+    check_alike(test, plan.record, test.name or "a test record")
+    warmup = max(plan.setup.settings.warmup, *(f.warmup for f in plan.methods))
+    begin = first_after(test.complete, warmup)
+    if begin in (None, len(test)):
+        raise ValueError(
+            f"warmup must fit into the test record {test.name} of {len(test)} samples, with "
+            f"samples to predict after it, got {warmup}"
+        )
+    if np.isnan(test.truth[begin:]).all(axis=0).any():
+        raise ValueError(
+            f"every channel of the test record {test.name} must be measured somewhere after "
+            f"its first {begin} samples, on which methods warm up"
+        )
+
+
+def _check_trial(plan: Plan) -> None:
+    """Find what is wrong with the trial on the last quarter of the training part."""
+    part = replace(plan.training, y_true=None)
+    setup = replace(plan.setup, train=held_out_from(plan.train))
+    shorter = tuple(for_trial(f, plan.train) for f in plan.methods)
+    try:
+        check(Plan(part, shorter, setup, len(part) - setup.train, plan.others))
+    except ValueError as error:
+        raise ValueError(
+            f"{error} (a method is chosen on the last quarter of the {plan.train} training "
+            "samples, trained on the rest)"
+        ) from None
+
+
+def _called_apart(tests: Sequence[Record]) -> tuple[Record, ...]:
+    """The test records, each with a name of its own: those that share one are counted."""
+    names: list[str] = []
+    for i, test in enumerate(tests):
+        name, count = test.name or str(i + 1), 1
+        while name in names:
+            count += 1
+            name = f"{test.name} ({count})"
+        names.append(name)
+    return tuple(replace(test, name=name) for test, name in zip(tests, names, strict=True))

@@ -13,10 +13,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Record, check_alike
-from splitband.data.gaps import first_after
+from splitband.data import Record
+from splitband.evaluation.plan import Plan
 from splitband.evaluation.runs import Failure, Work, run_all
-from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import Backtest, Origin, Question, first_origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
@@ -29,12 +28,8 @@ from splitband.metrics import (
     leaves_range,
     rmse,
 )
-from splitband.runtime.arguments import whole
 
 Array = npt.NDArray[np.float64]
-
-TRAINING_SHARE = 0.75
-"""The share of a record to train on, where no number of samples is given."""
 
 
 @dataclass(frozen=True)
@@ -132,59 +127,30 @@ class Runs(dict[str, list[Run]]):
         raise KeyError(f"{method}: {self.failed.get(method, 'not among the methods')}")
 
 
-def compare_methods(
-    record: Record,
-    forecasters: Sequence[Forecaster],
-    setup: Setup,
+def run_methods(
+    plan: Plan,
+    methods: Sequence[Forecaster],
     seeds: Sequence[int] | Mapping[str, Sequence[int]] = (0,),
     work: Work | None = None,
-    others: Sequence[Record] = (),
-    tests: Sequence[Record] = (),
+    need_one: bool = True,
 ) -> Runs:
-    """Fit every forecaster with every seed and predict under every protocol.
+    """Fit methods of a plan with every seed and predict under every protocol.
 
     What diverges, or cannot be fitted for another reason, is among the result's `failures` and
     does not keep the others from running.
 
     Parameters
     ----------
-    record : Training part and the rest; both protocols end where it ends.
-    forecasters : With settings and bands, see `Setup.forecaster`; their names must differ.
-    setup : How many samples are trained on, and the warm-up of what has none of its own.
+    plan : Has been checked.
+    methods : Those of its methods that are run.
     seeds : Each gives one run of each forecaster that draws something; by name where these differ.
     work : How it is computed.
-    others : Further records of the same system to train on.
-    tests : Records that nothing is fitted to, to be simulated from their first samples.
-
-    Raises
-    ------
-    ValueError
-        Before anything is computed, for what `check` finds; and where every method fails.
+    need_one : Raise ValueError where every method fails.
     """
-    check(record, forecasters, setup, others, tests)
-    return run_methods(record, forecasters, setup, seeds, work or Work(), others, tests)
-
-
-def run_methods(
-    record: Record,
-    forecasters: Sequence[Forecaster],
-    setup: Setup,
-    seeds: Sequence[int] | Mapping[str, Sequence[int]],
-    work: Work,
-    others: Sequence[Record] = (),
-    tests: Sequence[Record] = (),
-    need_one: bool = True,
-) -> Runs:
-    """Do what `compare_methods` does, for what has been checked; `need_one` as in `run_all`."""
-    questions = {
-        f.name: Question(
-            record, _origins(f, record, setup), len(record), others, tests, setup.settings.warmup
-        )
-        for f in forecasters
-    }
-    backtests, failures = run_all(forecasters, questions, seeds, work, need_one)
+    questions = {f.name: _question(plan, f) for f in methods}
+    backtests, failures = run_all(methods, questions, seeds, work or Work(), need_one)
     runs = {
-        name: [as_run(name, questions[name], setup.train, each) for each in done.values()]
+        name: [as_run(name, questions[name], plan.train, each) for each in done.values()]
         for name, done in backtests.items()
         if done
     }
@@ -196,11 +162,12 @@ def run_methods(
     return Runs(runs, failures)
 
 
-def _origins(forecaster: Forecaster, record: Record, setup: Setup) -> list[Origin]:
-    """Of the two protocols; there is nothing to forecast where all of the record is trained on."""
-    warmup = forecaster.warmup or setup.settings.warmup
-    first = first_origin(record, setup.train, warmup)
-    return [first, Origin(setup.train, setup.train)][: 1 + (setup.train < len(record))]
+def _question(plan: Plan, forecaster: Forecaster) -> Question:
+    """Both protocols; there is nothing to forecast where all of the record is trained on."""
+    record, train, warmup = plan.record, plan.train, plan.setup.settings.warmup
+    first = first_origin(record, train, forecaster.warmup or warmup)
+    origins = [first, Origin(train, train)][: 1 + (train < len(record))]
+    return Question(record, origins, len(record), plan.others, plan.tests, warmup)
 
 
 def as_run(name: str, question: Question, train: int, done: Backtest) -> Run:
@@ -276,71 +243,3 @@ def inputs_beyond(training: Sequence[Record], u: Array | None) -> list[Extrapola
     """Which inputs `u` `(time, nu)` ahead go beyond those of the training records."""
     seen = [record.u for record in training if record.u is not None]
     return [] if u is None or not seen else extrapolations(*input_range(seen), u)
-
-
-def check_train(record: Record, train: int, ahead: int = 1) -> None:
-    """Check that there is something to train on and `ahead` samples to predict."""
-    if not 2 <= whole("train", train, None) <= len(record) - ahead:
-        raise ValueError(
-            f"train must be between 2 and {len(record) - ahead} for a record of {len(record)} "
-            f"samples, got {train}"
-        )
-
-
-def check(
-    record: Record,
-    forecasters: Sequence[Forecaster],
-    setup: Setup,
-    others: Sequence[Record] = (),
-    tests: Sequence[Record] = (),
-    beyond: bool = False,
-) -> None:
-    """Find what is wrong with a comparison before anything is computed.
-
-    Samples to predict must follow the training part, unless there are test records or what lies
-    `beyond` the record is asked for. A method that cannot be fitted does not keep the others from
-    it: its reason is raised only where none can be, and is in its row otherwise.
-    """
-    if not forecasters:
-        raise ValueError("methods must be one or several, got none")
-    names = [forecaster.name for forecaster in forecasters]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice:
-        raise ValueError(
-            f"methods must have names that differ, two are {twice}; a forecaster takes another "
-            "one as `name`"
-        )
-    check_train(record, setup.train, 0 if beyond or tests else 1)
-    for other in others:
-        check_alike(other, record, other.name or "another record")
-    for test in tests:
-        check_alike(test, record, test.name or "a test record")
-        warmup = max(setup.settings.warmup, *(f.warmup for f in forecasters))
-        begin = first_after(test.complete, warmup)
-        if begin in (None, len(test)):
-            raise ValueError(
-                f"warmup must fit into the test record {test.name} of {len(test)} samples, with "
-                f"samples to predict after it, got {warmup}"
-            )
-        if np.isnan(test.truth[begin:]).all(axis=0).any():
-            raise ValueError(
-                f"every channel of the test record {test.name} must be measured somewhere after "
-                f"its first {begin} samples, on which methods warm up"
-            )
-    if setup.settings.warmup >= setup.train:
-        raise ValueError(
-            f"warmup must be shorter than the {setup.train} training samples, "
-            f"got {setup.settings.warmup}"
-        )
-    for name, part in (("training", slice(setup.train)), ("predicted", slice(setup.train, None))):
-        predicted = record.truth[part]
-        if len(predicted) and np.isnan(predicted).all(axis=0).any():
-            raise ValueError(f"the {name} part must have a measured sample in every channel")
-    wrong: list[ValueError] = []
-    for forecaster in forecasters:
-        try:
-            forecaster.check(record[: setup.train], *others)
-        except ValueError as error:
-            wrong.append(error)
-    if len(wrong) == len(forecasters):
-        raise wrong[0]

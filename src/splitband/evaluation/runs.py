@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
+from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.costs import job_cost
-from splitband.evaluation.plan import Plan
 from splitband.forecasters.backtest import Backtest, Question, backtest
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.simulation import CALIBRATIONS
@@ -54,7 +54,7 @@ class Work:
     stage : What the progress is reported as.
     executor : What carries out the jobs in place of processes of this machine: any executor of
         `concurrent.futures`, Dask's (`Cluster`) or mpi4py's, for instance. It stays open.
-    plan : The time of the whole command, and what is known of the machine's pace.
+    time : The time of the whole command, and what is known of the machine's pace.
     deadline : When the trainings of this stage end with what they have, and what has not begun yet
         is left out.
     span : Shares of the whole command that are done before this stage and after it, for `progress`.
@@ -65,7 +65,7 @@ class Work:
     checkpoints: str | Path | None = None
     stage: str = "final fit"
     executor: Executor | None = None
-    plan: Plan = field(default_factory=Plan)
+    time: TimeBudget = field(default_factory=TimeBudget)
     deadline: Deadline = field(default_factory=Deadline)
     span: tuple[float, float] = (0.0, 1.0)
 
@@ -100,8 +100,8 @@ class Work:
         if self.executor is not None or self.jobs == 1:
             yield self
             return
-        if not self.plan.allows_processes(self.plan.share(HALF)):
-            self.plan.cores = 1
+        if not self.time.allows_processes(self.time.share(HALF)):
+            self.time.cores = 1
             yield self.alone()
             return
         with Processes(self.jobs) as processes:
@@ -170,16 +170,16 @@ def run_all(
         watch = _Watch(work, {(each.name, each.seed): costs[each.name] for each in todo})
         # What needs no training looks at the deadline by itself, and is what there is in any case.
         trains = any(f.random for f in ready.values())
-        late = Deadline(work.deadline.at + PATIENCE + work.plan.asking)
+        late = Deadline(work.deadline.at + PATIENCE + work.time.asking)
         patience = late if trains else Deadline()
         for done_job in over(job, todo, workers, watch.report, patience):
             key = done_job.name, done_job.seed
             done[key] = done_job.outcome
             if done_job.fresh:
-                work.plan.measured(costs[done_job.name], done_job.seconds)
+                work.time.measured(costs[done_job.name], done_job.seconds)
             if done_job.fresh and isinstance(done_job.outcome, Backtest):
                 asking = done_job.seconds - done_job.outcome.report.seconds
-                work.plan.asking = max(work.plan.asking, asking)
+                work.time.asking = max(work.time.asking, asking)
             watch.finished(key, done_job.outcome)
             if place is not None:
                 place.keep(done_job.files)
@@ -252,7 +252,7 @@ def _note(work: Work, done: Mapping[tuple[str, int], Backtest | Failure]) -> Non
     for (name, seed), outcome in done.items():
         late = isinstance(outcome, Failure) and outcome.late
         if late or (isinstance(outcome, Backtest) and outcome.report.cut):
-            work.plan.narrowed(f"{name}, {f'seed {seed}, ' if seed else ''}{work.stage}")
+            work.time.narrowed(f"{name}, {f'seed {seed}, ' if seed else ''}{work.stage}")
 
 
 class _Watch:

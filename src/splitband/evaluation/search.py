@@ -8,7 +8,7 @@ are trained in the two ways that gave the first one its lowest errors, and likew
 What is tried depends on the record and on the work that may be done, counted in seconds of a
 reference core, so that the same command tries the same on every run. A limit of wall time, where
 there is one, comes before that: what would not be done by then on this machine is not begun, and
-the plan of the command (`evaluation.plan`) says so.
+the time budget of the command (`evaluation.budget`) says so.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from splitband.data import Record
+from splitband.evaluation.budget import ONE
 from splitband.evaluation.costs import reference_seconds, training_cost
-from splitband.evaluation.plan import ONE
 from splitband.evaluation.runs import Work, run_all
 from splitband.forecasters.backtest import (
     HELD_OUT,
@@ -230,8 +230,8 @@ def search(
     makes = {f.name: partial(_candidate, f, record, others) for f in free}
     for_search, for_one = (share * budget.core_seconds for share in (SEARCHED, TRAINED))
     trials = _Trials(record, steps, work, others, for_search)
-    plan, until = work.plan, work.deadline
-    for_one = min(for_one, plan.reckoned_alone(plan.share(ONE)))
+    time, until = work.time, work.deadline
+    for_one = min(for_one, time.reckoned_alone(time.share(ONE)))
 
     tried: list[TrainingCandidate] = []
 
@@ -239,9 +239,9 @@ def search(
         """Try them, then the promising ones for longer, and so on."""
         while candidates:
             left = allowed - trials.spent
-            in_time = plan.reckoned(until)
+            in_time = time.reckoned(until)
             if in_time < min(left, sum(_in_trials(c, len(TRIAL_SEEDS)) for c in candidates)):
-                plan.narrowed("the search")
+                time.narrowed("the search")
                 left = min(left, in_time)
                 candidates = sorted(candidates, key=lambda c: c.cost)
             affordable = _within(candidates, len(TRIAL_SEEDS), SEVERAL * left, for_one)
@@ -276,7 +276,7 @@ def search(
     )
     ranked = _ranked(tried, trials.scores)
     chosen = {c.method: c for c in reversed(ranked)}
-    if plan.cut and not tried:  # there is no time to try anything: what is done soonest
+    if time.cut and not tried:  # there is no time to try anything: what is done soonest
         chosen = {
             f.name: min((makes[f.name](*w) for w in of_usual), key=lambda c: c.cost) for f in free
         }

@@ -12,9 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record
-from splitband.evaluation.protocols import check
 from splitband.evaluation.runs import Work, run_all
-from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import (
     Backtest,
     Question,
@@ -175,7 +173,7 @@ def try_out(
         simulator's output of the `steps` samples after it (`u_beyond`, `beyond`).
     forecasters : With settings and bands. Long training windows shrink with the record.
     steps : How far beyond the record is to be forecast after all.
-    seeds, work, others : See `compare_methods`; errors likewise.
+    seeds, work, others : See `protocols.run_methods`.
     done : Forecasts that have been made already, by name and seed.
     need_one : Raise ValueError where nothing could be fitted.
     """
@@ -205,21 +203,3 @@ def try_out(
         frozenset(f.name for f in shorter if f.random),
         failed={f.method: f.reason for f in failures[::-1] if f.method not in early},
     )
-
-
-def check_trial(
-    record: Record,
-    forecasters: Sequence[Forecaster],
-    setup: Setup,
-    others: Sequence[Record] = (),
-) -> None:
-    """Find what is wrong with `try_out` before anything is computed."""
-    part = replace(record[: setup.train], y_true=None)
-    shorter = [for_trial(f, setup.train) for f in forecasters]
-    try:
-        check(part, shorter, replace(setup, train=held_out_from(setup.train)), others)
-    except ValueError as error:
-        raise ValueError(
-            f"{error} (a method is chosen on the last quarter of the {setup.train} training "
-            "samples, trained on the rest)"
-        ) from None

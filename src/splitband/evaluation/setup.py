@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -13,7 +13,7 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster, parts_of
 from splitband.forecasters.names import NAMES, QUICK, Sizes, named
 from splitband.forecasters.network import Network
-from splitband.training import Settings
+from splitband.training import Settings, default_warmup
 from splitband.training.recipes import Recipe, recipe_settings
 
 
@@ -44,6 +44,14 @@ class Setup:
             forecaster.resizable = self.search is not None and self.search.sizes
         return forecaster
 
+    def decided(
+        self, record: Record, train: int, methods: Sequence[Forecaster | str] | None = None
+    ) -> Setup:
+        """Return this setup; raises ValueError where it is for another training part."""
+        if train != self.train:
+            raise ValueError(f"train must be that of setup, {self.train}, got {train}")
+        return self
+
     def as_json(self) -> dict[str, Any]:
         """For a result file: flat, and with the settings that each of them is made of."""
         bands, sizes = asdict(self.bands), asdict(self.sizes)
@@ -71,61 +79,100 @@ def default_names(with_simulator: bool, with_inputs: bool = False) -> list[str]:
     return ["gru", *networks, *simulator, *naive]
 
 
-def usual_names(record: Record, setup: Setup) -> list[str]:
+def usual_names(record: Record, bands: Bands) -> list[str]:
     """`default_names`, with the learned models where the record's simulator does not help."""
     names = default_names(record.y_sim is not None, record.nu > 0)
-    if setup.bands.choice is None or setup.bands.choice.simulator_helps is not False:
+    if bands.choice is None or bands.choice.simulator_helps is not False:
         return names
     kept = [name for name in names if name in QUICK and "simulator" in NAMES[name].needs]
     learned = default_names(False, record.nu > 0)
     return [*learned[:3], *kept, *learned[3:]]
 
 
-def trying_bases(setup: Setup) -> Setup:
-    """The setup of a comparison that may add to the `usual_names`: see `evaluation.bases`."""
-    search = setup.search
-    return setup if search is None else replace(setup, search=replace(search, bases=True))
+@dataclass(frozen=True)
+class Options:
+    """What a user decides of a `Setup`; the rest is chosen by the training samples.
 
-
-def default_setup(
-    record: Record,
-    train: int,
-    recipe: Recipe = "default",
-    settings: Settings | None = None,
-    bands: Bands | None = None,
-    methods: Sequence[Forecaster | str] | None = None,
-) -> Setup:
-    """A setup for a record of which nothing is known but its first `train` samples.
-
-    Parameters
+    Attributes
     ----------
-    record, train : No measured sample after the first `train` is looked at.
-    recipe, settings : How to train; by default as the recipe says.
-    bands : What is decided of them already; the rest is chosen, see `Bands.chosen`, where methods
-        need it: for hybrid models, if there are any and the simulator helps, otherwise for networks
-        alone.
-    methods : What the setup is for, or names of it; by default `default_names`.
+    recipe : How networks are trained where nothing else says so: "default" or "paper".
+    settings : In place of the recipe's.
+    changes : Single settings, such as `{"epochs": 5}`, in place of those of the recipe or of
+        `settings`. All but `warmup` decide how to train, so that nothing is searched.
+    bands : What is decided of them; the rest is chosen where methods need it, see `Bands.chosen`.
+    sizes : Of the networks that go by a name.
+    search : How much may go into finding better settings. By default two minutes, and nothing
+        where settings are given.
     """
-    search = None
-    if settings is None:
-        settings = recipe_settings(recipe, record[:train])
-        search = Search.usual() if recipe == "default" else None
-    if methods is None:
-        methods = default_names(record.y_sim is not None)
-    beside = [base for method in _made(methods) for base in _simulators_in(method)]
-    y_sim = None
-    if record.y_sim is not None and beside:
-        simulation = next((f for f in beside if f.calibrates), beside[0]).clone()
-        simulation.fit(record[:train])
-        y_sim = simulation.on(record[:train]).y_sim
-    bands = bands or Bands()
-    given = bands.cutoff is not None
-    if given or any(each.shares_bands for each in _made(methods)):
+
+    recipe: Recipe = "default"
+    settings: Settings | None = None
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    bands: Bands = field(default_factory=Bands)
+    sizes: Sizes | None = None
+    search: Search | None = None
+
+    def decided(
+        self, record: Record, train: int, methods: Sequence[Forecaster | str] | None = None
+    ) -> Setup:
+        """Return the setup for a record of which only the first `train` samples are looked at.
+
+        Parameters
+        ----------
+        record, train : No measured sample after the first `train` is looked at.
+        methods : What the setup is for, or names of it; by default `default_names`.
+        """
+        settings = self._settings(record[:train])
+        if methods is None:
+            methods = default_names(record.y_sim is not None)
+        bands = self._bands(record, train, settings, methods)
+        sizes = Sizes() if self.recipe == "paper" else Sizes(hidden_high=32, hidden_low=16)
+        return Setup(train, settings, bands, self.sizes or sizes, self._search())
+
+    def _settings(self, training: Record) -> Settings:
+        """How networks are trained to begin with."""
+        settings, said = self.settings or recipe_settings(self.recipe, training), {**self.changes}
+        if "window" in said:
+            said.setdefault("warmup", default_warmup(said["window"], settings.warmup))
+        if "milestones" in said:
+            said.setdefault("one_cycle", False)
+        return replace(settings, **said)
+
+    def _search(self) -> Search | None:
+        decided = [*self.changes.keys() - {"warmup"}]
+        decided += ["recipe paper"] if self.recipe == "paper" else []
+        if decided and self.search is not None:
+            raise ValueError(
+                "search must be None where it is decided how to train, got it beside "
+                f"{', '.join(decided)}"
+            )
+        if decided or (self.search is None and self.settings is not None):
+            return None
+        search = self.search or Search.usual()
+        return replace(search, sizes=search.sizes and self.sizes is None)
+
+    def _bands(
+        self,
+        record: Record,
+        train: int,
+        settings: Settings,
+        methods: Sequence[Forecaster | str],
+    ) -> Bands:
+        """The bands: for hybrid models, if there are any and the simulator helps, or networks."""
+        beside = [base for method in _made(methods) for base in _simulators_in(method)]
+        y_sim = None
+        if record.y_sim is not None and beside:
+            simulation = next((f for f in beside if f.calibrates), beside[0]).clone()
+            simulation.fit(record[:train])
+            y_sim = simulation.on(record[:train]).y_sim
+        given = self.bands.cutoff is not None
+        if not given and not any(each.shares_bands for each in _made(methods)):
+            return self.bands
         # A record without a band to split off concerns the methods that need one: they say so.
         with nullcontext() if given else suppress(ValueError):
-            bands = bands.chosen(record[:train].y, record.sampling_rate, settings.warmup, y_sim)
-    sizes = Sizes() if recipe == "paper" else Sizes(hidden_high=32, hidden_low=16)
-    return Setup(train, settings, bands, sizes, search=search)
+            part = record[:train]
+            return self.bands.chosen(part.y, record.sampling_rate, settings.warmup, y_sim)
+        return self.bands
 
 
 def _made(methods: Sequence[Forecaster | str]) -> list[Forecaster]:

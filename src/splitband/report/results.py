@@ -18,6 +18,7 @@ import pandas as pd
 
 from splitband.data import Record
 from splitband.data.timing import as_json
+from splitband.evaluation.budget import Phase
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.evaluation.protocols import Run
@@ -75,8 +76,8 @@ def _write(
         tested.save_predictions(comparison, folder)
         pictures.save(tested.picture(comparison), folder / "tests.png")
     save_found(comparison.forecaster(), record, folder)
-    comparison.plan.used["writing"] = now() - began
-    write_facts(folder, facts | results(comparison) | {"time": comparison.plan.as_json()})
+    comparison.time.phases["writing"] = Phase(now() - began)
+    write_facts(folder, facts | results(comparison) | {"time": comparison.time.as_json()})
 
 
 def found_in(forecaster: Forecaster, folder: Path) -> Path | None:
@@ -158,13 +159,11 @@ def predictions(comparison: Comparison) -> pd.DataFrame:
     return pd.DataFrame(table)
 
 
-def save_forecast(
-    result: Forecast, folder: Path, others: Sequence[str] = (), usage: Usage | None = None
-) -> None:
+def save_forecast(result: Forecast, folder: Path, usage: Usage | None = None) -> None:
     """Write all files of a forecast in place of an earlier result; on an error none of them.
 
     They are forecast.csv, its picture, the page, recommended.json where a network was fitted, and
-    results.json. `others` are the further records' names; `usage` is for the page.
+    results.json. `usage` is for the page.
     """
     page = import_module("splitband.report.page")
     with staged(folder) as new:
@@ -173,18 +172,18 @@ def save_forecast(
         pictures.save(pictures.forecast(result), new / "forecast.png")
         page.write(result, new / page.NAME, usage)
         save_found(result.forecaster, result.record, new)
-        facts = forecast_facts(result, others) | {"time": result.plan.as_json()}
+        facts = forecast_facts(result) | {"time": result.time.as_json()}
         write_facts(new, facts)
 
 
-def forecast_facts(result: Forecast, others: Sequence[str]) -> dict[str, Any]:
-    """What `forecast` writes to results.json; `others` are the further records' names."""
+def forecast_facts(result: Forecast) -> dict[str, Any]:
+    """What `forecast` writes to results.json."""
     record, trial = result.record, result.trial
     return {
         "record": record.name,
         "samples": len(record),
         "gaps": int((~record.complete).sum()),
-        "more": [*others],
+        "more": [other.name for other in result.plan.others],
         "leaves_training_range_after": result.leaves,
         "inputs_beyond_training": [asdict(each) for each in result.inputs_beyond_training],
         "steps": len(result.prediction),

@@ -1,0 +1,169 @@
+"""How the time of a comparison is spent: until when it must be done, what is left, what it took.
+
+Costs of trainings are reckoned in seconds of a reference core (`evaluation.costs`). What such a
+second takes on this machine, with whatever else runs on it, is measured by the trainings of the
+same run, so that a busy machine is known to be slower.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from splitband.evaluation.costs import speed
+from splitband.runtime.deadlines import Deadline, now
+
+BASELINES = 0.3
+"""Share of the time that baselines may take."""
+SEARCH, TRIAL, BASE = 0.5, 0.65, 0.7
+"""Shares of the time after them when the search for trainings must be over, the trial of all
+methods on three quarters, and that of a network on a baseline; the rest is for final trainings."""
+ONE = 0.3
+"""Share of the time that a single training of a candidate may take."""
+SLOWER = 2.0
+"""By how much trainings are taken to be slower than the gradient by which a core is measured, until
+they have been measured themselves."""
+START = "start"
+"""The phase before a comparison: loading the package, reading the record."""
+PROCESSES = 1.5
+"""Multiples of what the command took to start that must be left for other processes to be worth
+starting, too."""
+BUSY = 0.8
+"""Share of the time of all cores that trainings side by side make use of."""
+NEWEST = 0.5
+"""Weight of what has just been measured against what was known of the machine's pace."""
+
+
+@dataclass
+class Phase:
+    """A part of a command.
+
+    Attributes
+    ----------
+    used : Seconds that it took.
+    planned : Seconds that it could take when it began; None without a deadline.
+    """
+
+    used: float = 0.0
+    planned: float | None = None
+
+
+@dataclass(eq=False)
+class TimeBudget:
+    """The time of one command, and where it went.
+
+    Attributes
+    ----------
+    deadline : When all forecasts must be there; what comes after them has been allowed for.
+    cores : Trainings side by side.
+    began : When the command began, by the clock of `runtime.deadlines.now`.
+    pace : Wall seconds that a second of a reference core takes here; 1 until it is measured.
+    asking : Seconds that a job needed after its training at most, to be asked for forecasts.
+    left_out : Methods for which there was no time, and why.
+    cut : Trainings that the deadline ended, and choices that it narrowed.
+    phases : What has been done, in its order.
+    asked : Seconds of wall time, and of work of a reference core, that were allowed; None where
+        there was no such limit.
+    """
+
+    deadline: Deadline = field(default_factory=Deadline)
+    cores: int = 1
+    began: float = field(default_factory=now)
+    pace: float = 1.0
+    asking: float = 0.0
+    left_out: dict[str, str] = field(default_factory=dict)
+    cut: list[str] = field(default_factory=list)
+    phases: dict[str, Phase] = field(default_factory=dict)
+    asked: tuple[float | None, float | None] = (None, None)
+
+    @classmethod
+    def of(
+        cls, seconds: float | None, cores: int, began: float | None = None, after: float = 0.0
+    ) -> TimeBudget:
+        """Return the time budget of a command.
+
+        Parameters
+        ----------
+        seconds : Of wall time for all of it; None: no limit.
+        cores : Trainings side by side.
+        began : When it began, by default now.
+        after : Seconds for what is done with the forecasts.
+        """
+        began = now() if began is None else began
+        if seconds is None:
+            return cls(Deadline(), cores, began)
+        deadline, pace = Deadline(began + seconds - after), SLOWER / speed()
+        return cls(deadline, cores, began, pace, phases={START: Phase(now() - began)})
+
+    @property
+    def limited(self) -> bool:
+        """Whether there is a deadline at all."""
+        return self.deadline != Deadline()
+
+    def allows_processes(self, until: Deadline) -> bool:
+        """Whether there is time for other processes to start, which takes as long as this one."""
+        return until.left > PROCESSES * self.phases.get(START, Phase()).used
+
+    @property
+    def reproducible(self) -> bool:
+        """Whether the clock has changed nothing: the same command finds the same again."""
+        return not self.left_out and not self.cut
+
+    def share(self, share: float) -> Deadline:
+        """Return when so large a share of the time that is left now will be over."""
+        return (
+            self.deadline.earlier((1 - share) * self.deadline.left) if self.limited else Deadline()
+        )
+
+    def reckoned(self, until: Deadline) -> float:
+        """Return how many seconds of a reference core all cores together have until then."""
+        return max(BUSY * self.cores * until.left / self.pace, 0.0)
+
+    def reckoned_alone(self, until: Deadline) -> float:
+        """Return the same of a single training."""
+        return max(until.left / self.pace, 0.0)
+
+    def measured(self, reckoned: float, took: float) -> None:
+        """Learn the pace from trainings that were reckoned to take some time, and took another."""
+        if reckoned > 0:
+            self.pace += NEWEST * (took / reckoned - self.pace)
+
+    def narrowed(self, what: str) -> None:
+        """Note what the clock has changed, once."""
+        if what not in self.cut:
+            self.cut.append(what)
+
+    @contextmanager
+    def phase(self, name: str, until: Deadline | None = None) -> Iterator[None]:
+        """Count what happens in here as a phase that is to end by `until`; a name may come again.
+
+        By default it may take all the time that is left.
+        """
+        began, ends = now(), until or self.deadline
+        planned = max(ends.left, 0.0) if self.limited else None
+        phase = self.phases.setdefault(name, Phase(planned=planned))
+        try:
+            yield
+        finally:
+            phase.used += now() - began
+
+    def as_json(self) -> dict[str, Any]:
+        """What result files say of it: what was limited, what was asked for, and what was used."""
+        seconds, work = self.asked
+        limited = "nothing" if work is None else "work" if seconds is None else "time"
+        return {
+            "limited": limited,
+            "asked_seconds": seconds,
+            "asked_core_seconds": work,
+            "used_seconds": round(now() - self.began, 2),
+            "phases": {name: round(phase.used, 2) for name, phase in self.phases.items()},
+            "planned_phases": {
+                name: round(phase.planned, 2)
+                for name, phase in self.phases.items()
+                if phase.planned is not None
+            },
+            "changed_by_the_clock": [*self.cut],
+            "left_out": dict(self.left_out),
+        }
