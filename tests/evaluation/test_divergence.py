@@ -20,7 +20,7 @@ from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.closed_form import Mean
 from splitband.forecasters.names import Sizes
-from splitband.forecasters.simulation import Simulation
+from splitband.forecasters.simulation import Calibrated
 from splitband.forecasters.single import Single
 from splitband.models import Residual
 from splitband.report.results import results
@@ -93,7 +93,7 @@ def test_what_fails_on_the_whole_training_part_alone_is_not_recommended(
     methods = ["persistence", CALIBRATED]
     trial = try_out(RECORD, methods, SETUP)
     assert trial.recommended == CALIBRATED
-    monkeypatch.setattr(Simulation, "learn", _raising)
+    monkeypatch.setattr(Calibrated, "learn", _raising)
     final = settled(trial, compare(RECORD, methods, SETUP))
     assert (final.recommended, [*final.failed]) == ("persistence", [CALIBRATED])
 
@@ -154,7 +154,7 @@ def test_compare_has_a_row_for_what_could_not_be_fitted(
     methods = f"mean,persistence,{CALIBRATED}"
     assert main(files(f"compare record.csv --train {TRAIN} --methods {methods}")) == 0
     said = capsys.readouterr().out
-    assert "mean: could not be fitted: SVD did not converge" in said
+    assert "could not be fitted: SVD did not converge" in said
     found = json.loads((tmp_path / "out" / "results.json").read_text())
     assert found["recommended"] == CALIBRATED
     assert found["methods"]["mean"] == {"failed": "SVD did not converge"}
