@@ -10,7 +10,7 @@ ifneq ($(wildcard ../shared/data),)
 export SPLITBAND_DATA_DIR ?= $(abspath ../shared/data)
 endif
 
-.PHONY: demo test check kernels format figures docs paper bench fuzz soak memory clean
+.PHONY: axe demo test check kernels format figures docs paper bench fuzz soak memory clean
 
 demo: .venv/.ready
 	$(BIN)/splitband demo --out demo
@@ -65,3 +65,7 @@ memory: .venv/.ready
 
 clean:
 	rm -rf .venv demo out docs/_build .mypy_cache .ruff_cache .pytest_cache
+
+# The checker of accessibility that the browser tests use where it is there.
+axe:
+	npm install --no-save --no-package-lock --ignore-scripts axe-core@4

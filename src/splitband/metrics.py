@@ -44,7 +44,7 @@ def nrmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
 
 
 def fit_percent(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Any:
-    """Return the fit of each output in percent, 100 (1 - |y - prediction| / |y - mean(y)|).
+    """Return the fit of each output in percent, ``100 (1 - |y - prediction| / |y - mean(y)|)``.
 
     100 is perfect, 0 is as good as the mean of y; MATLAB's `compare` prints the same number.
 

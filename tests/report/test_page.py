@@ -98,9 +98,9 @@ def test_names_are_escaped(pages: dict[str, Path]) -> None:
 def test_the_page_says_what_it_must(pages: dict[str, Path], everything: Comparison) -> None:
     said = " ".join("".join(parsed(pages["comparison"]).itertext()).split())
     for words in (
-        f"Recommended: {everything.recommended}", "samples were not measured", "a note",
+        f"Short name: {everything.recommended}", "samples were not measured", "a note",
         "To keep in mind", "Error over horizon", "Components", "Spectrum and cut-off", "Training",
-        "What was tried", "How to use this model", "numpy", "splitband compare 'a <b>'",
+        "What was tried", "In Python", "numpy", "splitband compare 'a <b>'",
         "Not tested: ", "test RMSE later",
     ):  # fmt: skip
         assert words in said

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 CHROMIUM = Path("/usr/bin/chromium")
+AXE = Path(__file__).parents[2] / "node_modules/axe-core/axe.min.js"
+"""From npm: `make axe` fetches it."""
 ARGUMENTS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
@@ -114,10 +116,11 @@ def test_names_are_text_and_nothing_is_loaded(browser: Browser, tmp_path: Path) 
 
 
 def test_plots_of_one_time_zoom_together(opened: Opened) -> None:
-    """By dragging, by the buttons and by keys: from the start, forecast and both residuals."""
-    whole = opened.range(0)
-    opened.page.locator("#plot-0").scroll_into_view_if_needed()
-    box = opened.page.locator("#plot-0").bounding_box()
+    """By dragging, by the buttons and by keys: forecasts and their residuals."""
+    begun = opened.range(1)
+    assert begun == [18.8, 29.9]  # shortly before the forecast, which begins at 20 s
+    opened.page.locator("#plot-1").scroll_into_view_if_needed()
+    box = opened.page.locator("#plot-1").bounding_box()
     assert box is not None
     middle = box["y"] + box["height"] / 2
     opened.page.mouse.move(box["x"] + 0.4 * box["width"], middle - 40)
@@ -125,23 +128,27 @@ def test_plots_of_one_time_zoom_together(opened: Opened) -> None:
     opened.page.mouse.move(box["x"] + 0.6 * box["width"], middle + 40, steps=4)
     opened.page.mouse.up()
     opened.page.wait_for_function(
-        "end => Bokeh.documents[0].roots()[0].x_range.end < end", arg=whole[1]
+        "end => Bokeh.documents[0].roots()[1].x_range.end < end", arg=begun[1]
     )
-    dragged = opened.range(0)
-    assert whole[0] < dragged[0] < dragged[1] < whole[1]
-    assert all(opened.range(figure) == dragged for figure in range(4))
+    dragged = opened.range(1)
+    assert begun[0] < dragged[0] < dragged[1] < begun[1]
+    assert all(opened.range(figure) == dragged for figure in range(1, 5))
     opened.page.get_by_role("button", name="After it").click()
     after = opened.range(1)
     assert after == [20.0, 29.9]
     opened.page.locator("#plot-2").focus()
     opened.page.keyboard.press("+")
-    closer = opened.range(0)
+    closer = opened.range(1)
     assert closer[1] - closer[0] == pytest.approx((after[1] - after[0]) / 2)
     opened.page.keyboard.press("0")
-    assert all(opened.range(figure) == whole for figure in range(4))
+    whole = opened.range(1)
+    assert whole[0] < 0
+    assert whole[1] > 29.9
+    assert all(opened.range(figure) == whole for figure in range(1, 5))
 
 
 def test_a_method_is_switched_off_everywhere(opened: Opened) -> None:
+    opened.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
     assert all(opened.drawn("mean"))
     assert len(opened.drawn("mean")) >= 6
     opened.page.get_by_role("checkbox", name="mean").uncheck()
@@ -213,7 +220,7 @@ def test_a_long_record_is_drawn_soon(browser: Browser, tmp_path: Path) -> None:
             break
         it.context.close()
     highest = it.page.evaluate(
-        "Bokeh.documents[0].roots()[0].renderers[0].data_source.data[' measured']"
+        "Bokeh.documents[0].roots()[1].renderers.at(-1).data_source.data[' measured']"
         ".reduce((a, b) => Math.max(a, b))"
     )
     it.context.close()
@@ -221,3 +228,21 @@ def test_a_long_record_is_drawn_soon(browser: Browser, tmp_path: Path) -> None:
     assert highest == pytest.approx(9.0)
     assert path.stat().st_size < 6e6
     assert not it.complaints
+
+
+@pytest.mark.skipif(not AXE.exists(), reason="axe-core is not there: make axe fetches it")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 1400])
+def test_axe_has_no_serious_finding(browser: Browser, file: Path, scheme: str, width: int) -> None:
+    viewport = {"width": width, "height": 800}
+    it = Opened(browser, file, color_scheme=scheme, viewport=viewport, bypass_csp=True)
+    it.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
+    it.page.add_script_tag(content=AXE.read_text(encoding="utf-8"))
+    found = it.page.evaluate("axe.run().then(found => found.violations)")
+    it.context.close()
+    serious = [
+        (each["id"], each["nodes"][0]["html"])
+        for each in found
+        if each["impact"] in ("serious", "critical")
+    ]
+    assert not serious

@@ -53,7 +53,6 @@ def show(result: Comparison, out: Path, used: Usage) -> None:
     for line in words.achieved(result):
         showing.console.print(line, style="bold")
     for what, command in used.commands[:1]:
-        # In one line, so that it can be copied whole.
         showing.console.print(f"{what}:\n    {command}", soft_wrap=True)
     showing.console.print(f"results and pictures: {out}/\npage: {out / 'report.html'}")
     showing.results_file(out / "results.json")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,8 @@ _FOUND = (
 _USUAL = {"gaps": "refuse", "recipe": "default", "device": "cpu",
           "simulator_timeout": PATIENCE}  # fmt: skip
 _IMPORT = "from splitband.data.named import RECORDS"
+WIDTH = 80
+"""Characters in a line of a command."""
 STEPS = 100
 """Samples ahead in the examples."""
 
@@ -58,31 +60,29 @@ def usage(
     given = {**given, "record": record}
     if found is not None:
         given = {k: v for k, v in given.items() if k not in _FOUND} | {"settings": str(found)}
-    ahead = " --future-inputs FILE" if driven else ""
+    ahead = ["--steps " + str(STEPS), *(["--future-inputs FILE"] if driven else [])]
     commands = []
     if method in FITTED:
-        fit = _line("splitband fit", given, ["record", *_FIT])
-        commands.append(("Fit it to the whole record", f"{fit} --method {method} --out model"))
+        options = ["record", *_FIT]
+        end = [f"--method {method}", "--out model"]
+        fit = _line("splitband fit", given, options, end)
+        commands.append(("Fit it to the whole record", fit))
         simulated = "simulator" in named_forecaster(method).needs
-        options = _SIMULATE if simulated else ["time_column"]
-        simulate = _line("splitband simulate model", given, options)
-        commands.append(
-            ("Simulate it beyond measured samples",
-             f"{simulate} --history FILE --steps {STEPS}{ahead} --out ahead.csv")
-        )  # fmt: skip
+        options = [*_SIMULATE] if simulated else ["time_column"]
+        end = ["--history FILE", *ahead, "--out ahead.csv"]
+        simulate = _line("splitband simulate model", given, options, end)
+        commands.append(("Simulate it beyond measured samples", simulate))
     else:
-        forecast = _line("splitband forecast", given, ["record", *_FORECAST])
-        commands.append(
-            ("Fit it to the whole record, and forecast what comes next",
-             f"{forecast} --method {method} --steps {STEPS}{ahead}")
-        )  # fmt: skip
+        options = ["record", *_FORECAST]
+        forecast = _line("splitband forecast", given, options, [f"--method {method}", *ahead])
+        commands.append(("Fit it to the whole record, and forecast what comes next", forecast))
     more = [_read(each, given) for each in given.get("more") or ()]
     named_record = "" if record not in RECORDS else f"{_IMPORT}\n\n"
     return Usage(commands, f"{named_record}record = {_read(record, given)}", asked, more)
 
 
-def _line(begin: str, given: Mapping[str, Any], names: Any) -> str:
-    """A command with those of its options that were given."""
+def _line(begin: str, given: Mapping[str, Any], names: Any, end: Sequence[str] = ()) -> str:
+    """Return a command with those of its options that were given, in lines that a shell joins."""
     words = [begin]
     for name in names:
         value = given.get(name)
@@ -94,7 +94,12 @@ def _line(begin: str, given: Mapping[str, Any], names: Any) -> str:
         option = f"--{name.replace('_', '-')}"
         for each in value if isinstance(value, list | tuple) else [value]:
             words.append(option if each is True else f"{option} {shlex.quote(str(each))}")
-    return " ".join(words)
+    lines = [""]
+    for word in [*words, *end]:
+        if lines[-1] and len(lines[-1]) + len(word) > WIDTH:
+            lines.append("   ")
+        lines[-1] += f" {word}" if lines[-1] else word
+    return " \\\n".join(lines)
 
 
 def _read(record: str, given: Mapping[str, Any]) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from splitband.data import Record
+
 _MISSING = "–"  # noqa: RUF001
 _SMALLEST, _LARGEST = 1e-3, 1e5
 
@@ -35,3 +37,9 @@ def aligned(value: float, decimals: int) -> str:
     if abs(value) >= _LARGEST or round(value, decimals) == 0 != value:
         return number(value)
     return f"{value:,.{decimals}f}"
+
+
+def squared(record: Record) -> str:
+    """Return the unit of a record's outputs, squared."""
+    units = {*record.units}
+    return f"({units.pop()})²" if len(units) == 1 and "" not in units else "unit²"

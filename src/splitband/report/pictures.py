@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -15,23 +15,22 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splitband.data import Record
-from splitband.data.gaps import last_before
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
-from splitband.evaluation.protocols import Run, by_channel
+from splitband.evaluation.protocols import Run, by_channel, fit_by_channel
 from splitband.filters.cutoff import LEAST_PASSED, Choice
 from splitband.filters.spectrum import Spectrum, coherence, periodogram
-from splitband.forecasters.intervals import Interval
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import cumulative_rmse
 from splitband.report.colors import PALETTE, place
+from splitband.report.numbers import number, squared
+from splitband.report.table import FARTHEST, ordered
 from splitband.runtime.files import replacing
 
 Array = npt.NDArray[np.float64]
 Picture: TypeAlias = Figure
-Runs = Mapping[str, Sequence[Run]]
 
-_MEASURED, _TRUTH = "0.55", "0.15"
+_MEASURED, _TRUTH = "black", "0.55"
 
 
 def save(figure: Figure, path: str | Path) -> None:
@@ -42,99 +41,121 @@ def save(figure: Figure, path: str | Path) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Side:
-    """One protocol's column in the picture of free runs.
+    """What is predicted in one panel.
 
     Attributes
     ----------
     record : What was measured.
     start : Index of the first predicted sample.
-    y : What was predicted from there to the record's end.
+    what : In words.
+    predicted : By method, to the record's end; a method may have nothing to say.
     """
 
     record: Record
     start: int
-    y: Array
+    what: str
+    predicted: Mapping[str, Prediction]
+
+    @property
+    def first(self) -> int:
+        """Return the index of the first sample that is drawn: shortly before the prediction."""
+        return max(self.start - (len(self.record) - self.start) // 8, 0)
 
 
 def rollouts(comparison: Comparison) -> Figure:
-    """Every method's prediction over the record, one row each; a column for each protocol.
+    """Draw the recommended method's predictions large, and those of the others small below.
 
-    Test records have a column each. With a trial, each forecast has its interval around it, and the
-    recommended method is named.
+    They are of the samples after the training part, with an interval, and of each test record.
     """
-    record, runs, trial = comparison.record, comparison.runs, comparison.trial
-    untested = comparison.left_out
-    names = [*(name for name in runs if name not in untested), *untested]
-    rows = [(name, channel) for name in names for channel in range(record.ny)]
-    ahead = any(mean.forecast is not None for mean in comparison.means.values())
-    columns = 1 + ahead + len(comparison.tests)
-    figure = Figure(figsize=(6.5 * max(columns, 2), 1.1 + 1.25 * len(rows)), layout="constrained")
-    grid = figure.subplots(len(rows), columns, sharex="col", sharey="row", squeeze=False)
-    end, times = comparison.setup.train, _times(record)
-    for axes, (name, channel) in zip(grid, rows, strict=True):
-        warmup = comparison.setup.settings.warmup
-        sides = _sides(comparison, name, ahead)
-        for ax in axes[len(sides) :]:  # a method that was not tested has no curve here
+    sides, names = _sides(comparison), ordered(comparison.trial, comparison.runs)
+    best, *others = names
+    ny, across = comparison.record.ny, max(SMALL_ACROSS // comparison.record.ny, 1)
+    below = -(-len(others) // across) if others else 0
+    large, small = 2.6 * ny * len(sides), 1.5 * below
+    figure = Figure(figsize=(12, large + small + 1.2), layout="constrained")
+    parts = figure.subfigures(2 if below else 1, 1, squeeze=False,
+                              height_ratios=[large, small][: 1 + bool(below)])[:, 0]  # fmt: skip
+    grid = parts[0].subplots(ny * len(sides), 1, squeeze=False)[:, 0]
+    for ax, (side, channel) in zip(grid, _panels(sides, ny), strict=True):
+        _draw_large(ax, side, channel, best)
+    if below:
+        grid = parts[1].subplots(below, across * ny, squeeze=False, sharex=True, sharey=ny == 1)
+        panels = [(name, channel) for name in others for channel in range(ny)]
+        for ax, (name, channel) in zip(grid.flat, panels, strict=False):
+            color = PALETTE[names.index(name) % len(PALETTE)]
+            _draw_small(ax, sides[0], channel, name, color)
+        for ax in grid.flat[len(panels) :]:
             ax.set_axis_off()
-            ax.text(0.01, 0.5, f"{name}: not tested", transform=ax.transAxes, fontsize=9)
-        for ax, side in zip(axes, sides, strict=False):
-            _draw_side(ax, side, channel, warmup, _color(runs, name))
-            chosen = trial is not None and name == trial.recommended
-            error = by_channel(side.record, side.y)[channel]
-            title = f"{name}{' (recommended)' if chosen else ''}   RMSE {error:.3g}"
-            ax.set_title(title, fontsize=9, loc="left", pad=3)
-        for ax in axes[: 1 + ahead]:
-            if end < len(record):
-                ax.axvline(times[end], color="0.4", ls=":", lw=1)
-        forecast = comparison.predictions.get(name)
-        if forecast is not None and forecast.lower is not None and forecast.upper is not None:
-            edges = forecast.lower[:, channel], forecast.upper[:, channel]
-            axes[1].fill_between(times[end:], *edges, color=_color(runs, name), alpha=0.18, lw=0)
-        axes[0].set_ylabel(_literal(record.columns[channel]))
-        axes[0].set_ylim(*_limits(record.seen[:, channel]))
-    for column in grid.T:
-        lowest = [ax for ax in column if ax.axison][-1]
-        lowest.tick_params(labelbottom=True)
-        lowest.set_xlabel(_time_label(record))
-    figure.suptitle(_rollouts_title(comparison, ahead), fontsize=10)
+        parts[1].supxlabel(_time_label(comparison.record), fontsize=7)
+        parts[1].suptitle(f"Other methods, {sides[0].what}", fontsize=9)
+    said = "" if comparison.trial is None else "recommended: "
+    figure.suptitle(f"{_literal(comparison.record.name)}; {said}{best}", fontsize=11)
     return figure
 
 
-def _sides(comparison: Comparison, name: str, ahead: bool) -> list[_Side]:
-    """What a method predicted under each protocol, the mean of its seeds."""
-    record, mean = comparison.record, comparison.means[name]
-    warmup, end = comparison.setup.settings.warmup, comparison.setup.train
-    sides = [_Side(record, len(record) - len(mean.from_start), mean.from_start.y)]
-    if ahead:
-        start = last_before(record.complete, warmup, end)
-        sides.append(_Side(record, end if start is None else start, mean.ahead))
-    return sides + [
-        _Side(test, len(test) - len(predicted), predicted.y)
-        for test, predicted in zip(comparison.tests, mean.tests, strict=False)
-    ]
+SMALL_ACROSS = 4
+"""Small panels in a row."""
 
 
-def _draw_side(ax: Axes, side: _Side, channel: int, warmup: int, color: str) -> None:
-    times, begin = _times(side.record), max(side.start - warmup, 0)
-    _draw_record(ax, side.record, channel, begin)
-    ax.plot(times[-len(side.y) :], side.y[:, channel], color=color, lw=1.1)
-    ax.axvspan(times[begin], times[max(side.start - 1, 0)], color="0.93", zorder=0)
+def _panels(sides: Sequence[_Side], ny: int) -> list[tuple[_Side, int]]:
+    return [(side, channel) for side in sides for channel in range(ny)]
+
+
+def _sides(comparison: Comparison) -> list[_Side]:
+    """Return what was predicted of samples that nothing was fitted to, or all of the record."""
+    record, means, train = comparison.record, comparison.means, comparison.setup.train
+    sides = []
+    if comparison.predictions:
+        sides.append(_Side(record, train, "forecast", comparison.predictions))
+    for i, test in enumerate(comparison.tests):
+        tested = {name: mean.tests[i] for name, mean in means.items() if mean.tests}
+        start = len(test) - max(map(len, tested.values()), default=0)
+        sides.append(_Side(test, start, f"test record {_literal(test.name)}", tested))
+    simulated = {name: mean.from_start for name, mean in means.items()}
+    start = len(record) - max(map(len, simulated.values()))
+    return sides or [_Side(record, start, "simulation", simulated)]
+
+
+def _draw_large(ax: Axes, side: _Side, channel: int, name: str) -> None:
+    record, times = side.record, _times(side.record)
+    predicted = side.predicted.get(name)
+    title = f"{side.what}: not tested"
+    if predicted is not None:
+        y, at = predicted.y[:, channel], times[len(times) - len(predicted) :]
+        if predicted.lower is not None and predicted.upper is not None:
+            label = f"{predicted.level:.0%} interval".replace("%", " %")
+            edges = predicted.lower[:, channel], predicted.upper[:, channel]
+            ax.fill_between(at, *edges, color=PALETTE[0], alpha=0.18, lw=0, label=label)
+        ax.plot(at, y, color=PALETTE[0], lw=1.4, label="predicted")
+        fit, error = (of(record, predicted.y)[channel] for of in (fit_by_channel, by_channel))
+        unit = f" {record.units[channel]}".rstrip()
+        title = f"{side.what}: fit {fit:.1f} %, RMSE {number(error)}{unit}"
+    seen = record.seen[side.first :, channel]
+    ax.plot(times[side.first :], seen, color=_MEASURED, lw=0.9, label="measured")
+    ax.axvline(times[side.start], color="0.4", ls=":", lw=1)
+    ax.set_ylim(*_limits(seen))
+    ax.margins(x=0.005)
+    ax.set_title(title, fontsize=10, loc="left")
+    ax.set_ylabel(_literal(record.columns[channel]))
+    ax.set_xlabel(_time_label(record))
+    ax.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
+
+
+def _draw_small(ax: Axes, side: _Side, channel: int, name: str, color: str) -> None:
+    record, times, predicted = side.record, _times(side.record), side.predicted.get(name)
+    seen, said = record.seen[side.first :, channel], "not tested"
+    if predicted is not None:
+        y = predicted.y[:, channel]
+        ax.plot(times[len(times) - len(y) :], y, color=color, lw=1.0)
+        fit = fit_by_channel(record, predicted.y)[channel]
+        said = f"fit {round(fit) + 0} %" if fit > FARTHEST else f"fit < {FARTHEST:.0f} %"
+    ax.plot(times[side.first :], seen, color=_MEASURED, lw=0.6)
+    ax.set_ylim(*_limits(seen))
     ax.margins(x=0.01)
-
-
-def _rollouts_title(comparison: Comparison, ahead: bool) -> str:
-    sides = ["from the start"]
-    if ahead:
-        sides.append("forecast from the end of the training part (dotted line)")
-        if comparison.trial is not None:
-            sides[-1] += f", in {_interval(comparison.trial.intervals.values())}"
-    sides += [f"test record {_literal(test.name)}" for test in comparison.tests]
-    places = ["left", "right"] if len(sides) == 2 else [str(i + 1) for i in range(len(sides))]
-    listed = "; ".join(f"{place}: {side}" for place, side in zip(places, sides, strict=False))
-    return (
-        f"{_literal(comparison.record.name)}: free runs (colour, mean of the seeds); grey line: "
-        f"what was measured; shaded: warm-up\n{listed}"
-    )
+    ax.set_title(f"{name}\n{said}", fontsize=7, loc="left", pad=2)
+    ax.tick_params(labelsize=6)
+    if record.ny > 1:
+        ax.set_ylabel(_literal(record.columns[channel]), fontsize=6)
 
 
 def forecast(result: Forecast) -> Figure:
@@ -153,15 +174,15 @@ def prediction(
     if record is not None:
         time = _times(record)
         ahead = time[-1] + ahead if record.start is None else ahead
-        shown = max(len(record) - 2 * len(predicted), 0)
+        shown = max(len(record) - len(predicted), 0)
         title = f"{_literal(record.name)}: {title}"
     for i, (ax, column) in enumerate(zip(grid, predicted.columns, strict=True)):
         if record is not None:
-            ax.plot(time[shown:], record.seen[shown:, i], color="0.35", lw=0.9, label="measured")
+            ax.plot(time[shown:], record.seen[shown:, i], color=_MEASURED, lw=0.9, label="measured")
         ax.plot(ahead, predicted.y[:, i], color=PALETTE[0], lw=1.2, label=_literal(method))
         lower, upper, level = predicted.lower, predicted.upper, predicted.level
         if lower is not None and upper is not None and level is not None:
-            label = f"should hold {level:.0%}".replace("%", " %")
+            label = f"{level:.0%} interval".replace("%", " %")
             edges = lower[:, i], upper[:, i]
             ax.fill_between(ahead, *edges, color=PALETTE[0], alpha=0.18, lw=0, label=label)
         ax.set_ylabel(_literal(column))
@@ -195,15 +216,17 @@ def components(
     times = _times(record)
     says = "components before they are added" if what == "components" else "before the filters"
     for ax, (name, channel) in zip(grid, rows, strict=True):
-        _draw_record(ax, record, channel, 0)
         warmup = setup.settings.warmup
         start = len(record) - len(next(iter(parts[name].values())))
+        seen = record.seen[:, channel]
+        ax.plot(times, seen - np.nanmean(seen), color=_MEASURED, lw=0.8, label="measured")
         for color, (part, values) in zip(PALETTE, parts[name].items(), strict=False):
-            ax.plot(times[start:], values[:, channel], color=color, lw=1, label=part)
+            y = values[:, channel] - values[:, channel].mean()
+            ax.plot(times[start:], y, color=color, lw=1, label=part)
         ax.axvspan(times[start - warmup], times[start - 1], color="0.93", zorder=0)
         if setup.train < len(record):
             ax.axvline(times[setup.train], color="0.4", ls=":", lw=1)
-        ax.set_title(f"{name}: {says}", fontsize=9, loc="left", pad=3)
+        ax.set_title(f"{name}: {says}, each less its mean", fontsize=9, loc="left", pad=3)
         ax.set_ylabel(_literal(record.columns[channel]))
         ax.margins(x=0.01)
         ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
@@ -212,7 +235,7 @@ def components(
 
 
 def errors(comparison: Comparison) -> Figure:
-    """Return a picture of the cumulative RMSE e_n over time, a row for each channel.
+    """Return a picture of the RMSE up to each time, a row for each channel.
 
     Lines are of the mean of the seeds' predictions, shaded is the range of the single seeds.
     """
@@ -220,6 +243,7 @@ def errors(comparison: Comparison) -> Figure:
     figure = Figure(figsize=(13, 0.6 + 4 * record.ny), layout="constrained")
     protocols = [("from the start", _from_start), ("forecast", _forecast)]
     times, end = _times(record), setup.train
+    names = ordered(comparison.trial, runs)
     if end == len(record):  # nothing is forecast
         protocols = protocols[:1]
     grid = figure.subplots(record.ny, len(protocols), squeeze=False)
@@ -232,7 +256,7 @@ def errors(comparison: Comparison) -> Figure:
                 cumulative_rmse(truth, prediction(run)[:, channel])
                 for run in (comparison.means[name], *of_method)
             )
-            color = _color(runs, name)
+            color = PALETTE[place(names, name)]
             ax.plot(time, mean, color=color, lw=1.4, label=name)
             if len(each) > 1:
                 low, high = np.min(each, axis=0), np.max(each, axis=0)
@@ -248,7 +272,8 @@ def errors(comparison: Comparison) -> Figure:
         of = [record.name, title, *([record.columns[channel]] if record.ny > 1 else [])]
         ax.set_title(_literal(", ".join(of)), fontsize=10)
         ax.set_xlabel(_time_label(record))
-        ax.set_ylabel("RMSE since the warm-up (e_n)")
+        unit = f" ({record.units[channel]})" if record.units[channel] else ""
+        ax.set_ylabel(f"RMSE up to this time{unit}")
         ax.grid(True, which="both", color="0.93", lw=0.6)
     grid[0, -1].legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1))
     return figure
@@ -324,7 +349,7 @@ def _draw_spectrum(ax: Axes, record: Record, spectrum: Spectrum) -> None:
     top = spectrum.density[1:].max()
     if top > 0:
         ax.set_ylim(max(spectrum.density[1:].min(), top * 1e-9), top * 3)
-    ax.set_ylabel("power spectral density (squared units per Hz)")
+    ax.set_ylabel(f"power spectral density ({squared(record)}/Hz)")
     ax.grid(True, which="both", color="0.93", lw=0.6)
 
 
@@ -336,21 +361,9 @@ def _forecast(run: Run) -> Array:
     return run.ahead
 
 
-def _interval(intervals: Iterable[Interval]) -> str:
-    share = next(iter(intervals)).share
-    return f"the interval that should hold {share:.0%} of what is measured"
-
-
 def _literal(name: str) -> str:
     """A user's name, whose dollar signs are not for formulas."""
     return name.replace("$", r"\$")
-
-
-def _draw_record(ax: Axes, record: Record, channel: int, begin: int) -> None:
-    time = _times(record)[begin:]
-    ax.plot(time, record.seen[begin:, channel], color=_MEASURED, lw=0.9)
-    if record.y_true is not None:
-        ax.plot(time, record.y_true[begin:, channel], color=_TRUTH, lw=0.7)
 
 
 def _times(record: Record) -> npt.NDArray[Any]:
@@ -367,10 +380,6 @@ def _drawn(stamps: pd.Index[Any]) -> npt.NDArray[Any]:
 
 def _time_label(record: Record) -> str:
     return "time" if isinstance(record.start, pd.Timestamp) else "time (s)"
-
-
-def _color(runs: Runs, name: str) -> str:
-    return PALETTE[place(runs, name)]
 
 
 def _limits(y: Array) -> tuple[float, float]:

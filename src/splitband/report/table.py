@@ -114,16 +114,15 @@ class Column:
             return percent(value)
         if self.unit == "percent" and value < FARTHEST:
             return f"< {FARTHEST:.0f}"
-        if self.unit == "percent":
-            return f"{value:.1f}"
+        if self.unit in ("percent", "seconds"):
+            return f"{round(value, 1) + 0.0:.1f}"
         text = aligned(value, self._decimals)
         spread = self.spreads.get(method)
         return text if spread is None else f"{text} ± {aligned(spread, self._decimals)}"
 
     @property
     def _decimals(self) -> int:
-        fixed: dict[str, int] = {"seconds": 1, "count": 0}
-        return fixed[self.unit] if self.unit in fixed else decimals([*self.values.values()])
+        return 0 if self.unit == "count" else decimals([*self.values.values()])
 
     def as_json(self) -> dict[str, Any]:
         """Return what results.json says of it."""
@@ -163,7 +162,9 @@ def columns(comparison: Comparison) -> list[Column]:
         counts = {name: float(len(of_method)) for name, of_method in runs.items()}
         found.append(Column("seeds", "count", counts, ranked=False))
     seconds = {name: statistics.mean(r.fit.seconds for r in rs) for name, rs in runs.items()}
-    return [*found, Column("fit (s)", "seconds", seconds, ranked=False)]
+    found.append(Column("fit (s)", "seconds", seconds, ranked=False))
+    importance = [*NOTES]
+    return sorted(found, key=lambda column: importance.index(column.heading))
 
 
 def ordered(trial: Trial | None, methods: Iterable[str]) -> list[str]:

@@ -71,9 +71,11 @@ def picture(comparison: Comparison) -> Figure:
                   if comparison.recommended in names else None)  # fmt: skip
             title = f"{test.name}: {column}".replace("$", r"\$")
             grid[i, channel].set_title(title, fontsize=9, loc="left")
+            unit = test.units[channel]
+            grid[i, channel].set_xlabel(f"RMSE ({unit})" if unit else "RMSE", fontsize=8)
         grid[i, 0].set_yticks(range(len(names)), names, fontsize=8)
         grid[i, 0].set_ylim(len(names) - 0.5, -0.5)
-    figure.suptitle("Test records: RMSE by channel (blue: the recommended method)", fontsize=10)
+    figure.suptitle("Test records: RMSE of each output (blue: the recommended method)", fontsize=10)
     return figure
 
 

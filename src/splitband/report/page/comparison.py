@@ -13,12 +13,13 @@ from splitband.evaluation.selection import Trial
 from splitband.forecasters.base import parts_of
 from splitband.report.numbers import number
 from splitband.report.page import horizon, tables, time_plots, usage, words
-from splitband.report.page.parts import MethodStyles, Page, Section, View
+from splitband.report.page.ahead import BEFORE, Ahead
+from splitband.report.page.parts import Code, MethodStyles, Page, Section, View
 from splitband.report.page.spectra import spectrum
 from splitband.report.page.training import training
 from splitband.report.page.usage import Usage
 from splitband.report.results import environment
-from splitband.report.table import columns
+from splitband.report.table import ordered
 
 Array = npt.NDArray[np.float64]
 
@@ -27,14 +28,19 @@ SHOWN = 3
 
 
 def page(comparison: Comparison, used: Usage) -> Page:
-    """All of it."""
+    """Return the whole page: the answer first, then the other methods, then what experts ask."""
     record, trial = comparison.record, comparison.require_trial()
-    styles = method_styles([*comparison.runs], trial)
+    styles = method_styles(ordered(trial, comparison.runs), trial)
     most = time_plots.most_points(comparison)
     frame = time_plots.Frame.of(record, styles, most, "time")
+    train = comparison.setup.train
+    if comparison.predictions:
+        first = max(train - (len(record) - train) // BEFORE, 0)
+        frame.x_range.update(start=frame.axis.values[first], end=frame.axis.values[-1])
+    why = words.why(trial, train, len(record) - train)
     sections = [
-        _answer(comparison),
-        Section("methods", "All methods", tables=[tables.methods(comparison)]),
+        _answer(comparison, styles, used),
+        Section("methods", "All methods", [" ".join(why)], tables=[tables.methods(comparison)]),
         *_over_time(comparison, frame, most),
         _bands(comparison),
         *_trained(comparison, styles),
@@ -43,9 +49,8 @@ def page(comparison: Comparison, used: Usage) -> Page:
         ),
         _settings(comparison, used),
     ]
-    name = record.name or "a record"
     return Page(
-        f"{name}: which model to use",
+        record.name or "a record",
         lead(record),
         sections,
         styles.methods,
@@ -68,64 +73,81 @@ def lead(record: Record) -> str:
     return said + (f"; known inputs: {', '.join(record.inputs)}" if record.nu else "")
 
 
-def _answer(comparison: Comparison) -> Section:
-    best, record = comparison.recommended, comparison.record
+def _answer(comparison: Comparison, styles: MethodStyles, used: Usage) -> Section:
+    best = comparison.recommended
     kind = words.in_words(best, comparison.forecasters)
-    text = [f"{best} is {kind}."] if kind else []
-    train = comparison.setup.train
-    text += [" ".join(words.why(comparison.require_trial(), train, len(record) - train))]
-    text += [" ".join(words.afterwards(comparison))]
-    facts = [
-        (column.title, column.entry(best))
-        for column in columns(comparison)
-        if column.unit in ("record", "share") and best in column.values
-    ]
-    return Section("answer", f"Recommended: {best}", text, words.warnings(comparison), facts=facts)
+    text = [" ".join([f"Short name: {best}." if kind else "", *words.afterwards(comparison)])]
+    plots = [plot for each in _achieved(comparison, styles) for plot in each.plots()]
+    return Section(
+        "answer", f"Recommended: {kind or best}", text, words.warnings(comparison),
+        facts=words.headline(comparison),
+        plots=plots, code=[Code(caption, command) for caption, command in used.commands],
+    )  # fmt: skip
+
+
+def _achieved(comparison: Comparison, styles: MethodStyles) -> list[Ahead]:
+    """Return what the recommended method predicted of samples that nothing was fitted to."""
+    best, train = styles.of(comparison.recommended), comparison.setup.train
+    mean = comparison.means[best.name]
+    if mean.tests:
+        return [
+            Ahead(test, len(test) - len(y), y, best, f"simulation of the test record {test.name}")
+            for test, y in zip(comparison.tests, mean.tests, strict=True)
+        ]
+    if best.name in comparison.predictions:
+        forecast = comparison.predictions[best.name]
+        return [Ahead(comparison.record, train, forecast, best, "forecast after the training part")]
+    start = len(comparison.record) - len(mean.from_start)
+    return [Ahead(comparison.record, start, mean.from_start, best, "simulation")]
 
 
 def _over_time(comparison: Comparison, frame: time_plots.Frame, most: int) -> list[Section]:
-    """Free runs, test records, errors and components."""
-    ahead = " and forecasts" if comparison.predictions else ""
+    """Return the sections of forecasts, test records, errors, simulations and components."""
     text = ["These plots zoom together. Shaded: the warm-up; dashed: the end of the training part."]
     if frame.size > 1:
         text.append(
             f"The record is longer than a screen is wide: of every {frame.size} samples each line "
             "shows the lowest and the highest, so that no peak is lost."
         )
-    sections = [
-        Section("runs", f"Free runs{ahead}", text, plots=time_plots.free_runs(comparison, frame))
-    ]
+    sections = []
+    if comparison.predictions:
+        plots = time_plots.free_runs(comparison, frame, "forecast")
+        sections.append(Section("forecasts", "Forecasts of all methods", text, plots=plots))
     if comparison.tests:
         text = ["Simulated from their first samples; nothing was fitted to them."]
         plots = time_plots.test_runs(comparison, frame.styles, most)
-        sections.append(Section("tests", "Test records", text, plots=plots))
+        sections.append(Section("tests", "Test records, all methods", text, plots=plots))
+    plots = time_plots.free_runs(comparison, frame, "from the start")
+    title = "Simulations from the start of the record"
+    sections.append(Section("runs", title, text[:1], plots=plots, folded=True))
     text = [
-        "The RMSE of each channel up to each horizon: a model whose error stays flat does not "
-        "drift. Lines: the mean of the seeds' predictions; shaded: the range of the single seeds, "
-        "whose errors may all be larger."
+        "RMSE of each output up to each horizon: the error of a model that does not drift stays "
+        "flat. Lines: the mean of the seeds' predictions; shaded: the range of single seeds."
     ]
     plots = horizon.errors(comparison, frame.styles, most)
-    sections.append(Section("errors", "Error over horizon", text, plots=plots))
+    sections.append(Section("errors", "Error over horizon", text, plots=plots, folded=True))
     parts = time_plots.components(comparison, frame)
     if parts:
-        text = ["What the models of several parts add up, for the methods that are switched on."]
-        sections.append(Section("components", "Components", text, plots=parts))
+        text = ["The parts of which a model's output is the sum, each less its mean, and the "
+                "measurement likewise; for the methods that are switched on."]  # fmt: skip
+        title = "Components of hybrid and split models"
+        sections.append(Section("components", title, text, plots=parts, folded=True))
     return sections
 
 
 def _bands(comparison: Comparison) -> Section:
-    """The spectrum, and where the bands part."""
+    """Return the spectrum, and the cut-off between the bands."""
     bands = comparison.setup.bands
     part = comparison.record[: comparison.setup.train]
     text = []
     if bands.cutoff is not None:
         text.append(
-            f"Models of two bands part them at {number(bands.cutoff)} Hz, with filters of order "
-            f"{bands.order}; the low band keeps one of {bands.downsampling} samples."
+            f"Models of two bands split the signal at {number(bands.cutoff)} Hz, with filters of "
+            f"order {bands.order}; the low band keeps one of {bands.downsampling} samples."
             + (f" {_sentence(bands.choice.reason)}" if bands.choice else "")
         )
     plots = spectrum(part, bands.cutoff, bands.choice, _bases(comparison))
-    return Section("spectrum", "Spectrum and cut-off", text, plots=plots)
+    return Section("spectrum", "Spectrum and cut-off", text, plots=plots, folded=True)
 
 
 def _bases(comparison: Comparison) -> dict[str, Array]:
@@ -153,7 +175,7 @@ def _trained(comparison: Comparison, styles: MethodStyles) -> list[Section]:
     if plots:
         text = ["The training loss of each epoch and seed, of the networks that are switched on; a "
                 "line that still falls at its end would gain from a longer training."]  # fmt: skip
-        sections.append(Section("training", "Training", text, plots=plots))
+        sections.append(Section("training", "Training", text, plots=plots, folded=True))
     if comparison.attempts:
         tried = [tables.attempts(comparison.attempts)]
         text = ["How networks are trained was found on the last quarter of the training samples."]

@@ -35,7 +35,7 @@ from splitband.report.page.parts import Method
 
 Array = npt.NDArray[np.float64]
 
-WIDTH, TALL, LOW = 800, 270, 210
+WIDTH, TALL, LOW, SMALL = 800, 270, 210, 150
 LEFT = 70
 """Pixels for the numbers beside an axis, so that the axes of time lie below each other."""
 X = " x"
@@ -130,6 +130,7 @@ def plain(
     """
     shown = figure(
         width=WIDTH, height=height, sizing_mode="stretch_width", tools="", min_border_left=LEFT,
+        toolbar_inner=True,
         x_axis_type="datetime" if dates else options.pop("x_axis_type", "auto"), **options,
     )  # fmt: skip
     logarithmic = options.get("y_axis_type") == "log"
@@ -138,6 +139,7 @@ def plain(
     shown.add_tools(pan, box, WheelZoomTool(dimensions="width"), ResetTool(), SaveTool())
     shown.toolbar.active_drag = box
     shown.toolbar.logo = None
+    shown.toolbar.autohide = True
     shown.lod_threshold = None
     shown.yaxis.axis_label = PlainText(text=y_label)
     shown.xaxis.axis_label = PlainText(text=x_label)

@@ -29,6 +29,21 @@
   all("table.sortable thead th").forEach((heading) =>
     heading.querySelector("button").addEventListener("click", () => sorted(heading)));
 
+  // Rows that are seen only when asked for, where there is a script to ask.
+  all(".more").forEach((more) => {
+    const rows = all("tr.minor", more.previousElementSibling), button = more.querySelector("button");
+    const label = button.textContent;
+    const show = (shown) => {
+      rows.forEach((row) => { row.hidden = !shown; });
+      button.textContent = shown ? "Show fewer" : label;
+      button.setAttribute("aria-expanded", String(shown));
+    };
+    button.addEventListener("click", () => show(button.getAttribute("aria-expanded") !== "true"));
+    more.hidden = false;
+    show(false);
+    addEventListener("beforeprint", () => show(true));
+  });
+
   all(".copy").forEach((button) => button.addEventListener("click", async () => {
     const code = button.parentElement.querySelector("code");
     try {

@@ -19,12 +19,14 @@ class Cell:
     value : A number to sort by; None sorts by the text.
     best : Whether no other one of the column is lower.
     link : To another page.
+    says : A second line, smaller.
     """
 
     text: str
     value: float | None = None
     best: bool = False
     link: str = ""
+    says: str = ""
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,7 @@ class Table:
     columns : The headings.
     rows : The first cell of each names it.
     marked : Rows that stand out.
+    minor : Rows that are seen only when asked for.
     notes : What each heading means, in the order of the columns that need it.
     """
 
@@ -44,6 +47,7 @@ class Table:
     columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
     marked: frozenset[int] = frozenset()
+    minor: frozenset[int] = frozenset()
     notes: Sequence[tuple[str, str]] = ()
 
     @property
@@ -65,6 +69,7 @@ class Plot:
     says : For those who do not see it.
     methods : One of these has to be switched on for it; none: it is always there.
     key : Colour and name of what else it shows beside the methods.
+    small : Whether several stand side by side.
     """
 
     figure: Any
@@ -72,6 +77,7 @@ class Plot:
     says: str
     methods: Sequence[str] = ()
     key: Sequence[tuple[str, str]] = ()
+    small: bool = False
 
 
 @dataclass(frozen=True)

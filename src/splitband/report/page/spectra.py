@@ -14,7 +14,7 @@ from splitband.data import Record
 from splitband.filters.cutoff import Choice
 from splitband.filters.spectrum import coherence, periodogram
 from splitband.report.colors import PALETTE
-from splitband.report.numbers import number
+from splitband.report.numbers import number, squared
 from splitband.report.page import figures
 from splitband.report.page.figures import LOW, TALL
 from splitband.report.page.parts import Plot
@@ -40,9 +40,7 @@ def spectrum(
     beside = {} if record.y_sim is None else {"simulator": record.y_sim}
     beside |= bases
     plots = [_power(record, cutoff, beside, x_range, unit)]
-    agreeing = _coherences(record, beside)
-    if agreeing:
-        plots.append(_coherence(agreeing, cutoff, x_range, unit))
+    plots += _coherences(record, beside, cutoff, x_range, unit)
     if choice is not None and choice.candidates:
         plots.append(_choice(choice, cutoff, x_range, unit))
     return plots
@@ -63,7 +61,7 @@ def _power(
     positive = found.density[1:][found.density[1:] > 0]
     top = float(positive.max()) if len(positive) else 1.0
     bottom = max(float(positive.min()), 1e-9 * top) if len(positive) else 1e-9
-    shown = _over_frequency(f"power density (unit² per {unit})", TALL, x_range, unit,
+    shown = _over_frequency(f"power density ({squared(record)}/{unit})", TALL, x_range, unit,
                             figures.between(bottom, 3 * top), y_axis_type="log")  # fmt: skip
     _draw(shown, found.frequencies, {n: np.maximum(d, 1e-300) for n, d in curves.items()})
     said = "."
@@ -78,43 +76,42 @@ def _power(
     )  # fmt: skip
 
 
-def _coherences(record: Record, beside: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
-    """Where what stands beside the record, or drives it, agrees with it; by name."""
-    found = {}
-    others = {
-        _of(name, column, record): (record.y[:, i], y[:, i])
-        for name, y in beside.items()
-        for i, column in enumerate(record.columns)
+def _coherences(
+    record: Record, beside: Mapping[str, Array], cutoff: float | None, x_range: Range1d, unit: str
+) -> list[Plot]:
+    """Return plots of where the record follows what stands beside it, or an input; one of each."""
+    outputs = dict(zip(record.columns, record.y.T, strict=True))
+    pairs = {
+        name: {c: (y, other) for (c, y), other in zip(outputs.items(), others.T, strict=True)}
+        for name, others in beside.items()
     }
     if record.u is not None:
-        others |= {
-            _of(name, column, record): (record.y[:, i], record.u[:, j])
-            for j, name in enumerate(record.inputs)
-            for i, column in enumerate(record.columns)
+        pairs |= {
+            name: {column: (y, u) for column, y in outputs.items()}
+            for name, u in zip(record.inputs, record.u.T, strict=True)
         }
-    for label, (y, other) in others.items():
-        frequencies, agreement = coherence(y, other, record.sampling_rate)
-        found[label] = frequencies, agreement
-    return found
-
-
-def _coherence(
-    found: Mapping[str, tuple[Array, Array]], cutoff: float | None, x_range: Range1d, unit: str
-) -> Plot:
-    shown = _over_frequency("coherence", LOW, x_range, unit, figures.between(0, 1.03))
-    frequencies = next(iter(found.values()))[0]
-    _draw(shown, frequencies, {name: agreement for name, (_, agreement) in found.items()})
-    if cutoff is not None:
-        figures.mark(shown, cutoff, "cutoff")
-    means = [
-        f"{name} {float(agreement[1:].mean()):.2f} on average"
-        for name, (_, agreement) in found.items()
-    ]
-    return Plot(
-        shown, "Coherence with the record: 1 where all of it follows, 0 where nothing does",
-        f"Line plot of the coherence, from 0 to 1, over frequency in {unit}: {', '.join(means)}.",
-        key=[(f"c{i % len(PALETTE)}", name) for i, name in enumerate(found)],
-    )  # fmt: skip
+    plots = []
+    for name, of_name in pairs.items():
+        shown = _over_frequency("coherence", figures.SMALL, x_range, unit, figures.between(0, 1.03))
+        curves = {}
+        for column, (y, other) in of_name.items():
+            frequencies, curves[column] = coherence(y, other, record.sampling_rate)
+        _draw(shown, frequencies, curves)
+        if cutoff is not None:
+            figures.mark(shown, cutoff, "cutoff")
+        means = [f"{column} {float(c[1:].mean()):.2f} on average" for column, c in curves.items()]
+        key = [(f"c{i % len(PALETTE)}", column) for i, column in enumerate(curves)]
+        plots.append(
+            Plot(
+                shown,
+                f"Coherence with {name}",
+                f"Line plot of the coherence of the record with {name} over frequency in {unit}; "
+                f"1 where all of the record follows, 0 where nothing does: {', '.join(means)}.",
+                key=key if len(curves) > 1 else (),
+                small=len(pairs) > 1,
+            )
+        )
+    return plots
 
 
 def _choice(choice: Choice, cutoff: float | None, x_range: Range1d, unit: str) -> Plot:

@@ -23,40 +23,45 @@ def methods(comparison: Comparison) -> Table:
         if comparison.record.ny > 1
         else "The methods and their errors, in the record's unit; the best of each is bold"
     )
-    made = comparison.forecasters
-    notes = [(name, words) for name in comparison.runs if (words := in_words(name, made))]
-    listed = columns(comparison)
-    return _of_columns(caption, listed, said, "settled on", comparison.recommended, notes)
+    listed, trial = columns(comparison), comparison.require_trial()
+    kinds = {name: in_words(name, comparison.forecasters) for name in said}
+    return _of_columns(caption, listed, said, kinds, trial)
 
 
 def tried(trial: Trial, record: Record) -> Table:
     """Return the table of a trial: a row for each method."""
-    said = {name: in_words(name) for name in ordered(trial, trial.errors)}
+    kinds = {name: in_words(name) for name in ordered(trial, trial.errors)}
     caption = "What the methods did on the record's last quarter; the best of each is bold"
     listed = columns_of_trial(trial, record, [*trial.errors])
-    return _of_columns(caption, listed, said, "what it is", trial.recommended)
+    return _of_columns(caption, listed, {}, kinds, trial)
 
 
 def _of_columns(
     caption: str,
     listed: Sequence[Column],
     said: Mapping[str, str],
-    last: str,
-    marked: str,
-    notes: Sequence[tuple[str, str]] = (),
+    kinds: Mapping[str, str],
+    trial: Trial,
 ) -> Table:
-    """Return a table of columns, `last` headed by what is said of each method."""
+    """Return a table of columns, with what is `said` of each method in a last one, if anything.
+
+    Of the methods that need no training, all but the best are folded away.
+    """
     rows = [
         [
-            Cell(name),
+            Cell(name, says=kinds[name]),
             *(Cell(c.entry(name), c.values.get(name), name == c.best) for c in listed),
-            Cell(words),
+            *([Cell(said[name])] if said else []),
         ]
-        for name, words in said.items()
+        for name in kinds
     ]
+    marked, trained = trial.recommended, trial.trained
     explained = dict.fromkeys((column.heading, column.note) for column in listed)
-    headings = ["method", *(column.label for column in listed), last]
-    return Table(caption, headings, rows, frozenset([[*said].index(marked)]), [*explained, *notes])
+    headings = ["method", *(column.label for column in listed), *(["settled on"] if said else [])]
+    place = frozenset([[*kinds].index(marked)])
+    simple = [i for i, name in enumerate(kinds) if name not in trained and i not in place]
+    minor = frozenset(simple[1:])  # the best of them is what the others have to be better than
+    return Table(caption, headings, rows, place, minor, [*explained])
 
 
 def attempts(tried: Sequence[SearchAttempt]) -> Table:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,7 @@ from splitband.report.page.thinning import bin_size, envelope, places, thinned
 
 Array = npt.NDArray[np.float64]
 Curves = Mapping[str, Array]
+Side = Literal["from the start", "forecast"]
 
 VALUES, LEAST, MOST = 500_000, 500, 8_000
 """Drawn values of a whole page; points of one curve at least and at most."""
@@ -77,48 +79,41 @@ def most_points(comparison: Comparison) -> int:
     return min(max(VALUES // max(curves, 1), LEAST), MOST)
 
 
-def free_runs(comparison: Comparison, frame: Frame) -> list[Plot]:
-    """Of each channel: from the start, the forecast, and the residuals of both; all zoom as one."""
+def free_runs(comparison: Comparison, frame: Frame, side: Side) -> list[Plot]:
+    """Return plots of the predictions and of the residuals of each output; they zoom together."""
     plots = []
-    ahead = comparison.predictions
+    predicted = {
+        name: mean.from_start.y if side == "from the start" else mean.ahead
+        for name, mean in comparison.means.items()
+    }
     for channel, column in enumerate(comparison.record.columns):
         seen = comparison.record.seen[:, channel]
         y_range = figures.between(*figures.limits([seen]))
-        sides = {"from the start": {n: m.from_start.y for n, m in comparison.means.items()}}
-        sides |= {"forecast": {n: p.y for n, p in ahead.items()}} if ahead else {}
-        drawn = {
-            side: {name: frame.padded(y[:, channel]) for name, y in of.items()}
-            for side, of in sides.items()
-        }
-        for side, curves in drawn.items():
-            bands = _bands(comparison, frame, channel) if side == "forecast" else {}
-            shown = _runs(frame, channel, curves, bands, y_range)
-            _marks(comparison, frame, shown, side)
-            plots.append(
-                Plot(
-                    shown,
-                    f"{column}: {_CAPTIONS[side]}",
-                    f"Line plot of {column} over {frame.axis.label}. Grey: what was measured. "
-                    f"In colour: {_listed(comparison, frame.styles, side, channel)}.",
-                    key=_key(frame.record),
-                )
+        curves = {name: frame.padded(y[:, channel]) for name, y in predicted.items()}
+        bands = _bands(comparison, frame, channel) if side == "forecast" else {}
+        shown = _runs(frame, channel, curves, bands, y_range)
+        rest = _residuals(frame, channel, curves)
+        for each in (shown, rest):
+            _marks(comparison, frame, each, side)
+        plots.append(
+            Plot(
+                shown,
+                f"{column}: {_CAPTIONS[side]}",
+                f"Line plot of {column} over {frame.axis.label}. Black: what was measured. "
+                f"In colour: {_listed(comparison, frame.styles, side, channel)}.",
+                key=_key(frame.record),
             )
-        for side, curves in drawn.items():
-            shown = _residuals(frame, channel, curves)
-            _marks(comparison, frame, shown, side)
-            plots.append(
-                Plot(
-                    shown,
-                    f"{column}: residuals, {side}",
-                    f"What is left of {column} when the prediction ({side}) is subtracted, over "
-                    f"{frame.axis.label}; a good model leaves noise without a pattern.",
-                )
-            )
+        )
+        says = (
+            f"What is left of {column} when the prediction ({side}) is subtracted, over "
+            f"{frame.axis.label}; a good model leaves noise without a pattern."
+        )
+        plots.append(Plot(rest, f"{column}: residuals, {side}", says))
     return plots
 
 
-_CAPTIONS = {
-    "from the start": "free runs from the first samples to the end of the record",
+_CAPTIONS: dict[Side, str] = {
+    "from the start": "simulations from the first samples to the end of the record",
     "forecast": "forecasts from the end of the training part, with intervals",
 }
 
@@ -141,11 +136,11 @@ def test_runs(comparison: Comparison, styles: MethodStyles, most: int) -> list[P
             if best:
                 error = f": RMSE {number(by_channel(test, best[i].y)[channel])}"
             says = (
-                f"Line plot of {column} of the test record {name} over {frame.axis.label}, in grey "
-                f"what was measured. {styles.recommended}{error}."
+                f"Line plot of {column} of the test record {name} over {frame.axis.label}, in "
+                f"black what was measured. {styles.recommended}{error}."
             )
-            plots.append(Plot(shown, f"{name}, {column}: free runs", says, key=_key(test)))
-            says = f"What is left of {column} of {name} when the free runs are subtracted."
+            plots.append(Plot(shown, f"{name}, {column}: simulations", says, key=_key(test)))
+            says = f"What is left of {column} of {name} when the simulations are subtracted."
             rest = _residuals(frame, channel, curves)
             plots.append(Plot(rest, f"{name}, {column}: residuals", says))
     return plots
@@ -155,27 +150,33 @@ test_runs.__test__ = False  # type: ignore[attr-defined]  # for pytest, it is no
 
 
 def components(comparison: Comparison, frame: Frame) -> list[Plot]:
-    """What each model of several parts adds up, from the start."""
+    """Return plots of what each model of several parts adds up, each less its mean."""
     plots = []
     for name, mean in comparison.means.items():
         parts = mean.from_start.components
         for channel, column in enumerate(comparison.record.columns if parts else ()):
-            shown = frame.empty(
-                column, TALL, figures.between(*figures.limits([frame.record.seen[:, channel]]))
-            )
-            curves = {part: frame.padded(y[:, channel]) for part, y in parts.items()}
-            data = _source(frame, channel, curves)
-            _draw_record(frame, shown, data)
+            curves = {
+                part: frame.padded(y[:, channel] - y[:, channel].mean())
+                for part, y in parts.items()
+            }
+            seen = frame.record.seen[:, channel]
+            about = seen - np.nanmean(seen)
+            y_range = figures.between(*figures.limits([about, *curves.values()], 0.05))
+            shown = frame.empty(f"{column}, less the mean", TALL, y_range)
+            drawn = {part: thinned(y, frame.size) for part, y in curves.items()}
+            drawn[" measured"] = thinned(about, frame.size)
+            data = figures.source(frame.x, drawn)
+            figures.line(shown, data, " measured", "measured", "measured", line_width=1.0)
             for i, part in enumerate(parts):
-                figures.line(shown, data, part, f"c{i}", part, line_width=1.5)
+                figures.line(shown, data, part, f"c{i}", part, line_width=1.4)
             _marks(comparison, frame, shown, "from the start")
             figures.hover(shown, frame.axis.label, frame.axis.dates)
             plots.append(
                 Plot(
                     shown,
-                    f"{name}, {column}: what it adds up",
-                    f"Line plot of the parts whose sum is the free run of {name} from the start: "
-                    f"{', '.join(parts)}; in grey what was measured.",
+                    f"{name}, {column}: components",
+                    f"Line plot of the parts whose sum is the simulation by {name} from the start, "
+                    f"each less its mean: {', '.join(parts)}; in black what was measured.",
                     [name],
                     [("measured", "measured"), *((f"c{i}", part) for i, part in enumerate(parts))],
                 )
@@ -193,7 +194,6 @@ def _runs(
     shown = frame.empty(frame.record.columns[channel], TALL, y_range)
     low, high = figures.ends(y_range)
     data = _source(frame, channel, {n: figures.clipped(y, low, high) for n, y in curves.items()})
-    _draw_record(frame, shown, data)
     for name, (lower, upper) in bands.items():
         edges = figures.clipped(lower, low, high), figures.clipped(upper, low, high)
         for edge, drawn in zip(("lower", "upper"), envelope(*edges, frame.size), strict=True):
@@ -203,6 +203,7 @@ def _runs(
     for method in frame.styles.methods[::-1]:  # the recommended one is drawn over the others
         if method.name in curves:
             figures.method_line(shown, data, method.name, method)
+    _draw_record(frame, shown, data)
     figures.hover(shown, frame.axis.label, frame.axis.dates)
     return shown
 
@@ -216,7 +217,9 @@ def _residuals(frame: Frame, channel: int, curves: Curves) -> figure:
     low, high = max(low, -5 * deviation), min(high, 5 * deviation)
     if low >= high:
         low, high = -deviation, deviation
-    shown = frame.empty("residual", LOW, figures.between(low, high))
+    unit = frame.record.units[channel]
+    label = f"residual ({unit})" if unit else "residual"
+    shown = frame.empty(label, LOW, figures.between(low, high))
     drawn = {n: thinned(figures.clipped(y, low, high), frame.size) for n, y in left.items()}
     data = figures.source(frame.x, drawn)
     figures.mark(shown, 0.0, "zero", "width")
@@ -237,7 +240,7 @@ def _source(frame: Frame, channel: int, curves: Curves) -> ColumnDataSource:
 
 
 def _draw_record(frame: Frame, shown: figure, data: ColumnDataSource) -> None:
-    figures.line(shown, data, " measured", "measured", "measured", line_width=1.3)
+    figures.line(shown, data, " measured", "measured", "measured", line_width=1.0)
     if frame.record.y_true is not None:
         figures.line(shown, data, " truth", "truth", "noise-free", line_width=1.0)
 

@@ -36,20 +36,14 @@ class Usage:
 def section(
     forecaster: Forecaster, record: Record, usage: Usage, steps: int, others: bool = False
 ) -> Section:
-    """Return the commands, if any, and the lines of Python that fit it to all of a record.
+    """Return the lines of Python that fit it to all of a record.
 
     `others` says whether it was trained on further records, too.
     """
-    code = [Code(caption, text) for caption, text in usage.commands]
     if others and not usage.more:
         usage = replace(usage, more=["..."])
-    code.append(Code("In Python", python(forecaster, record, usage, steps)))
-    return Section(
-        "use",
-        "How to use this model",
-        ["Fitted to the whole record, it goes on from any later measured samples."],
-        code=code,
-    )
+    code = Code("Fit it to the whole record, and predict", python(forecaster, record, usage, steps))
+    return Section("use", "In Python", code=[code])
 
 
 def python(forecaster: Forecaster, record: Record, usage: Usage, steps: int) -> str:

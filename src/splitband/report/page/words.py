@@ -29,19 +29,27 @@ def achieved(comparison: Comparison) -> list[str]:
 
     That is on the test records, or else on the samples after the training part.
     """
-    best, record = comparison.recommended, comparison.record
+    return [f"{name}: {', '.join(said.splitlines())}" for name, said in headline(comparison)]
+
+
+def headline(comparison: Comparison) -> list[tuple[str, str]]:
+    """Return the same in pairs: what it is of, and lines of what was achieved."""
+    best = comparison.recommended
     listed = [column for column in columns(comparison) if best in column.values]
-    heading = "test" if any(c.heading == "test fit %" for c in listed) else "forecast"
-    fits = [column for column in listed if column.heading == f"{heading} fit %"]
-    errors = [column for column in listed if column.heading == f"{heading} RMSE"]
-    ahead = len(record) - comparison.setup.train
-    lines = []
+    side = "test" if any(c.heading == "test fit %" for c in listed) else "forecast"
+    fits = [column for column in listed if column.heading == f"{side} fit %"]
+    errors = [column for column in listed if column.heading == f"{side} RMSE"]
+    held = {c.channel: c for c in listed if c.heading == "in interval"}
+    ahead = len(comparison.record) - comparison.setup.train
+    found = []
     for fit, error in zip(fits, errors, strict=True):
         of = f"test record {fit.record}" if fit.record else f"forecast of {ahead:,} samples"
-        name = f", {fit.channel}" if fit.channel else ""
         unit = f" {error.measure}" if error.measure else ""
-        lines.append(f"{of}{name}: fit {fit.entry(best)} %, RMSE {error.entry(best)}{unit}")
-    return lines
+        said = [f"fit {fit.entry(best)} %", f"RMSE {error.entry(best)}{unit}"]
+        if fit.channel in held and side == "forecast":
+            said.append(f"{held[fit.channel].entry(best)} in the interval")
+        found.append((f"{fit.channel}, {of}" if fit.channel else of, "\n".join(said)))
+    return found
 
 
 def why(trial: Trial, train: int, ahead: int) -> list[str]:
@@ -78,17 +86,9 @@ def why(trial: Trial, train: int, ahead: int) -> list[str]:
 def afterwards(comparison: Comparison) -> list[str]:
     """Return what the recommended method did on samples that nothing had been fitted to."""
     best, listed = comparison.recommended, columns(comparison)
-    words = []
-    held = [column for column in listed if column.heading == "in interval"]
-    if held:
-        share = comparison.require_trial().intervals[best].share
-        words.append(
-            f"Its {percent(share)} interval held {_listed(held, best)} of the samples after the "
-            "training part."
-        )
     tests = [column for column in listed if column.heading == "test fit %"]
     ahead = [column for column in listed if column.heading == "forecast fit %"]
-    return words + _hindsight(best, tests or ahead)
+    return _hindsight(best, tests or ahead)
 
 
 def _listed(found: Sequence[Column], method: str) -> str:
