@@ -7,6 +7,7 @@ from importlib import import_module
 from pathlib import Path
 
 from splitband.data import Record
+from splitband.export import fmu
 from splitband.export.c import render
 from splitband.export.program import Program, program
 from splitband.export.statements import Precision
@@ -55,5 +56,13 @@ def _onnx(made: Program, path: Path, precision: Precision) -> list[Path]:
     return [path, beside]
 
 
-WRITERS: dict[str, Writer] = {".c": _c, ".onnx": _onnx}
+def _fmu(made: Program, path: Path, precision: Precision) -> list[Path]:
+    if precision != "double":
+        raise ValueError(f"precision must be double for an FMU, got {precision}")
+    with replacing(path) as temporary:
+        fmu.write(made, temporary)
+    return [path]
+
+
+WRITERS: dict[str, Writer] = {".c": _c, ".fmu": _fmu, ".onnx": _onnx}
 """By the endings of files."""

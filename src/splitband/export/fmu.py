@@ -1,0 +1,213 @@
+"""Write a program as a functional mock-up unit for co-simulation (FMI 2.0), around its C."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from zipfile import ZIP_DEFLATED, ZipFile
+
+import numpy as np
+
+from splitband import __version__
+from splitband.data.record import unit_of
+from splitband.export.c import render
+from splitband.export.program import Program
+
+COMPILERS = "cc", "gcc", "clang"
+"""Looked for where the environment variable CC names none."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of an FMU; those that are numbers are referred to by their place.
+
+    Attributes
+    ----------
+    name, causality, description : As FMI has them.
+    start : Value before it is set; None for what is computed.
+    unit : Of a number; empty where it is not known.
+    """
+
+    name: str
+    causality: str
+    description: str
+    start: float | bool | None = None
+    unit: str = ""
+
+
+def write(program: Program, path: Path) -> None:
+    """Write the FMU: a binary for this platform, and the sources for others."""
+    try:
+        import fmpy  # noqa: PLC0415  the optional extra
+    except ImportError:
+        raise ValueError("an FMU needs FMPy: pip install 'splitband[fmu]'") from None
+    headers = Path(fmpy.__file__).parent / "c-code"
+    numbers, flags = _numbers(program), _flags()
+    header, source = render(program, "double")
+    guid = hashlib.sha256((header + source).encode()).hexdigest()[:32]
+    wrapper = files("splitband.export").joinpath("fmu2.c.in").read_text(encoding="ascii")
+    for word, value in {
+        "NAME": program.name,
+        "GUID": guid,
+        "STEP": f"{program.record.sampling_time!r}",
+        "NUMBERS": str(len(numbers)),
+        "OUTPUTS": str(program.record.ny),
+        "STARTS": ", ".join(repr(float(v.start or 0.0)) for v in numbers),
+        "GIVEN": _given(program),
+    }.items():
+        wrapper = wrapper.replace(f"@{word}@", value)
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        sources = folder / "sources"
+        sources.mkdir()
+        for name in ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"):
+            shutil.copy(headers / name, sources)
+        (sources / f"{program.name}.h").write_text(header, encoding="ascii")
+        (sources / f"{program.name}.c").write_text(source, encoding="ascii")
+        (sources / "fmu.c").write_text(wrapper, encoding="ascii")
+        described = _description(program, numbers, flags, guid)
+        described.write(folder / "modelDescription.xml", encoding="utf-8", xml_declaration=True)
+        binary = folder / "binaries" / fmpy.platform
+        binary.mkdir(parents=True)
+        _compile(sources, program.name, binary / f"{program.name}{fmpy.sharedLibraryExtension}")
+        with ZipFile(path, "w", ZIP_DEFLATED) as archive:
+            for file in sorted(p for p in folder.rglob("*") if p.is_file()):
+                archive.write(file, file.relative_to(folder))
+
+
+def _compile(sources: Path, name: str, library: Path) -> None:
+    given = os.environ.get("CC")
+    found = [shutil.which(word) for word in ([given] if given else COMPILERS)]
+    compiler = next(filter(None, found), None)
+    if compiler is None:
+        raise ValueError(f"an FMU needs a C compiler: none of {given or ', '.join(COMPILERS)}")
+    options = ["-std=c99", "-O2", "-fPIC", "-shared", "-o", str(library)]
+    command = [compiler, *options, f"{name}.c", "fmu.c", "-lm"]
+    done = subprocess.run(command, cwd=sources, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise ValueError(f"the FMU could not be compiled by {compiler}: {done.stderr[-300:]}")
+
+
+def _numbers(program: Program) -> list[Variable]:
+    """Return the outputs, the inputs, the simulator's output and the measured samples."""
+    record = program.record
+
+    def channels(ending: str, description: str) -> list[Variable]:
+        return [
+            Variable(f"{name}{ending}", "input", description, float(start), unit)
+            for name, start, unit in zip(record.columns, record.y[-1], record.units, strict=True)
+        ]
+
+    found = [
+        Variable(name, "output", "predicted, or as observed", None, unit)
+        for name, unit in zip(record.columns, record.units, strict=True)
+    ]
+    if "u" in program.given:
+        assert record.u is not None
+        found += [
+            Variable(name, "input", "known input", float(start), unit_of(name))
+            for name, start in zip(record.inputs, record.u[-1], strict=True)
+        ]
+    if "y_sim" in program.given:
+        for ending in ["_simulated", "_simulated_next"][: program.given["y_sim"][0]]:
+            found += channels(ending, "output of the simulator")
+    return _unique([*found, *channels("_measured", "what is observed")])
+
+
+def _flags() -> list[Variable]:
+    return [
+        Variable("observe", "input", "take the measured samples in place of predicting", False),
+        Variable("begin_empty", "parameter", "begin with nothing measured, and not at the end of "
+                 "the training record", False),
+    ]  # fmt: skip
+
+
+def _unique(variables: Sequence[Variable]) -> list[Variable]:
+    taken = {"observe", "begin_empty"}
+    unique = []
+    for variable in variables:
+        name = variable.name
+        while name in taken:
+            name += "_"
+        taken.add(name)
+        unique.append(replace(variable, name=name))
+    return unique
+
+
+def _given(program: Program) -> str:
+    """Return where in the list of numbers inputs and the simulator's output begin, as arguments."""
+    at, arguments = program.record.ny, ""
+    for name in ("u", "y_sim"):
+        if name in program.given:
+            arguments += f", c->numbers + {at}"
+            at += int(np.prod(program.given[name]))
+    return arguments
+
+
+def _description(
+    program: Program, numbers: Sequence[Variable], flags: Sequence[Variable], guid: str
+) -> ElementTree.ElementTree[Any]:
+    record = program.record
+    root = ElementTree.Element(
+        "fmiModelDescription",
+        fmiVersion="2.0",
+        modelName=program.name,
+        guid=guid,
+        description=f"{program.forecaster.name}, exported by splitband",
+        generationTool=f"splitband {__version__}",
+        variableNamingConvention="flat",
+        numberOfEventIndicators="0",
+    )
+    simulation = ElementTree.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=program.name,
+        canHandleVariableCommunicationStepSize="false",
+        canInterpolateInputs="true",
+        canGetAndSetFMUstate="true",
+    )
+    sources = ElementTree.SubElement(simulation, "SourceFiles")
+    for name in (f"{program.name}.c", "fmu.c"):
+        ElementTree.SubElement(sources, "File", name=name)
+    if units := sorted({variable.unit for variable in numbers} - {""}):
+        defined = ElementTree.SubElement(root, "UnitDefinitions")
+        for unit in units:
+            ElementTree.SubElement(defined, "Unit", name=unit)
+    ElementTree.SubElement(root, "DefaultExperiment", stepSize=repr(record.sampling_time))
+    variables = ElementTree.SubElement(root, "ModelVariables")
+    for kind, listed in (("Real", numbers), ("Boolean", flags)):
+        for reference, variable in enumerate(listed):
+            fixed = kind == "Boolean"
+            scalar = ElementTree.SubElement(
+                variables,
+                "ScalarVariable",
+                name=variable.name,
+                valueReference=str(reference),
+                causality=variable.causality,
+                description=variable.description,
+            )
+            if variable.causality == "parameter":
+                scalar.set("variability", "fixed")
+            elif fixed:
+                scalar.set("variability", "discrete")
+            start = {} if variable.start is None else {"start": str(variable.start).lower()}
+            if variable.unit:
+                start["unit"] = variable.unit
+            ElementTree.SubElement(scalar, kind, start)
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    for part in ("Outputs", "InitialUnknowns"):
+        unknowns = ElementTree.SubElement(structure, part)
+        for index in range(1, record.ny + 1):
+            ElementTree.SubElement(unknowns, "Unknown", index=str(index))
+    tree = ElementTree.ElementTree(root)
+    ElementTree.indent(tree)
+    return tree

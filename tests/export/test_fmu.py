@@ -1,0 +1,121 @@
+"""An exported FMU is valid, and says what a stream says, as FMPy runs it."""
+
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.simulation import instantiate_fmu
+from fmpy.validation import validate_fmu
+
+import splitband as sb
+from tests.export.test_c import STRICT
+from tests.streams import fitted, free, rows
+
+
+class Instance:
+    """An FMU in FMPy, with the methods of a stream: inputs are set before outputs are read."""
+
+    def __init__(self, file: Path, folder: Path, record: sb.Record) -> None:
+        fmpy.extract(str(file), str(folder))
+        description = fmpy.read_model_description(str(file))
+        self.fmu: Any = instantiate_fmu(str(folder), description)
+        self.fmu.setupExperiment()
+        self.fmu.enterInitializationMode()
+        self.fmu.exitInitializationMode()
+        self.references = {v.name: v.valueReference for v in description.modelVariables}
+        self.record, self.time = record, 0.0
+
+    def _tick(self, observe: bool, **signals: Any) -> Any:
+        record = self.record
+        names = {
+            "u": record.inputs,
+            "y_sim": [f"{name}_simulated" for name in record.columns],
+            "y": [f"{name}_measured" for name in record.columns],
+        }
+        for signal, values in signals.items():
+            self.fmu.setReal([self.references[name] for name in names[signal]], values.ravel())
+        self.fmu.setBoolean([self.references["observe"]], [observe])
+        found = self.fmu.getReal([self.references[name] for name in record.columns])
+        self.fmu.doStep(self.time, record.sampling_time)
+        self.time += record.sampling_time
+        return np.array(found)
+
+    def observe(self, y: Any, **signals: Any) -> Any:
+        return self._tick(True, y=y, **signals)
+
+    def step(self, **signals: Any) -> Any:
+        return self._tick(False, **signals)
+
+
+@pytest.mark.parametrize("name", ["linear", "filtered", "ensemble"])
+def test_an_fmu_says_what_a_stream_says(name: str, tmp_path: Path) -> None:
+    forecaster, record = fitted(name)
+    file = tmp_path / "rig.fmu"
+    assert forecaster.export(file) == [file]
+    assert validate_fmu(str(file)) == []
+    instance, stream = Instance(file, tmp_path / "rig", record), forecaster.stream()
+    sources = [str(tmp_path / "rig/sources" / each) for each in ("rig.c", "fmu.c")]
+    subprocess.run(["gcc", *STRICT, "-fsyntax-only", *sources], check=True)
+    at = rows(record, stream)
+    worst = 0.0
+    for n in range(150, 250):
+        if n < 175 or 200 <= n < 225:
+            stream.observe(record.y[n], **at(n))
+            np.testing.assert_array_equal(instance.observe(record.y[n], **at(n)), record.y[n])
+        else:
+            worst = max(worst, np.abs(instance.step(**at(n)) - stream.step(**at(n))).max())
+    assert worst < 1e-9 * np.std(record.y)
+
+
+def test_an_importer_that_reads_outputs_before_it_sets_inputs(tmp_path: Path) -> None:
+    """As FMPy's own loop: an output then takes the last input as held, the state never does."""
+    forecaster, record = fitted("linear")
+    assert record.u is not None
+    forecaster.export(tmp_path / "rig.fmu")
+    columns = {"time": 0.1 * np.arange(60)} | dict(
+        zip(record.inputs, record.u[150:210].T, strict=True)
+    )
+    table = np.array([*zip(*columns.values(), strict=True)], dtype=[(n, float) for n in columns])
+    others = [f"{name}_measured" for name in record.columns]
+    found = fmpy.simulate_fmu(
+        str(tmp_path / "rig.fmu"), stop_time=5.9, output_interval=0.1, input=table,
+        output=[*record.columns], start_values=dict.fromkeys(others, 0.0),
+    )  # fmt: skip
+    stream, wanted = forecaster.stream(), []
+    for n in range(150, 210):
+        wanted.append(stream.copy().step(record.u[max(n - 1, 150)]))
+        stream.step(record.u[n])
+    said = np.column_stack([found[name] for name in record.columns])
+    assert np.abs(said - np.stack(wanted)).max() < 1e-9 * np.std(record.y)
+
+
+def test_names_and_units_are_those_of_the_record(tmp_path: Path) -> None:
+    record = free()
+    named = sb.Record(record.y, 0.1, columns=("way [mm]",))
+    sb.Mean().fit(named).export(tmp_path / "rig.fmu")
+    variables = fmpy.read_model_description(str(tmp_path / "rig.fmu")).modelVariables
+    assert [(v.name, v.unit) for v in variables[:2]] == [
+        ("way [mm]", "mm"), ("way [mm]_measured", "mm"),
+    ]  # fmt: skip
+
+
+def test_an_fmu_is_a_simulator_again(tmp_path: Path) -> None:
+    record = free()
+    forecaster = sb.Periodic().fit(record[:150])
+    forecaster.export(tmp_path / "rig.fmu")
+    with sb.Fmu(tmp_path / "rig.fmu") as simulator:
+        said = np.asarray(simulator.simulate(np.arange(60) / 10.0))
+    assert said == pytest.approx(forecaster.predict(60).y, abs=1e-9)
+
+
+def test_what_an_fmu_needs_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mean = sb.Mean().fit(free())
+    with pytest.raises(ValueError, match="precision must be double for an FMU, got float"):
+        mean.export(tmp_path / "rig.fmu", precision="float")
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.raises(ValueError, match="an FMU needs a C compiler: none of no-such-compiler"):
+        mean.export(tmp_path / "rig.fmu")
+    assert not [*tmp_path.iterdir()]
