@@ -293,7 +293,7 @@ def test_a_bad_list_is_one_line_before_anything_is_computed(
     [
         (
             "--methods gru,nothing",
-            "--methods must be among those that `splitband methods` lists",
+            "--methods must name methods that `splitband methods` lists",
         ),
         ("--budget soon", "--budget must be a time such as 90s, 10m or 1h, got soon"),
         ("--hidden 3", "--hidden must be HIGH,LOW, two whole numbers, got 3"),

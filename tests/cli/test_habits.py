@@ -99,7 +99,7 @@ def test_an_unknown_method_is_told_what_may_have_been_meant(
 ) -> None:
     assert main(["compare", "record.csv", "--columns", "a", "--methods", "splt-gru,mean"]) == 2
     found = capsys.readouterr().err
-    assert "`splitband methods` lists, got splt-gru; split-gru is there" in found
+    assert "`splitband methods` lists, got splt-gru (did you mean split-gru?)" in found
 
 
 def test_the_doctor_finds_a_record_that_is_not_the_published_one(

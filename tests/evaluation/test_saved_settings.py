@@ -77,7 +77,7 @@ def test_what_has_no_settings_or_another_name_says_nothing(forecaster: Forecaste
     [
         (("format",), "other", "format must be splitband settings, version 1, got other"),
         (("version",), 2, "got splitband settings, version 2"),
-        (("method",), "lstm", "method must be one of gru, "),
+        (("method",), "lstm", "method must name a network, got 'lstm'"),
         (("method",), 3, "method must be a name, got 3"),
         (("extra",), 1, "extra is unknown, the keys are bands, "),
         (("bands",), KeyError, "bands must be given"),

@@ -329,7 +329,7 @@ def mean() -> Forecaster:
         ),
         (lambda: sb.Filtered(sb.Mean(), GRU(3)), "base must say something about the whole record"),
         (lambda: sb.Ensemble(sb.Mean(), 0), "count must be at least 1, got 0"),
-        (lambda: sb.named("mena"), "methods must be out of .*, got mena"),
+        (lambda: sb.named("mena"), r"methods must be .*, got 'mena' \(did you mean mean\?\)"),
     ],
 )
 def test_errors_say_what_is_wrong(call: Callable[[], Any], message: str) -> None:

@@ -17,17 +17,17 @@ from splitband import __version__
 from splitband.cli import clock
 
 COMMANDS = {
-    "demo": ("demo", "Show what the package does, in under a minute."),
-    "compare": ("compare", "Compare models of a record with each other and with naive baselines."),
-    "benchmark": ("benchmark", "Compare models of many records, and put them into one table."),
-    "forecast": ("forecast", "Forecast a record beyond its end, with an interval."),
+    "demo": ("demo", "See what the package does, in under a minute."),
+    "compare": ("compare", "Compare models of a record, and recommend one."),
+    "benchmark": ("benchmark", "Compare models on many records, in one table."),
+    "forecast": ("forecast", "Forecast beyond the end of a record, with an interval."),
     "fit": ("fit", "Train one model on a record and save it."),
-    "simulate": ("simulate", "Simulate a saved model beyond a measured history."),
+    "simulate": ("simulate", "Predict with a saved model, from a measured history."),
     "export": ("export", "Write a saved model as C, as an FMU or as ONNX."),
-    "spectrum": ("spectrum", "Show where the power of a record lies, and what a cut-off parts."),
-    "methods": ("methods", "List what there is to choose from, and when each is worth trying."),
-    "data": ("data", "The public records of the paper."),
-    "doctor": ("doctor", "Show whether this machine has what the package needs."),
+    "spectrum": ("spectrum", "Show the spectrum of a record, and choose a cut-off."),
+    "methods": ("methods", "List the methods, and when each is worth trying."),
+    "data": ("data", "Download and list the public records."),
+    "doctor": ("doctor", "Check that this machine has what the package needs."),
 }
 """The module of each command and a line about it; a module is loaded when its command is given."""
 
@@ -98,22 +98,17 @@ app = typer.Typer(
 
 
 @app.callback(
-    help="Learn a dynamics model from a measured record whose free-running predictions stay "
-    "accurate, in the short term and in the long.\n\n"
-    "Exit status: 0 done, 2 bad input (one line on the error stream), 130 stopped by Ctrl-C; "
-    "another one is a defect."
+    help="Learn a dynamic model from measured data. Its simulations stay accurate over short and "
+    "long horizons.\n\n"
+    "Exit status: 0 done, 2 bad input, 130 stopped by Ctrl-C. Please report any other as a defect."
 )
 def splitband(
     context: typer.Context,
     quiet: Annotated[
         bool,
-        typer.Option(
-            QUIET, help="Print nothing but warnings and errors, on the error stream; no bars."
-        ),
+        typer.Option(QUIET, help="Print only warnings and errors."),
     ] = False,
-    json: Annotated[
-        bool, typer.Option(JSON, help="Print the results as JSON, and nothing else.")
-    ] = False,
+    json: Annotated[bool, typer.Option(JSON, help="Print results as JSON only.")] = False,
     version: Annotated[
         bool, typer.Option("--version", help="Print the version.", callback=_print_version)
     ] = False,

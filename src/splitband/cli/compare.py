@@ -21,7 +21,6 @@ from splitband.cli.options.simulators import Calibrate, SimulatorOrBaseOptions
 from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.outcome import show
 from splitband.cli.worker_pool import worker_pool
-from splitband.evaluation.setup import default_names
 
 
 @with_groups
@@ -38,53 +37,41 @@ def compare(
         int | None,
         typer.Option(
             min=1,
-            help="Samples to predict beyond the training part.",
+            metavar="N",
+            help="Samples to predict after the training part.",
             show_default="all",
         ),
     ] = None,
     methods: Annotated[
         str | None,
         typer.Option(
-            help="What to compare, separated by commas; `splitband methods` lists what there is.",
-            # With spaces, so that it is wrapped and not cut off.
-            show_default=f"{', '.join(default_names(False))}; with a simulator "
-            f"{', '.join(default_names(True))}; with --inputs linear, too",
+            metavar="NAMES",
+            help="Methods, separated by commas; see splitband methods.",
+            show_default="what suits the record",
         ),
     ] = None,
     seeds: Seeds = None,
     jobs: Jobs = None,
-    out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = Path("out"),
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for results, pictures and page.")
+    ] = Path("out"),
     calibrate: Calibrate = False,
     conditioned: Conditioned = False,
     settings: SettingsFile = None,
     cluster: Cluster = None,
 ) -> None:
-    """Compare models of a record with each other and with naive baselines.
+    """Compare models of a record, and recommend one.
 
-    Every method is fitted on the first --train samples only and predicts under two protocols:
-    "from the start" warms up on the first samples and simulates to the end of the record;
-    "forecast" warms up on the last training samples and simulates beyond them. The table shows the
-    RMSE of the free run over everything after the warm-up, in the record's unit.
+    Every method is trained on the first --train samples and predicts the rest, and with --test
+    other records. The table shows fit % and RMSE. OUT gets a page to send on (report.html),
+    pictures, predictions and results.json.
 
-    The recommended method is chosen on training samples only. Fitted on three quarters of them, it
-    forecasts the rest best, from several beginnings (the table shows that error as "held out").
-    Where what it forecast then of the time after the training part changes by more than that error
-    explains once it is fitted on all of them, the change counts in the error's place (the table
-    shows by how much it "changed"). The held-out errors also give each forecast an interval in
-    which nine tenths of the measured samples should lie; the table says how many do.
+    The recommended method is chosen on training samples only: trained on three quarters of them,
+    it predicts the last quarter best. An interval around its forecast should hold 90 % of what is
+    measured.
 
-    With --test every method is fitted to all of RECORD and warmed up on the first samples of the
-    test record, to simulate it to its end; the table shows the RMSE of the seeds' mean there.
-
-    OUT gets results.json, predictions.csv, pictures, report.html, and where a network is
-    recommended recommended.json, with which `fit` and `forecast` train it as it was trained here
-    (--settings). For each --test there is predictions-test-1.csv and so on; tests.png shows the
-    errors there, each channel by itself.
-
-    --calibrate and --conditioned add rows: each method that can be is also run that way.
-
-    With --settings networks are trained as the recommended network of an earlier comparison;
-    without --methods that network alone is compared, beside the baselines.
+    --budget or --effort limit the search for how to train; --window, --epochs, --learning-rate,
+    --lr-milestones and --recipe paper replace it. --calibrate and --conditioned add rows.
     """
     request = Request(
         record, reading, simulator, further, testing, model,

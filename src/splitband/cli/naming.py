@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from difflib import get_close_matches
 
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES, TRAINED
+from splitband.runtime.arguments import did_you_mean
 
 FITTED = tuple(name for name in NAMES if name in TRAINED or "simulator" not in NAMES[name].needs)
 """Methods whose saved models `simulate` reads: all that learn something of the record."""
@@ -26,17 +26,15 @@ def method_names(text: str) -> list[str]:
 
 
 def check_names(option: str, asked: Sequence[str], possible: Iterable[str]) -> None:
-    """Raise ValueError, with what may have been meant, unless all that is asked for is possible."""
+    """Raise ValueError, with the closest name, for a name that is not possible."""
     possible = [*possible]
     unknown = [name for name in asked if name not in possible]
     if not unknown and asked:
         return
-    meant = [close for name in unknown for close in get_close_matches(name, possible, 1)]
     raise ValueError(
-        f"{option} must be among those that `splitband methods` lists, "
-        f"got {', '.join(unknown) or 'none'}"
-        + (f"; {', '.join(meant)} is there" if meant else "")
-        + ("" if len(possible) == len(NAMES) else f" (here {', '.join(possible)})")
+        f"{option} must name methods that `splitband methods` lists, "
+        f"got {', '.join(unknown) or 'none'}{did_you_mean(unknown, possible)}"
+        + (", which this command cannot use" if {*unknown} & {*NAMES} else "")
     )
 
 

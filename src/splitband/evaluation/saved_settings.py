@@ -15,6 +15,7 @@ from splitband.forecasters.names import TRAINED, Sizes, named
 from splitband.forecasters.network import Network
 from splitband.forecasters.split import Split
 from splitband.networks import EulerMLP
+from splitband.runtime.arguments import did_you_mean
 from splitband.runtime.files import write_json
 from splitband.training import Settings
 
@@ -52,7 +53,10 @@ class SavedSettings:
     def __post_init__(self) -> None:
         """Check the name."""
         if self.method not in TRAINED:
-            raise ValueError(f"method must be one of {', '.join(TRAINED)}, got {self.method}")
+            raise ValueError(
+                f"method must name a network, got {self.method!r}"
+                f"{did_you_mean([str(self.method)], TRAINED)}"
+            )
 
     def forecaster(self) -> Network:
         """The network, not fitted; a comparison trains it as it is."""

@@ -25,7 +25,7 @@ from splitband.forecasters.simulation import AFFINE, Calibrated, Simulation
 from splitband.forecasters.single import Single
 from splitband.forecasters.split import Split
 from splitband.networks import GRU, EulerMLP
-from splitband.runtime.arguments import LARGEST_SIZE, whole
+from splitband.runtime.arguments import LARGEST_SIZE, did_you_mean, whole
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,10 @@ BASED = tuple(name for name in TRAINED if parts_of(NAMES[name]) and name not in 
 def named(name: str, sizes: Sizes | None = None) -> Forecaster:
     """Return a new forecaster by its name; raises ValueError for an unknown one."""
     if name not in NAMES:
-        raise ValueError(f"methods must be out of {', '.join(NAMES)}, got {name}")
+        raise ValueError(
+            "methods must be forecasters or names that `splitband methods` lists, "
+            f"got {name!r}{did_you_mean([name], NAMES)}"
+        )
     if sizes is None:
         return NAMES[name].clone()
     with torch.random.fork_rng(devices=[]):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import Any
 
 LARGEST_SIZE = 10_000
@@ -29,3 +31,10 @@ def whole(name: str, value: Any, least: int | None = 1, most: int | None = None)
     if least is not None and number < least:
         raise ValueError(f"{name} must be at least {least}, got {number}")
     return number
+
+
+def did_you_mean(unknown: Iterable[str], possible: Iterable[str]) -> str:
+    """Return " (did you mean ...?)" with the closest name to each unknown one, or nothing."""
+    possible = [*possible]
+    close = [match for name in unknown for match in get_close_matches(name, possible, 1)]
+    return f" (did you mean {', '.join(close)}?)" if close else ""

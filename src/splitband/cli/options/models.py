@@ -11,7 +11,7 @@ import typer
 
 from splitband.training.recipes import Recipe
 
-_FILTER, _TRAINING = "Filter", "Training"
+_FILTER, _TRAINING, _TIME = "Filter", "Training", "Time"
 
 AUTO = -math.inf
 """A cut-off that is to be chosen, in place of the paper's for one of its records."""
@@ -35,8 +35,7 @@ Cutoff = Annotated[
     typer.Option(
         parser=_hertz,
         metavar="HZ|auto",
-        help="Frequency that parts the two bands. auto: by the training samples, from the spectrum "
-        "or from where simulator and record agree.",
+        help="Cut-off between the two bands; auto chooses it.",
         rich_help_panel=_FILTER,
         show_default="auto",
     ),
@@ -44,6 +43,7 @@ Cutoff = Annotated[
 Order = Annotated[
     int | None,
     typer.Option(
+        metavar="N",
         help="Order of each Butterworth filter.",
         rich_help_panel=_FILTER,
         show_default="1 or 2, with the cut-off",
@@ -52,24 +52,24 @@ Order = Annotated[
 Downsampling = Annotated[
     int | None,
     typer.Option(
-        help="The low band keeps every K-th sample.",
+        help="Keep every K-th sample of the low band.",
         metavar="K",
         rich_help_panel=_FILTER,
-        show_default="as large as the low band allows, up to 10",
+        show_default="as the low band allows",
     ),
 ]
 Conditioned = Annotated[
     bool,
     typer.Option(
         "--conditioned",
-        help="Tell the network what the slower band or the simulator predicts.",
+        help="Give networks the slow band as an input.",
         rich_help_panel=_FILTER,
     ),
 ]
 Warmup = Annotated[
     int | None,
     typer.Option(
-        help="Measured samples before a simulation.",
+        help="Measured samples that start a simulation.",
         metavar="R",
         rich_help_panel=_TRAINING,
         show_default="up to 50",
@@ -78,17 +78,19 @@ Warmup = Annotated[
 Window = Annotated[
     int | None,
     typer.Option(
-        help="Samples of a training window, warm-up included.",
+        metavar="N",
+        help="Samples in a training window, warm-up included.",
         rich_help_panel=_TRAINING,
-        show_default="two fifths of the training part, 150 to 400",
+        show_default="150 to 400",
     ),
 ]
 Epochs = Annotated[
     int | None,
     typer.Option(
+        metavar="N",
         help="Passes over all windows.",
         rich_help_panel=_TRAINING,
-        show_default="what makes about 1,000 steps",
+        show_default="about 1,000 steps",
     ),
 ]
 Seeds = Annotated[
@@ -96,33 +98,27 @@ Seeds = Annotated[
     typer.Option(
         "--seeds",
         min=1,
-        help="Trainings of each network; the mean of their predictions is handed out.",
+        metavar="N",
+        help="Trainings of each network, averaged.",
         rich_help_panel=_TRAINING,
-        show_default="1 to 8, as the budget allows and the method deserves; without a search 3",
+        show_default="1 to 8",
     ),
 ]
 Budget = Annotated[
     str | None,
     typer.Option(
         metavar="TIME",
-        help="Wall time for the whole command, such as 90s, 10m or 1h, from its start to its last "
-        "file: it is kept on a busy machine, too. Trainings that are not done by then end with "
-        "what they have, and methods that there is no time for are left out by name. More of it "
-        "means longer trials, larger ones and more seeds. Windows, sizes and steps of networks are "
-        "found on held-out training samples, unless --window, --epochs, --learning-rate, "
-        "--lr-milestones or --recipe paper decides how to train; then there is no limit.",
-        rich_help_panel=_TRAINING,
-        show_default="2m, of which a quiet machine needs less",
+        help="Wall time of the whole command: 90s, 10m, 1h.",
+        rich_help_panel=_TIME,
+        show_default="2m",
     ),
 ]
 Effort = Annotated[
     str | None,
     typer.Option(
         metavar="TIME",
-        help="In place of --budget: work for the search and the training of networks, as reckoned "
-        "for a reference core, such as 4m. The work is limited, not the clock, so that the same "
-        "command finds the same on every run, however long it takes.",
-        rich_help_panel=_TRAINING,
+        help="Limit work, not time: reproducible results.",
+        rich_help_panel=_TIME,
         show_default=False,
     ),
 ]
@@ -130,24 +126,25 @@ RecipeOption = Annotated[
     Recipe,
     typer.Option(
         "--recipe",
-        help="How networks are trained where no other option says so: long windows, one cycle of "
-        "the learning rate and free runs that grow, or as in the paper.",
+        help="Training settings: ours, or those of the paper.",
         rich_help_panel=_TRAINING,
     ),
 ]
 LearningRate = Annotated[
     float | None,
     typer.Option(
-        help="Of Adam: the highest, or the first one with --recipe paper.",
+        metavar="RATE",
+        help="Highest learning rate of Adam.",
         rich_help_panel=_TRAINING,
-        show_default="1e-2; with --recipe paper 1e-3",
+        show_default="1e-2",
     ),
 ]
 Milestones = Annotated[
     str | None,
     typer.Option(
         "--lr-milestones",
-        help="Later learning rates as EPOCH:RATE,...: 20:1e-4,500:1e-5. In place of one cycle.",
+        metavar="LIST",
+        help="Later rates by epoch: 20:1e-4,500:1e-5.",
         rich_help_panel=_TRAINING,
         show_default=False,
     ),
@@ -155,10 +152,10 @@ Milestones = Annotated[
 Hidden = Annotated[
     str | None,
     typer.Option(
-        help="Hidden units of the high- and the low-band network.",
+        help="Hidden units of the fast and the slow network.",
         metavar="HIGH,LOW",
         rich_help_panel=_TRAINING,
-        show_default="32,16, with --recipe paper 64,32; a single network has their sum",
+        show_default="32,16",
     ),
 ]
 SettingsFile = Annotated[
@@ -166,9 +163,7 @@ SettingsFile = Annotated[
     typer.Option(
         "--settings",
         metavar="FILE",
-        help="Method, sizes, training and bands of an earlier comparison (its recommended.json), "
-        "in place of a search, and the columns and inputs that they are for. Other options "
-        "override the file; a record with other columns or inputs is refused.",
+        help="Train as recommended.json of an earlier run says.",
         rich_help_panel=_TRAINING,
         show_default=False,
     ),
@@ -176,7 +171,9 @@ SettingsFile = Annotated[
 Device = Annotated[
     str,
     typer.Option(
-        help="Where networks are trained: cpu, cuda, cuda:1, ...", rich_help_panel=_TRAINING
+        metavar="NAME",
+        help="Train networks on cpu, cuda, cuda:1, ...",
+        rich_help_panel=_TRAINING,
     ),
 ]
 

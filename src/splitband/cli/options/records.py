@@ -19,8 +19,7 @@ RecordArgument = Annotated[
     str,
     typer.Argument(
         metavar="RECORD",
-        help="A file (CSV, TSV, Parquet, NPZ, NPY, MAT or plain text) or a named record: "
-        f"{', '.join(RECORDS)}.",
+        help=f"A CSV, Parquet, NPZ, NPY, MAT or text file, or one of {', '.join(RECORDS)}.",
         show_default=False,
     ),
 ]
@@ -28,15 +27,17 @@ Train = Annotated[
     int | None,
     typer.Option(
         "--train",
-        help="Samples at the beginning to train on.",
+        metavar="N",
+        help="Train on the first N samples.",
         rich_help_panel=_PANEL,
-        show_default="three quarters of a file, the paper's number for a named record",
+        show_default="three quarters",
     ),
 ]
 Columns = Annotated[
     str | None,
     typer.Option(
-        help="Measured columns, by name or position, separated by commas.",
+        metavar="NAMES",
+        help="Measured columns, by name or position.",
         rich_help_panel=_PANEL,
         show_default="all numeric",
     ),
@@ -44,7 +45,8 @@ Columns = Annotated[
 Inputs = Annotated[
     str | None,
     typer.Option(
-        help="Columns of known inputs (forces, set-points), separated by commas.",
+        metavar="NAMES",
+        help="Known inputs: forces, set-points.",
         rich_help_panel=_PANEL,
         show_default=False,
     ),
@@ -52,15 +54,17 @@ Inputs = Annotated[
 TimeColumn = Annotated[
     str | None,
     typer.Option(
-        help="Column of time stamps, in seconds or as dates.",
+        metavar="NAME",
+        help="Column of time stamps, seconds or dates.",
         rich_help_panel=_PANEL,
-        show_default=f"one called {', '.join(TIME_NAMES[:-1])} or {TIME_NAMES[-1]}",
+        show_default=", ".join(TIME_NAMES),
     ),
 ]
 SamplingTime = Annotated[
     float | None,
     typer.Option(
-        help="Seconds between samples, where the file has no time column.",
+        metavar="SECONDS",
+        help="Time between samples, without a time column.",
         rich_help_panel=_PANEL,
         show_default=False,
     ),
@@ -69,9 +73,7 @@ GapsOption = Annotated[
     Gaps,
     typer.Option(
         "--gaps",
-        help="A missing or infinite value, or a row that is missing between two time stamps: "
-        "refuse the file, or mask it. What is masked counts in no error, and no simulation warms "
-        "up on it.",
+        help="Refuse missing values and rows, or mask them.",
         rich_help_panel=_PANEL,
     ),
 ]
@@ -80,7 +82,7 @@ More = Annotated[
     typer.Option(
         "--more",
         metavar="FILE",
-        help="Another record of the same system, all of it to train on; give it once for each.",
+        help="Train on this record too; may be repeated.",
         rich_help_panel=_PANEL,
         show_default=False,
     ),
@@ -90,9 +92,7 @@ Tests = Annotated[
     typer.Option(
         "--test",
         metavar="FILE",
-        help="Another record of the same system, to be simulated to its end from its first "
-        "samples (--warmup) by what is fitted to all of RECORD, or to --train samples; give it "
-        "once for each.",
+        help="Validate on this record; may be repeated.",
         rich_help_panel=_PANEL,
         show_default=False,
     ),
@@ -101,8 +101,7 @@ FutureInputs = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Known inputs of the samples to come, where the record has any: by their time stamps; "
-        "without any, from the first of these samples on.",
+        help="Known inputs of the samples to come.",
         rich_help_panel=_PANEL,
         show_default=False,
     ),

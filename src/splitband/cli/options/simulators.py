@@ -13,9 +13,8 @@ from splitband.simulators.named import SIMULATORS
 _PANEL = "Simulator"
 
 _SIMULATOR = (
-    "A simulator of the record: an exported trajectory (any file a record can be), an .fmu, "
-    "FILE.py:FUNCTION (called with the record's time stamps in s; with seconds from 0 where these "
-    f"are dates, or missing), or one of {', '.join(SIMULATORS)}."
+    "A simulator: an exported trajectory, an .fmu, FILE.py:FUNCTION of time in s, "
+    f"or one of {', '.join(SIMULATORS)}."
 )
 SimulatorOption = Annotated[
     str | None,
@@ -32,8 +31,7 @@ SimulatorOrBase = Annotated[
     typer.Option(
         "--simulator",
         metavar="FILE|NAME",
-        help=f"{_SIMULATOR} Also linear (of the known inputs), periodic or harmonic: what is "
-        "fitted to the training samples takes its place.",
+        help=f"{_SIMULATOR} Or linear, periodic, harmonic: a fitted model.",
         rich_help_panel=_PANEL,
         show_default="a named record's own",
     ),
@@ -41,15 +39,19 @@ SimulatorOrBase = Annotated[
 SimulatorColumns = Annotated[
     str | None,
     typer.Option(
-        help="Columns of the trajectory, or outputs of the FMU, that correspond to --columns.",
+        metavar="NAMES",
+        help="Its columns or outputs that match --columns.",
         rich_help_panel=_PANEL,
-        show_default="those of the record's names, or all",
+        show_default="of the same names",
     ),
 ]
 SimulatorTimeout = Annotated[
     float,
     typer.Option(
-        min=0.0, help="Seconds after which a simulator is given up on.", rich_help_panel=_PANEL
+        min=0.0,
+        metavar="SECONDS",
+        help="Give up on a simulator after this time.",
+        rich_help_panel=_PANEL,
     ),
 ]
 PATIENCE = 600.0
@@ -58,7 +60,7 @@ SimulatorCache = Annotated[
     Path | None,
     typer.Option(
         metavar="DIR",
-        help="Keep what a slow FMU or function computes in this folder, by its content.",
+        help="Keep the output of a slow simulator here.",
         rich_help_panel=_PANEL,
         show_default="not kept",
     ),
@@ -68,9 +70,7 @@ SimulatorReads = Annotated[
     typer.Option(
         "--simulator-reads",
         metavar="FILE",
-        help="A file that the FMU or function reads, such as a table of parameters: what "
-        "--simulator-cache keeps is computed again when it changes, as when a module changes that "
-        "the function's file imports; give it once for each.",
+        help="A file it reads: the cache is renewed with it.",
         rich_help_panel=_PANEL,
         show_default=False,
     ),
@@ -79,8 +79,7 @@ Calibrate = Annotated[
     bool,
     typer.Option(
         "--calibrate",
-        help="Calibrate the simulator of hybrid methods on the training samples first: gain, "
-        "offset, delay and clock, each kept only where it pays on held-out ones.",
+        help="Fit its gain, offset, delay and clock first.",
         rich_help_panel=_PANEL,
     ),
 ]
@@ -89,7 +88,7 @@ MoreSimulators = Annotated[
     typer.Option(
         "--more-simulator",
         metavar="FILE",
-        help="The simulator of each --more, in their order.",
+        help="Simulator of each --more, in order.",
         rich_help_panel=_PANEL,
         show_default=False,
     ),
@@ -99,7 +98,7 @@ TestSimulators = Annotated[
     typer.Option(
         "--test-simulator",
         metavar="FILE",
-        help="The simulator of each --test, in their order; without, hybrid models are not tested.",
+        help="Simulator of each --test, in order.",
         rich_help_panel=_PANEL,
         show_default=False,
     ),

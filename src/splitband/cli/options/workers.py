@@ -10,17 +10,18 @@ Jobs = Annotated[
     int | None,
     typer.Option(
         min=1,
-        help="Trainings at once, each a process on one core; the numbers do not depend on it "
-        "but for rounding.",
-        show_default="one a core",
+        metavar="N",
+        help="Trainings at once, one on each core.",
+        rich_help_panel="Time",
+        show_default="all cores",
     ),
 ]
 Cluster = Annotated[
     str | None,
     typer.Option(
         metavar="ADDRESS",
-        help="A Dask scheduler, such as tcp://10.0.0.5:8786, whose workers train in place of this "
-        "machine; one training a core.",
+        help="Dask scheduler whose workers train: tcp://...:8786.",
+        rich_help_panel="Time",
         show_default=False,
     ),
 ]
