@@ -62,7 +62,13 @@ class OutputError:
     delays: tuple[int, ...]
 
     @classmethod
-    def fit(cls, y: Array, u: Array, others: Sequence[tuple[Array, Array]] = ()) -> OutputError:
+    def fit(
+        cls,
+        y: Array,
+        u: Array,
+        others: Sequence[tuple[Array, Array]] = (),
+        most: int | None = None,
+    ) -> OutputError:
         """Fit to the first samples of a record, by least squares of the simulation error.
 
         Each channel has a model of its own. Its poles are stable, and as few as forecast held-out
@@ -76,11 +82,14 @@ class OutputError:
         u : Inputs of the same samples, `(train, nu)`.
         others : `y` and `u` of further records of the same system. Together they may have as many
             samples in the fit as the first record. Each has an initial state of its own.
+        most : Poles of each channel at most, for a model without delays.
         """
         together = np.concatenate([u, *(inputs for _, inputs in others)])
         mean, scale = together.mean(axis=0), spread(together)
         records = [(seen, (inputs - mean) / scale) for seen, inputs in ((y, u), *others)]
-        at_once = cls(_fit_channels(records), mean, scale, (0,) * len(mean))
+        at_once = cls(_fit_channels(records, most), mean, scale, (0,) * len(mean))
+        if most is not None:
+            return at_once
         delays = candidates(records)
         shifted = [(_after(seen, max(delays)), delayed(x, delays)) for seen, x in records]
         if not any(delays) or np.isnan(shifted[0][0]).all(axis=0).any():
@@ -170,9 +179,12 @@ class _Part(NamedTuple):
     u: Array
 
 
-def _fit_channels(records: Sequence[tuple[Array, Array]]) -> tuple[Channel, ...]:
+def _fit_channels(
+    records: Sequence[tuple[Array, Array]], most: int | None = None
+) -> tuple[Channel, ...]:
     return tuple(
-        _fit_channel([_Part(y[:, i], u) for y, u in records]) for i in range(records[0][0].shape[1])
+        _fit_channel([_Part(y[:, i], u) for y, u in records], most)
+        for i in range(records[0][0].shape[1])
     )
 
 
@@ -181,13 +193,13 @@ def _after(y: Array, begin: int) -> Array:
     return np.where(np.arange(len(y))[:, None] < begin, np.nan, y)
 
 
-def _fit_channel(records: Sequence[_Part]) -> Channel:
+def _fit_channel(records: Sequence[_Part], most: int | None) -> Channel:
     """Fit the model of one channel, scaled to its range."""
     offset, scale = units(np.concatenate([part.y for part in records]))
     first, *others = [part._replace(y=(part.y - offset) / scale) for part in records]
     parts = [_recent(part, LONGEST // len(others)) for part in others]
     begin, _ = recent(first.y[:, None])
-    a = _denominator([_recent(first), *parts])
+    a = _denominator([_recent(first), *parts], most)
     # The initial state is that of the whole of the first record, of which the end is fitted.
     whole = [first._replace(y=np.where(np.arange(len(first.y)) < begin, np.nan, first.y)), *parts]
     fitted, simulated = _solved(a, whole)
@@ -214,10 +226,11 @@ def _joined(parts: Sequence[_Part]) -> Array:
     return np.concatenate([part.y for part in parts])
 
 
-def _denominator(parts: Sequence[_Part]) -> Array:
+def _denominator(parts: Sequence[_Part], most: int | None) -> Array:
     """Return the denominator A of the lowest order that forecasts held-out samples well."""
     nu = parts[0].u.shape[1]
-    most = max((len(known(_joined(parts))) // 3 - nu - 1) // (2 + nu), 1)
+    enough_samples = max((len(known(_joined(parts))) // 3 - nu - 1) // (2 + nu), 1)
+    most = enough_samples if most is None else min(most, enough_samples)
     errors = {order: _held_out(parts, order) for order in ORDERS if order <= most}
     enough = (1 + WORTH_POLES) ** 2 * min(errors.values())
     order = next(order for order, error in errors.items() if error <= enough)

@@ -54,6 +54,8 @@ def on_baseline(
     assert isinstance(network, Network)
     settings = networks[best].settings
     assert settings is not None
+    if not settings.epochs:  # of a network that begins as a linear model: this one does not
+        settings = setup.settings
     network = network.trained_as(settings).to(networks[best].device)
     cost = training_cost(network, record, others)
     spent = len(seeds) * (1 - HELD_OUT) * cost

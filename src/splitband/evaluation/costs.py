@@ -78,8 +78,11 @@ def training_cost(network: Network, record: Record, others: Sequence[Record]) ->
     """Seconds of a reference core that a training takes, roughly; with that of a network below."""
     base = getattr(network, "base", None)
     below = training_cost(base, record, others) if isinstance(base, Network) else 0.0
+    assert network.settings is not None
+    going_on = next(iter(network.earlier.weights), None)
     settings = network.settings
-    assert settings is not None
+    if going_on is not None:
+        settings = network.earlier.remaining(settings, going_on)
     samples = len(record) + sum(map(len, others))
     batches = settings.batches_of(samples)
     adam = settings.epochs * batches * settings.batch_size * settings.window

@@ -1,9 +1,10 @@
-"""Finding out how to train networks: window, size and steps, by forecasts of held-out samples.
+"""Finding out how to train networks, by forecasts of held-out samples: successive halving.
 
-Not in the paper. The first network is trained in several ways for a short time; the better half of
-them is trained for four times as long, and so on (successive halving: Jamieson and Talwalkar,
-2016), until longer training makes the errors larger or the budget is used up. The other networks
-are trained in the two ways that gave the first one its lowest errors, and likewise for longer.
+Not in the paper. All candidates (sizes, windows, penalties) are trained for a few iterations, the
+better half of them goes on for four times as many, and so on (Jamieson and Talwalkar, 2016), until
+longer training makes the errors larger or the budget is used up. A candidate goes on from where it
+stopped, and so does the last training, on all samples. So there is a result after the first short
+training, and what is spent on it later makes it better.
 
 What is tried depends on the record and on the work that may be done, counted in seconds of a
 reference core, so that the same command tries the same on every run. A limit of wall time, where
@@ -13,9 +14,10 @@ the time budget of the command (`evaluation.budget`) says so.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from itertools import zip_longest
 
 from splitband.data import Record
 from splitband.evaluation.budget import ONE
@@ -33,6 +35,7 @@ from splitband.forecasters.backtest import (
     root_mean_square,
 )
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.beginning import Earlier
 from splitband.forecasters.network import Network
 from splitband.metrics import spread
 from splitband.runtime.threads import available_cores
@@ -42,35 +45,43 @@ SEARCHING = "search"
 """Name of the stage of the work, followed by the number of the round."""
 CORE_SECONDS, SECONDS = 240.0, 120.0
 """The default: work that two cores of any recent machine do in less than these two minutes."""
-SEARCHED, TRAINED = 0.55, 0.3
-"""Shares of the budget: for this search, and at most for a single training of a candidate."""
-FREE_RUNS = 50, 100
-"""Samples of the shortest windows that are predicted; the longest window is the recipe's."""
-SIZES = 1 / 3, 2 / 3
-"""Of the networks' usual sizes, those that L-BFGS is tried with."""
+SEARCHED = 0.5
+"""Share of the budget for this search; the rest is for the last trainings."""
+OTHERS = 0.3
+"""Share of the search that the first short trainings of all methods but the first one may take."""
 FIRST_STEPS = 300
-"""Steps of Adam before L-BFGS takes over."""
+"""Steps of Adam before L-BFGS takes over, from random weights."""
+FREE_RUN = 150
+"""Samples of the shorter windows that are predicted; the longer ones are the recipe's."""
+SHORT = 3000
+"""Samples of a record up to which windows of all of it are tried, too."""
+PENALTY = 1e-4
+"""The penalty that is tried."""
 TRIAL_SEEDS = 0, 1
-"""Seeds of each candidate, whose mean is scored; the first one alone where that is too much."""
-SEVERAL = 0.6
-"""Share of what is left for the search that several seeds of each candidate may take."""
-OF_FIRST = 0.8
-"""Share of the search that may go into the network that stands first among the methods."""
-TRANSFERRED = 2
-"""How many of the first network's best candidates the other networks take settings from."""
+"""Seeds of each candidate, whose mean is scored."""
 LADDER = 100, 400, 1600, 6400
-"""Iterations of L-BFGS that are tried, one after the other."""
+"""Iterations of L-BFGS that a candidate has had after each round."""
+KEPT = 0.5
+"""Share of the candidates of a round that go on."""
 WORSE = 1.1
-"""A candidate is trained even longer if its error is at most this multiple of the lowest error of
-its method."""
+"""A candidate whose error is above this multiple of what it was a round before does not go on."""
 MAX_ERROR_RATIO = 2.0
-"""A method is not trained longer if its error is above this multiple of the lowest of all."""
+"""A candidate does not go on if its error is above this multiple of the lowest of all."""
 GOOD = 1.5
 """A method whose error is at most this multiple of the lowest one gets more than one seed, as far
 as the budget allows."""
 USUAL_SEEDS, MOST_SEEDS = 3, 8
 """Seeds of a good method, and of the best one with the default budget; a larger one allows for as
 many more."""
+LONGER = 4
+"""By how much the best candidate's last training may be longer than any trial was, where longer
+trials were better and only the budget ended them."""
+LAST = 0.7
+"""Share of what is left of the budget that this may take."""
+FAILED = 2.0
+"""A seed whose held-out error is above this multiple of the lowest seed's does not count."""
+SETTLING = 0.25
+"""Share of its iterations that a training gets on top of them when further samples are added."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +95,7 @@ class Search:
     seconds : Of wall time for a whole comparison, however busy the machine is; None: no limit.
         Trainings that are not done by then end with what they have, and what has not begun is left
         out. See `within`.
-    sizes : Whether networks that go by a name may be smaller than usual.
+    sizes : Whether networks that go by a name may have other sizes than usual.
     bases : Whether a network may be tried on top of a baseline that does better than all networks.
     """
 
@@ -117,35 +128,6 @@ class Search:
         return cls(reference_seconds(seconds, cores or available_cores()), seconds)
 
 
-@dataclass(frozen=True, eq=False)
-class TrainingCandidate:
-    """One way to train one method.
-
-    Attributes
-    ----------
-    method : Its name.
-    network : The forecaster, with its settings.
-    size : Of its cells, relative to the usual one.
-    cost : Seconds of a reference core for a training on the whole training part.
-    """
-
-    method: str
-    network: Network
-    size: float
-    cost: float
-
-    @property
-    def label(self) -> str:
-        """What progress bars and checkpoints call it."""
-        return f"{self.method}, {self.network.training_in_words()}"
-
-    @property
-    def settings(self) -> Settings:
-        """How the network is trained."""
-        assert self.network.settings is not None
-        return self.network.settings
-
-
 @dataclass(frozen=True)
 class SearchAttempt:
     """What became of a candidate on the held-out samples.
@@ -172,7 +154,8 @@ class SearchResult:
     forecasters : Those that were given, each network as it is to be trained.
     attempts : All that has been tried, in that order.
     done : Of the chosen networks, the forecasts of held-out samples, by name and seed.
-    costs : Of the chosen networks, seconds of a reference core for one more training.
+    costs : Of the chosen networks, seconds of a reference core for one more training, from its
+        beginning.
     left : Of the budget.
     most_seeds : Of the best network.
     """
@@ -203,6 +186,51 @@ class SearchResult:
         return {name: range(count) for name, count in counts.items()}
 
 
+@dataclass(frozen=True, eq=False)
+class TrainingCandidate:
+    """One way to train one method, and how far it has come.
+
+    Attributes
+    ----------
+    method : Its name.
+    network : The forecaster, with its settings.
+    rung : Rounds of L-BFGS that it has had; -1 for a training without.
+    score : RMSE of the mean of its seeds on the held-out samples; None where it failed or has not
+        been tried.
+    done : Forecasts of the held-out samples, by seed.
+    """
+
+    method: str
+    network: Network
+    rung: int = -1
+    score: float | None = None
+    done: Mapping[int, Backtest] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """What progress bars and checkpoints call it."""
+        return f"{self.method}, {self.network.training_in_words()}"
+
+    @property
+    def settings(self) -> Settings:
+        """How the network is trained."""
+        assert self.network.settings is not None
+        return self.network.settings
+
+    def longer(self) -> TrainingCandidate | None:
+        """Return the candidate of the next round; None where there is none."""
+        if not 0 <= self.rung < len(LADDER) - 1:
+            return None
+        settings = replace(self.settings, quasi_newton=LADDER[self.rung + 1])
+        return TrainingCandidate(self.method, self.going_on(settings), self.rung + 1, self.score)
+
+    def going_on(self, settings: Settings) -> Network:
+        """Return the network with other settings, which goes on from where it is."""
+        weights = {seed: done.weights for seed, done in self.done.items()}
+        earlier = Earlier(self.settings.quasi_newton or 0, weights)
+        return self.network.trained_as(settings).going_on(earlier)
+
+
 def search(
     record: Record,
     forecasters: Sequence[Forecaster],
@@ -217,77 +245,60 @@ def search(
     ----------
     record : The training part, and nothing else. What is tried is fitted to its first three
         quarters, as in `selection.try_out`.
-    forecasters : With the default settings and bands.
+    forecasters : With the default settings and bands; the first network matters most.
     steps : How far beyond the record is to be forecast after all.
     budget : How much may be spent.
     work, others : See `protocols.compare_methods`.
     """
-    free = [
+    tunable = [
         f for f in forecasters if isinstance(f, Network) and f.tunable and _fits(f, record, others)
     ]
-    if not free:
+    if not tunable:
         return SearchResult([*forecasters], left=budget.core_seconds)
-    makes = {f.name: partial(_candidate, f, record, others) for f in free}
-    for_search, for_one = (share * budget.core_seconds for share in (SEARCHED, TRAINED))
-    trials = _Trials(record, steps, work, others, for_search)
-    time, until = work.time, work.deadline
-    for_one = min(for_one, time.reckoned_alone(time.share(ONE)))
-
-    tried: list[TrainingCandidate] = []
-
-    def climb(candidates: Sequence[TrainingCandidate], allowed: float) -> None:
-        """Try them, then the promising ones for longer, and so on."""
-        while candidates:
-            left = allowed - trials.spent
-            in_time = time.reckoned(until)
-            if in_time < min(left, sum(_in_trials(c, len(TRIAL_SEEDS)) for c in candidates)):
-                time.narrowed("the search")
-                left = min(left, in_time)
-                candidates = sorted(candidates, key=lambda c: c.cost)
-            affordable = _within(candidates, len(TRIAL_SEEDS), SEVERAL * left, for_one)
-            seeds: Sequence[int] = TRIAL_SEEDS
-            if len(affordable) < len(candidates):
-                affordable, seeds = _within(candidates, 1, left, for_one), TRIAL_SEEDS[:1]
-            if affordable:
-                trials.run(affordable, seeds)
-                tried.extend(affordable)
-            candidates = [
-                makes[c.method](replace(c.settings, quasi_newton=longer), c.size)
-                for c in _promoted(affordable, tried, trials.scores)
-                for longer in [n for n in LADDER if n > (c.settings.quasi_newton or 0)][:1]
-            ]
-
-    first, *rest = free
-    of_usual = ways(first, len(record))
-    of_first = [makes[first.name](*way) for way in of_usual]
-    climb(of_first, (OF_FIRST if rest else 1.0) * for_search)
-    best = _ranked(tried, trials.scores)[:TRANSFERRED]
-    climb([makes[f.name](c.settings, c.size) for c in best for f in rest], for_search)
-    # What suits the first one may take too long for the others: then the shortest of its kind.
-    late = [f for f in rest if not any(c.method == f.name for c in tried)]
-    short = [c for c in best if c.settings.quasi_newton][:1]
-    climb(
-        [
-            makes[f.name](replace(c.settings, quasi_newton=LADDER[0]), c.size)
-            for c in short
-            for f in late
-        ],
-        for_search,
-    )
-    ranked = _ranked(tried, trials.scores)
-    chosen = {c.method: c for c in reversed(ranked)}
-    if time.cut and not tried:  # there is no time to try anything: what is done soonest
-        chosen = {
-            f.name: min((makes[f.name](*w) for w in of_usual), key=lambda c: c.cost) for f in free
-        }
+    trials = _Trials(record, steps, work, others, SEARCHED * budget.core_seconds)
+    first, *rest = [ways(f, record) for f in tunable]
+    # One short training, so that there is a result; what it comes to is what all else has to beat.
+    ladder = trials.run(first[:1], 1.0) + trials.run(first[1:], 1 - OTHERS)
+    # Of the others those first that have not been tried at all.
+    ladder += trials.run([c for turn in zip_longest(*rest) for c in turn if c], 1.0)
+    while ladder:
+        ladder = trials.run([c for each in trials.promoted(ladder) if (c := each.longer())], 1.0)
+    chosen = {f.name: trials.best(f.name) for f in tunable}
+    if work.time.cut and not trials.tried:  # there is no time to try anything: what is done soonest
+        quickest = [min(each, key=trials.cost) for each in (first, *rest)]
+        chosen = {each.method: each for each in quickest}
+    left = budget.core_seconds - trials.spent
+    last = {name: trials.last(c, left) for name, c in chosen.items() if c is not None}
     return SearchResult(
-        [chosen[f.name].network if f.name in chosen else f for f in forecasters],
+        [last.get(f.name, f) for f in forecasters],
         tuple(trials.attempts),
-        {name: trials.done.get(candidate.label, {}) for name, candidate in chosen.items()},
-        {name: candidate.cost for name, candidate in chosen.items()},
-        budget.core_seconds - trials.spent,
+        {name: c.done for name, c in chosen.items() if c is not None},
+        {name: training_cost(f.going_on(Earlier()), record, others) for name, f in last.items()},
+        left,
         max(MOST_SEEDS, round(MOST_SEEDS * budget.core_seconds / CORE_SECONDS)),
     )
+
+
+def ways(forecaster: Network, record: Record) -> list[TrainingCandidate]:
+    """Return candidates for a training record, the most promising one first.
+
+    They differ in size, window and penalty from the first one, one at a time.
+    """
+    usual, samples = forecaster.settings, len(record)
+    assert usual is not None
+    steps = max(1, round(FIRST_STEPS / usual.batches_of(samples)))
+    linear = forecaster.starts_linear(record)
+    window = min(usual.warmup + FREE_RUN, usual.window)
+    base = replace(usual, window=window, epochs=0 if linear else steps, quasi_newton=LADDER[0])
+    settings = [base, replace(base, window=usual.window), replace(base, penalty=PENALTY)]
+    if samples <= SHORT:
+        settings.append(replace(base, window=samples, penalty=PENALTY))
+    if linear:
+        settings.append(replace(base, epochs=steps, linear_start=False))
+    size, *sizes = forecaster.variants()
+    every = [(size, each) for each in settings] + [(other, base) for other in sizes]
+    found = [TrainingCandidate(forecaster.name, n.trained_as(how), 0) for n, how in every]
+    return [*{candidate.label: candidate for candidate in found}.values()]
 
 
 def _fits(network: Network, record: Record, others: Sequence[Record]) -> bool:
@@ -303,46 +314,96 @@ class _Trials:
     """Candidates on the held-out end of a training record."""
 
     def __init__(
-        self,
-        record: Record,
-        steps: int,
-        work: Work,
-        others: Sequence[Record],
-        most: float,
+        self, record: Record, steps: int, work: Work, others: Sequence[Record], most: float
     ) -> None:
         self._record, self._end = replace(record, y_true=None), len(record) + steps
-        self._work, self._others = work, others
+        self._work, self._others, self._most = work, others, most
+        self._until = work.time.reckoned_alone(work.time.share(ONE))
         self.attempts: list[SearchAttempt] = []
-        self.done: dict[str, dict[int, Backtest]] = {}
-        """Forecasts by label and seed."""
-        self.scores: dict[str, float] = {}
-        """By label: of the mean of the seeds; none of what could not be trained."""
+        self.tried: list[TrainingCandidate] = []
+        """Those that could be trained."""
         self.spent = 0.0
         self._rounds = 0
-        self._most = most
 
-    def run(self, candidates: Sequence[TrainingCandidate], seeds: Sequence[int]) -> None:
-        """Train each with all seeds, and score the mean of their forecasts."""
+    def cost(self, candidate: TrainingCandidate) -> float:
+        """Return the seconds of a reference core for all seeds of a trial."""
+        whole = training_cost(candidate.network, self._record, self._others)
+        return len(TRIAL_SEEDS) * (1 - HELD_OUT) * whole
+
+    def run(self, candidates: Sequence[TrainingCandidate], share: float) -> list[TrainingCandidate]:
+        """Train those that this share of the budget pays for, in their order; return them scored.
+
+        What its deadline ends is scored with what it has come to.
+        """
+        time = self._work.time
+        left = share * self._most - self.spent
+        if (in_time := time.reckoned(self._work.deadline)) < left:
+            if in_time < sum(map(self.cost, candidates)):
+                time.narrowed("the search")
+            left = in_time
+        affordable, costs = [], []
+        for candidate in candidates:
+            cost = self.cost(candidate)
+            if cost <= left and cost / len(TRIAL_SEEDS) <= self._until:
+                affordable.append(candidate)
+                costs.append(cost)
+                left -= cost
+        if not affordable:
+            return []
         samples = len(self._record)
-        networks = {c.label: for_trial(c.network, samples).called(c.label) for c in candidates}
+        networks = {c.label: for_trial(c.network, samples).called(c.label) for c in affordable}
         questions = {
             label: Question(
                 self._record, held_out_origins(network, self._record), self._end, self._others
             )
             for label, network in networks.items()
         }
+        after = self.spent + sum(costs)
         self._rounds += 1
-        spent = self.spent + sum(_in_trials(c, len(seeds)) for c in candidates)
-        work = self._work.for_stage(f"{SEARCHING} {self._rounds}", span=self._span(spent))
-        results, _ = run_all([*networks.values()], questions, seeds, work, need_one=False)
-        self.spent = spent
-        for c in candidates:
-            self.done[c.label] = results[c.label]
-            if results[c.label]:
-                self.scores[c.label] = held_out_score(self._record, [*results[c.label].values()])
-            score = self.scores.get(c.label)
-            training = c.network.training_in_words()
-            self.attempts.append(SearchAttempt(c.method, training, len(results[c.label]), score))
+        work = self._work.for_stage(f"{SEARCHING} {self._rounds}", span=self._span(after))
+        results, _ = run_all([*networks.values()], questions, TRIAL_SEEDS, work, need_one=False)
+        self.spent = after
+        return [self._scored(c, results[c.label]) for c in affordable]
+
+    def _scored(self, candidate: TrainingCandidate, done: dict[int, Backtest]) -> TrainingCandidate:
+        done = sound(self._record, done)
+        score = held_out_score(self._record, [*done.values()]) if done else None
+        training = candidate.network.training_in_words()
+        self.attempts.append(SearchAttempt(candidate.method, training, len(done), score))
+        before, scored = candidate.score, replace(candidate, score=score, done=done)
+        if score is not None:
+            self.tried.append(scored)
+        worse = score is None or (before is not None and score > WORSE * before)
+        return replace(scored, rung=-1) if worse else scored
+
+    def promoted(self, last: Sequence[TrainingCandidate]) -> list[TrainingCandidate]:
+        """Return those that go on: the better ones of a round, the best one first."""
+        lowest = min((c.score for c in self.tried if c.score is not None), default=0.0)
+        able = sorted([c for c in last if c.score is not None], key=lambda c: c.score or 0.0)
+        able = able[: math.ceil(KEPT * len(able))]
+        return [c for c in able if c.rung >= 0 and (c.score or 0.0) <= MAX_ERROR_RATIO * lowest]
+
+    def best(self, method: str) -> TrainingCandidate | None:
+        """Return the candidate of a method with the lowest error."""
+        of_method = [c for c in self.tried if c.method == method]
+        return min(of_method, key=lambda c: c.score or 0.0, default=None)
+
+    def last(self, candidate: TrainingCandidate, left: float) -> Network:
+        """Return the network for the last training, which goes on from the trial.
+
+        Where longer trials were better, and the budget alone has ended them, it is longer.
+        """
+        settings, trained = candidate.settings, candidate.settings.quasi_newton
+        if not trained or not candidate.done:
+            return candidate.network
+        more = max(round(SETTLING * trained), 1)
+        newest = max(self.tried, key=lambda c: c.settings.quasi_newton or 0)
+        if candidate.label == newest.label and candidate.rung >= 0:
+            one = candidate.going_on(replace(settings, quasi_newton=trained + 1))
+            each = training_cost(one, self._record, self._others)
+            pays = int(LAST * left / (len(candidate.done) * max(each, 1e-9)))
+            more = max(more, min((LONGER - 1) * trained, pays))
+        return candidate.going_on(replace(settings, quasi_newton=trained + more))
 
     def _span(self, spent: float) -> tuple[float, float]:
         """The shares of the command that are done before and after the next trials."""
@@ -353,80 +414,11 @@ class _Trials:
         return before, after
 
 
-def ways(forecaster: Network, samples: int) -> list[tuple[Settings, float]]:
-    """The usual training, and shorter ones with L-BFGS, of windows and sizes that differ.
-
-    It is for a training part of so many samples.
-    """
-    usual = forecaster.settings
-    assert usual is not None
-    epochs = max(1, round(FIRST_STEPS / usual.batches_of(samples)))
-    short = [min(usual.warmup + free, usual.window) for free in FREE_RUNS]
-    sizes = SIZES if forecaster.resizable else (1.0,)
-    return [(usual, 1.0)] + [
-        (replace(usual, window=window, epochs=epochs, quasi_newton=LADDER[0]), size)
-        for window in sorted({*short, usual.window})
-        for size in sizes
-    ]
-
-
-def _candidate(
-    forecaster: Network,
-    record: Record,
-    others: Sequence[Record],
-    settings: Settings,
-    size: float,
-) -> TrainingCandidate:
-    network = forecaster.trained_as(settings, size)
-    return TrainingCandidate(forecaster.name, network, size, training_cost(network, record, others))
-
-
-def _in_trials(candidate: TrainingCandidate, seeds: int) -> float:
-    """What it costs to try a candidate with so many seeds."""
-    return seeds * (1 - HELD_OUT) * candidate.cost
-
-
-def _within(
-    candidates: Sequence[TrainingCandidate], seeds: int, left: float, for_one: float
-) -> list[TrainingCandidate]:
-    """The candidates that what is left of the budget pays for, taken in their order."""
-    kept = []
-    for candidate in candidates:
-        cost = _in_trials(candidate, seeds)
-        if cost <= left and candidate.cost <= for_one:
-            kept.append(candidate)
-            left -= cost
-    return kept
-
-
-def _ranked(
-    candidates: Sequence[TrainingCandidate], scores: Mapping[str, float]
-) -> list[TrainingCandidate]:
-    """Those that could be trained, the best one first."""
-    scored = [candidate for candidate in candidates if candidate.label in scores]
-    return sorted(scored, key=lambda candidate: scores[candidate.label])
-
-
-def _promoted(
-    last: Sequence[TrainingCandidate],
-    tried: Sequence[TrainingCandidate],
-    scores: Mapping[str, float],
-) -> list[TrainingCandidate]:
-    """The better half of each method's last candidates, to be trained longer; the best one first.
-
-    Candidates that more iterations have made worse (`WORSE`) are left out, and so are methods that
-    are far from the best one (`MAX_ERROR_RATIO`).
-    """
-    lowest = scores[_ranked(tried, scores)[0].label] if scores else 0.0
-    kept = []
-    for method in dict.fromkeys(candidate.method for candidate in last):
-        ranked = _ranked([c for c in tried if c.method == method], scores)
-        best = scores[ranked[0].label] if ranked else 0.0
-        if best > MAX_ERROR_RATIO * lowest:
-            continue
-        better = [c for c in ranked if c in last and c.settings.quasi_newton]
-        kept += [c for c in better[: -(-len(better) // 2)] if scores[c.label] <= WORSE * best]
-    return _ranked(kept, scores)
+def sound(record: Record, done: Mapping[int, Backtest]) -> dict[int, Backtest]:
+    """Return the seeds whose held-out error is not far above the lowest (`FAILED`)."""
+    errors = {seed: held_out_score(record, [each]) for seed, each in done.items()}
+    most = FAILED * min(errors.values(), default=0.0)
+    return {seed: each for seed, each in done.items() if errors[seed] <= most}
 
 
 def held_out_score(record: Record, done: Sequence[Backtest]) -> float:

@@ -76,7 +76,9 @@ def default_names(with_simulator: bool, with_inputs: bool = False) -> list[str]:
     # In the order in which they are fitted where time is short.
     driven = ["linear"] if with_inputs else []
     naive = ["mean", "persistence", *driven, "seasonal-naive", "periodic", "harmonic"]
-    return ["gru", *networks, *simulator, *naive]
+    # The first network is searched most thoroughly.
+    first = ["state-space"] if with_inputs else []
+    return [*first, "gru", *networks, *simulator, *naive]
 
 
 def usual_names(record: Record, bands: Bands) -> list[str]:
@@ -86,7 +88,8 @@ def usual_names(record: Record, bands: Bands) -> list[str]:
         return names
     kept = [name for name in names if name in QUICK and "simulator" in NAMES[name].needs]
     learned = default_names(False, record.nu > 0)
-    return [*learned[:3], *kept, *learned[3:]]
+    trained = learned.index("mean")
+    return [*learned[:trained], *kept, *learned[trained:]]
 
 
 @dataclass(frozen=True)

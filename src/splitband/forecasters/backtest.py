@@ -13,6 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from torch import Tensor
 
 from splitband.data import Record
 from splitband.data.gaps import first_after
@@ -94,6 +95,7 @@ class Backtest:
     y_range : Lowest and highest value of each channel that it was fitted to, `(2, ny)`.
     description : What it has settled on.
     unfiltered : By origin, what a model's filters are fed with, where it has any.
+    weights : Of a network, the state of its model.
     """
 
     predictions: Mapping[Origin, Prediction]
@@ -102,6 +104,7 @@ class Backtest:
     y_range: Array
     description: str
     unfiltered: Mapping[Origin, Mapping[str, Array]] = field(default_factory=dict)
+    weights: Mapping[str, Tensor] = field(default_factory=dict)
 
 
 def backtest(
@@ -155,7 +158,8 @@ def backtest(
     known, said = fitted.require_fitted(), [fitted.describe(), untested]
     description = "; ".join(filter(None, said))
     report = replace(known.report, cut=known.report.cut or cut)
-    return Backtest(predictions, tests, report, known.y_range, description, unfiltered)
+    weights = fitted.state() if isinstance(fitted, Network) else {}
+    return Backtest(predictions, tests, report, known.y_range, description, unfiltered, weights)
 
 
 def tested_by(forecaster: Forecaster, test: Record) -> bool:

@@ -24,7 +24,7 @@ from splitband.forecasters.hybrids import Filtered, Residual
 from splitband.forecasters.simulation import AFFINE, Calibrated, Simulation
 from splitband.forecasters.single import Single
 from splitband.forecasters.split import Split
-from splitband.networks import GRU, EulerMLP
+from splitband.networks import GRU, EulerMLP, StateSpace
 from splitband.runtime.arguments import LARGEST_SIZE, did_you_mean, whole
 
 
@@ -55,6 +55,7 @@ def _kinds(sizes: Sizes) -> list[Forecaster]:
     cells = (
         GRU(sizes.hidden_high + sizes.hidden_low),
         EulerMLP(1, state_size=sizes.state_size, step_size=sizes.step_size),
+        StateSpace(4, 10),
     )
     bands = GRU(sizes.hidden_low), GRU(sizes.hidden_high)
     hybrids = (

@@ -22,6 +22,7 @@ from splitband.data import Record
 from splitband.data.gaps import first_after, last_before
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import AsBase, Forecaster, total
+from splitband.forecasters.beginning import Earlier, LinearPart
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.known import Known
 from splitband.forecasters.remembering import Remembered
@@ -78,6 +79,8 @@ class Network(Forecaster):
         """Whether its settings are but defaults, so that a comparison may find better ones."""
         self.resizable = False
         """Whether the sizes of its cells are, too."""
+        self.earlier = Earlier()
+        """Trainings that `fit` goes on from."""
         self.device = torch.device("cpu")
         self._name = name
 
@@ -152,14 +155,30 @@ class Network(Forecaster):
             new.tunable = new.tunable or self.settings is None
         return new
 
-    def trained_as(self, settings: Settings, size: float = 1.0) -> Self:
-        """With other settings, and cells `size` times as large."""
-        changed: dict[str, Any] = {"settings": settings}
-        for name in self.cells if size != 1 else ():
-            cell = getattr(self, name)
-            if hasattr(cell, "scaled"):
-                changed[name] = cell.scaled(size)
-        return self.clone().set_params(**changed)
+    def trained_as(self, settings: Settings) -> Self:
+        """With other settings."""
+        return self.clone().set_params(settings=settings)
+
+    def going_on(self, earlier: Earlier) -> Self:
+        """With trainings that `fit` goes on from."""
+        new = self.clone()
+        new.earlier = earlier
+        return new
+
+    def starts_linear(self, record: Record) -> bool:
+        """Whether its network begins as the linear model of a record."""
+        cells = [getattr(self, name) for name in self.cells]
+        return record.nu > 0 and all(isinstance(cell, LinearPart) for cell in cells)
+
+    def variants(self) -> list[Self]:
+        """With cells of other sizes that are worth trying, the usual ones first."""
+        offered = [getattr(self, name) for name in self.cells]
+        if not self.resizable or not all(hasattr(cell, "variants") for cell in offered):
+            return [self.clone()]
+        every = zip(*(cell.variants() for cell in offered), strict=True)
+        return [
+            self.clone().set_params(**dict(zip(self.cells, cells, strict=True))) for cells in every
+        ]
 
     def called(self, name: str) -> Self:
         """Under another name."""
@@ -167,12 +186,17 @@ class Network(Forecaster):
 
     def training_in_words(self) -> str:
         """Sizes, window and steps, for tables."""
-        sizes = [getattr(getattr(self, cell), "hidden_size", None) for cell in self.cells]
-        said = [f"{' and '.join(map(str, sizes))} hidden units"] if None not in sizes else []
+        sizes = [describe() for cell in self.cells
+                 if (describe := getattr(getattr(self, cell), "size_in_words", None))]  # fmt: skip
+        said = [" and ".join(sizes)] if sizes else []
         settings = self.trained_by or self.settings
         if settings is not None:
             said += [f"windows of {settings.window}", settings.steps_in_words()]
         return ", ".join(said)
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """Return the state of the fitted model, with which another training may begin."""
+        return {name: x.detach().cpu().clone() for name, x in self._trained().state_dict().items()}
 
     def weights(self, record: Record) -> int:
         """How many weights are trained, for such a record."""
@@ -231,8 +255,11 @@ class Network(Forecaster):
         seen = self._inputs_shifted(records, self._seen(records, seed))
         if self.bands is not None:
             self.trained_in = self._bands_for(seen[0], settings)
-        self.model = self._built(seen[0], settings, seed).to(self.device)
-        history = fit(self.model, seen, settings, seed, progress, checkpoint)
+        self.model = self._built(seen[0], settings, seed)
+        self.earlier.begin(self.model, seen, settings, seed)
+        self.model.to(self.device)
+        left = self.earlier.remaining(settings, seed)
+        history = fit(self.model, seen, left, seed, progress, checkpoint)
         notes = (*self._remarks(seen[0]), *history.notes)
         report = FitReport(seed, history.seconds, history.losses, notes, history.cut)
         self.fitted = replace(self.require_fitted(), report=report)
@@ -290,6 +317,7 @@ class Network(Forecaster):
         """Return one with other options; where it runs and what may be tuned are none of them."""
         new = super()._made(params)
         new.device, new.tunable, new.resizable = self.device, self.tunable, self.resizable
+        new.earlier = self.earlier
         return new
 
     def _inputs_shifted(self, records: Sequence[Record], seen: Sequence[Record]) -> list[Record]:

@@ -74,6 +74,8 @@ class Model(nn.Module, ABC):
     u_std: Tensor
     u_low: Tensor
     u_high: Tensor
+    units_kept = False
+    """Whether `adapt_to` leaves mean and deviation as they are, which the weights are made for."""
 
     def __init__(self, ny: int, nu: int) -> None:
         super().__init__()
@@ -199,7 +201,7 @@ class Model(nn.Module, ABC):
         if inputs and self.nu:
             for buffer, values in zip((self.u_low, self.u_high), input_range(inputs), strict=True):
                 buffer.copy_(torch.from_numpy(values))
-        if not normalize:
+        if not normalize or self.units_kept:
             return
         for name, signals in (("y", [record.seen for record in records]), ("u", inputs)):
             if signals:

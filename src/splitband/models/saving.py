@@ -84,6 +84,7 @@ _SCHEMA: dict[type, dict[str, Kind]] = {
     },
     StateSpace: {
         "states": _COUNT, "hidden": _COUNT, "ny": _COUNT, "nu": _COUNT, "layers": _COUNT,
+        "encoded": _COUNT,
     },
     ComplementaryPair: {
         "b_low": _NUMBERS, "b_high": _NUMBERS, "a": _NUMBERS, "sampling_rate": _NUMBER,

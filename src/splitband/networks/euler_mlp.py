@@ -82,6 +82,10 @@ class EulerMLP(Written, nn.Module):
             nu,
         )
 
+    def size_in_words(self) -> str:
+        """Describe its size, for tables."""
+        return f"{self.state_size} states, {self.hidden_size} hidden units"
+
     def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
         """Return h_R, recognised from the last R measured samples; raises ValueError for fewer."""
         if y_warmup.shape[1] < self.warmup:

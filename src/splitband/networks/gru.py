@@ -35,9 +35,14 @@ class GRU(Written, nn.Module):
         """Return a new cell of the same hidden size; it warms up on any number of samples."""
         return GRU(self.hidden_size, ny, nu)
 
-    def scaled(self, share: float) -> GRU:
-        """Return a template whose hidden size is multiplied by `share`."""
-        return GRU(max(1, round(share * self.hidden_size)), self.ny, self.nu)
+    def variants(self) -> list[GRU]:
+        """Return templates of this size, two thirds and a third of it."""
+        sizes = (self.hidden_size, round(2 / 3 * self.hidden_size), round(self.hidden_size / 3))
+        return [GRU(max(1, size), self.ny, self.nu) for size in sizes]
+
+    def size_in_words(self) -> str:
+        """Describe its size, for tables."""
+        return f"{self.hidden_size} hidden units"
 
     def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
         """Run over the measured samples from h = 0 (paper: the warm-up phase)."""

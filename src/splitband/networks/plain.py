@@ -99,10 +99,16 @@ class PlainStateSpace(NamedTuple):
     transition: tuple[Array, Array]
     observation: tuple[Array, Array]
     gain: Array
+    encoder: tuple[Array, Array]
+    encoded: int
 
     def initial_state(self, y: Array, u: Array) -> Array:
         """See `PlainCell`."""
-        return _observed(self, self._with_output(np.zeros(len(self.gain)), u[0]), y, u)
+        weight, x = self.encoder
+        if self.encoded:
+            seen = np.concatenate([y[: self.encoded], u[: self.encoded]], axis=1)
+            x = weight @ seen.reshape(-1) + x
+        return _observed(self, self._with_output(x, u[0]), y, u)
 
     def step(self, h: Array, y: Array, u: Array) -> Array:
         """See `PlainCell`."""

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
+from splitband.runtime.arguments import whole
 from splitband.runtime.options import Written
 
 Array = npt.NDArray[np.float64]
@@ -19,6 +20,8 @@ _TURN = 0.3
 """Standard deviation of the angles, in radians a sample, by which its states turn into others."""
 _OBSERVED = 0.5
 """Share of a prediction error by which its observer moves the predicted output."""
+MOST_ENCODED = 10
+"""Samples of the warm-up that the first state is estimated from at most."""
 _NONLINEAR = 0.1
 """The weights of f and g at the output, as a share of torch's initial values."""
 
@@ -37,8 +40,9 @@ class StateSpace(Written, nn.Module):
     the measured system. In a free run the fed sample is the predicted one and e_n is exactly zero:
     the cell simulates. The state that is passed is x and the predicted y, side by side.
 
-    The warm-up begins with x = 0. What is predicted of its first sample takes the first row of
-    inputs as the one that acted before, too.
+    The state at the first sample of the warm-up is a linear map of its first samples and inputs,
+    which is trained, too; without one it is 0. What is predicted of that sample takes the first row
+    of inputs as the one that acted before, too.
 
     Parameters
     ----------
@@ -47,18 +51,26 @@ class StateSpace(Written, nn.Module):
     ny : Measured channels.
     nu : Known inputs in a row.
     layers : Hidden layers of f and of g. The compiled kernel has one.
+    encoded : Samples of the warm-up that the first state is estimated from; 0: it is zero.
     """
 
     label = "state-space"
 
     def __init__(
-        self, states: int = 4, hidden: int = 8, ny: int = 1, nu: int = 0, layers: int = 1
+        self,
+        states: int = 4,
+        hidden: int = 8,
+        ny: int = 1,
+        nu: int = 0,
+        layers: int = 1,
+        encoded: int = 0,
     ) -> None:
         super().__init__()
         check_sizes(nu, ny=ny, states=states, layers=layers)
         if hidden < 0:
             raise ValueError(f"hidden must not be negative, got {hidden}")
         self.ny, self.nu, self.states, self.hidden, self.layers = ny, nu, states, hidden, layers
+        self.encoded = whole("encoded", encoded, 0)
         self.f, self.g = (self._layers(states + nu) for _ in range(2))
         self.transition = nn.Linear(states + nu + hidden, states)
         """[A, B, the weights of f] and a."""
@@ -66,16 +78,21 @@ class StateSpace(Written, nn.Module):
         """[C, D, the weights of g] and c."""
         self.gain = nn.Parameter(torch.empty(states, ny))
         """K."""
+        self.encoder = nn.utils.skip_init(nn.Linear, encoded * (ny + nu), states)
+        """Zero at first. The state at the first sample, from samples and inputs."""
         self._begin()
 
     def sized(self, ny: int, nu: int, warmup: int) -> StateSpace:
-        """A new one with as many states, units and layers; it warms up on any number of samples."""
-        return StateSpace(self.states, self.hidden, ny, nu, self.layers)
+        """A new one with as many states, units and layers, for warm-ups of `warmup` samples."""
+        encoded = min(warmup, MOST_ENCODED)
+        return StateSpace(self.states, self.hidden, ny, nu, self.layers, encoded)
 
-    def scaled(self, share: float) -> StateSpace:
-        """A template with fewer hidden units, or more."""
-        hidden = max(min(1, self.hidden), round(share * self.hidden))
-        return StateSpace(self.states, hidden, self.ny, self.nu, self.layers)
+    def variants(self) -> list[StateSpace]:
+        """Return templates of this size, and with fewer and with more states and units."""
+        n, hidden = self.states, self.hidden
+        sizes = ((n, hidden), (n + 2, hidden + hidden // 2), (max(1, n // 2), hidden),
+                 (n, 2 * hidden))  # fmt: skip
+        return [StateSpace(*size, self.ny, self.nu, self.layers) for size in sizes]
 
     def set_linear(
         self,
@@ -123,13 +140,31 @@ class StateSpace(Written, nn.Module):
                 layer.bias.zero_()
             self.gain.copy_(torch.from_numpy(given["k"]))
 
+    def penalised(self) -> list[Tensor]:
+        """Return the weights of f and g, which a penalty keeps small; the linear part is free."""
+        units = slice(self.states + self.nu, None)
+        out = [layer.weight[:, units] for layer in (self.transition, self.observation)]
+        return [*self.f.parameters(), *self.g.parameters(), *out]
+
+    def size_in_words(self) -> str:
+        """Describe its size, for tables."""
+        return f"{self.states} states, {self.hidden} hidden units"
+
     def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
         """Run over the measured samples from x = 0, as an observer."""
-        x = y_warmup.new_zeros(len(y_warmup), self.states)
+        x = self.first_state(y_warmup, u)
         h = self._with_output(x, None if u is None else u[:, 0])
         for n in range(y_warmup.shape[1]):
             h = self.step(h, y_warmup[:, n], None if u is None else u[:, n])
         return h
+
+    def first_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
+        """Estimate the state at the first sample; raises ValueError for too short a warm-up."""
+        n = self.encoded
+        if y_warmup.shape[1] < n:
+            raise ValueError(f"the warm-up must have at least {n} samples, got {y_warmup.shape[1]}")
+        seen = y_warmup[:, :n] if u is None else torch.cat([y_warmup[:, :n], u[:, :n]], dim=-1)
+        return self.encoder(seen.flatten(1))
 
     def step(self, h: Tensor, y: Tensor, u: Tensor | None = None) -> Tensor:
         """One step of [x, the predicted y], shape `(batch, states + ny)`."""
@@ -157,16 +192,19 @@ class StateSpace(Written, nn.Module):
         """Return the cell in NumPy; None where its layers are others."""
         f, g = plain.dense(self.f), plain.dense(self.g)
         moves, out = self.transition, self.observation
-        if f is None or g is None or not are_plain((moves, nn.Linear), (out, nn.Linear)):
+        if f is None or g is None or not are_plain(
+            *((layer, nn.Linear) for layer in (moves, out, self.encoder))
+        ):
             return None
-        gain = plain.values(self.gain)
-        return plain.PlainStateSpace(f, g, plain.linear(moves), plain.linear(out), gain)
+        gain, first = plain.values(self.gain), plain.linear(self.encoder)
+        linear = plain.linear(moves), plain.linear(out)
+        return plain.PlainStateSpace(f, g, *linear, gain, first, self.encoded)
 
     def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
         """What `splitband.rollout` computes step by step, in one compiled call on the CPU."""
         from splitband.kernels import state_space_rollout  # noqa: PLC0415  numba loads on first use
 
-        x0, none = y_warmup.new_zeros(len(y_warmup), self.states), self.gain.new_empty
+        x0, none = self.first_state(y_warmup, u), self.gain.new_empty
         units: list[Tensor] = [p for layers in (self.f, self.g) for p in layers.parameters()]
         units = units or 2 * [none(0, self.states + self.nu), none(0)]
         out = (p for layer in (self.transition, self.observation) for p in layer.parameters())
@@ -192,6 +230,8 @@ class StateSpace(Written, nn.Module):
                 layer.bias.zero_()
             c = self.observation.weight[:, :n]
             self.gain.copy_(_OBSERVED * a @ torch.linalg.pinv(c))
+            self.encoder.weight.zero_()
+            self.encoder.bias.zero_()
 
     def _with_output(self, x: Tensor, u: Tensor | None) -> Tensor:
         """The state that is passed."""

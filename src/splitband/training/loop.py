@@ -32,6 +32,8 @@ UNLEARNED = 0.9
 left when it predicts the mean."""
 ENOUGH_STEPS = 100
 """Gradient steps before which a network that has learned nothing is not reported."""
+_TINY = 1e-6
+"""Loss below which a penalty is not weighed any higher against it."""
 MOST_RESTARTS = 3
 """Times that an epoch which diverged is repeated, each time with half the learning rate, before
 the training is given up."""
@@ -318,7 +320,8 @@ class _Training:
                 counted = None if self.measured is None else self.measured[batch, :steps]
             self.optimizer.zero_grad(set_to_none=True)
             loss = _rmse(self.task.simulate(seen, steps), wanted, counted)
-            loss.backward()
+            # The square root of a mean square with its penalty, to first order.
+            (loss + self._penalty() / (2 * loss.detach().clamp_min(_TINY))).backward()
             with one_torch_thread():
                 if settings.clip is not None:
                     nn.utils.clip_grad_norm_(self.task.network.parameters(), settings.clip)
@@ -336,7 +339,15 @@ class _Training:
         wanted = self.target[starts]
         prediction = self.task.simulate(select(self.known, starts), wanted.shape[1])
         counted = None if self.measured is None else self.measured[starts]
-        return _rmse(prediction, wanted, counted) ** 2
+        return _rmse(prediction, wanted, counted) ** 2 + self._penalty()
+
+    def _penalty(self) -> Tensor | float:
+        """See `Settings.penalty`."""
+        if not self.settings.penalty:
+            return 0.0
+        network = self.task.network
+        weights = getattr(network, "penalised", network.parameters)()
+        return self.settings.penalty * sum(weight.square().sum() for weight in weights)
 
 
 def _rmse(prediction: Tensor, target: Tensor, counted: Tensor | None = None) -> Tensor:

@@ -9,6 +9,7 @@ time.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import torch
@@ -26,6 +27,8 @@ CONVERGED = 1e-5
 HALVED = 20_000
 """Where there are at most this many windows to choose from, what successive ones predict overlaps
 by half."""
+UNBOUNDED = 1e10
+"""Stands for a loss that is not finite."""
 MOST_SAMPLES = 100_000
 """Samples in all chosen windows together, warm-ups included. Where there would be more, windows are
 left out at even distances."""
@@ -93,7 +96,7 @@ class QuasiNewton:
         self.scale = 0.0
         """Mean square at the beginning, by which the loss is divided: torch's tolerances suit a
         loss of about 1."""
-        self.settled = False
+        self.settled = self._stuck = False
         self._optimizer = torch.optim.LBFGS(
             self.parameters,
             max_iter=ROUND,
@@ -107,8 +110,8 @@ class QuasiNewton:
     def round(self) -> float:
         """Go on by some iterations; the RMS error after them.
 
-        Where the loss is not finite, or no longer falls, the weights stay as they are and this is
-        the last round.
+        Where the loss is not finite, or no longer falls, the weights stay as they are. The second
+        such round in a row is the last one.
         """
         before = [p.detach().clone() for p in self.parameters]
         self.scale = self.scale or self._error() or 1.0
@@ -125,7 +128,13 @@ class QuasiNewton:
         if not reached <= began:
             self._put(before)
             reached = began
-        self.settled = not reached < (1 - CONVERGED) * began
+        if reached < (1 - CONVERGED) * began:
+            self._stuck = False
+            return float(reached**0.5)
+        # The estimated curvature may be at fault: once more without it, before this is the end.
+        self.settled = self._stuck
+        self._stuck = True
+        self._optimizer.state.clear()
         return float(reached**0.5)
 
     def _put(self, values: Sequence[Tensor]) -> None:
@@ -142,6 +151,11 @@ class QuasiNewton:
         loss = self._mean_square() / self.scale
         loss.backward()
         value = loss.item()
+        if not math.isfinite(value):
+            # The line search compares values: a state that has grown without bound is a bad step.
+            for parameter in self.parameters:
+                parameter.grad = torch.zeros_like(parameter)
+            value = UNBOUNDED
         if self._best is None or value < self._best[0]:
             self._best = value, [p.detach().clone() for p in self.parameters]
         if self._deadline.over:
@@ -151,7 +165,7 @@ class QuasiNewton:
     def state(self) -> State:
         """All that the next round depends on but the weights."""
         of_torch = self._optimizer.state[self.parameters[0]]
-        numbers = {"scale": self.scale, "settled": float(self.settled)}
+        numbers = {"scale": self.scale, "settled": self.settled, "stuck": self._stuck}
         numbers |= {name: float(of_torch[name]) for name in _NUMBERS if name in of_torch}
         tensors = {k: torch.tensor(v, dtype=torch.float64) for k, v in numbers.items()}
         for name in _TENSORS:
@@ -165,6 +179,7 @@ class QuasiNewton:
     def restore(self, state: State) -> None:
         """Go on where `state` was taken."""
         self.scale, self.settled = float(state["scale"]), bool(state["settled"])
+        self._stuck = bool(state["stuck"])
         if "n_iter" not in state:
             return
         device = self.parameters[0].device

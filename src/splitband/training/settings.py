@@ -27,7 +27,7 @@ class Settings(Written):
     ----------
     window : Samples of a sub-trajectory, warm-up included; one starts at every sample.
     warmup : R, its measured samples that set the initial state.
-    epochs : Passes over all windows (the paper's "training steps").
+    epochs : Passes over all windows (the paper's "training steps"); with `quasi_newton` perhaps 0.
     batch_size : Windows a step.
     learning_rate : Initial learning rate of Adam.
     milestones : `(epoch, learning rate)` pairs: the rate from that epoch on.
@@ -39,6 +39,9 @@ class Settings(Written):
     most_batches : Steps of an epoch: of a long record it takes some windows, drawn anew each time.
     quasi_newton : Iterations of L-BFGS that follow the epochs; fewer where nothing is gained any
         more. See `training.quasi_newton`.
+    penalty : Times the sum of the squared weights, added to the mean squared error of the scaled
+        channels: few samples then determine a network better (ridge regression).
+    linear_start : Networks with a linear part begin as the linear model of the record.
     """
 
     window: int = 150
@@ -53,13 +56,17 @@ class Settings(Written):
     normalize: bool = True
     most_batches: int | None = None
     quasi_newton: int | None = None
+    penalty: float = 0.0
+    linear_start: bool = True
 
     def __post_init__(self) -> None:
         """Check ranges."""
         for name in ("window", "warmup", "epochs", "batch_size", "most_batches", "quasi_newton"):
             value = getattr(self, name)
             if value is not None or name in ("window", "warmup", "epochs", "batch_size"):
-                object.__setattr__(self, name, whole(name, value))
+                object.__setattr__(self, name, whole(name, value, int(name != "epochs")))
+        if not self.epochs and not self.quasi_newton:
+            raise ValueError("epochs must be positive without quasi_newton, got 0")
         if self.window <= self.warmup:
             raise ValueError(
                 f"window must be longer than the warm-up of {self.warmup} samples, "
@@ -75,6 +82,8 @@ class Settings(Written):
             raise ValueError(f"milestones need one_cycle=False, got {self.milestones}")
         if self.clip is not None and not self.clip > 0:
             raise ValueError(f"clip must be positive, got {self.clip}")
+        if not 0 <= self.penalty < float("inf"):
+            raise ValueError(f"penalty must not be negative, got {self.penalty}")
         if not 0 <= self.growth <= 1:
             raise ValueError(f"growth must be a share of the training, 0 to 1, got {self.growth}")
 
@@ -121,7 +130,10 @@ class Settings(Written):
     def steps_in_words(self) -> str:
         """Describe the length of the training, for tables."""
         epochs = f"{self.epochs} epoch{'s' if self.epochs > 1 else ''}"
-        return f"{epochs}, L-BFGS {self.quasi_newton}" if self.quasi_newton else epochs
+        finish = f"L-BFGS {self.quasi_newton}" if self.quasi_newton else ""
+        penalty = f"penalty {self.penalty:g}" if self.penalty else ""
+        random = "" if self.linear_start else "from random weights"
+        return ", ".join(filter(None, [random, epochs if self.epochs else "", finish, penalty]))
 
     def rate(self, epoch: int, share: float) -> float:
         """Return the learning rate in an epoch, when `share` (0 to 1) of all steps are done."""

@@ -1,0 +1,156 @@
+"""Realise a linear output-error model in state space.
+
+Polynomials of one channel become the observer canonical form, those of several channels blocks of
+one model. Its states are scaled to a deviation of 1 in the record, uncorrelated, so that units of a
+network that see them are neither saturated nor idle. See T. Kailath, Linear Systems, 1980, Ch. 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from splitband.baselines.linear import Channel, OutputError
+
+Array = npt.NDArray[np.float64]
+
+_FASTEST, _SLOWEST = 0.5, 0.95
+"""Poles of states that the linear model does not need."""
+_RANK = 1e-6
+"""Share of the largest variance below which a state is not scaled up any more."""
+_RIDGE = 1e-6
+"""Of the least squares for the first state, as a share of the regressors' mean square."""
+
+
+class Realisation(NamedTuple):
+    """Hold x_{n+1} = A x_n + B u_n, y_n = C x_n + D u_n + c, and an estimate of its state.
+
+    The inputs are those of the record.
+
+    Attributes
+    ----------
+    a, b, c, d, offset : `(states, states)`, `(states, nu)`, `(ny, states)`, `(ny, nu)`, `(ny,)`.
+    states : In each record, `(time, states)`.
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+    offset: Array
+    states: tuple[Array, ...]
+
+
+def realised(
+    model: OutputError, inputs: Sequence[Array], states: int, rng: np.random.Generator
+) -> Realisation:
+    """Return a model with so many states, and its states in the records.
+
+    Where the polynomials have more poles, the states that matter least are left out (balanced
+    truncation); where they have fewer, there are further states that the output does not depend on.
+
+    Parameters
+    ----------
+    model : Without delays.
+    inputs : Of each training record, `(time, nu)`.
+    states : How many.
+    rng : Draws further states.
+    """
+    parts = [_canonical(channel) for channel in model.channels]
+    a, c = (scipy.linalg.block_diag(*(part[i] for part in parts)) for i in (0, 2))
+    b, d = (np.concatenate([part[i] for part in parts]) for i in (1, 3))
+    first = np.concatenate([channel.c for channel in model.channels])
+    if len(a) > states:
+        into, out = _reduction(a, b, c, states)
+        a, b, c, first = into @ a @ out, into @ b, c @ out, into @ first
+    more = states - len(a)
+    poles = np.linspace(_FASTEST, _SLOWEST, more)
+    a = scipy.linalg.block_diag(a, np.diag(poles))
+    drawn = rng.standard_normal((more, b.shape[1])) * np.sqrt(1 - poles**2)[:, None]
+    b, c = np.concatenate([b, drawn]), np.hstack([c, np.zeros((len(c), more))])
+    first = np.append(first, np.zeros(more))
+    scaled = [(u - model.mean) / model.scale for u in inputs]
+    starts = [first, *[np.zeros(states)] * (len(inputs) - 1)]
+    runs = [_simulated(a, b, x, u) for x, u in zip(starts, scaled, strict=True)]
+    together = np.concatenate(runs)
+    variance, axes = np.linalg.eigh(together.T @ together / len(together))
+    size = np.sqrt(np.maximum(variance, _RANK * max(variance[-1], np.finfo(float).tiny)))
+    into, out = axes.T / size[:, None], axes * size
+    a, b, c = into @ a @ out, into @ b / model.scale, c @ out
+    d = d / model.scale
+    offset = np.array([channel.offset for channel in model.channels]) - d @ model.mean
+    # The inputs' means move the states by constants, which the offset of the output takes.
+    still = np.linalg.solve(np.eye(states) - a, b @ model.mean)
+    offset = offset - c @ still
+    return Realisation(a, b, c, d, offset, tuple(run @ into.T + still for run in runs))
+
+
+def state_estimator(
+    runs: Sequence[tuple[Array, Array]], states: Sequence[Array], samples: int
+) -> tuple[Array, Array]:
+    """Return a linear map of samples and inputs to the state at the first of them, and a constant.
+
+    Least squares over all places of the records where everything was measured.
+
+    Parameters
+    ----------
+    runs : `y` `(time, ny)`, NaN in gaps, and the network's inputs `(time, nu)`, of each record.
+    states : Of each record, `(time, states)`.
+    samples : From the first one on; their values lie sample by sample, y before u.
+    """
+    seen, wanted = [], []
+    for (y, u), x in zip(runs, states, strict=True):
+        both = np.hstack([y, u])
+        count = max(len(both) - samples + 1, 0)
+        views = np.lib.stride_tricks.sliding_window_view(both, samples, axis=0) if count else None
+        if views is not None:
+            seen.append(views.transpose(0, 2, 1).reshape(count, -1))
+            wanted.append(x[:count])
+    rows, target = np.concatenate(seen), np.concatenate(wanted)
+    whole = ~np.isnan(rows).any(axis=1)
+    rows, target = rows[whole], target[whole]
+    if not len(rows):
+        width = samples * (runs[0][0].shape[1] + runs[0][1].shape[1])
+        return np.zeros((states[0].shape[1], width)), np.zeros(states[0].shape[1])
+    middle, mean = rows.mean(axis=0), target.mean(axis=0)
+    rows, target = rows - middle, target - mean
+    square = rows.T @ rows
+    square += _RIDGE * np.trace(square) / len(square) * np.eye(len(square))
+    weight = np.linalg.solve(square, rows.T @ target).T
+    return weight, mean - weight @ middle
+
+
+def _canonical(channel: Channel) -> tuple[Array, Array, Array, Array]:
+    """The observer canonical form, whose initial state is the polynomial C."""
+    n = len(channel.a) - 1
+    a = np.eye(n, k=1)
+    a[:, 0] -= channel.a[1:]
+    b = (channel.b[:, 1:] - channel.b[:, :1] * channel.a[1:]).T
+    return a, b, np.eye(1, n), channel.b[:, 0][None]
+
+
+def _simulated(a: Array, b: Array, x: Array, u: Array) -> Array:
+    """The states, `(time, states)`."""
+    forced, found = u @ b.T, np.empty((len(u), len(a)))
+    for n in range(len(u)):
+        found[n] = x
+        x = a @ x + forced[n]
+    return found
+
+
+def _reduction(a: Array, b: Array, c: Array, states: int) -> tuple[Array, Array]:
+    """The maps into the most important states and back (Moore, 1981; square roots of Gramians)."""
+    reach = scipy.linalg.solve_discrete_lyapunov(a, b @ b.T)
+    seen = scipy.linalg.solve_discrete_lyapunov(a.T, c.T @ c)
+    roots = []
+    for gramian in (reach, seen):
+        values, vectors = np.linalg.eigh(gramian)
+        roots.append(vectors * np.sqrt(np.maximum(values, 0)))
+    outer, size, inner = np.linalg.svd(roots[1].T @ roots[0])
+    scale = 1 / np.sqrt(np.maximum(size[:states], _RANK * size[0]))
+    into = scale[:, None] * (roots[1] @ outer[:, :states]).T
+    return into, (roots[0] @ inner[:states].T) * scale

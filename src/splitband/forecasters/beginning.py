@@ -1,0 +1,148 @@
+"""Where a network's training begins: with the linear model of its record, or an earlier training.
+
+What a linear model explains, no gradient has to find: from random weights a network may take as
+long for it as for all else, or never find it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from splitband.baselines.linear import OutputError
+from splitband.baselines.realisation import realised, state_estimator
+from splitband.data import Record
+from splitband.forecasters.remembering import Remembered
+from splitband.models import Model
+from splitband.models.base import with_next_input
+from splitband.training import Settings
+
+Array = npt.NDArray[np.float64]
+
+
+NONLINEAR = 0.1
+"""Share of their initial weights that the units keep: without any they would all begin alike."""
+
+
+@runtime_checkable
+class LinearPart(Protocol):
+    """A cell with a linear part that can be set, as `StateSpace` has it."""
+
+    ny: int
+    nu: int
+    states: int
+    encoded: int
+    transition: nn.Linear
+    observation: nn.Linear
+    encoder: nn.Linear
+
+    def set_linear(self, a: Array, b: Array, c: Array, d: Array) -> None:
+        """Make the cell a linear model."""
+
+
+@dataclass(frozen=True, eq=False)
+class Earlier:
+    """Earlier trainings, of another part of the record or of fewer iterations, to go on from.
+
+    Attributes
+    ----------
+    iterations : Of L-BFGS that they had.
+    weights : The state of the model, by seed.
+    """
+
+    iterations: int = 0
+    weights: Mapping[int, Mapping[str, Tensor]] = field(default_factory=dict)
+
+    def remaining(self, settings: Settings, seed: int) -> Settings:
+        """Return the settings of what is left of a training."""
+        if seed not in self.weights:
+            return settings
+        more = (settings.quasi_newton or 0) - self.iterations
+        return replace(settings, epochs=0, quasi_newton=max(more, 1))
+
+    def begin(self, model: Model, records: Sequence[Record], settings: Settings, seed: int) -> None:
+        """Set the weights of a model before its training, in place."""
+        if seed in self.weights:
+            model.load_state_dict(dict(self.weights[seed]))
+            model.units_kept = True
+        elif settings.linear_start:
+            begin_as_linear(model, records, settings.normalize, seed)
+
+
+def _fitted(most: int, *signals: Array) -> OutputError:
+    first, *others = zip(signals[::2], signals[1::2], strict=True)
+    return OutputError.fit(*first, others, most)
+
+
+FITTED: Remembered[Any] = Remembered(_fitted)
+"""All seeds and sizes of a search begin with the same linear models."""
+
+
+def begin_as_linear(model: Model, records: Sequence[Record], normalize: bool, seed: int) -> None:
+    """Set the linear parts of a model's networks, in place, where it has such networks.
+
+    They then simulate as `baselines.linear` does with at most as many poles for each channel as
+    states fall to it. Networks of a down-sampled band, and those of records without inputs, stay
+    as they are.
+
+    Parameters
+    ----------
+    model : Not trained.
+    records : The training records, as the model sees them.
+    normalize : See `Settings`.
+    seed : For states that the linear model does not have.
+    """
+    at_once = getattr(model, "feedthrough", False)
+    if not at_once or not any(isinstance(part, LinearPart) for part in model.modules()):
+        return
+    model.adapt_to(records, normalize)
+    seen = [model.normalised(record) for record in records]
+    for tasks in zip(*map(model.tasks, seen), strict=True):
+        cell = tasks[0].network
+        if not isinstance(cell, LinearPart) or tasks[0].stride != 1:
+            continue
+        inputs = [each.u.double() for each in seen if each.u is not None]
+        rows = [with_next_input(u).numpy() for u in inputs]
+        plain = [u.numpy() for u in inputs]
+        targets = [
+            np.where(np.isnan(record.seen), np.nan, task.target.double().numpy())
+            for record, task in zip(records, tasks, strict=True)
+        ]
+        _set(cell, targets, plain, rows, seed)
+
+
+def _set(
+    cell: LinearPart,
+    targets: Sequence[Array],
+    inputs: Sequence[Array],
+    rows: Sequence[Array],
+    seed: int,
+) -> None:
+    """Set the linear part of one network, which predicts `targets`."""
+    signals = [x for pair in zip(targets, inputs, strict=True) for x in pair]
+    linear = FITTED(max(1, cell.states // cell.ny), *signals)
+    found = realised(linear, inputs, cell.states, np.random.default_rng(seed))
+    nu = inputs[0].shape[1]
+    # A row of the network's inputs is [u of this sample, u of the next one, what else it is told].
+    b, d = np.zeros((cell.states, cell.nu)), np.zeros((cell.ny, cell.nu))
+    b[:, :nu], d[:, nu : 2 * nu] = found.b, found.d
+    kept = [layer.weight.detach().clone() for layer in (cell.transition, cell.observation)]
+    cell.set_linear(found.a, b, found.c, d)
+    with torch.no_grad():
+        units = slice(cell.states + cell.nu, None)
+        for layer, before in zip((cell.transition, cell.observation), kept, strict=True):
+            layer.weight[:, units] = NONLINEAR * before[:, units]
+        cell.observation.bias.copy_(torch.from_numpy(found.offset))
+        if cell.encoded:
+            runs = [*zip(targets, rows, strict=True)]
+            weight, bias = state_estimator(runs, found.states, cell.encoded)
+            told = np.zeros((cell.states, cell.encoded, cell.ny + cell.nu))
+            told[:, :, : cell.ny + 2 * nu] = weight.reshape(cell.states, cell.encoded, -1)
+            cell.encoder.weight.copy_(torch.from_numpy(told.reshape(cell.states, -1)))
+            cell.encoder.bias.copy_(torch.from_numpy(bias))
