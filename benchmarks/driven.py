@@ -23,7 +23,7 @@ SPREAD = 0.3
 """Parameters lie within this share of their usual values."""
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _bouc_wen(x: Array, u: float, p: Array) -> Array:
     """Hysteresis: m y'' + c y' + k y + z = u (Noël and Schoukens, 2016; there ν = 1)."""
     y, v, z = x
@@ -32,13 +32,13 @@ def _bouc_wen(x: Array, u: float, p: Array) -> Array:
     return np.array([v, (u - c * v - k * y - z) / m, dz])
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _duffing(x: Array, u: float, p: Array) -> Array:
     """A spring that hardens."""
     return np.array([x[1], u - p[0] * x[1] - p[1] * x[0] - p[2] * x[0] ** 3])
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _motor(x: Array, u: float, p: Array) -> Array:
     """A motor that drives a pulley by an elastic belt: speed, tension, speed of the pulley."""
     speed, tension, pulley = x
@@ -49,7 +49,7 @@ def _motor(x: Array, u: float, p: Array) -> Array:
     ])  # fmt: skip
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _tanks(x: Array, u: float, p: Array) -> Array:
     """Two tanks, one above the other, of which the upper one overflows into the lower one."""
     upper, lower = max(x[0], 0.0), max(x[1], 0.0)
@@ -59,7 +59,7 @@ def _tanks(x: Array, u: float, p: Array) -> Array:
     return np.array([fill - over, 0.0 if lower >= 10.0 and fall > 0.0 else fall])
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _solved(rate: Any, x: Array, u: Array, p: Array, step: float, fine: int) -> Array:
     """The states at the samples, by the classical Runge-Kutta method."""
     states, h = np.empty((len(u), len(x))), step / fine

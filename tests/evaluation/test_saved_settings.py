@@ -53,7 +53,7 @@ def test_what_is_read_is_what_was_written(method: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("method", TRAINED)
 def test_a_network_says_how_it_is_trained(method: str) -> None:
     """Whatever its cells have come to, as those of a search have."""
-    network = replace(SAVED, method=method).forecaster().trained_as(SAVED.settings, 2 / 3)
+    network = replace(SAVED, method=method).forecaster().trained_as(SAVED.settings)
     for forecaster in (network, Ensemble(network, 3)):
         found = SavedSettings.of_forecaster(forecaster)
         assert found is not None

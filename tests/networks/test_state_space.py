@@ -129,12 +129,16 @@ def test_a_negative_number_of_units_is_named() -> None:
         StateSpace(2, -1)
 
 
-@pytest.mark.parametrize(("share", "hidden"), [(0.5, 4), (0.01, 1), (2, 16)])
-def test_a_template_of_another_size(share: float, hidden: int) -> None:
-    scaled = StateSpace(3, 8, layers=2).scaled(share).sized(2, 4, 10)
-    assert [scaled.states, scaled.hidden, scaled.ny, scaled.nu, scaled.layers] == [
-        3, hidden, 2, 4, 2
-    ]  # fmt: skip
+def test_templates_of_other_sizes_begin_with_its_own() -> None:
+    found = [cell.sized(2, 4, 10) for cell in StateSpace(3, 8, layers=2).variants()]
+    assert (found[0].states, found[0].hidden) == (3, 8)
+    assert len({(cell.states, cell.hidden) for cell in found}) == len(found)
+    assert {(cell.ny, cell.nu, cell.layers, cell.encoded) for cell in found} == {(2, 4, 2, 10)}
+
+
+def test_a_warmup_that_is_too_short_to_estimate_the_state_is_named() -> None:
+    with pytest.raises(ValueError, match="must have at least 5 samples, got 4"):
+        rollout(StateSpace(2, 3, encoded=5), torch.zeros(1, 4, 1), 3)
 
 
 def test_a_forecaster_learns_with_it_a_nonlinear_system() -> None:

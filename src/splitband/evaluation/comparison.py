@@ -21,6 +21,7 @@ from splitband.evaluation.runs import Work
 from splitband.evaluation.search import SearchAttempt, SearchResult
 from splitband.evaluation.selection import LEVEL, Trial
 from splitband.evaluation.setup import Setup
+from splitband.evaluation.sound import sound_runs
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import Extrapolation
@@ -261,6 +262,8 @@ def _last_runs(plan: Plan, searched: SearchResult, trial: Trial, work: Work) -> 
             return runs
         slow = [next(f for f in methods if f.name == name) for name in wanted]
         trained = run_methods(plan, slow, wanted, of_slow, need_one=not runs)
+    if plan.seeds is None:
+        trained = Runs({n: sound_runs(each) for n, each in trained.items()}, trained.failures)
     every = {**runs, **trained}
     ordered = {f.name: every[f.name] for f in methods if f.name in every}
     return Runs(ordered, (*runs.failures, *trained.failures))

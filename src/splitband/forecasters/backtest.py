@@ -158,7 +158,7 @@ def backtest(
     known, said = fitted.require_fitted(), [fitted.describe(), untested]
     description = "; ".join(filter(None, said))
     report = replace(known.report, cut=known.report.cut or cut)
-    weights = fitted.state() if isinstance(fitted, Network) else {}
+    weights = fitted.state()
     return Backtest(predictions, tests, report, known.y_range, description, unfiltered, weights)
 
 

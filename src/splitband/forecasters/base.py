@@ -15,6 +15,7 @@ from typing import Any, Literal, Self, final
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from splitband.data import Record, check_alike
 from splitband.data.timing import same_sampling, zones_differ
@@ -437,6 +438,10 @@ class Forecaster(Written, ABC):
     def clone(self) -> Self:
         """Return a new forecaster with the same options, not fitted."""
         return self._made({name: _cloned(value) for name, value in self.get_params().items()})
+
+    def state(self) -> dict[str, Tensor]:
+        """Return the weights that have been trained, with which another training may begin."""
+        return {}
 
     def require_fitted(self) -> Fitted:
         """What is remembered of the training records; raises ValueError before `fit`."""

@@ -40,7 +40,8 @@ class LinearPart(Protocol):
     encoded: int
     transition: nn.Linear
     observation: nn.Linear
-    encoder: nn.Linear
+    first: nn.Parameter
+    first_bias: nn.Parameter
 
     def set_linear(self, a: Array, b: Array, c: Array, d: Array) -> None:
         """Make the cell a linear model."""
@@ -144,5 +145,5 @@ def _set(
             weight, bias = state_estimator(runs, found.states, cell.encoded)
             told = np.zeros((cell.states, cell.encoded, cell.ny + cell.nu))
             told[:, :, : cell.ny + 2 * nu] = weight.reshape(cell.states, cell.encoded, -1)
-            cell.encoder.weight.copy_(torch.from_numpy(told.reshape(cell.states, -1)))
-            cell.encoder.bias.copy_(torch.from_numpy(bias))
+            cell.first.copy_(torch.from_numpy(told.reshape(cell.states, -1)))
+            cell.first_bias.copy_(torch.from_numpy(bias))

@@ -195,7 +195,7 @@ class Network(Forecaster):
         return ", ".join(said)
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Return the state of the fitted model, with which another training may begin."""
+        """Return the state of the fitted model."""
         return {name: x.detach().cpu().clone() for name, x in self._trained().state_dict().items()}
 
     def weights(self, record: Record) -> int:

@@ -99,12 +99,12 @@ class PlainStateSpace(NamedTuple):
     transition: tuple[Array, Array]
     observation: tuple[Array, Array]
     gain: Array
-    encoder: tuple[Array, Array]
+    first: tuple[Array, Array]
     encoded: int
 
     def initial_state(self, y: Array, u: Array) -> Array:
         """See `PlainCell`."""
-        weight, x = self.encoder
+        weight, x = self.first
         if self.encoded:
             seen = np.concatenate([y[: self.encoded], u[: self.encoded]], axis=1)
             x = weight @ seen.reshape(-1) + x

@@ -78,8 +78,9 @@ class StateSpace(Written, nn.Module):
         """[C, D, the weights of g] and c."""
         self.gain = nn.Parameter(torch.empty(states, ny))
         """K."""
-        self.encoder = nn.utils.skip_init(nn.Linear, encoded * (ny + nu), states)
-        """Zero at first. The state at the first sample, from samples and inputs."""
+        self.first = nn.Parameter(torch.zeros(states, encoded * (ny + nu)))
+        self.first_bias = nn.Parameter(torch.zeros(states))
+        """The state at the first sample, from samples and inputs."""
         self._begin()
 
     def sized(self, ny: int, nu: int, warmup: int) -> StateSpace:
@@ -164,7 +165,7 @@ class StateSpace(Written, nn.Module):
         if y_warmup.shape[1] < n:
             raise ValueError(f"the warm-up must have at least {n} samples, got {y_warmup.shape[1]}")
         seen = y_warmup[:, :n] if u is None else torch.cat([y_warmup[:, :n], u[:, :n]], dim=-1)
-        return self.encoder(seen.flatten(1))
+        return nn.functional.linear(seen.flatten(1), self.first, self.first_bias)
 
     def step(self, h: Tensor, y: Tensor, u: Tensor | None = None) -> Tensor:
         """One step of [x, the predicted y], shape `(batch, states + ny)`."""
@@ -192,11 +193,10 @@ class StateSpace(Written, nn.Module):
         """Return the cell in NumPy; None where its layers are others."""
         f, g = plain.dense(self.f), plain.dense(self.g)
         moves, out = self.transition, self.observation
-        if f is None or g is None or not are_plain(
-            *((layer, nn.Linear) for layer in (moves, out, self.encoder))
-        ):
+        if f is None or g is None or not are_plain((moves, nn.Linear), (out, nn.Linear)):
             return None
-        gain, first = plain.values(self.gain), plain.linear(self.encoder)
+        gain = plain.values(self.gain)
+        first = plain.values(self.first), plain.values(self.first_bias)
         linear = plain.linear(moves), plain.linear(out)
         return plain.PlainStateSpace(f, g, *linear, gain, first, self.encoded)
 
@@ -230,8 +230,6 @@ class StateSpace(Written, nn.Module):
                 layer.bias.zero_()
             c = self.observation.weight[:, :n]
             self.gain.copy_(_OBSERVED * a @ torch.linalg.pinv(c))
-            self.encoder.weight.zero_()
-            self.encoder.bias.zero_()
 
     def _with_output(self, x: Tensor, u: Tensor | None) -> Tensor:
         """The state that is passed."""
