@@ -64,6 +64,8 @@ class Network(Forecaster):
     """Which band is whose, where it filters."""
     conditioned: bool = False
     """Whether the fast network is told what the slower part says."""
+    earlier: Earlier = Earlier()
+    """Trainings that `fit` goes on from; they are not saved."""
     model: Model | None = None
     """What has been trained."""
     trained_by: Settings | None = None
@@ -79,8 +81,6 @@ class Network(Forecaster):
         """Whether its settings are but defaults, so that a comparison may find better ones."""
         self.resizable = False
         """Whether the sizes of its cells are, too."""
-        self.earlier = Earlier()
-        """Trainings that `fit` goes on from."""
         self.device = torch.device("cpu")
         self._name = name
 

@@ -323,7 +323,7 @@ def _apart(forecaster: Forecaster) -> set[str]:
     """Attributes that are not saved with the others."""
     left = {"fitted"}
     if isinstance(forecaster, Network):
-        left.add("model")
+        left |= {"model", "earlier"}
     fitted = forecaster.fitted is not None  # otherwise it has no weights, and is saved in place
     if fitted and not isinstance(forecaster, Ensemble) and _network_below(forecaster) is not None:
         left.add("fitted_base")
