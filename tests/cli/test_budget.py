@@ -38,11 +38,11 @@ def test_the_effort_decides_what_is_tried(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr("splitband.training.settings.STEPS", 20)
     line = "compare record.csv --columns a --methods gru,mean --jobs 1 --effort"
     tried = []
-    for budget in ("0.3s", "3s"):
+    for budget in ("0.3s", "1s"):
         call(f"{line} {budget}", tmp_path / budget)
         found = results(tmp_path / budget)
         tried.append(len(found["search"]))
-        assert found["settings"]["search"]["core_seconds"] in (0.3, 3)
+        assert found["settings"]["search"]["core_seconds"] in (0.3, 1)
         assert "hidden units" in found["methods"]["gru"]["description"]
     assert tried[0] < tried[1]
 
@@ -54,11 +54,6 @@ def test_what_is_fitted_to_the_record_takes_a_simulators_place(tmp_path: Path) -
     assert [*results(out)["methods"]] == [
         "harmonic", "residual-harmonic-gru", "filtered-harmonic-gru", "mean"
     ]  # fmt: skip
-
-
-def test_what_has_no_name_on_such_a_base_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    line = f"compare record.csv --columns a --simulator linear --methods residual-rnn {QUICK}"
-    assert_fails(line, ("residual-linear-rnn", "residual-linear-gru"), capsys)
 
 
 def test_names_on_a_base_are_those_of_what_they_name() -> None:

@@ -333,6 +333,7 @@ def killed_after(reports: int, running: Running) -> bool:
     return next(seen) > reports
 
 
+@pytest.mark.soak
 def test_the_end_of_the_scheduler_is_one_line_and_finished_work_is_kept(
     running: Running, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
@@ -341,7 +342,7 @@ def test_the_end_of_the_scheduler_is_one_line_and_finished_work_is_kept(
     line = f"{LONG} --recipe paper --warmup 10 --epochs 40 --out {out}"
 
     def killed(*_: Any, **__: Any) -> None:
-        if [*out.rglob("three*/*-0.safetensors")] and running.scheduler is not None:
+        if [*out.rglob("held*/*-0.safetensors")] and running.scheduler is not None:
             running.scheduler.kill()
 
     with monkeypatch.context() as patched:

@@ -40,7 +40,7 @@ if "spawn_main" in " ".join(sys.orig_argv):
     ("jobs", "files"),
     [
         pytest.param(1, "out/*/*/*.safetensors", id="while it trains", marks=pytest.mark.soak),
-        pytest.param(2, "*.loading", id="while its processes are loading"),
+        pytest.param(2, "*.loading", id="while its processes load", marks=pytest.mark.soak),
         pytest.param(2, "out/*/*/*.safetensors", id="while its processes train"),
     ],
 )

@@ -209,7 +209,6 @@ def test_a_larger_budget_allows_for_more_seeds(
         raise FloatingPointError("diverged")
 
     monkeypatch.setattr("splitband.forecasters.network.fit", diverge)
-    monkeypatch.setattr(searching, "CORE_SECONDS", 240.0)
     assert searched_by(record()[:TRAIN], ["gru"], Search(budget)).most_seeds == most
 
 

@@ -43,6 +43,8 @@ from splitband.training import Settings
 
 SEARCHING = "search"
 """Name of the stage of the work, followed by the number of the round."""
+SEEDS_GROW_FROM = 240.0
+"""Core seconds of a search above which networks may have more than `MOST_SEEDS` seeds."""
 CORE_SECONDS, SECONDS = 240.0, 120.0
 """The default: work that two cores of any recent machine do in less than these two minutes."""
 SEARCHED = 0.5
@@ -275,7 +277,7 @@ def search(
         {name: c.done for name, c in chosen.items() if c is not None},
         {name: training_cost(f.going_on(Earlier()), record, others) for name, f in last.items()},
         left,
-        max(MOST_SEEDS, round(MOST_SEEDS * budget.core_seconds / CORE_SECONDS)),
+        max(MOST_SEEDS, round(MOST_SEEDS * budget.core_seconds / SEEDS_GROW_FROM)),
     )
 
 
