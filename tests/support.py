@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,7 @@ from splitband.evaluation.selection import try_out as try_forecasters_out
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.backtest import Backtest, Origin, Question, backtest, first_origin
 from splitband.forecasters.network import Network
+from splitband.forecasters.saving import load_with_facts
 from splitband.models import Model
 from splitband.training import Checkpoint, Progress
 
@@ -145,3 +147,11 @@ def slowed(monkeypatch: pytest.MonkeyPatch, tick: float) -> SlowClock:
     clock = SlowClock(tick)
     monkeypatch.setattr("splitband.runtime.deadlines.time", clock)
     return clock
+
+
+def load_model(folder: Path) -> tuple[Model, dict[str, Any]]:
+    """The model of a saved network, and the facts that were saved with it."""
+    network, facts = load_with_facts(folder)
+    assert isinstance(network, Network)
+    assert network.model is not None
+    return network.model, facts

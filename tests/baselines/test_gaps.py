@@ -13,7 +13,7 @@ from splitband import Record
 from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.naive import LONGEST, ByTime, recent
 from splitband.baselines.periodic import PeriodicRegression
-from splitband.baselines.seasonal import SeasonalNaive, _last_period
+from splitband.baselines.seasonal import LastPeriod, _last_period
 from splitband.forecasters.names import named
 from tests.records import DT, NAN, TRAIN, holed, record, rms, with_gaps
 
@@ -77,7 +77,7 @@ def test_a_phase_that_was_never_measured_lies_on_a_straight_line() -> None:
     y = np.tile([0.0, 1, 2, 3, 4, 3, 2, 1], 6)[:, None]
     y[2::8] = NAN
     y[7::8] = NAN
-    found = SeasonalNaive.fit(y)
+    found = LastPeriod.fit(y)
     assert found.lag == 8
     np.testing.assert_allclose(found.predict(48, 8)[:, 0], [0, 1, 2, 3, 4, 3, 2, 1])
 
@@ -101,7 +101,7 @@ def test_of_a_long_record_that_ends_in_a_gap_the_last_measured_samples_are_fitte
 def test_a_season_is_none_that_a_few_pairs_agree_in(gap: int, seed: int) -> None:
     noise = 0.3 * np.random.default_rng(seed).standard_normal(1500)
     y = (np.sin(2 * np.pi * np.arange(1500) / 37) + noise)[:, None]
-    found = SeasonalNaive.fit(holed(y[:1000], slice(gap)))
+    found = LastPeriod.fit(holed(y[:1000], slice(gap)))
     assert rms(found.predict(1000, 500) - y[1000:]) < 0.6
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.naive import ByTime
-from splitband.baselines.seasonal import SeasonalNaive
+from splitband.baselines.seasonal import LastPeriod
 from splitband.data.named import double_mass_spring
 from splitband.forecasters.closed_form import Persistence
 from splitband.forecasters.known import Known
@@ -91,20 +91,20 @@ def test_persistence_holds_the_last_measured_sample_of_each_channel() -> None:
 def test_the_period_of_a_clean_signal_is_found(shape: str, period: int) -> None:
     base = one_period(shape, period)
     for samples in (2 * period + 2, 3 * period - 1, 4 * period - 1):
-        assert SeasonalNaive.fit(repeated(base, 0, samples)).lag == period
+        assert LastPeriod.fit(repeated(base, 0, samples)).lag == period
 
 
 @pytest.mark.parametrize("shape", ["sine", "sawtooth"])
 @pytest.mark.parametrize("period", [7, 41])
 def test_the_shortest_period_of_a_long_clean_signal_is_chosen(shape: str, period: int) -> None:
-    assert SeasonalNaive.fit(repeated(one_period(shape, period), 0, 9 * period + 2)).lag == period
+    assert LastPeriod.fit(repeated(one_period(shape, period), 0, 9 * period + 2)).lag == period
 
 
 @pytest.mark.parametrize("period", [5, 7, 41])
 @pytest.mark.parametrize("extra", [0, 1])
 def test_two_periods_are_enough(period: int, extra: int) -> None:
     y = repeated(one_period("random", period), 0, 2 * period + extra)
-    assert SeasonalNaive.fit(y).lag == period
+    assert LastPeriod.fit(y).lag == period
 
 
 @pytest.mark.parametrize("shape", ["overtones", "sawtooth", "square", "random"])
@@ -115,15 +115,15 @@ def test_the_period_of_a_noisy_signal_is_found(shape: str, period: int, seed: in
     level = 0.1 * base.std()
     for samples in (3 * period + 1, 4 * period - 1):
         y = repeated(base, 0, samples) + level * noise(samples, 1, seed=seed)
-        assert SeasonalNaive.fit(y).lag == period
+        assert LastPeriod.fit(y).lag == period
     y = repeated(base, 0, 20 * period) + level * noise(20 * period, 1, seed=seed)
-    assert SeasonalNaive.fit(y).lag % period == 0
+    assert LastPeriod.fit(y).lag % period == 0
 
 
 def test_the_period_of_several_channels_is_common_to_all() -> None:
     samples = 40
     y = np.hstack([repeated(one_period("random", p, seed=p), 0, samples) for p in (3, 5)])
-    model = SeasonalNaive.fit(y)
+    model = LastPeriod.fit(y)
     assert model.lag == 15
     assert model.period.shape == (15, 2)
 
@@ -133,13 +133,13 @@ def test_the_period_does_not_depend_on_the_unit_of_a_channel(units: tuple[float,
     """One channel repeats itself every 12 samples, and the other one is noise."""
     season = repeated(one_period("random", 12), 0, 300) + 0.1 * noise(300, 1, seed=1)
     y = np.hstack([season / season.std(), noise(300, 1, seed=2)])
-    assert SeasonalNaive.fit(y * units).lag % 12 == 0
+    assert LastPeriod.fit(y * units).lag % 12 == 0
 
 
 def test_a_channel_measured_once_does_not_choose_the_period() -> None:
     season = repeated(one_period("random", 12), 0, 300) + 0.1 * noise(300, 1, seed=1)
     once = np.where(np.arange(300)[:, None] == 299, 1.0, np.nan)
-    assert SeasonalNaive.fit(np.hstack([season, once])).lag % 12 == 0
+    assert LastPeriod.fit(np.hstack([season, once])).lag % 12 == 0
 
 
 @pytest.mark.parametrize("level", [0.0, 0.01])
@@ -147,7 +147,7 @@ def test_a_smooth_oversampled_signal_does_not_get_a_tiny_lag(level: float) -> No
     period = 500
     for shape in ("sine", "overtones"):
         y = repeated(one_period(shape, period), 0, 1800) + level * noise(1800, 1)
-        assert abs(SeasonalNaive.fit(y).lag - period) <= 500 * level
+        assert abs(LastPeriod.fit(y).lag - period) <= 500 * level
 
 
 @given(
@@ -162,7 +162,7 @@ def test_seasonal_predictions_continue_the_phase(
 ) -> None:
     base, samples = one_period(shape, period), int(periods * period)
     scales = [1.0, -3.0][:channels]
-    model = SeasonalNaive.fit(repeated(base, 0, samples) * scales)
+    model = LastPeriod.fit(repeated(base, 0, samples) * scales)
     # A few short records of a clean period are taken to drift a little.
     assume(model.trends == (None,) * channels)
     np.testing.assert_allclose(
@@ -175,7 +175,7 @@ def test_seasonal_predictions_continue_the_phase(
 def test_the_repeated_period_is_the_last_one_as_measured() -> None:
     y = repeated(one_period("sawtooth", 10), 0, 38) + 0.01 * noise(38, 1)
     kept = y.copy()
-    model = SeasonalNaive.fit(y)
+    model = LastPeriod.fit(y)
     y[:] = 0
     assert (model.lag, model.end) == (10, 38)
     np.testing.assert_array_equal(model.predict(38, 20), np.tile(kept[-10:], (2, 1)))
@@ -185,7 +185,7 @@ def test_the_repeated_period_is_the_last_one_as_measured() -> None:
 @pytest.mark.parametrize("samples", [2, 3])
 def test_the_shortest_records_still_give_a_prediction(samples: int) -> None:
     y = noise(samples, 2)
-    for model in (SeasonalNaive.fit(y), HarmonicRegression.fit(y)):
+    for model in (LastPeriod.fit(y), HarmonicRegression.fit(y)):
         prediction = model.predict(samples, 5)
         assert prediction.shape == (5, 2)
         assert np.isfinite(prediction).all()
@@ -195,7 +195,7 @@ def test_the_shortest_records_still_give_a_prediction(samples: int) -> None:
 @pytest.mark.parametrize("samples", [5, 100])
 def test_a_constant_record_stays_constant(value: float, samples: int) -> None:
     y = np.full((samples, 2), value)
-    models: list[ByTime] = [SeasonalNaive.fit(y), HarmonicRegression.fit(y)]
+    models: list[ByTime] = [LastPeriod.fit(y), HarmonicRegression.fit(y)]
     for model in models:
         np.testing.assert_allclose(
             model.predict(samples, 50), value, atol=1e-12 * (1 + abs(value)), rtol=0
@@ -276,7 +276,7 @@ def test_harmonic_regression_does_not_depend_on_unit_and_offset(unit: float, off
 @pytest.mark.parametrize("unit", [1e-9, 1e9])
 def test_the_seasonal_lag_does_not_depend_on_unit_and_offset(unit: float) -> None:
     y = repeated(one_period("overtones", 37), 0, 140) + 0.1 * noise(140, 1)
-    assert SeasonalNaive.fit(unit * (y + 1e7)).lag == SeasonalNaive.fit(y).lag == 37
+    assert LastPeriod.fit(unit * (y + 1e7)).lag == LastPeriod.fit(y).lag == 37
 
 
 @pytest.mark.parametrize("sinusoids", [0, 1, 3])
@@ -351,4 +351,4 @@ def test_a_drifting_record_is_extrapolated_along_a_line_at_most() -> None:
 def test_descriptions_name_lag_and_number_of_sinusoids() -> None:
     y = np.hstack([Tones(1, 200, 0)(0, 200), Tones(3, 200, 1)(0, 200)]) + 0.1 * noise(200, 2)
     assert str(HarmonicRegression.fit(y)).startswith("1+3 sinusoid")
-    assert "10 training samples" in str(SeasonalNaive.fit(repeated(one_period("sine", 10), 0, 38)))
+    assert "10 training samples" in str(LastPeriod.fit(repeated(one_period("sine", 10), 0, 38)))

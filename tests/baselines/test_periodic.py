@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from splitband.baselines.modes import Modes
 from splitband.baselines.periodic import PeriodicRegression
-from splitband.baselines.seasonal import SeasonalNaive
+from splitband.baselines.seasonal import LastPeriod
 
 Array = npt.NDArray[Any]
 TRAINING, AHEAD = 600, 1400
@@ -68,7 +68,7 @@ def test_it_takes_the_mean_over_noisy_periods(seed: int) -> None:
     seen = y[:TRAINING] + 0.3 * noise(TRAINING, seed)[:, None]
     errors = [
         np.std(method.predict(TRAINING, AHEAD) - y[TRAINING:])
-        for method in (PeriodicRegression.fit(seen), SeasonalNaive.fit(seen))
+        for method in (PeriodicRegression.fit(seen), LastPeriod.fit(seen))
     ]
     assert errors[0] < 0.6 * errors[1]
 

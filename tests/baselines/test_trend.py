@@ -12,7 +12,7 @@ from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.modes import Modes, _Refinement
 from splitband.baselines.naive import LONGEST, ByTime
 from splitband.baselines.periodic import PeriodicRegression
-from splitband.baselines.seasonal import SeasonalNaive
+from splitband.baselines.seasonal import LastPeriod
 from splitband.baselines.trend import Shape, find
 from tests.baselines.test_naive import one_period, repeated
 
@@ -21,7 +21,7 @@ Array = npt.NDArray[Any]
 TRAINING, SAMPLES = 400, 1000
 N = np.arange(SAMPLES)
 FITS: list[Callable[[Array], ByTime]] = [
-    SeasonalNaive.fit,
+    LastPeriod.fit,
     PeriodicRegression.fit,
     HarmonicRegression.fit,
 ]

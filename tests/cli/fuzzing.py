@@ -37,9 +37,10 @@ import torch
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-from splitband import GRU, ComplementaryPair, read
+import splitband as sb
+from splitband import GRU, read
 from splitband.cli import main
-from splitband.models import Recurrent, Split, saving
+from splitband.forecasters import saving
 from splitband.runtime.files import write_json
 from splitband.training.checkpoints import Checkpoint
 
@@ -172,10 +173,8 @@ def readers(data: st.DataObject, edits: list[Edit], text: bytes | None, options:
 @cache
 def model_files() -> dict[str, bytes]:
     """Those of a sound model."""
-    pair = ComplementaryPair.butterworth(1.0, 10.0)
-    model = Split([GRU(2, 1), GRU(3, 1, 2)], pair, conditioned=True)
     with tempfile.TemporaryDirectory() as name:
-        saving.save(model, name, {"columns": ["a"], "inputs": []})
+        saving.save(_small_model(), name, _facts())
         return {path.name: path.read_bytes() for path in Path(name).iterdir()}
 
 
@@ -184,7 +183,10 @@ _VALUES = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner),
     max_leaves=4,
 ) | st.sampled_from(
-    ({"type": "GRU", "ny": 1, "hidden_size": 10**6, "nu": 0}, {"type": "os.system"})
+    (
+        {"cell": "GRU", "fields": {"ny": 1, "hidden_size": 10**6, "nu": 0}},
+        {"made": "system", "module": "os", "fields": {}},
+    )
 )
 
 
@@ -204,7 +206,7 @@ def models(data: st.DataObject, values: list[Any], edits: list[Edit], resealed: 
         name = data.draw(st.sampled_from(sorted(files)))
         files[name] = edited(files[name], edits)
     try:
-        description = json.loads(files["model.json"])
+        description = json.loads(files["forecaster.json"])
     except (ValueError, RecursionError):
         description = None
     if isinstance(description, dict):
@@ -214,20 +216,23 @@ def models(data: st.DataObject, values: list[Any], edits: list[Edit], resealed: 
             if not description:
                 break
         if resealed:
-            digest = hashlib.sha256(files["weights.safetensors"]).hexdigest()
+            (weights,) = (name for name in files if name.startswith("weights-"))
+            digest = hashlib.sha256(files[weights]).hexdigest()
             description["weights_sha256"] = digest
+            files[saving.WEIGHTS.format(digest[:16])] = files.pop(weights)
         if values or resealed:
-            files["model.json"] = json.dumps(description).encode()
+            files["forecaster.json"] = json.dumps(description).encode()
     with tempfile.TemporaryDirectory() as name, watched():
         for file, content in files.items():
             (Path(name) / file).write_bytes(content)
-        found, said = _or_error(lambda: saving.load(name)[0])
+        found, said = _or_error(lambda: sb.load(name))
         named = name in said
     outcomes["models"]["refused" if found is None else "loaded"] += 1
     if found is None:
         assert named, said
         return
-    assert sum(p.numel() for p in found.parameters()) < 1000
+    model = getattr(found, "model", None)
+    assert model is None or sum(p.numel() for p in model.parameters()) < 1000
 
 
 @given(_EDITS)
@@ -307,8 +312,11 @@ def command_line(
 
 
 @cache
-def _small_model() -> Recurrent:
-    return Recurrent(GRU(2, 1))
+@cache
+def _small_model() -> sb.Forecaster:
+    record = sb.Record(np.sin(0.3 * np.arange(60)), 0.1, columns=("a",))
+    bands, short = sb.Bands(1.0, 1, 2), sb.Settings(window=20, warmup=8, epochs=1)
+    return sb.Split(GRU(2), GRU(3), bands, conditioned=True, settings=short).fit(record)
 
 
 def _facts() -> dict[str, Any]:

@@ -18,7 +18,7 @@ pytestmark = [
 
 def change_json(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], None]:
     def damage(folder: Path) -> None:
-        path = folder / "model.json"
+        path = folder / "forecaster.json"
         description = json.loads(path.read_text())
         change(description)
         path.write_text(json.dumps(description))
@@ -28,24 +28,24 @@ def change_json(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], Non
 
 def state(description: dict[str, Any]) -> dict[str, Any]:
     """What the description says of the forecaster."""
-    found: dict[str, Any] = description["facts"]["forecaster"]["state"]
+    found: dict[str, Any] = description["forecaster"]["fields"]
     return found
 
 
 def cut_weights(folder: Path) -> None:
-    path = folder / "weights.safetensors"
+    (path,) = folder.glob("weights-*")
     path.write_bytes(path.read_bytes()[:-4])
 
 
 @pytest.mark.parametrize(
     ("damage", "says"),
     [
-        (lambda f: (f / "model.json").write_text("{"), ("damaged/model.json", "damaged:")),
-        (lambda f: (f / "model.json").unlink(), ("damaged", "model.json is missing")),
-        (cut_weights, ("damaged/weights.safetensors", "damaged:")),
-        (change_json(lambda d: d.update(format=9)), ("damaged/model.json", "format 9")),
-        (change_json(lambda d: d["model"].update(type="eval")), ("model.json", "'eval'")),
-        (change_json(lambda d: d.update(facts={})), ("`splitband fit`", "format")),
+        (lambda f: (f / "forecaster.json").write_text("{"), ("forecaster.json is damaged:",)),
+        (lambda f: (f / "forecaster.json").unlink(), ("damaged", "forecaster.json is missing")),
+        (cut_weights, ("damaged/weights-", "damaged:")),
+        (change_json(lambda d: d.update(format=9)), ("damaged/forecaster.json", "format 9")),
+        (change_json(lambda d: d["forecaster"].update(made="eval")), ("class eval",)),
+        (change_json(lambda d: d.pop("format")), ("`splitband fit`", "format")),
         (change_json(lambda d: state(d)["trained_by"]["fields"].update(warmup=-3)), ("warm",)),
         (
             change_json(
@@ -97,6 +97,6 @@ def test_a_damaged_calibration_is_one_line(
     for name in ("history.csv", "simulated.csv"):
         shutil.copy(name, tmp_path)
     monkeypatch.chdir(tmp_path)
-    change_json(lambda d: change(state(d)["fitted_base"]["state"]["calibration"]))(Path("damaged"))
+    change_json(lambda d: change(state(d)["fitted_base"]["fields"]["applied"]))(Path("damaged"))
     line = HYBRID_AHEAD.replace("filtered", "damaged") + "--simulator simulated.csv"
     assert_fails(line, ("damaged",), capsys)

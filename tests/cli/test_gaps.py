@@ -11,10 +11,10 @@ from splitband.cli.spectrum import _show_simulator
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
-from splitband.models.saving import load
 from tests.cli.support import A, B, assert_fails, call, results, written
 from tests.records import DT, NAN, rms, with_gaps
 from tests.support import compare, try_out
+from tests.support import load_model as load
 
 pytestmark = pytest.mark.xdist_group("gaps")  # what its fixtures compare is made once
 

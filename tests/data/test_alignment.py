@@ -24,8 +24,8 @@ from splitband.data import Grid, aligned, resampled
 from splitband.data.alignment import reach
 from splitband.data.timing import seconds_between
 from splitband.metrics import rmse
-from splitband.models.saving import load
 from splitband.simulators import Function, Recorded, run
+from tests.support import load_model as load
 
 Array = npt.NDArray[np.float64]
 DT, SAMPLES = 0.1, 240
@@ -579,7 +579,7 @@ def test_a_history_without_time_stamps_begins_where_the_training_record_did(
 def changed(model: Path, folder: Path, start: Any) -> None:
     """Copy a saved model, with another time stamp of its training record's beginning."""
     shutil.copytree(model, folder)
-    description = json.loads((folder / "model.json").read_text())
+    description = json.loads((folder / "forecaster.json").read_text())
 
     def change(part: Any) -> None:
         if isinstance(part, dict) and part.get("class") == "Fitted":
@@ -587,8 +587,8 @@ def changed(model: Path, folder: Path, start: Any) -> None:
         for each in part.values() if isinstance(part, dict) else ():
             change(each)
 
-    change(description["facts"])
-    (folder / "model.json").write_text(json.dumps(description))
+    change(description["forecaster"])
+    (folder / "forecaster.json").write_text(json.dumps(description))
 
 
 def test_a_model_of_a_record_without_time_stamps_begins_with_the_history(
@@ -636,7 +636,7 @@ def test_a_model_of_a_file_of_one_nameless_column_simulates_such_a_file() -> Non
     call("simulate out --history one.txt --steps 5 --out ahead.csv")
     found = pd.read_csv("ahead.csv")
     assert list(found) == ["time", "y"]
-    expected = load("out")[0].simulate(signal(times())[-10:, None], 5)
+    expected = load(Path("out"))[0].simulate(signal(times())[-10:, None], 5)
     np.testing.assert_allclose(found[["y"]], expected, atol=1e-6)
     assert read("one.txt", columns="y", sampling_time=DT).columns == ("y",)
     assert read("one.txt", columns=0, sampling_time=DT).columns == ("y",)

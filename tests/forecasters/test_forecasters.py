@@ -1,7 +1,6 @@
 """What every forecaster promises, whatever it is made of."""
 
 import copy
-import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,7 +20,6 @@ from splitband.evaluation.setup import Setup
 from splitband.forecasters.names import NAMES, TRAINED, Sizes
 from splitband.forecasters.network import Network
 from splitband.metrics import ExtrapolationWarning
-from splitband.models import saving as models
 from tests.support import with_other_samples
 
 Array = npt.NDArray[np.float64]
@@ -258,10 +256,8 @@ def test_a_forecaster_of_ones_own_needs_a_name_and_what_comes_next(tmp_path: Pat
     np.testing.assert_allclose(found.y, line.y[30:])
     np.testing.assert_allclose(found.time, line.stamps[30:])
     forecaster.save(tmp_path / "drift")
-    loaded = sb.load(tmp_path / "drift", classes={"Drift": Drift})
+    loaded = sb.load(tmp_path / "drift")
     np.testing.assert_array_equal(loaded.predict(10, line[:35]).y[:5], line.y[35:])
-    with pytest.raises(ValueError, match="class Drift is not known; give it to load"):
-        sb.load(tmp_path / "drift")
 
 
 def test_slices_know_what_is_known_after_them() -> None:
@@ -381,56 +377,6 @@ def test_a_network_below_another_one_runs_from_the_beginning_of_a_long_record(
     model.save(tmp_path / "model")
     found = sb.load(tmp_path / "model").predict(STEPS).y
     np.testing.assert_array_equal(found, model.predict(STEPS).y)
-
-
-def test_an_interrupted_save_leaves_the_members_that_were_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    old, new = (
-        sb.Ensemble(sb.Single(GRU(3), SETTINGS), 2).fit(record()[:TRAIN], seed=seed)
-        for seed in (0, 5)
-    )
-    assert new.members[1].fitted is not None
-    folder, save, u = tmp_path / "model", models.save, record()[:TRAIN].u_beyond
-    old.save(folder)
-
-    def interrupted(model: Any, place: Path, *facts: Any) -> None:
-        if place.name == "member-1":
-            raise KeyboardInterrupt
-        save(model, place, *facts)
-
-    for _ in range(2):  # also over what the first interruption has left
-        with monkeypatch.context() as patched:
-            patched.setattr(models, "save", interrupted)
-            with pytest.raises(KeyboardInterrupt):
-                new.save(folder)
-        expected = old.predict(STEPS).y
-        np.testing.assert_array_equal(sb.load(folder).predict(STEPS, u=u).y, expected)
-    new.save(folder)
-    np.testing.assert_array_equal(sb.load(folder).predict(STEPS, u=u).y, new.predict(STEPS).y)
-    assert len([*folder.glob("parts-*")]) == 1
-
-
-@pytest.mark.parametrize(
-    ("model", "file", "keys"),
-    [
-        (sb.Mean(), "forecaster.json", ()),
-        (sb.Ensemble(sb.Mean(), 2), "forecaster.json", ()),
-        (sb.Single(GRU(3), SETTINGS), "model.json", ("facts",)),
-    ],
-    ids=["baseline", "ensemble", "network"],
-)
-def test_what_0_2_0_saved_is_to_be_trained_again(
-    model: Forecaster, file: str, keys: tuple[str, ...], tmp_path: Path
-) -> None:
-    model.fit(record()[:TRAIN]).save(tmp_path)
-    description = of = json.loads((tmp_path / file).read_text())
-    for key in keys:
-        of = of[key]
-    of["format"] = 1
-    (tmp_path / file).write_text(json.dumps(description))
-    with pytest.raises(ValueError, match=r"format 1.* train it again, with `splitband fit`"):
-        sb.load(tmp_path)
 
 
 def test_the_seeds_of_an_ensemble_can_be_chosen() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 import warnings
@@ -115,24 +114,18 @@ def test_output_that_was_recorded_is_saved_and_needs_nothing(tmp_path: Path) -> 
 
 @pytest.fixture
 def forged(van_der_pol_fmu: Path, tmp_path: Path) -> Path:
-    """As 0.2.0 saved a simulation with an FMU, which is one of somebody else's by now."""
+    """A simulation whose description names an FMU of somebody else's."""
     folder = tmp_path / "model"
     sb.Simulation(sb.Function(sine)).fit(RECORD).save(folder)
     shutil.copy(van_der_pol_fmu, folder / "evil.fmu")
-    fmu = {
-        "class": "Fmu",
-        "path": str(folder / "evil.fmu"),
-        "sha256": hashlib.sha256((folder / "evil.fmu").read_bytes()).hexdigest(),
-        "outputs": ["x"],
-        "start_values": {},
-    }
+    fmu = {"class": "Absent", "fields": {"kind": "Fmu", "file": "evil.fmu", "fingerprint": None}}
     facts = {
         "method": "simulator", "columns": ["y[0]"], "inputs": [], "sampling_time": DT,
         "setup": {"settings": {"warmup": 5}}, "calibration": None, "range": [[-1.0], [1.0]],
     }  # fmt: skip
     edit(
         folder / "forecaster.json",
-        lambda d: (d.update(facts), d["forecaster"]["state"].update(simulator=fmu)),
+        lambda d: (d.update(facts), d["forecaster"]["fields"].update(simulator=fmu)),
     )
     return folder
 
@@ -164,7 +157,22 @@ def test_a_description_of_a_simulator_is_checked(change: dict[str, Any], tmp_pat
     sb.Simulation(sb.Function(sine)).fit(RECORD).save(tmp_path)
     edit(
         tmp_path / "forecaster.json",
-        lambda d: d["forecaster"]["state"]["simulator"]["fields"].update(change),
+        lambda d: d["forecaster"]["fields"]["simulator"]["fields"].update(change),
     )
     with pytest.raises(ValueError, match="a simulator must"):
         sb.load(tmp_path)
+
+
+def test_no_fmu_is_made_of_what_a_file_says(
+    van_der_pol_fmu: Path, tmp_path: Path, opened: list[Any]
+) -> None:
+    sb.Simulation(sb.Function(sine)).fit(RECORD).save(tmp_path)
+    for word in ("made", "class", "cell"):
+        fmu = {word: "Fmu", "fields": {"path": str(van_der_pol_fmu), "outputs": ["x"]}}
+        edit(
+            tmp_path / "forecaster.json",
+            lambda d, fmu=fmu: d["forecaster"]["fields"].update(simulator=fmu),  # type: ignore[misc]
+        )
+        with pytest.raises(ValueError, match="Fmu is not known"):
+            sb.load(tmp_path)
+    assert not opened

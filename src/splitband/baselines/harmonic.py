@@ -14,6 +14,7 @@ import numpy.typing as npt
 from splitband.baselines.modes import Modes
 from splitband.baselines.naive import known, recent, units
 from splitband.baselines.trend import Shape, described, find
+from splitband.runtime.options import saved
 
 Array = npt.NDArray[np.float64]
 
@@ -25,6 +26,7 @@ two of these beat more slowly than the record is long, decays may be worse by as
 describes a decay within the record, and grows again after it."""
 
 
+@saved
 @dataclass(frozen=True, eq=False)
 class HarmonicRegression:
     """Describe each channel by sinusoids, an offset and a trend; use `HarmonicRegression.fit`.

@@ -20,6 +20,7 @@ from splitband.baselines.naive import LONGEST, known, recent, units
 from splitband.baselines.states import States
 from splitband.metrics import spread
 from splitband.runtime.deadlines import check
+from splitband.runtime.options import saved
 
 Array = npt.NDArray[np.float64]
 
@@ -42,6 +43,7 @@ _DECAYED_SHARE = 0.1
 """A response to the initial state below this share of its peak is taken to have died out."""
 
 
+@saved
 @dataclass(frozen=True, eq=False)
 class OutputError:
     """Model each channel by y = (B u + C δ) / A + offset; use `fit`.
@@ -151,6 +153,7 @@ class OutputError:
         return f"{orders} pole(s), {len(self.mean)} input(s) and an offset"
 
 
+@saved
 class Channel(NamedTuple):
     """Hold the model of one channel.
 

@@ -11,6 +11,7 @@ import scipy
 from splitband.baselines.naive import known
 from splitband.baselines.trend import FASTEST, SLOWEST, Shape
 from splitband.runtime.deadlines import check
+from splitband.runtime.options import saved
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int_]
@@ -25,6 +26,7 @@ FEWEST_CYCLES = 0.5
 """Of a sinusoid within the record: a constant would be hard to tell from a slower one."""
 
 
+@saved
 class Modes(NamedTuple):
     """Hold the sinusoids of one channel `y` `(time,)`, NaN in gaps, with an offset and a trend.
 

@@ -18,6 +18,7 @@ from splitband.baselines.modes import Modes
 from splitband.baselines.naive import known, recent, units
 from splitband.baselines.seasonal import all_around, last_period, seasons, self_similar_lags
 from splitband.baselines.trend import Shape, described, find
+from splitband.runtime.options import saved
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int_]
@@ -33,6 +34,7 @@ _CUTS = (0.75, 0.8, 0.85, 0.9)
 that nearly as many periods are seen as by the final fit."""
 
 
+@saved
 @dataclass(frozen=True, eq=False)
 class PeriodicRegression:
     """Describe each channel by a Fourier series, a trend and decaying vibrations; use `fit`.

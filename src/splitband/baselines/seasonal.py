@@ -13,6 +13,7 @@ import scipy
 
 from splitband.baselines.trend import Trend, described, find, trending
 from splitband.metrics import spread
+from splitband.runtime.options import saved
 
 Array = npt.NDArray[np.float64]
 
@@ -21,9 +22,10 @@ ENOUGH_PAIRS = 0.25
 left out: they may agree by chance."""
 
 
+@saved
 @dataclass(frozen=True, eq=False)
-class SeasonalNaive:
-    """Repeat the last period of the training samples; use `SeasonalNaive.fit`.
+class LastPeriod:
+    """Repeat the last period of the training samples; use `LastPeriod.fit`.
 
     Attributes
     ----------
@@ -37,7 +39,7 @@ class SeasonalNaive:
     trends: tuple[Trend | None, ...]
 
     @classmethod
-    def fit(cls, y: Array) -> SeasonalNaive:
+    def fit(cls, y: Array) -> LastPeriod:
         """Choose the lag whose last period, repeated backwards, fits `y` `(time, ny)` best.
 
         A trend that pays (see `trend.find`) is taken out first. Where `y` is NaN nothing was

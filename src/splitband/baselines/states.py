@@ -14,6 +14,7 @@ import numpy.typing as npt
 import scipy
 
 from splitband.baselines.naive import known
+from splitband.runtime.options import saved
 
 Array = npt.NDArray[np.float64]
 
@@ -26,6 +27,7 @@ EXACT = 1e-9
 _MOST_CORRELATED = 0.999
 
 
+@saved
 class States(NamedTuple):
     """Hold the states that a linear model had in training, and its errors.
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 import scipy
 
 from splitband.baselines.naive import known, recent, units
+from splitband.runtime.options import saved
 
 Array = npt.NDArray[np.float64]
 
@@ -45,6 +46,7 @@ _RANK = 0.03
 """Of the sinusoids fitted along with a trend: singular values below this share are cut."""
 
 
+@saved
 class Shape(NamedTuple):
     """Represent a function of time of mean 0 and deviation 1 over the fitted samples.
 
@@ -87,6 +89,7 @@ class Shape(NamedTuple):
         return f"an exponential with a time constant of {1 / self.rate:.4g} samples"
 
 
+@saved
 class Trend(NamedTuple):
     """Represent a trend, `offset + size * shape`; see `find`."""
 

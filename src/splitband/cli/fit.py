@@ -116,8 +116,8 @@ def fit(
         "training_rmse": within,
     }
     with staged(out) as new:
+        saving.save(forecaster, new, facts)
         write_facts(new, facts | outcome | {"environment": results.environment()})
-        saving.save(forecaster, out, facts)  # which replaces a model as a whole by itself
     shutil.rmtree(out / CHECKPOINTS)
     for note in fitted.report.notes:
         showing.warn(note)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from splitband.forecasters import saving
-from splitband.models.saving import FILES as NETWORK_FILES
 from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import TEST_PREDICTIONS, files_of_result, locked
 
@@ -22,7 +21,7 @@ WRITES = {
     "compare": COMPARED,
     "benchmark": ("results.json", "table.csv", "cases.png", "report.html"),
     "forecast": ("results.json", "forecast.csv", "forecast.png", "report.html", "recommended.json"),
-    "fit": ("results.json", saving.FILE, *NETWORK_FILES),
+    "fit": ("results.json", saving.FILE, saving.WEIGHTS.format("*")),
     "spectrum": ("results.json", "spectrum.png", "report.html"),
 }
 """The files that each command writes into its folder --out."""
@@ -94,6 +93,4 @@ def _files(named: str) -> list[Path]:
     path = Path(file + ".py" if function else named)
     if os.path.isfile(path):  # False, too, for what can be no path
         return [path]
-    if any(os.path.isfile(path / name) for name in (saving.FILE, *NETWORK_FILES)):
-        return [each for each in path.rglob("*") if each.suffix in (".json", ".safetensors")]
-    return []
+    return saving.files(path) if os.path.isdir(path) else []

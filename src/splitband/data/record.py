@@ -20,6 +20,7 @@ from splitband.data.timing import (
     stamp_after,
     stamps_at,
 )
+from splitband.runtime.options import saved
 
 LARGEST, SMALLEST = 1e120, 1e-120
 """Limits of values, and of the range of a channel: sums of their squares must not overflow."""
@@ -30,6 +31,7 @@ _NUMBERED = re.compile(r"[yu]\d*|\d+")
 _UNIT = re.compile(r"[ _][(\[]([^()\[\]]+)[)\]]$")
 
 
+@saved
 @dataclass(frozen=True, eq=False)
 class Record:
     """Represent one evenly sampled record.

@@ -17,6 +17,7 @@ from splitband.filters import ComplementaryPair, butterworth
 from splitband.filters.resampling import check_downsampling
 from splitband.filters.spectrum import periodogram
 from splitband.metrics import spread
+from splitband.runtime.options import saved
 
 Array = npt.NDArray[np.float64]
 
@@ -40,6 +41,7 @@ _CUTOFFS = 24
 _NYQUIST_MARGIN = 0.8
 
 
+@saved
 @dataclass(frozen=True)
 class Candidate:
     """Describe a filter pair that was considered.
@@ -63,6 +65,7 @@ class Candidate:
     rejected: str = ""
 
 
+@saved
 @dataclass(frozen=True)
 class Choice:
     """Describe the chosen filter pair and the reason for it.

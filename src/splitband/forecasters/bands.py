@@ -10,11 +10,12 @@ import numpy.typing as npt
 from splitband.filters import ComplementaryPair, butterworth
 from splitband.filters.cutoff import Choice, choose, choose_with_simulator
 from splitband.runtime.arguments import LARGEST_SIZE, whole
-from splitband.runtime.options import Written
+from splitband.runtime.options import Written, saved
 
 Array = npt.NDArray[np.float64]
 
 
+@saved
 @dataclass(frozen=True, repr=False)
 class Bands(Written):
     """How a filter pair parts a signal into two bands; None is chosen by the training samples.

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from splitband.data import Record, check_alike
+from splitband.data.gaps import last_before
 from splitband.data.timing import same_sampling, zones_differ
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import Fitted
@@ -35,6 +36,8 @@ from splitband.training import Checkpoint, Progress, Settings
 
 Array = npt.NDArray[np.float64]
 
+SHORT = 20_000
+"""Samples of a training record with a simulator that is saved as a whole."""
 OVERFLOWED = 1e100
 """Stands for predicted values that are not finite, so that their errors are finite, and huge."""
 
@@ -419,6 +422,37 @@ class Forecaster(Written, ABC):
         from splitband.forecasters import saving  # noqa: PLC0415  it names every forecaster
 
         saving.save(self, folder)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all that makes the forecaster, for `save`: options, and what has been found.
+
+        Of the training record that is the end, on which a forecast warms up.
+        """
+        end = None if self.fitted is None else self.fitted.end(self.first_needed())
+        return {**vars(self), "fitted": end}
+
+    @classmethod
+    def from_dict(cls, found: dict[str, Any]) -> Self:
+        """Return a forecaster made of what `to_dict` said; its constructor is not called."""
+        new = object.__new__(cls)
+        vars(new).update(found)
+        return new
+
+    def first_needed(self) -> int:
+        """Return the first sample of the training record that a forecast from its end needs."""
+        record = self.require_fitted().record
+        if "simulator" in self.needs and len(record) <= SHORT:
+            return 0
+        measured = ~np.isnan(record.seen)
+        first = min(int(np.flatnonzero(channel)[-1]) for channel in measured.T)
+        if self.warmup:
+            start = last_before(record.complete, self.warmup, len(record))
+            first = min(first, (self.warmup if start is None else start) - self.warmup)
+        first -= max(self.delays, default=0)
+        if "simulator" in self.needs:
+            # A calibrated delay or clock uses earlier output, a seventh of it at most.
+            first = min(first, len(record) - len(record) // 5)
+        return max(0, min(first, len(record) - 2))
 
     def get_params(self) -> dict[str, Any]:
         """Return the options, which are what the constructor takes, by name.

@@ -14,7 +14,7 @@ from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.linear import OutputError
 from splitband.baselines.naive import ByTime
 from splitband.baselines.periodic import PeriodicRegression
-from splitband.baselines.seasonal import SeasonalNaive as LastPeriod
+from splitband.baselines.seasonal import LastPeriod
 from splitband.data import Record
 from splitband.forecasters.base import AsBase, Forecaster
 from splitband.forecasters.fitted import first_only

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Self, final
+from typing import Any, Self, final
 
 import numpy as np
 import numpy.typing as npt
@@ -79,6 +79,18 @@ class Ensemble(Forecaster):
         for member in self.members:
             member.to(device)
         return super().to(device)
+
+    @classmethod
+    def from_dict(cls, found: dict[str, Any]) -> Self:
+        """Return the ensemble again; raises ValueError where it is not one of its members."""
+        new = super().from_dict(found)
+        if new.fitted is not None and len(new.members) != whole("count", new.count):
+            raise ValueError(f"count must be {len(new.members)}, got {new.count}")
+        return new
+
+    def first_needed(self) -> int:
+        """Return the first sample that a member needs."""
+        return min(member.first_needed() for member in self.members)
 
     def in_words(self) -> str:
         """Return what the members are."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ from splitband.data import Record
 from splitband.data.timing import Stamp, as_stamp, in_words, seconds_between
 from splitband.metrics import Extrapolation, extrapolations, input_range
 from splitband.runtime.arguments import whole
+from splitband.runtime.options import saved
 
 Array = npt.NDArray[np.float64]
 
@@ -19,6 +20,7 @@ NEAR_ROW = 1e-3
 """Of a sample: a history that begins so close to a sample of the training record begins there."""
 
 
+@saved
 @dataclass(frozen=True)
 class FitReport:
     """What a fit did.
@@ -39,6 +41,7 @@ class FitReport:
     cut: bool = False
 
 
+@saved
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """What a forecaster remembers of the records it was fitted to.
@@ -74,6 +77,15 @@ class Fitted:
     def several(self) -> bool:
         """Whether there were further training records."""
         return bool(self.others) or not self.whole
+
+    def end(self, first: int) -> Fitted:
+        """Return what is saved: the training record from its sample `first` on."""
+        end = replace(self.record[first:], beyond=None, u_beyond=None)
+        # The run time is left out, so that the same fit is saved as the same file, byte by byte.
+        report = replace(self.report, seconds=0.0)
+        whole = self.whole and not self.others
+        begin = self.begin + first
+        return replace(self, record=end, begin=begin, others=(), report=report, whole=whole)
 
     @classmethod
     def of(cls, records: Sequence[Record], seed: int) -> Fitted:

@@ -16,6 +16,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from splitband.runtime.options import saved
+
 Array = npt.NDArray[np.float64]
 
 PRIOR = {"constant": 0.25, "random walk": 0.35, "drift": 0.2, "saturating": 0.2}
@@ -109,6 +111,7 @@ def _share(inside: Array) -> float:
     return float(known.mean()) if len(known) else np.nan
 
 
+@saved
 @dataclass(frozen=True, eq=False)
 class HeldOut:
     """How far forecasts of known samples were off, from which the interval of any level follows.

@@ -28,6 +28,7 @@ from splitband.forecasters.known import Known
 from splitband.forecasters.remembering import Remembered
 from splitband.forecasters.stepping import NotSteppedError, Part, Recursion, Warmed
 from splitband.models import Model
+from splitband.models.base import with_weights
 from splitband.models.hybrid import FAST, SLOW
 from splitband.runtime.threads import drawn_from
 from splitband.simulators.calibration import Calibration
@@ -202,6 +203,29 @@ class Network(Forecaster):
         """How many weights are trained, for such a record."""
         model = self._built(record, self._settings_for(record), seed=0)
         return sum(weight.numel() for weight in model.parameters())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all that makes the forecaster; of the model its weights, no earlier training."""
+        said = super().to_dict()
+        model = said.pop("model", None)
+        said.pop("earlier", None)
+        return said | {"weights": None if model is None else dict(model.state_dict())}
+
+    @classmethod
+    def from_dict(cls, found: dict[str, Any]) -> Self:
+        """Return the forecaster again; raises ValueError for weights that its model has not."""
+        weights = found.pop("weights")
+        new = super().from_dict(found)
+        if new.fitted is not None:
+            record, settings = new.fitted.record, new.trained_by
+            assert settings is not None
+            new.model = with_weights(lambda: new._built(record, settings, seed=0), weights)
+        return new
+
+    def first_needed(self) -> int:
+        """Return 0 beside a network, which runs freely from the beginning of the record on."""
+        beside_network = self.fitted_base is not None and self.fitted_base.random
+        return 0 if beside_network else super().first_needed()
 
     def for_samples(self, samples: int, instead_of: int) -> Self:
         """Return it for a part of the training record: long windows shrink with the record."""

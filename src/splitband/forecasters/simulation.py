@@ -71,7 +71,7 @@ class _Runs:
         raise NotImplementedError
 
 
-class _Simulated(Forecaster):
+class SimulatorForecaster(Forecaster):
     """Forecast what a simulator says.
 
     Parameters
@@ -115,6 +115,21 @@ class _Simulated(Forecaster):
             for (start, step), needed in samples.items()
         }
         return self.clone().set_params(simulator=_Runs(outputs))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what is saved: of a simulator, but for recorded output, a description."""
+        said = super().to_dict()
+        if not (self.simulator is None or isinstance(self.simulator, Recorded)):
+            said["simulator"] = Absent.of(self.simulator)
+        return said
+
+    @classmethod
+    def from_dict(cls, found: dict[str, Any]) -> Self:
+        """Return the forecaster again; raises ValueError for a calibration of other channels."""
+        new = super().from_dict(found)
+        if new.fitted is not None:
+            new.applied.check(new.fitted.record.ny)
+        return new
 
     def extrapolate(self, known: Known) -> Array:
         """Return the output after the history."""
@@ -250,7 +265,7 @@ class _Simulated(Forecaster):
 
 
 @final
-class Simulation(_Simulated):
+class Simulation(SimulatorForecaster):
     """Forecast what a simulator says, as it comes.
 
     Parameters
@@ -277,7 +292,7 @@ class Simulation(_Simulated):
 
 
 @final
-class Calibrated(_Simulated):
+class Calibrated(SimulatorForecaster):
     """Calibrate a simulator to the training samples first; not in the paper.
 
     Gain, offset, delay and clock are fitted to the first training record.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -333,6 +333,47 @@ def inputs_of(cell: Cell, told: int, feedthrough: bool) -> int:
             f"got nu = {nu}"
         )
     return nu // 2 if feedthrough else nu
+
+
+def with_weights(build: Callable[[], Model], weights: Mapping[str, Any]) -> Model:
+    """Return a model with these weights, its tied parameters tied.
+
+    It is built on the meta device first, where shapes take no memory, and compared with the
+    weights: what is not of them is refused in a ValueError.
+    """
+    try:
+        with torch.device("meta"):
+            expected = build().state_dict()
+    except RuntimeError:  # a cell of the user's own may compute with values
+        expected = build().state_dict()
+    found = {name: torch.as_tensor(value) for name, value in weights.items()}
+    shapes, needed = ({k: tuple(t.shape) for k, t in of.items()} for of in (found, expected))
+    if shapes != needed:
+        name = min(k for k in shapes | needed if shapes.get(k) != needed.get(k))
+        raise ValueError(
+            f"{name} of the weights must be {needed.get(name)}, got {shapes.get(name)}"
+        )
+    for name, tensor in found.items():
+        floating = tensor.dtype in (torch.float32, torch.float64)
+        wanted = expected[name].dtype
+        if not (floating if wanted.is_floating_point else tensor.dtype == wanted):
+            raise ValueError(f"weights must be float32 or float64: {name} is {tensor.dtype}")
+    model = build()
+    tied = _tied(model)
+    model.load_state_dict(found, assign=True)  # which keeps the precision that was saved
+    for first, *others in tied:
+        for name in others:
+            owner, _, attribute = name.rpartition(".")
+            setattr(model.get_submodule(owner), attribute, model.get_parameter(first))
+    return model
+
+
+def _tied(model: Model) -> list[list[str]]:
+    """Return the names of parameters that are one and the same, for each that has several."""
+    names: dict[int, list[str]] = {}
+    for name, parameter in model.named_parameters(remove_duplicate=False):
+        names.setdefault(id(parameter), []).append(name)
+    return [of_one for of_one in names.values() if len(of_one) > 1]
 
 
 def as_module(cell: Cell) -> nn.Module:

@@ -10,10 +10,23 @@ import inspect
 from dataclasses import fields, is_dataclass
 from pathlib import PurePath
 from types import FunctionType
-from typing import Any
+from typing import Any, TypeVar
 
 UNKNOWN = "..."
 """Stands for a value that no short expression makes, such as an array."""
+
+
+Kind = TypeVar("Kind", bound=type)
+
+SAVED: dict[str, type] = {}
+"""Classes that are saved with a forecaster, by name."""
+
+
+def saved(kind: Kind) -> Kind:
+    """Mark a dataclass or a named tuple as one that is saved, and made again, by its fields."""
+    assert kind.__name__ not in SAVED, kind
+    SAVED[kind.__name__] = kind
+    return kind
 
 
 class Written:

@@ -29,6 +29,8 @@ RESULT_FILES = (
     "settings.json", "history.png", "importances.png", "table.csv", "cases.png",
 )  # fmt: skip
 """Names of the files of results: no other file is ever removed with an earlier result."""
+MODEL, WEIGHTS = "forecaster.json", "weights-{}.safetensors"
+"""Files of a saved forecaster."""
 LOCK = ".splitband-lock"
 _NEW, _EARLIER = ".splitband-new", ".splitband-earlier.json"
 
@@ -88,12 +90,17 @@ def _replace(folder: Path, new: Path) -> None:
     """Move the new files over those of the earlier result, results.json last."""
     names = {path.name for path in new.iterdir()}
     outdated = files_of_result(folder) - names
+    if MODEL in names:  # whose weights are named after their content
+        outdated |= {path.name for path in folder.glob(WEIGHTS.format("*"))} - names
     if (folder / FACTS).exists():
         (folder / FACTS).replace(folder / _EARLIER)  # it still says what to remove
+    # A model's description comes after its weights, so that it never has others than its own.
+    for name in sorted(names - {FACTS}, key=lambda name: (name.endswith(".json"), name)):
+        (new / name).replace(folder / name)
     for name in outdated:
         (folder / name).unlink(missing_ok=True)
-    for name in sorted(names, key=lambda name: (name == FACTS, name)):
-        (new / name).replace(folder / name)
+    if FACTS in names:
+        (new / FACTS).replace(folder / FACTS)
     (folder / _EARLIER).unlink(missing_ok=True)
 
 

@@ -7,11 +7,14 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any, NoReturn
 
+from splitband.runtime.options import saved
+
 _OURS = "Fmu", "Function", "Ode"
 _SHOWN = 300
 """Characters of a text of a file that are shown."""
 
 
+@saved
 @dataclass(frozen=True)
 class Absent:
     """Describe a simulator for people: nothing that it names is opened or run.

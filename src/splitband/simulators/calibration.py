@@ -15,6 +15,7 @@ import numpy.typing as npt
 import scipy
 
 from splitband.metrics import rmse, spread
+from splitband.runtime.options import saved
 
 Array = npt.NDArray[np.float64]
 Term = Literal["gain", "offset", "delay", "clock"]
@@ -36,6 +37,7 @@ _SETS: tuple[tuple[Term, ...], ...] = (
 )
 
 
+@saved
 @dataclass(frozen=True)
 class Calibration:
     """Map a simulation to the record: y(t) = offset + gain * simulator(clock * t - delay).

@@ -9,11 +9,12 @@ import numpy.typing as npt
 
 from splitband.data import Aligned, Grid, Record, Stamp, aligned
 from splitband.data.alignment import reach
-from splitband.runtime.options import Written
+from splitband.runtime.options import Written, saved
 
 Array = npt.NDArray[np.float64]
 
 
+@saved
 @dataclass(frozen=True, eq=False, repr=False)
 class Recorded(Written):
     """Hold a simulation that was made elsewhere, at its own times.

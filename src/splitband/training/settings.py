@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from splitband.runtime.arguments import whole
-from splitband.runtime.options import Written
+from splitband.runtime.options import Written, saved
 from splitband.training.quasi_newton import ROUND
 
 STEPS = 1000
@@ -19,6 +19,7 @@ MOST_BATCHES = 100
 """Steps of an epoch in the default recipe: of a long record it does not take every window."""
 
 
+@saved
 @dataclass(frozen=True, repr=False)
 class Settings(Written):
     """Hold the settings of a training; defaults are the paper's for (i), `Settings.of` our recipe.

@@ -1,0 +1,206 @@
+"""Describe values as JSON and arrays, and make them again from that.
+
+What is described says the name of its class. To make it again, only classes are looked at that
+exist in the running process: nothing is imported, and no function that a file names is called.
+Those are the package's classes that are marked as `saved`, which are made from their fields;
+subclasses of the bases given to `Classes`, of which `from_dict` takes what `to_dict` said; and
+cells, which are modules with a method `sized`, made from what their constructor takes and keeps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from typing import Any, get_type_hints
+
+import numpy as np
+import pandas as pd
+import torch
+from torch import Tensor, nn
+
+from splitband.runtime.arguments import whole
+from splitband.runtime.options import SAVED, options
+
+Tensors = dict[str, Tensor]
+
+_PACKAGE = __name__.partition(".")[0]
+_LARGEST = 1_000_000
+"""Of a whole number that a cell is made from."""
+
+
+def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PLR0911, PLR0912  a line a kind
+    """Return a value as JSON; its arrays are put into `tensors`, by the place where they are.
+
+    Raises
+    ------
+    ValueError
+        For what cannot be described.
+    """
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, np.generic):
+        return described(value.item(), tensors, place)
+    if isinstance(value, float):
+        return value if math.isfinite(value) else {"number": str(value)}
+    if isinstance(value, np.ndarray | Tensor):
+        # Cloned, as safetensors refuses tensors that share memory.
+        try:
+            tensor = torch.as_tensor(np.array(value) if isinstance(value, np.ndarray) else value)
+        except TypeError:
+            raise ValueError(f"an array of {value.dtype} cannot be saved") from None
+        tensors[place] = tensor.detach().cpu().contiguous().clone()
+        return {"array": place}
+    if isinstance(value, pd.Timestamp):
+        return {"date": value.isoformat()}
+    if isinstance(value, torch.device):
+        return {"device": str(value)}
+    if callable(getattr(value, "to_dict", None)):
+        return _named("made", type(value), value.to_dict(), tensors, place)
+    if type(value) in SAVED.values():
+        parts = {name: getattr(value, name) for name in _fields(type(value))}
+        return _named("class", type(value), parts, tensors, place)
+    if isinstance(value, nn.Module):
+        try:
+            parts = options(value)
+        except TypeError as error:
+            raise ValueError(f"{type(value).__name__} cannot be saved: {error}") from None
+        return _named("cell", type(value), parts, tensors, place)
+    if isinstance(value, Mapping):
+        return {"mapping": _parts(value, tensors, place)}
+    if isinstance(value, list | tuple | frozenset):
+        ordered = sorted(value) if isinstance(value, frozenset) else value
+        inner = [described(v, tensors, f"{place}.{i}") for i, v in enumerate(ordered)]
+        return {type(value).__name__: inner}
+    raise ValueError(f"{type(value).__name__} cannot be saved with a forecaster")
+
+
+class Classes:
+    """Make again what was described, of classes that exist in the running process.
+
+    Parameters
+    ----------
+    bases : Classes whose subclasses have `to_dict` and `from_dict`.
+    tensors : The arrays.
+    """
+
+    def __init__(self, bases: tuple[type, ...], tensors: Tensors) -> None:
+        self.bases, self.tensors = bases, tensors
+
+    def made(self, value: Any) -> Any:  # noqa: PLR0911  a line a kind
+        """Return what was described as `value`.
+
+        Raises
+        ------
+        ValueError
+            For a class that is not known, and for what no description is; a description that was
+            damaged may raise other errors, too.
+        """
+        if not isinstance(value, dict):
+            return value
+        for of_parts in (list, tuple, frozenset):
+            if of_parts.__name__ in value:
+                return of_parts(self.made(part) for part in value[of_parts.__name__])
+        if "array" in value:
+            return np.array(self.tensors[value["array"]].numpy())
+        if "number" in value:
+            return float(value["number"])
+        if "date" in value:
+            return pd.Timestamp(value["date"])
+        if "device" in value:
+            return torch.device("cpu")  # where it was trained may not be there
+        if "mapping" in value:
+            return self._all(value["mapping"])
+        if "made" in value:
+            known = [each for base in self.bases for each in _below(base)]
+            again: Any = _found(value, "made", known)
+            return again.from_dict(self._all(value["fields"]))
+        if "class" in value:
+            name = value["class"]
+            if name not in SAVED:
+                raise ValueError(f"the class {str(name)[:60]} is not known")
+            parts = self._all(value["fields"])
+            _check_numbers(SAVED[name], parts)
+            return SAVED[name](**parts)
+        cells = [each for each in _below(nn.Module) if hasattr(each, "sized")]
+        return _cell(_found(value, "cell", cells), self._all(value["fields"]))
+
+    def _all(self, parts: Any) -> dict[str, Any]:
+        return {name: self.made(part) for name, part in parts.items()}
+
+
+def _named(
+    word: str, kind: type, parts: Mapping[str, Any], tensors: Tensors, place: str
+) -> dict[str, Any]:
+    """Return the description of an object by its class and parts."""
+    own = not _of_package(kind)
+    said = {word: kind.__qualname__} | ({"module": kind.__module__} if own else {})
+    return said | {"fields": _parts(parts, tensors, place)}
+
+
+def _parts(parts: Mapping[str, Any], tensors: Tensors, place: str) -> dict[str, Any]:
+    if not all(isinstance(name, str) for name in parts):
+        raise ValueError("a mapping that is saved with a forecaster must have texts as keys")
+    dot = "." if place else ""
+    return {name: described(v, tensors, f"{place}{dot}{name}") for name, v in parts.items()}
+
+
+def _found(value: Mapping[str, Any], word: str, kinds: list[type]) -> type:
+    """Return the class of that name and module, or of another module if there is just one."""
+    name, module = value[word], value.get("module")
+    known = [k for k in kinds if k.__qualname__ == name and _of_package(k) == (module is None)]
+    there = [kind for kind in known if module in (None, kind.__module__)] or known
+    if len({kind.__module__ for kind in there}) == 1:
+        return there[-1]  # of one that was defined again, as in a notebook, the latest
+    said, where = str(name)[:60], str(module)[:60]
+    if module is None:
+        raise ValueError(f"the class {said} is not known")
+    raise ValueError(
+        f"the class {said} is not known here: import {where} first, which defined it where the "
+        "model was saved"
+    )
+
+
+def _below(kind: type) -> Iterator[type]:
+    """Yield all subclasses, in the order in which they were defined."""
+    seen: dict[type, None] = {}
+    todo = [kind]
+    while todo:
+        each: type
+        for each in type.__subclasses__(todo.pop()):
+            if each not in seen:
+                seen[each] = None
+                todo.append(each)
+    yield from seen
+
+
+def _of_package(kind: type) -> bool:
+    return kind.__module__.partition(".")[0] == _PACKAGE
+
+
+def _cell(kind: type, parts: dict[str, Any]) -> Any:
+    """Return a cell to make others after: without weights, so that no size takes memory."""
+    for name, part in parts.items():
+        if isinstance(part, int) and abs(part) > _LARGEST:
+            raise ValueError(f"{name} must be a whole number up to {_LARGEST}, got {part}")
+    try:
+        with torch.device("meta"):
+            return kind(**parts)
+    except RuntimeError:  # a cell of the user's own may compute with values, which meta has not
+        return kind(**parts)
+
+
+def _fields(kind: Any) -> list[str]:
+    """Return the names of what a class is made from."""
+    named: tuple[str, ...] | None = getattr(kind, "_fields", None)
+    return [*named] if named else [field.name for field in fields(kind) if field.init]
+
+
+def _check_numbers(kind: type, parts: Mapping[str, Any]) -> None:
+    """Raise ValueError for a part that must be a number and is none."""
+    for name, wanted in get_type_hints(kind).items():
+        part = parts.get(name, 0)
+        if wanted is int:
+            whole(name, part, None)
+        elif wanted is float and (isinstance(part, bool) or not isinstance(part, int | float)):
+            raise ValueError(f"{name} must be a number, got {str(part)[:60]!r}")

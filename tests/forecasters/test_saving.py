@@ -1,0 +1,391 @@
+"""Saved forecasters: the same to the bit when loaded, whole or not at all, and never code."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import safetensors.torch
+import torch
+from torch import nn
+
+import splitband as sb
+from splitband.forecasters import saving
+
+Array = npt.NDArray[np.float64]
+DT, STEPS = 0.1, 20
+TIME = DT * np.arange(160)
+RECORD = sb.Record(
+    np.sin(TIME) + 0.2 * np.sin(9 * TIME) + 5, DT, u=np.cos(0.7 * TIME), y_sim=np.sin(TIME + 0.2)
+)
+TRAIN = RECORD[:120]
+SHORT = sb.Settings(window=30, warmup=12, epochs=1)
+BANDS = sb.Bands(0.5, 1, 2)
+MADE: dict[str, Callable[[], sb.Forecaster]] = {
+    "mean": sb.Mean,
+    "seasonal": sb.SeasonalNaive,
+    "harmonic": sb.Harmonic,
+    "linear": sb.Linear,
+    "calibrated": lambda: sb.Calibrated(terms=["gain", "offset"]),
+    "state-space": lambda: sb.Single(sb.StateSpace(3, 4), SHORT),
+    "rnn": lambda: sb.Single(sb.EulerMLP(hidden_size=4, recognition_size=3, step_size=0.1), SHORT),
+    "split": lambda: sb.Split(sb.GRU(2), sb.GRU(3), filter_output=True, settings=SHORT),
+    "filtered": lambda: sb.Filtered(sb.Linear(), sb.GRU(2), conditioned=True, settings=SHORT),
+    "seeds of a residual of a network": lambda: sb.Ensemble(
+        sb.Residual(sb.Single(sb.GRU(2), SHORT), sb.GRU(3), settings=SHORT), 2
+    ),
+}
+
+
+def ahead(model: sb.Forecaster, level: float | None = None) -> sb.Prediction:
+    """Return a forecast from the end of the training record."""
+    y_sim = TRAIN.beyond if "simulator" in model.needs else None
+    return model.predict(STEPS, u=TRAIN.u_beyond, y_sim=y_sim, level=level)
+
+
+def small(seed: int = 0) -> sb.Forecaster:
+    return sb.Single(sb.GRU(2), SHORT).fit(TRAIN, seed=seed)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    small().save(tmp_path / "model")
+    return tmp_path / "model"
+
+
+def edit(folder: Path, change: Callable[[dict[str, Any]], Any]) -> None:
+    path = folder / "forecaster.json"
+    description = json.loads(path.read_text())
+    change(description)
+    path.write_text(json.dumps(description))
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def weights(folder: Path) -> Path:
+    (path,) = folder.glob("weights-*.safetensors")
+    return path
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_a_loaded_forecaster_says_the_same_to_the_bit(name: str, tmp_path: Path) -> None:
+    model = MADE[name]().fit(TRAIN, seed=1)
+    model.save(tmp_path / "deep" / "one")
+    loaded = sb.load(tmp_path / "deep" / "one")
+    assert repr(loaded) == repr(model)
+    found, expected = ahead(loaded), ahead(model)
+    np.testing.assert_array_equal(found.y, expected.y)
+    assert [*found.components] == [*expected.components]
+    loaded.save(tmp_path / "two")
+    assert contents(tmp_path / "two") == contents(tmp_path / "deep" / "one")
+    assert len(contents(tmp_path / "two")) == 2
+
+
+def test_a_loaded_interval_is_the_one_that_was_asked_for(tmp_path: Path) -> None:
+    model = sb.Harmonic().fit(TRAIN)
+    expected = ahead(model, 0.9)
+    model.save(tmp_path)
+    np.testing.assert_array_equal(ahead(sb.load(tmp_path), 0.9).upper, expected.upper)
+
+
+def test_a_network_in_double_precision_stays_in_it(tmp_path: Path) -> None:
+    model = sb.Single(sb.GRU(2), SHORT).fit(TRAIN)
+    assert model.model is not None
+    model.model.double()
+    model.save(tmp_path)
+    np.testing.assert_array_equal(ahead(sb.load(tmp_path)).y, ahead(model).y)
+
+
+# ---------------------------------------------------------------- of the user's own
+
+
+class Own(nn.Module):
+    """A cell of the user's own, with two names for one matrix."""
+
+    def __init__(self, hidden_size: int, ny: int = 1, nu: int = 0, scales: Any = 1.0) -> None:
+        super().__init__()
+        self.hidden_size, self.ny, self.nu, self.scales = hidden_size, ny, nu, scales
+        self.mix = nn.Linear(ny + nu, hidden_size)
+        self.decoder, self.encoder = (nn.Linear(ny, hidden_size, bias=False) for _ in range(2))
+        self.decoder.weight = self.encoder.weight
+
+    def sized(self, ny: int, nu: int, warmup: int) -> Own:
+        return Own(self.hidden_size, ny, nu, self.scales)
+
+    def initial_state(self, y_warmup: torch.Tensor, u: torch.Tensor | None = None) -> torch.Tensor:
+        return self.encoder(y_warmup[:, -1])
+
+    def step(self, h: torch.Tensor, y: torch.Tensor, u: torch.Tensor | None = None) -> torch.Tensor:
+        seen = y if u is None else torch.cat([y, u], dim=-1)
+        return 0.9 * h + float(np.sum(self.scales["x"])) * torch.tanh(self.mix(seen))
+
+    def observe(self, h: torch.Tensor) -> torch.Tensor:
+        return h @ self.decoder.weight
+
+
+class OwnForecaster(sb.Forecaster):
+    """A forecaster of the user's own, around another one."""
+
+    def __init__(self, inner: sb.Forecaster, factor: float = 1.0) -> None:
+        self.inner, self.factor = inner, factor
+
+    @property
+    def name(self) -> str:
+        return f"own-{self.inner.name}"
+
+    @property
+    def warmup(self) -> int:
+        return self.inner.warmup
+
+    def in_words(self) -> str:
+        return f"{self.factor:g} times the last value"
+
+    def learn(self, records: Any, **_: Any) -> None:
+        self.found = {"levels": (np.array([[np.nan, 2.0]]), float("inf")), "day": None}
+        self.of_inner = self.inner.clone().fit(*records)
+
+    def extrapolate(self, known: sb.Known) -> Array:
+        parts = self.of_inner.extrapolate(known)
+        values = sum(parts.values()) if isinstance(parts, dict) else parts
+        return self.factor * np.asarray(values)
+
+
+def test_what_is_ones_own_is_saved_and_loaded_without_being_registered(tmp_path: Path) -> None:
+    inner = sb.Single(Own(3, scales={"x": [1, 2.5]}), SHORT)
+    model = sb.Ensemble(OwnForecaster(inner, 0.5), 2).fit(TRAIN, seed=0)
+    expected = ahead(model, 0.8)
+    model.save(tmp_path)
+    loaded = sb.load(tmp_path)
+    np.testing.assert_array_equal(ahead(loaded, 0.8).lower, expected.lower)
+    assert isinstance(loaded, sb.Ensemble)
+    assert loaded.in_words() == "0.5 times the last value"
+    member: Any = loaded.members[1]
+    (array, limit) = member.found["levels"]
+    np.testing.assert_array_equal(array, [[np.nan, 2.0]])
+    assert limit == float("inf")
+    cell = member.of_inner.model.cell
+    assert cell.decoder.weight is cell.encoder.weight
+
+
+def test_a_class_of_ones_own_is_asked_for_by_its_module(tmp_path: Path) -> None:
+    """In another process, which has not imported it; once it has, the model is loaded."""
+    (tmp_path / "my_parts.py").write_text(
+        "import numpy as np\nimport splitband as sb\n"
+        "class Last(sb.Forecaster):\n    name = 'last'\n"
+        "    def extrapolate(self, known):\n        return np.tile(known.y[-1], (known.steps, 1))\n"
+    )
+    lines = {
+        "save": "import my_parts; my_parts.Last().fit(sb.Record(np.arange(9.0), 1.0)).save('m')",
+        "load": "print(sb.load('m').predict(1).y)",
+        "import first": "import my_parts; print(sb.load('m').predict(1).y)",
+    }
+    said = {}
+    for what, line in lines.items():
+        code = f"import numpy as np, splitband as sb; {line}"
+        done = subprocess.run(
+            [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        said[what] = done.stdout + done.stderr
+    assert said["save"] == ""
+    assert "the class Last is not known here: import my_parts first" in said["load"]
+    assert said["import first"] == "[[8.]]\n"
+
+
+def test_a_cell_that_does_not_keep_its_arguments_is_refused(tmp_path: Path) -> None:
+    class Forgetful(sb.GRU):
+        def __init__(self, units: int, ny: int = 1, nu: int = 0) -> None:
+            super().__init__(2 * units, ny, nu)
+
+        def sized(self, ny: int, nu: int, warmup: int) -> Forgetful:
+            return Forgetful(self.hidden_size // 2, ny, nu)
+
+    model = sb.Single(Forgetful(1), SHORT).fit(TRAIN)
+    with pytest.raises(ValueError, match=r"Forgetful cannot be saved: .* argument units"):
+        model.save(tmp_path)
+    assert not [*tmp_path.iterdir()]
+
+
+# ---------------------------------------------------------------- damage
+
+
+def test_a_missing_file_is_named(folder: Path, tmp_path: Path) -> None:
+    weights(folder).unlink()
+    with pytest.raises(FileNotFoundError, match=rf"no model in {folder}: weights-.* is missing"):
+        sb.load(folder)
+    (folder / "forecaster.json").unlink()
+    for path in (folder, tmp_path / "none"):
+        with pytest.raises(FileNotFoundError, match=rf"no model in {path}: forecaster.json is mis"):
+            sb.load(path)
+    (folder / "model.json").write_text("{}")
+    with pytest.raises(FileNotFoundError, match=r"0.1 or 0.2: train it again, with `splitband fit"):
+        sb.load(folder)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [b"", b"{", b"[1]", b"3", b"\xff\xfe\x00", b"[" * 100_000],
+    ids=["empty", "cut", "list", "number", "binary", "deep"],
+)
+def test_a_damaged_description_is_named(folder: Path, text: bytes) -> None:
+    (folder / "forecaster.json").write_bytes(text)
+    with pytest.raises(ValueError, match=r"forecaster\.json is damaged"):
+        sb.load(folder)
+
+
+@pytest.mark.parametrize("version", [0, 2, "3", None])
+def test_another_format_is_refused_with_what_to_do(folder: Path, version: object) -> None:
+    edit(folder, lambda d: d.update(format=version))
+    with pytest.raises(ValueError, match=rf"format {version!r}.*train it again, with `splitband"):
+        sb.load(folder)
+
+
+def test_every_damaged_byte_of_the_weights_is_noticed(folder: Path) -> None:
+    path = weights(folder)
+    whole = path.read_bytes()
+    flipped = bytearray(whole)
+    flipped[-1] ^= 1
+    for damaged in (whole[:-4], whole[:10], b"", whole + b"\0", bytes(flipped)):
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"weights-.*safetensors is damaged"):
+            sb.load(folder)
+
+
+def resealed(folder: Path, content: bytes) -> None:
+    """Put other weights in, with their checksum."""
+    weights(folder).unlink()
+    digest = hashlib.sha256(content).hexdigest()
+    (folder / saving.WEIGHTS.format(digest[:16])).write_bytes(content)
+    edit(folder, lambda d: d.update(weights_sha256=digest))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda t: {k: v[..., :1] for k, v in t.items()}, "must be"),
+        (lambda t: {k: v.half() if "weight" in k else v for k, v in t.items()}, "float16"),
+        (lambda t: {}, "is missing"),
+        (None, "is damaged"),
+    ],
+    ids=["size", "half precision", "none", "kind"],
+)
+def test_weights_that_do_not_fit_are_refused_even_with_their_checksum(
+    folder: Path, change: Callable[[Any], Any] | None, said: str
+) -> None:
+    content = b"not safetensors"
+    if change is not None:
+        found = change(safetensors.torch.load_file(weights(folder)))
+        content = safetensors.torch.save({k: v.contiguous() for k, v in found.items()})
+    resealed(folder, content)
+    with pytest.raises(ValueError, match=said):
+        sb.load(folder)
+
+
+def test_no_memory_is_taken_for_what_a_file_only_says(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A GRU of ten thousand units has 1.2 GB of weights."""
+
+    def size(hidden: int) -> Callable[[dict[str, Any]], Any]:
+        return lambda d: d["forecaster"]["fields"]["cell"]["fields"].update(hidden_size=hidden)
+
+    edit(folder, size(10_000))
+    with pytest.raises(ValueError, match=r"of the weights must be"):
+        sb.load(folder)
+    edit(folder, size(10_001))
+    with pytest.raises(ValueError, match=r"hidden_size must be between 1 and 10000, got 10001"):
+        sb.load(folder)
+    monkeypatch.setattr("splitband.forecasters.saving.LARGEST_DESCRIPTION", 100)
+    with pytest.raises(ValueError, match="larger than 100 bytes"):
+        sb.load(folder)
+
+
+@pytest.mark.parametrize("word", ["made", "class", "cell"])
+@pytest.mark.parametrize(
+    ("name", "module"),
+    [("system", "os"), ("Popen", "subprocess"), ("Linear", "torch.nn"), ("Fmu", None), (["x"], 3)],
+    ids=str,
+)
+def test_loading_runs_no_code_that_a_file_names(
+    folder: Path, word: str, name: Any, module: Any
+) -> None:
+    forged = {word: name, "fields": {"command": f"touch {folder / 'ran'}"}}
+    forged |= {} if module is None else {"module": module}
+    for change in (
+        lambda d: d.update(forecaster=forged),
+        lambda d: d["forecaster"]["fields"].update(cell=forged),
+    ):
+        edit(folder, change)
+        with pytest.raises(ValueError, match="holds no forecaster that can be read"):
+            sb.load(folder)
+    assert not (folder / "ran").exists()
+
+
+# ---------------------------------------------------------------- writing
+
+
+@pytest.mark.parametrize("renames", [(0, 0), (1, 1), (1, 0)])
+def test_whichever_rename_is_interrupted_a_whole_forecaster_is_left(
+    folder: Path, renames: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And if it is interrupted once more over what the first interruption has left."""
+    before, new = ahead(sb.load(folder)).y, small(seed=5)
+    rename = Path.replace
+    for allowed in renames:
+        left = iter(range(allowed))
+
+        def interrupted(self: Path, target: Any, left: Any = left) -> Path:
+            if next(left, None) is None:
+                raise KeyboardInterrupt
+            return rename(self, target)
+
+        with monkeypatch.context() as patched:
+            patched.setattr(Path, "replace", interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                new.save(folder)
+        np.testing.assert_array_equal(ahead(sb.load(folder)).y, before)
+    new.save(folder)
+    np.testing.assert_array_equal(ahead(sb.load(folder)).y, ahead(new).y)
+    assert len(contents(folder)) == 2
+
+
+@pytest.mark.parametrize("method", ["write_bytes", "write_text"])
+def test_a_full_disk_leaves_the_old_forecaster(
+    folder: Path, method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, write = contents(folder), getattr(Path, method)
+
+    def crash(self: Path, data: Any, *args: Any, **options: Any) -> None:
+        write(self, data[: len(data) // 2], *args, **options)
+        raise OSError("disk full")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, method, crash)
+        with pytest.raises(OSError, match="disk full"):
+            small(seed=5).save(folder)
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize("fact", [float("nan"), object()], ids=["nan", "object"])
+def test_facts_that_json_cannot_hold_leave_the_old_forecaster(folder: Path, fact: object) -> None:
+    before = contents(folder)
+    with pytest.raises((TypeError, ValueError)):
+        saving.save(small(seed=5), folder, {"fact": fact})
+    assert contents(folder) == before
+
+
+@pytest.mark.skipif(os.name != "posix", reason="file modes are POSIX")
+def test_saved_files_have_the_usual_mode(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "plain").write_text("")
+    usual = (tmp_path / "plain").stat().st_mode
+    assert {path.stat().st_mode for path in folder.iterdir()} == {usual}
