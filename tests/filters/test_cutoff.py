@@ -152,7 +152,7 @@ def test_a_record_without_a_low_band_gets_the_most_of_it_that_there_is() -> None
     choice = choose(sine(4.5) + 0.3 * sine(0.2), RATE, WARMUP)
     best = next(c for c in choice.candidates if not c.rejected)
     assert best.passed == max(c.passed for c in choice.candidates)
-    assert "no low band holds half of the power" in choice.reason
+    assert "no cut-off leaves half of the power in the low band" in choice.reason
 
 
 def test_what_an_order_cannot_be_designed_for_is_left_out() -> None:

@@ -38,7 +38,7 @@ _BASELINES = tuple(name for name in QUICK if name not in _SIMULATORS)
 GROUPS = (
     Group("one network", "any record; with known inputs often enough", _alone(1)),
     Group("two networks, a band each", "a record with a slow and a fast part", _alone(2)),
-    Group("a simulator and a network", "a simulator that is right in the large", HYBRIDS),
+    Group("a simulator and a network", "a simulator that is roughly right", HYBRIDS),
     Group(
         "a fitted model and a network",
         "a record with a simple slow part, no simulator",

@@ -131,11 +131,17 @@ def choose(
     able = [c for c in candidates if c.passed >= LEAST_PASSED]
     good = [c for c in able if c.loss <= MOST_LOST]
     if good:
-        best, rule = min(good, key=lambda c: (c.order, c.cutoff)), "the lowest one that will do"
+        best, rule = min(good, key=lambda c: (c.order, c.cutoff)), "lowest acceptable cut-off"
     elif able:
-        best, rule = min(able, key=lambda c: c.loss), "none loses little, this one the least"
+        best, rule = (
+            min(able, key=lambda c: c.loss),
+            "every cut-off loses much power, this one the least",
+        )
     else:
-        best, rule = max(candidates, key=lambda c: c.passed), "no low band holds half of the power"
+        best, rule = (
+            max(candidates, key=lambda c: c.passed),
+            "no cut-off leaves half of the power in the low band",
+        )
 
     def why_not(candidate: Candidate) -> str:
         if candidate.passed < LEAST_PASSED:
@@ -148,7 +154,7 @@ def choose(
 
     facts = (
         f"{spectrum.share_below(best.cutoff):.0%} of the power lies below it, {best.loss:.0%} is "
-        "lost to both bands at once and to the ends of warm-ups"
+        "lost to band overlap and edge effects"
     )
     reason = f"{'as given' if cutoff is not None else rule}: {facts}"
     loss = "share of the power in both bands, or lost at ends"

@@ -32,7 +32,7 @@ AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
 HELD_OUT = 0.25
 """Share of the training part that is forecast, for a trial, by what is fitted to the rest."""
 REFITS = (0.25, 0.2, 0.15, 0.1)
-"""Such shares for what is quickly fitted, and is fitted again for each; the first as above."""
+"""Held-out fractions for baselines, which are refitted at each origin; the first as above."""
 LONGER_REFITS = (0.5, 0.375)
 """More of them for the intervals alone: how errors grow shows over long horizons."""
 FEWEST_FITTED = 20

@@ -65,9 +65,9 @@ class Forecaster(Written, ABC):
     """Whatever predicts: a network, a simulator, a baseline, a mean of several.
 
     A forecaster of your own says what it is called (`name`), what it learns (`learn`) and what
-    comes next (`extrapolate`); where time stamps, inputs and a simulator's output lie has been
-    seen to by then. Its constructor keeps each argument under an attribute of the same name, which
-    `fit` leaves as it is; all else is found by `fit`, and each fit begins without it.
+    comes next (`extrapolate`); `known` is already aligned in time. Its constructor keeps each
+    argument under an attribute of the same name, which `fit` leaves as it is. Everything else is
+    found by `fit`, and each fit begins without it.
 
     Attributes
     ----------

@@ -266,7 +266,7 @@ class SimulatorForecaster(Forecaster):
 
 @final
 class Simulation(SimulatorForecaster):
-    """Forecast what a simulator says, as it comes.
+    """Forecast what a simulator says, unchanged.
 
     Parameters
     ----------

@@ -30,8 +30,7 @@ by half."""
 UNBOUNDED = 1e10
 """Stands for a loss that is not finite."""
 MOST_SAMPLES = 100_000
-"""Samples in all chosen windows together, warm-ups included. Where there would be more, windows are
-left out at even distances."""
+"""Samples in all windows together, warm-ups included. Above it, windows are subsampled evenly."""
 
 _LISTS = ("old_dirs", "old_stps", "ro")
 _TENSORS = ("d", "prev_flat_grad", *_LISTS)
