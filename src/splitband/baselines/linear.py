@@ -135,6 +135,45 @@ class OutputError:
             found.append(y_sim + states.correction(left, len(u), channel.a, expected))
         return np.stack(found, axis=1)
 
+    def transfer_function(self, output: int, input_: int) -> tuple[Array, Array]:
+        """Return numerator and denominator from an input to an output, in powers of z."""
+        channel, late = self.channels[output], self.delays[input_]
+        b = channel.b[input_] / self.scale[input_]
+        return b, np.append(channel.a, np.zeros(late))
+
+    def state_space(self) -> tuple[Array, Array, Array, Array]:
+        """Return A, B, C and D of the deviations from `mean` and the offsets, delays included.
+
+        The states are those of each channel in observer form, then the delayed inputs.
+        """
+        orders = [len(channel.a) - 1 for channel in self.channels]
+        ny, nu, own = len(self.channels), len(self.mean), sum(orders)
+        size = own + sum(self.delays)
+        a, b = np.zeros((size, size)), np.zeros((size, nu))
+        c, d = np.zeros((ny, size)), np.zeros((ny, nu))
+        # What acts on the channels: an input, or the last of its delayed values.
+        acts = np.zeros((nu, size + nu))
+        at = own
+        for j, late in enumerate(self.delays):
+            if late:
+                a[at + 1 : at + late, at : at + late - 1] = np.eye(late - 1)
+                b[at, j] = 1.0
+                at += late
+            acts[j, at - 1 if late else size + j] = 1 / self.scale[j]
+        first = 0
+        for i, (channel, order) in enumerate(zip(self.channels, orders, strict=True)):
+            rows = slice(first, first + order)
+            a[rows, rows] = np.eye(order, k=1)
+            a[rows, first] -= channel.a[1:]
+            driven = (channel.b[:, 1:] - channel.b[:, :1] * channel.a[1:]).T @ acts
+            direct = channel.b[:, 0] @ acts
+            a[rows] += driven[:, :size]
+            b[rows] += driven[:, size:]
+            c[i], d[i] = direct[:size], direct[size:]
+            c[i, first] += 1.0
+            first += order
+        return a, b, c, d
+
     def criterion(self, samples: float) -> float:
         """Return the Bayesian information criterion of a fit to so many samples of each channel."""
         tiny = np.finfo(np.float64).tiny

@@ -23,6 +23,7 @@ COMMANDS = {
     "forecast": ("forecast", "Forecast beyond the end of a record, with an interval."),
     "fit": ("fit", "Train one model on a record and save it."),
     "simulate": ("simulate", "Predict with a saved model, from a measured history."),
+    "check": ("check", "Check a saved model: fit, residual tests, stability, responses."),
     "export": ("export", "Write a saved model as C, as an FMU or as ONNX."),
     "spectrum": ("spectrum", "Show the spectrum of a record, and choose a cut-off."),
     "methods": ("methods", "List the methods, and when each is worth trying."),
@@ -77,8 +78,8 @@ class Commands(TyperGroup):
 QUIET, JSON = "--quiet", "--json"
 """Options of every command; they may stand before it or after it."""
 WITH_JSON = (
-    "demo", "compare", "benchmark", "forecast", "fit", "simulate", "export", "spectrum", "methods",
-    "doctor",
+    "demo", "compare", "benchmark", "forecast", "fit", "simulate", "check", "export", "spectrum",
+    "methods", "doctor",
 )  # fmt: skip
 
 

@@ -52,6 +52,8 @@ def show(result: Comparison, out: Path, used: Usage) -> None:
             showing.warn(f"{test.name}: {message}")
     for line in words.achieved(result):
         showing.console.print(line, style="bold")
+    for tested in result.residual_tests():
+        showing.console.print(f"residual tests: {tested.verdict()}")
     for what, command in used.commands[:1]:
         showing.console.print(f"{what}:\n    {command}", soft_wrap=True)
     showing.console.print(f"results and pictures: {out}/\npage: {out / 'report.html'}")

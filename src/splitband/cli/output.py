@@ -22,6 +22,7 @@ WRITES = {
     "benchmark": ("results.json", "table.csv", "cases.png", "report.html"),
     "forecast": ("results.json", "forecast.csv", "forecast.png", "report.html", "recommended.json"),
     "fit": ("results.json", saving.FILE, saving.WEIGHTS.format("*")),
+    "check": ("results.json", "check.png", "responses.png", "report.html"),
     "spectrum": ("results.json", "spectrum.png", "report.html"),
 }
 """The files that each command writes into its folder --out."""

@@ -83,9 +83,9 @@ def simulate(
         raise ValueError(f"--out must be a file, got the folder {out}")
     forecaster = forecasters.load(model_dir)
     record = forecaster.require_fitted().record
-    past = _history(history, record, time_column, gaps)
+    past = history_of(history, record, time_column, gaps)
     u = records.inputs_ahead(future_inputs, past, steps, time_column)
-    forecaster = _with_simulator(forecaster, model_dir, simulator, past, steps, time_column)
+    forecaster = opened_with_simulator(forecaster, model_dir, simulator, past, steps, time_column)
     fitted = forecaster.require_fitted()
     by_time = forecaster.anchored or simulator.simulator is not None
     if by_time and not other_run and (begins := fitted.beginning(past)):
@@ -103,7 +103,7 @@ def simulate(
     showing.as_json(written | {"leaves_range_after": leaves_range(fitted.y_range, found.y)})
 
 
-def _history(file: Path, record: Record, time_column: str | None, gaps: Gaps) -> Record:
+def history_of(file: Path, record: Record, time_column: str | None, gaps: Gaps) -> Record:
     """Return the measured samples up to now, at the sampling time of the training record."""
     past = records.read_file(
         file,
@@ -124,7 +124,7 @@ def _history(file: Path, record: Record, time_column: str | None, gaps: Gaps) ->
     return replace(past, columns=record.columns)
 
 
-def _with_simulator(
+def opened_with_simulator(
     forecaster: Forecaster,
     folder: Path,
     options: SimulatorOptions,

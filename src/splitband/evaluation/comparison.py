@@ -23,6 +23,7 @@ from splitband.evaluation.selection import LEVEL, Trial
 from splitband.evaluation.setup import Setup
 from splitband.evaluation.sound import sound_runs
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.checking import LAGS, ResidualTests, residual_tests
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import Extrapolation
 
@@ -157,6 +158,23 @@ class Comparison:
         """Return `covers` of each channel by itself."""
         errors = self.record.seen[self.setup.train :] - self.means[name].ahead
         return self.require_trial().intervals[name].coverages(errors)
+
+    def residual_tests(self, name: str | None = None) -> tuple[ResidualTests, ...]:
+        """Test the residuals of a method on samples that nothing was fitted to.
+
+        That is on the first test record, or else on the forecast; none where there is neither.
+
+        Parameters
+        ----------
+        name : By default that of the recommended method.
+        """
+        mean = self.means[self.recommended if name is None else name]
+        record, y = (self.tests[0], mean.tests[0].y) if mean.tests else (self.record, mean.ahead)
+        if len(y) < 2 * LAGS:
+            return ()
+        left = record.seen[len(record) - len(y) :] - y
+        u = None if record.u is None else record.u[len(record) - len(y) :]
+        return residual_tests(left, u, record.columns, record.inputs)
 
     @property
     def inputs_beyond_training(self) -> list[Extrapolation]:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal, Self, final
+from typing import TYPE_CHECKING, Any, Literal, Self, final
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +33,10 @@ from splitband.runtime.options import Written, attributes, options
 from splitband.runtime.threads import one_thread
 from splitband.simulators.calibration import Calibration
 from splitband.training import Checkpoint, Progress, Settings
+
+if TYPE_CHECKING:
+    from splitband.forecasters.checking import ModelCheck
+    from splitband.forecasters.responses import Responses
 
 Array = npt.NDArray[np.float64]
 
@@ -345,6 +349,49 @@ class Forecaster(Written, ABC):
         for message in messages:
             warnings.warn(message, ExtrapolationWarning, stacklevel=2)
         return replace(prediction, warnings=tuple(messages), doubts=tuple(doubts))
+
+    def step_responses(
+        self,
+        steps: int = 500,
+        at: npt.ArrayLike | None = None,
+        size: npt.ArrayLike | None = None,
+    ) -> Responses:
+        """Return the response of each output to a small step of each input.
+
+        Parameters
+        ----------
+        steps : Samples of the response. As many pass before it, with constant inputs, so that the
+            outputs settle.
+        at : The operating point, `(nu,)`; by default the means of the training inputs.
+        size : Of the steps, `(nu,)`; by default a tenth of each input's range in training. Half of
+            it is a step up, half one down; `y` is the difference for a step of 1.
+
+        Raises
+        ------
+        ValueError
+            For a forecaster without inputs, and one whose simulator stays outside of it.
+        """
+        from splitband.forecasters import responses  # noqa: PLC0415  it asks forecasters
+
+        return responses.respond(self, steps, at, size)
+
+    def check_residuals(self, record: Record) -> ModelCheck:
+        """Check the fitted forecaster on a record, best one that it was not fitted to.
+
+        Returns the fit of a simulation and of predictions a few samples ahead, the tests of the
+        residuals, whether a long free run stays in range, and inputs beyond their range in
+        training; see `splitband.forecasters.checking`. What depends on the time since the training
+        record began is asked about `record` by its time stamps.
+
+        Raises
+        ------
+        ValueError
+            For a forecaster that has not been fitted, and a record that does not fit it or is too
+            short.
+        """
+        from splitband.forecasters import checking  # noqa: PLC0415  it asks forecasters
+
+        return checking.check(self, record)
 
     @final
     def stream(self, history: Record | None = None, other_record: bool = False) -> Stream:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib import import_module
 from typing import Any, final
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.linear import OutputError
@@ -243,6 +245,41 @@ class Linear(Forecaster):
     def part(self) -> Part:
         """Return the model's recursion."""
         return Driven(self.model, self.u)
+
+    def state_space(self) -> scipy.signal.StateSpace:
+        """Return the fitted model as a discrete-time system, delays included.
+
+        It relates deviations from the operating point of `operating_point`.
+        """
+        self.require_fitted()
+        matrices = self.model.state_space()
+        return scipy.signal.StateSpace(*matrices, dt=self.require_fitted().record.sampling_time)
+
+    def operating_point(self) -> tuple[Array, Array]:
+        """Return the inputs `(nu,)` and outputs `(ny,)` that `state_space` counts from."""
+        self.require_fitted()
+        return self.model.mean, np.array([channel.offset for channel in self.model.channels])
+
+    def poles(self) -> npt.NDArray[np.complex128]:
+        """Return the poles in the z plane, those at 0 of delayed inputs included."""
+        return np.asarray(np.linalg.eigvals(self.state_space().A), np.complex128)
+
+    def transfer_function(self, output: int = 0, input_: int = 0) -> scipy.signal.TransferFunction:
+        """Return the fitted transfer function from an input to an output, counted from 0.
+
+        The input's delay is a factor z^-delay, whose poles are at 0.
+        """
+        step = self.require_fitted().record.sampling_time
+        b, a = self.model.transfer_function(output, input_)
+        return scipy.signal.TransferFunction(b, a, dt=step)
+
+    def to_control(self) -> Any:
+        """Return `state_space` as a `control.StateSpace` (the extra `control`), with its names."""
+        control, record = import_module("control"), self.require_fitted().record
+        return control.ss(
+            *self.model.state_space(), record.sampling_time,
+            inputs=[*record.inputs], outputs=[*record.columns],
+        )  # fmt: skip
 
     def describe(self) -> str:
         """Return the orders that were chosen, and which inputs act late."""

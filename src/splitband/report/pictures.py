@@ -141,6 +141,19 @@ def _draw_large(ax: Axes, side: _Side, channel: int, name: str) -> None:
     ax.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
 
 
+def draw_measured(ax: Axes, record: Record, channel: int, start: int, y: Array, title: str) -> None:
+    """Draw what was predicted from the index `start` on, `(time,)`, and the record on top."""
+    times = _times(record)
+    ax.plot(times[start : start + len(y)], y, color=PALETTE[0], lw=1.4, label="predicted")
+    ax.plot(times, record.seen[:, channel], color=_MEASURED, lw=0.9, label="measured")
+    ax.set_ylim(*_limits(record.seen[:, channel]))
+    ax.margins(x=0.005)
+    ax.set_title(title, fontsize=10, loc="left")
+    ax.set_ylabel(_literal(record.columns[channel]))
+    ax.set_xlabel(_time_label(record))
+    ax.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
+
+
 def _draw_small(ax: Axes, side: _Side, channel: int, name: str, color: str) -> None:
     record, times, predicted = side.record, _times(side.record), side.predicted.get(name)
     seen, said = record.seen[side.first :, channel], "not tested"

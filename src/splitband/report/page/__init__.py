@@ -8,7 +8,8 @@ from pathlib import Path
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.report.benchmark import Row
-from splitband.report.page import cases, comparison, forecast, spectrum_report
+from splitband.report.checked import CheckReport
+from splitband.report.page import cases, checked, comparison, forecast, spectrum_report
 from splitband.report.page.document import write as write_page
 from splitband.report.page.spectrum_report import SpectrumReport
 from splitband.report.page.usage import Usage
@@ -20,7 +21,7 @@ NAME = "report.html"
 
 
 def write(
-    result: Comparison | Forecast | SpectrumReport | Sequence[Row],
+    result: Comparison | Forecast | CheckReport | SpectrumReport | Sequence[Row],
     path: str | Path,
     usage: Usage | None = None,
 ) -> None:
@@ -28,8 +29,8 @@ def write(
 
     Parameters
     ----------
-    result : A comparison, a forecast, what is known of a record's spectrum, or the rows of many
-        comparisons.
+    result : A comparison, a forecast, a check of a model, what is known of a record's
+        spectrum, or the rows of many comparisons.
     path : Of the file.
     usage : What only the caller knows of how it was asked for.
     """
@@ -38,6 +39,8 @@ def write(
         page = comparison.page(result, usage)
     elif isinstance(result, Forecast):
         page = forecast.page(result, usage)
+    elif isinstance(result, CheckReport):
+        page = checked.page(result)
     elif isinstance(result, SpectrumReport):
         page = spectrum_report.page(result, usage)
     else:

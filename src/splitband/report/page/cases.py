@@ -11,7 +11,7 @@ from bokeh.models import HoverTool
 from splitband.report.benchmark import Row, summary
 from splitband.report.numbers import number, percent
 from splitband.report.page import figures
-from splitband.report.page.comparison import settings
+from splitband.report.page.about import settings
 from splitband.report.page.parts import Cell, Page, Plot, Section, Table
 from splitband.report.page.usage import Usage
 

@@ -7,18 +7,18 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.selection import Trial
 from splitband.forecasters.base import parts_of
 from splitband.report.numbers import number
 from splitband.report.page import horizon, tables, time_plots, usage, words
+from splitband.report.page.about import lead, settings
 from splitband.report.page.ahead import BEFORE, Ahead
+from splitband.report.page.checked import residuals
 from splitband.report.page.parts import Code, MethodStyles, Page, Section, View
 from splitband.report.page.spectra import spectrum
 from splitband.report.page.training import training
 from splitband.report.page.usage import Usage
-from splitband.report.results import environment
 from splitband.report.table import ordered
 
 Array = npt.NDArray[np.float64]
@@ -41,6 +41,7 @@ def page(comparison: Comparison, used: Usage) -> Page:
     sections = [
         _answer(comparison, styles, used),
         Section("methods", "All methods", [" ".join(why)], tables=[tables.methods(comparison)]),
+        *([residuals(tested, folded=True)] if (tested := comparison.residual_tests()) else []),
         *_over_time(comparison, frame, most),
         _bands(comparison),
         *_trained(comparison, styles),
@@ -64,13 +65,6 @@ def method_styles(names: list[str], trial: Trial) -> MethodStyles:
     ranked = [name for name in sorted(trial.scores, key=lambda n: trial.scores[n]) if name in names]
     others = [name for name in ranked if name != trial.recommended]
     return MethodStyles(names, trial.recommended, frozenset([trial.recommended, *others[:SHOWN]]))
-
-
-def lead(record: Record) -> str:
-    """The record in a line."""
-    every = f"{record.sampling_time:.6g} s"
-    said = f"{len(record):,} samples every {every}, measured: {', '.join(record.columns)}"
-    return said + (f"; known inputs: {', '.join(record.inputs)}" if record.nu else "")
 
 
 def _answer(comparison: Comparison, styles: MethodStyles, used: Usage) -> Section:
@@ -187,16 +181,6 @@ def _settings(comparison: Comparison, used: Usage) -> Section:
     facts = comparison.setup.as_json()
     facts.pop("choice", None)
     return settings(tables.flat(facts), used)
-
-
-def settings(facts: list[tuple[str, str]], used: Usage) -> Section:
-    """What the numbers were made with."""
-    made = environment()
-    pairs = [("command", used.asked)] if used.asked else []
-    versions = ", ".join(f"{name} {v}" for name, v in made["versions"].items())
-    pairs += [*facts, ("versions", versions), ("machine", made["machine"])]
-    pairs += [("commit", made["commit"])] if made["commit"] else []
-    return Section("settings", "Settings and versions", facts=pairs, folded=True)
 
 
 def _views(comparison: Comparison, frame: time_plots.Frame) -> list[View]:

@@ -6,8 +6,9 @@ from splitband.evaluation.forecast import Forecast
 from splitband.metrics import leaving
 from splitband.report.numbers import number, percent
 from splitband.report.page import tables, usage, words
+from splitband.report.page.about import lead, settings
 from splitband.report.page.ahead import Ahead
-from splitband.report.page.comparison import lead, method_styles, settings
+from splitband.report.page.comparison import method_styles
 from splitband.report.page.parts import Code, Page, Plot, Section
 from splitband.report.page.spectra import spectrum
 from splitband.report.page.usage import Usage

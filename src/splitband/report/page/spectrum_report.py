@@ -10,7 +10,7 @@ from splitband.data import Record
 from splitband.filters.cutoff import Choice
 from splitband.report.numbers import number, percent
 from splitband.report.page import tables, words
-from splitband.report.page.comparison import lead, settings
+from splitband.report.page.about import lead, settings
 from splitband.report.page.parts import Page, Section
 from splitband.report.page.spectra import spectrum
 from splitband.report.page.usage import Usage

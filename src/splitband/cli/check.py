@@ -1,0 +1,75 @@
+"""`splitband check`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from splitband.cli import devices, showing
+from splitband.cli.options.groups import with_groups
+from splitband.cli.options.models import Device
+from splitband.cli.options.records import GapsOption, TimeColumn
+from splitband.cli.options.simulators import SimulatorOptions
+from splitband.cli.simulate import history_of, opened_with_simulator
+from splitband.forecasters import saving as forecasters
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.responses import Responses
+from splitband.report import checked
+
+
+@with_groups
+def check(
+    model_dir: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MODEL_DIR", help="What `fit` or `compare` wrote.", show_default=False
+        ),
+    ],
+    record: Annotated[
+        Path,
+        typer.Option(
+            metavar="FILE",
+            help="Measured samples with the columns of the training record, best of another run.",
+            show_default=False,
+        ),
+    ],
+    simulator: SimulatorOptions,
+    gaps: GapsOption = "refuse",
+    time_column: TimeColumn = None,
+    out: Annotated[Path, typer.Option(help="Folder for results, pictures and page.")] = Path(
+        "check"
+    ),
+    device: Device = "cpu",
+) -> None:
+    """Check a saved model on a record: residual tests, stability, responses.
+
+    Prints the fit of a simulation and of predictions 1 and 10 samples ahead, tests whether the
+    residuals of the simulation depend on the inputs or on their own past (99 %), and whether a
+    simulation of ten times the record, with its inputs repeated, stays in range. Names inputs
+    beyond their range in training. OUT gets results.json, check.png, for a model with inputs its
+    responses to steps (responses.png), and report.html.
+    """
+    model = forecasters.load(model_dir)
+    past = history_of(record, model.require_fitted().record, time_column, gaps)
+    model = opened_with_simulator(model, model_dir, simulator, past, 0, time_column)
+    model = devices.on_device(model, device)
+    with showing.warnings_as_lines():
+        found = model.check_residuals(past)
+        responses = _responses(model)
+    asked = f"splitband check {model_dir} --record {record}"
+    report = checked.CheckReport(found, model.in_words(), responses, asked)
+    checked.save(report, out)
+    for line in str(found).splitlines():
+        showing.console.print(line)
+    showing.console.print(f"page: {out / 'report.html'}")
+    showing.results_file(out / "results.json")
+
+
+def _responses(model: Forecaster) -> Responses | None:
+    """Return the responses of a model with inputs that runs by itself."""
+    try:
+        return model.step_responses()
+    except ValueError:  # it says what it lacks
+        return None

@@ -1,0 +1,58 @@
+"""`splitband check`: text, JSON, pictures and page of a saved model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy
+
+import splitband as sb
+from splitband.cli import main
+from tests.cli.support import call, results
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A record of two runs, and a model of the first one."""
+    folder = tmp_path_factory.mktemp("check")
+    rng = np.random.default_rng(0)
+    force = rng.standard_normal(900)
+    x = scipy.signal.lfilter([0.5], [1.0, -0.8], force) + 0.02 * rng.standard_normal(900)
+    table = pd.DataFrame({"time": 0.1 * np.arange(900), "force": force, "x (mm)": x})
+    table[:600].to_csv(folder / "first.csv", index=False)
+    table[600:].to_csv(folder / "second.csv", index=False)
+    record = sb.read(folder / "first.csv", inputs=["force"])
+    sb.Linear().fit(record).save(folder / "model")
+    return folder
+
+
+def test_a_good_model_is_accepted_in_text_json_pictures_and_page(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call(f"check {folder}/model --record {folder}/second.csv", tmp_path / "out")
+    said, found = capsys.readouterr().out, results(tmp_path / "out")
+    assert found["accepted"]
+    fit = found["fit"]["simulation"]["x (mm)"]
+    assert fit > 90
+    assert f"x (mm): fit {fit:.1f} % (simulation)" in said
+    assert "accepted: the residuals do not depend on the inputs" in said
+    assert found["static_gain"]["x (mm)"]["force"] == pytest.approx(2.5, rel=0.02)
+    (test,) = found["residuals"]
+    assert test["inputs"][0]["of"] == "force"
+    for name in ("check.png", "responses.png"):
+        assert (tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG")
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "Accepted: linear model" in page
+    assert "Step response, force to x (mm)" in page
+
+
+def test_a_folder_without_a_model_is_named(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = ["check", str(folder), "--record", str(folder / "second.csv")]
+    assert main([*line, "--out", str(tmp_path / "out")]) == 2
+    assert "no model in" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

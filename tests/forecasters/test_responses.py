@@ -1,0 +1,105 @@
+"""Responses to steps, and the linear model as a system, against SciPy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy
+
+import splitband as sb
+
+DT, LATE = 0.1, 4
+A1, A2 = [1.0, -1.2, 0.5], [1.0, -0.9]
+GAINS = np.array([[0.7 / 0.3, 3.0], [0.0, 10.0]])
+
+
+@pytest.fixture(scope="module")
+def linear() -> sb.Linear:
+    """Two inputs, one of them late, to two outputs around an operating point."""
+    rng = np.random.default_rng(0)
+    u = np.cumsum(rng.standard_normal((600, 2)), axis=0) * 0.1 + [5.0, -2.0]
+    late = np.vstack([np.repeat(u[:1], LATE, axis=0), u[:-LATE]])[:, 0]
+    first = scipy.signal.lfilter([0.5, 0.2], A1, late) + 3 * u[:, 1]
+    y = np.stack([first, scipy.signal.lfilter([1.0], A2, u[:, 1])], axis=1)
+    y += 0.001 * rng.standard_normal(y.shape)
+    record = sb.Record(y, DT, u=u, inputs=("flow", "heat"), columns=("t", "p"))
+    return sb.Linear().fit(record)
+
+
+def test_the_step_response_ends_at_the_static_gain(linear: sb.Linear) -> None:
+    found = linear.step_responses(400)
+    np.testing.assert_allclose(found.y[-1], GAINS, atol=0.02)
+    assert found.time[1] == DT
+    assert (found.inputs, found.columns) == (("flow", "heat"), ("t", "p"))
+
+
+def test_the_frequency_response_is_that_of_the_transfer_function(linear: sb.Linear) -> None:
+    frequencies, gains = linear.step_responses(600).frequency_response()
+    for i in range(2):
+        for j in range(2):
+            system: Any = linear.transfer_function(i, j)
+            _, expected = scipy.signal.dfreqresp(system, 2 * np.pi * frequencies * DT)
+            np.testing.assert_allclose(gains[:, i, j], expected, atol=1e-9)
+
+
+def test_the_state_space_simulates_as_the_model_does(linear: sb.Linear) -> None:
+    assert linear.delays == (LATE, 0)
+    system: Any = linear.state_space()
+    u0, y0 = linear.operating_point()
+    u = 0.1 * np.random.default_rng(1).standard_normal((300, 2)) + u0
+    _, y, _ = scipy.signal.dlsim(system, u - u0)
+    held = np.tile(u0, (800, 1))
+    expected = linear.predict(1100, u=np.vstack([held, u])).y[800:]
+    np.testing.assert_allclose(y + y0, expected, atol=1e-9)
+    assert system.dt == DT
+    poles = linear.poles()
+    for pole in (*np.roots(A1), 0.9):
+        assert abs(poles - pole).min() < 0.01
+
+
+def test_python_control_gets_the_same_system(linear: sb.Linear) -> None:
+    control = pytest.importorskip("control", reason="pip install 'splitband[control]'")
+    system = linear.to_control()
+    assert (system.input_labels, system.output_labels) == (["flow", "heat"], ["t", "p"])
+    np.testing.assert_allclose(control.dcgain(system), GAINS, atol=0.02)
+
+
+class Squared(sb.Forecaster):
+    """The output is the input's square: its small-signal gain is twice the operating point."""
+
+    name = "squared"
+    needs = frozenset({"inputs"})
+
+    def extrapolate(self, known: sb.Known) -> Any:
+        assert known.u is not None
+        return known.u[len(known.y) :] ** 2
+
+
+def test_a_nonlinear_model_is_linearised_at_its_operating_point() -> None:
+    u = np.linspace(0, 4, 200)
+    model = Squared().fit(sb.Record(u**2, DT, u=u))
+    np.testing.assert_allclose(model.step_responses(5, at=3.0).y[:, 0, 0], 6.0)
+    np.testing.assert_allclose(model.step_responses(5).y[:, 0, 0], 4.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"at": [1.0, 2.0]}, "at must be a finite number for each of 1 inputs"),
+        ({"size": 0.0}, "size must not be 0"),
+        ({"steps": 0}, "steps must be"),
+    ],
+)
+def test_what_cannot_be_is_named(options: dict[str, Any], said: str) -> None:
+    u = np.linspace(0, 4, 200)
+    model = Squared().fit(sb.Record(u**2, DT, u=u))
+    with pytest.raises(ValueError, match=said):
+        model.step_responses(**options)
+
+
+def test_what_has_no_inputs_does_not_respond() -> None:
+    model = sb.Mean().fit(sb.Record(np.sin(np.arange(50.0)), DT))
+    with pytest.raises(ValueError, match="mean must have inputs to respond to"):
+        model.step_responses()
