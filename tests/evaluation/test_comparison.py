@@ -112,7 +112,7 @@ def test_a_record_with_inputs_is_compared_with_a_linear_model_too() -> None:
     u = np.random.default_rng(2).standard_normal((LENGTH, 1))
     r = replace(record(), u=u)
     methods = usual_names(r, Options().decided(r, TRAIN).bands)
-    assert sorted(methods) == sorted([*default_names(with_simulator=True), "linear"])
+    assert sorted(methods) == sorted(default_names(with_simulator=True, with_inputs=True))
     driven = replace(r, y=np.cumsum(0.3 * u - 0.1, axis=0), y_true=None)
     (found,) = compare(driven, ["linear"], SETUP)["linear"]
     assert "1 input(s)" in found.description

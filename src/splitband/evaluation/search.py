@@ -47,14 +47,15 @@ SEEDS_GROW_FROM = 240.0
 """Core seconds of a search above which networks may have more than `MOST_SEEDS` seeds."""
 CORE_SECONDS, SECONDS = 240.0, 120.0
 """The default: work that two cores of any recent machine do in less than these two minutes."""
-SEARCHED = 0.5
-"""Share of the budget for this search; the rest is for the last trainings."""
-OTHERS = 0.3
-"""Share of the search that the first short trainings of all methods but the first one may take."""
+SEARCHED, TRAINED = 0.55, 0.3
+"""Shares of the budget: for this search, and at most for a single training of a candidate."""
+FIRST_ROUND, OF_OTHERS = 0.5, 0.15
+"""Shares of the search for the first round of the first method, and of all others."""
 FIRST_STEPS = 300
 """Steps of Adam before L-BFGS takes over, from random weights."""
-FREE_RUN = 150
-"""Samples of the shorter windows that are predicted; the longer ones are the recipe's."""
+FREE_RUN, FREE_RUNS = 150, (100, 50)
+"""Samples of the shorter windows that are predicted, from a linear model and from random weights;
+the longest windows are the recipe's."""
 SHORT = 3000
 """Samples of a record up to which windows of all of it are tried, too."""
 PENALTY = 1e-4
@@ -260,9 +261,10 @@ def search(
     trials = _Trials(record, steps, work, others, SEARCHED * budget.core_seconds)
     first, *rest = [ways(f, record) for f in tunable]
     # One short training, so that there is a result; what it comes to is what all else has to beat.
-    ladder = trials.run(first[:1], 1.0) + trials.run(first[1:], 1 - OTHERS)
+    ladder = trials.run(first[:1], 1.0) + trials.run(first[1:], FIRST_ROUND if rest else 1.0)
     # Of the others those first that have not been tried at all.
-    ladder += trials.run([c for turn in zip_longest(*rest) for c in turn if c], 1.0)
+    others_first = [c for turn in zip_longest(*rest) for c in turn if c]
+    ladder += trials.run(others_first, FIRST_ROUND + OF_OTHERS)
     while ladder:
         ladder = trials.run([c for each in trials.promoted(ladder) if (c := each.longer())], 1.0)
     chosen = {f.name: trials.best(f.name) for f in tunable}
@@ -284,22 +286,32 @@ def search(
 def ways(forecaster: Network, record: Record) -> list[TrainingCandidate]:
     """Return candidates for a training record, the most promising one first.
 
-    They differ in size, window and penalty from the first one, one at a time.
+    A network that begins as a linear model needs no steps of Adam, and differs in size, window and
+    penalty from the first candidate, one at a time. From random weights there is also the default
+    recipe, by Adam alone.
     """
     usual, samples = forecaster.settings, len(record)
     assert usual is not None
     steps = max(1, round(FIRST_STEPS / usual.batches_of(samples)))
-    linear = forecaster.starts_linear(record)
-    window = min(usual.warmup + FREE_RUN, usual.window)
-    base = replace(usual, window=window, epochs=0 if linear else steps, quasi_newton=LADDER[0])
-    settings = [base, replace(base, window=usual.window), replace(base, penalty=PENALTY)]
-    if samples <= SHORT:
-        settings.append(replace(base, window=samples, penalty=PENALTY))
-    if linear:
-        settings.append(replace(base, epochs=steps, linear_start=False))
+    finished = replace(usual, epochs=steps, quasi_newton=LADDER[0])
     size, *sizes = forecaster.variants()
-    every = [(size, each) for each in settings] + [(other, base) for other in sizes]
+    if forecaster.starts_linear(record):
+        window = min(usual.warmup + FREE_RUN, usual.window)
+        base = replace(finished, window=window, epochs=0)
+        settings = [base, replace(base, window=usual.window), replace(base, penalty=PENALTY)]
+        if samples <= SHORT:
+            settings.append(replace(base, window=samples, penalty=PENALTY))
+        settings.append(replace(base, epochs=steps, linear_start=False))
+        every = [(size, each) for each in settings] + [(other, base) for other in sizes]
+    else:
+        free_runs = sorted({*FREE_RUNS, usual.window - usual.warmup}, reverse=True)
+        windows = {min(usual.warmup + free, usual.window) for free in free_runs}
+        settings = [replace(finished, window=window) for window in sorted(windows)]
+        every = [(other, each) for each in settings for other in (sizes or [size])]
+        every += [(other, replace(settings[0], penalty=PENALTY)) for other in sizes[-1:]]
     found = [TrainingCandidate(forecaster.name, n.trained_as(how), 0) for n, how in every]
+    if not forecaster.starts_linear(record):
+        found.insert(0, TrainingCandidate(forecaster.name, size.trained_as(usual)))
     return [*{candidate.label: candidate for candidate in found}.values()]
 
 
@@ -320,7 +332,8 @@ class _Trials:
     ) -> None:
         self._record, self._end = replace(record, y_true=None), len(record) + steps
         self._work, self._others, self._most = work, others, most
-        self._until = work.time.reckoned_alone(work.time.share(ONE))
+        alone = work.time.reckoned_alone(work.time.share(ONE))
+        self._longest = min(alone, TRAINED / SEARCHED * most)
         self.attempts: list[SearchAttempt] = []
         self.tried: list[TrainingCandidate] = []
         """Those that could be trained."""
@@ -346,7 +359,7 @@ class _Trials:
         affordable, costs = [], []
         for candidate in candidates:
             cost = self.cost(candidate)
-            if cost <= left and cost / len(TRIAL_SEEDS) <= self._until:
+            if cost <= left and cost / len(TRIAL_SEEDS) <= self._longest:
                 affordable.append(candidate)
                 costs.append(cost)
                 left -= cost
