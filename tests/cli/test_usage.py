@@ -3,9 +3,12 @@
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import splitband as sb
 from splitband.cli.usage import usage
+from splitband.evaluation.plan import Plan
 
 GIVEN = {
     "record": "my rig.csv", "inputs": "force", "columns": None, "gaps": "mask", "cutoff": "auto",
@@ -14,32 +17,49 @@ GIVEN = {
 }  # fmt: skip
 
 
-def test_a_network_is_fitted_and_simulated_with_what_was_given() -> None:
-    found = usage("compare", GIVEN, "gru", driven=True)
-    (_, fit), (_, simulate) = found.commands
+OUT = Path("out")
+
+
+def planned(nu: int = 0, start: float | None = 0.0, name: str = "rig") -> Plan:
+    u = np.zeros((200, nu)) if nu else None
+    record = sb.Record(np.zeros((200, 1)), 0.1, u=u, start=start, name=name)
+    return Plan.of(record, (), sb.Setup(150, sb.Settings()))
+
+
+def test_the_trained_model_is_simulated_with_what_was_given() -> None:
+    found = usage("compare", GIVEN, OUT, planned(1), sb.named("gru"))
+    (_, simulate), (_, fit) = found.commands
+    assert shlex.split(simulate.replace("\\\n", "")) == shlex.split(
+        "splitband simulate out/model --future-inputs 'my rig.csv' --steps 50 --out ahead.csv"
+    )
     assert shlex.split(fit.replace("\\\n", "")) == shlex.split(
         "splitband fit 'my rig.csv' --inputs force --gaps mask --more a.csv --more b.csv "
-        "--cutoff auto --method gru --out model"
+        "--cutoff auto --method gru --out out/model-of-all"
     )
-    assert simulate.startswith("splitband simulate model --history FILE --steps 100")
-    assert "--future-inputs FILE" in simulate
     assert found.reading == "record = sb.read('my rig.csv', inputs=['force'], gaps='mask')"
     assert "--calibrate" in found.asked
     assert "--test later.csv" in found.asked
 
 
+def test_inputs_to_come_are_asked_for_where_the_record_does_not_say_when_they_are() -> None:
+    found = usage("compare", GIVEN, OUT, planned(1, None), sb.named("gru"))
+    assert "--future-inputs FILE" in found.commands[0][1]
+
+
 def test_a_network_is_trained_again_as_it_was_found() -> None:
     """What decides how to train is in the file; the record and the device are not."""
     given = GIVEN | {"budget": "1m", "hidden": 8, "device": "cuda"}
-    (_, fit), _ = usage("compare", given, "gru", driven=True, found=Path("out/found.json")).commands
+    model = sb.Single(sb.GRU(8), sb.Settings())
+    _, (_, fit) = usage("compare", given, OUT, planned(1), model).commands
     assert shlex.split(fit.replace("\\\n", "")) == shlex.split(
         "splitband fit 'my rig.csv' --inputs force --gaps mask --more a.csv --more b.csv "
-        "--settings out/found.json --device cuda --method gru --out model"
+        "--settings out/recommended.json --device cuda --method gru --out out/model-of-all"
     )
 
 
 def test_a_simulator_is_forecast_with() -> None:
-    ((_, command),) = usage("compare", GIVEN, "simulator-calibrated").commands
+    model = sb.named("simulator-calibrated")
+    _, (_, command) = usage("compare", GIVEN, OUT, planned(), model).commands
     assert command.startswith("splitband forecast 'my rig.csv' --inputs force --gaps mask")
     assert command.endswith("--method simulator-calibrated --steps 100")
 
@@ -47,13 +67,15 @@ def test_a_simulator_is_forecast_with() -> None:
 def test_only_a_model_that_asks_for_a_simulator_is_simulated_with_one() -> None:
     given = {"record": "rig.csv", "simulator": "sim.csv", "simulator_columns": "y"}
     for method, asked in (("filtered-gru", True), ("gru", False), ("linear", False)):
-        _, (_, simulate) = usage("compare", given, method).commands
+        (_, simulate), _ = usage("compare", given, OUT, planned(), sb.named(method)).commands
         assert ("--simulator sim.csv --simulator-columns y" in simulate) == asked
 
 
 def test_a_record_that_the_command_made_has_a_name_for_the_others() -> None:
-    found = usage("demo", {"out": "demo"}, "harmonic", named="overhead-crane")
-    (_, command), _ = found.commands
+    made = planned(1, name="overhead-crane")
+    found = usage("demo", {"out": "demo"}, OUT, made, sb.named("harmonic"))
+    (_, simulate), (_, command) = found.commands
+    assert "--future-inputs overhead-crane" in simulate
     assert command.startswith("splitband fit overhead-crane --method harmonic")
     assert found.asked == "splitband demo --out demo"
 

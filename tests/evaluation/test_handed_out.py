@@ -42,6 +42,36 @@ def test_a_method_can_be_fitted_again_and_says_the_same(name: str, tmp_path: Pat
     np.testing.assert_array_equal(sb.load(tmp_path / "model").predict(40).y, model.predict(40).y)
 
 
+@pytest.mark.parametrize("name", ["split-gru", "gru", "mean"])
+def test_a_method_is_handed_out_as_it_was_trained(name: str, tmp_path: Path) -> None:
+    """Nothing is trained again: not for its forecast, and not for the interval."""
+    model = compared().trained(name)
+    np.testing.assert_allclose(model.predict(40).y, compared().means[name].ahead, atol=1e-12)
+    model.save(tmp_path / "model")
+    loaded = sb.load(tmp_path / "model").predict(40, level=0.9)
+    np.testing.assert_array_equal(loaded.y, model.predict(40).y)
+    assert loaded.lower is not None
+
+
+def test_models_of_other_processes_come_back_with_their_weights() -> None:
+    methods: list[Forecaster | str] = ["gru", sb.Residual(sb.Harmonic(), GRU(4)), "harmonic"]
+    result = sb.compare(record(), methods=methods, seeds=2, setup=SETUP, work=sb.Work(2))
+    for name in result.runs:
+        ahead = result.trained(name).predict(40).y
+        np.testing.assert_allclose(ahead, result.means[name].ahead, atol=1e-12)
+
+
+def test_the_recommended_method_is_fitted_to_the_whole_record_where_that_is_asked_for() -> None:
+    result = sb.compare(record(), methods=["gru"], seeds=2, setup=SETUP, refit=True)
+    again = result.forecaster().fit(record(), seed=0)
+    np.testing.assert_allclose(result.model.predict(30).y, again.predict(30).y, atol=1e-12)
+
+
+def test_a_forecast_hands_out_its_model() -> None:
+    found = sb.forecast(record(), 30, ["gru"], seeds=2, setup=replace(SETUP, train=200))
+    np.testing.assert_allclose(found.model.predict(30).y, found.prediction.y, atol=1e-12)
+
+
 def test_it_is_trained_as_the_search_has_found() -> None:
     setup = replace(Options().decided(record(), TRAIN), settings=SETTINGS, search=sb.Search(8.0))
     result = sb.compare(record(), methods=[sb.Single(GRU(4))], setup=setup)

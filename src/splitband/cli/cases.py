@@ -61,7 +61,7 @@ class Case:
         for field in fields(self.listed):
             value = getattr(self.listed, field.name)
             values |= asdict(value) if is_dataclass(value) else {field.name: value}  # type: ignore[arg-type]
-        for name in ("settings", "future_inputs"):  # no options of `benchmark`
+        for name in ("settings", "future_inputs", "refit"):  # no options of `benchmark`
             del values[name]
         digests = {}
         for listed, path in self.files.items():

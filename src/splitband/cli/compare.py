@@ -57,6 +57,12 @@ def compare(
     ] = Path("out"),
     calibrate: Calibrate = False,
     conditioned: Conditioned = False,
+    refit: Annotated[
+        bool,
+        typer.Option(
+            "--refit", help="Fit the recommended method to the whole record for OUT/model."
+        ),
+    ] = False,
     settings: SettingsFile = None,
     cluster: Cluster = None,
 ) -> None:
@@ -70,12 +76,15 @@ def compare(
     it predicts the last quarter best. An interval around its forecast should hold 90 % of what is
     measured.
 
+    OUT/model is the recommended method as it was trained, for `splitband simulate`; --refit trains
+    it on the whole record.
+
     --budget or --effort limit the search for how to train; --window, --epochs, --learning-rate,
     --lr-milestones and --recipe paper replace it. --calibrate and --conditioned add rows.
     """
     request = Request(
         record, reading, simulator, further, testing, model,
-        train, horizon, methods, seeds, calibrate, conditioned, settings,
+        train, horizon, methods, seeds, calibrate, conditioned, settings, refit=refit,
     )  # fmt: skip
     with worker_pool(jobs, cluster) as workers:
         result = carried_out(planned(request, workers.cores), workers, out)

@@ -52,6 +52,7 @@ class Request:
     conditioned: bool = False
     settings: Path | None = None
     future_inputs: Path | None = None
+    refit: bool = False
 
 
 def planned(request: Request, cores: int, steps: int = 0, fitting: bool = False) -> Plan:
@@ -97,6 +98,7 @@ def planned(request: Request, cores: int, steps: int = 0, fitting: bool = False)
         tests=tests,
         seeds=request.seeds,
         setup=setups.options_of(request.model, cores, saved),
+        refit=request.refit,
     )
     device = request.model.device
     return replace(found, methods=tuple(devices.on_device(m, device) for m in found.methods))
@@ -144,10 +146,7 @@ def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> Usage:
     That is the commands that use the recommended method, from the options among the facts
     (`arguments`).
     """
-    record = comparison.record
-    method, driven = comparison.recommended, record.nu > 0
-    found = results.found_in(comparison.forecaster(), out)
-    used = usage(facts["command"], facts["arguments"], method, driven, record.name, found)
+    used = usage(facts["command"], facts["arguments"], out, comparison.plan, comparison.model)
     results.save(comparison, out, dict(facts), used)
     shutil.rmtree(out / CHECKPOINTS)
     return used

@@ -34,6 +34,7 @@ from splitband.evaluation.forecast import Forecast, run_forecast
 from splitband.forecasters.names import NAMES
 from splitband.metrics import leaving
 from splitband.report import page, results
+from splitband.report.page.usage import Usage
 from splitband.report.table import tried
 from splitband.runtime.files import CHECKPOINTS
 
@@ -85,16 +86,14 @@ def forecast(
         time = timing.planned(plan.setup, workers.cores, steps * known.ny * len(plan.methods))
         with showing.progress("forecasting", time, showing.kept(out / CHECKPOINTS)) as progress:
             result = run_forecast(plan, workers.work(progress, out, time))
-    found = results.found_in(result.forecaster, out)
-    given = arguments(context.params)
-    used = usage("forecast", given, result.method, known.nu > 0, found=found)
+    used = usage("forecast", arguments(context.params), out, plan, result.model)
     results.save_forecast(result, out, used)
     shutil.rmtree(out / CHECKPOINTS)
-    _say(result, steps, out)
+    _say(result, steps, out, used)
     showing.results_file(out / "results.json")
 
 
-def _say(result: Forecast, steps: int, out: Path) -> None:
+def _say(result: Forecast, steps: int, out: Path, used: Usage) -> None:
     showing.console.print(timing.in_words(result.time))
     trial, record = result.trial, result.record
     said = dict.fromkeys(trial.errors, "") | {
@@ -111,4 +110,6 @@ def _say(result: Forecast, steps: int, out: Path) -> None:
     showing.warn_of_inputs(result.inputs_beyond_training, result.record.inputs)
     for doubt in result.prediction.doubts:
         showing.warn(f"{result.method}: {doubt}")
+    for what, command in used.commands[:1]:
+        showing.console.print(f"{what}:\n    {command}", soft_wrap=True)
     showing.console.print(f"page: {out / page.NAME}")

@@ -14,13 +14,20 @@ from splitband.runtime.outputs import TEST_PREDICTIONS, files_of_result, locked
 
 COMPARED = (
     "results.json", "predictions.csv", TEST_PREDICTIONS.format("*"), "rollouts.png", "error.png",
-    "spectrum.png", "components.png", "tests.png", "report.html", "recommended.json",
+    "spectrum.png", "components.png", "tests.png", "report.html", "recommended.json", "model/**/*",
 )  # fmt: skip
 WRITES = {
     "demo": COMPARED,
     "compare": COMPARED,
     "benchmark": ("results.json", "table.csv", "cases.png", "report.html"),
-    "forecast": ("results.json", "forecast.csv", "forecast.png", "report.html", "recommended.json"),
+    "forecast": (
+        "results.json",
+        "forecast.csv",
+        "forecast.png",
+        "report.html",
+        "recommended.json",
+        "model/**/*",
+    ),
     "fit": ("results.json", saving.FILE, saving.WEIGHTS.format("*")),
     "check": ("results.json", "check.png", "responses.png", "report.html"),
     "spectrum": ("results.json", "spectrum.png", "report.html"),

@@ -161,9 +161,12 @@ def load_further(
 
 
 def inputs_ahead(
-    file: Path | None, known: Record, steps: int, time_column: str | None
+    file: Path | None, known: Record, steps: int, time_column: str | None, since: int = 0
 ) -> npt.NDArray[np.float64] | None:
-    """Known inputs of the samples after a record, `(steps, nu)`, where there are any."""
+    """Known inputs of the samples after a record, `(steps, nu)`, where there are any.
+
+    A named record without time stamps brings its own from the sample `since` on.
+    """
     inputs = known.inputs
     if file is None:
         if inputs:
@@ -175,7 +178,13 @@ def inputs_ahead(
     if not inputs:
         raise ValueError("this record has no known inputs: leave out --future-inputs")
     ahead = known.grid.after(steps)
-    coming = read_beside(file, ahead.step, time_column, columns=inputs)
+    if str(file) in RECORDS:
+        named = RECORDS[str(file)].make()
+        assert named.u is not None
+        coming = replace(named, y=named.u, y_sim=None, y_true=None, columns=named.inputs)
+        coming = coming if named.start is not None else coming[since:]
+    else:
+        coming = read_beside(file, ahead.step, time_column, columns=inputs)
     # Straight lines, as inputs may jump.
     u = aligned(f"--future-inputs {file}", coming.y, coming.grid, ahead, smooth=False)
     if u.note:

@@ -28,14 +28,10 @@ from splitband.simulators import Recorded
 @with_groups
 def simulate(
     model_dir: Annotated[
-        Path, typer.Argument(metavar="MODEL_DIR", help="What `fit` wrote.", show_default=False)
-    ],
-    history: Annotated[
         Path,
-        typer.Option(
-            metavar="FILE",
-            help="Measured samples up to now, with the columns of the training record; the last "
-            "ones warm the model up.",
+        typer.Argument(
+            metavar="MODEL_DIR",
+            help="What `fit` wrote, or `compare` and `forecast` (OUT/model).",
             show_default=False,
         ),
     ],
@@ -47,6 +43,15 @@ def simulate(
         typer.Option(metavar="FILE.csv", help="Where to write the samples.", show_default=False),
     ],
     simulator: SimulatorOptions,
+    history: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Measured samples up to now, with the columns of the training record; the last "
+            "ones warm the model up.",
+            show_default="the training record",
+        ),
+    ] = None,
     future_inputs: FutureInputs = None,
     gaps: GapsOption = "refuse",
     time_column: TimeColumn = None,
@@ -68,7 +73,7 @@ def simulate(
     ] = None,
     device: Device = "cpu",
 ) -> None:
-    """Simulate a saved model beyond a measured history.
+    """Simulate a saved model beyond a measured history, or beyond its training record.
 
     A model with a simulator also needs --simulator, which reaches --steps samples beyond the
     history. Where training record and history have time stamps, the model knows how much later the
@@ -83,20 +88,23 @@ def simulate(
         raise ValueError(f"--out must be a file, got the folder {out}")
     forecaster = forecasters.load(model_dir)
     record = forecaster.require_fitted().record
-    past = history_of(history, record, time_column, gaps)
-    u = records.inputs_ahead(future_inputs, past, steps, time_column)
+    past = record if history is None else history_of(history, record, time_column, gaps)
+    since = 0 if history else forecaster.require_fitted().begin + len(record)
+    u = records.inputs_ahead(future_inputs, past, steps, time_column, since)
     forecaster = opened_with_simulator(forecaster, model_dir, simulator, past, steps, time_column)
     fitted = forecaster.require_fitted()
     by_time = forecaster.anchored or simulator.simulator is not None
-    if by_time and not other_run and (begins := fitted.beginning(past)):
+    if history and by_time and not other_run and (begins := fitted.beginning(past)):
         showing.console.print(begins)
     forecaster = devices.on_device(forecaster, device)
     with showing.without_warnings():
-        found = forecaster.predict(steps, past, u, level=level, other_record=other_run)
+        found = forecaster.predict(
+            steps, past if history else None, u, level=level, other_record=other_run
+        )
     output_folder(out.parent, "--out")
     with replacing(out) as temporary:
         found.to_frame().to_csv(temporary, index=False)
-    showing.console.print(f"{steps} samples after {history}: {out}")
+    showing.console.print(f"{steps} samples after {history or 'the training record'}: {out}")
     for reason in found.warnings:
         showing.warn(reason)
     written = {"model": str(model_dir), "method": forecaster.name, "steps": steps, "file": str(out)}

@@ -17,6 +17,7 @@ from splitband.cli.options.records import FurtherRecords, RecordOptions, TestRec
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.records import read_beside
 from splitband.data import Grid, Record
+from splitband.data.named import RECORDS
 from splitband.data.timing import in_words
 from splitband.forecasters.names import BASES, HYBRIDS, NAMES
 from splitband.simulators import Recorded, Simulator, SimulatorTimeoutError, run
@@ -139,6 +140,8 @@ def opened_simulator(
     file, function = parts_of(text)
     if text in SIMULATORS:
         return SIMULATORS[text]()
+    if text in RECORDS and (named := RECORDS[text].make()).y_sim is not None:
+        return Recorded(named.y_sim, named.sampling_time, named.start, f"simulator of {text}")
     if text.endswith(".py"):
         raise ValueError(f"--simulator needs a function of the file, {text}:FUNCTION, got {text}")
     if not Path(file).is_file():

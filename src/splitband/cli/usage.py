@@ -10,8 +10,10 @@ from typing import Any
 from splitband.cli.naming import FITTED
 from splitband.cli.options.simulators import PATIENCE
 from splitband.data.named import RECORDS
-from splitband.forecasters.names import named as named_forecaster
+from splitband.evaluation.plan import Plan
+from splitband.forecasters.base import Forecaster
 from splitband.report.page.usage import Usage
+from splitband.report.results import MODEL, found_in
 
 _FIT = (
     "columns", "inputs", "time_column", "sampling_time", "gaps", "simulator", "simulator_columns",
@@ -41,44 +43,63 @@ STEPS = 100
 def usage(
     command: str,
     given: Mapping[str, Any],
-    method: str = "",
-    driven: bool = False,
-    named: str = "",
-    found: Path | None = None,
+    out: Path = Path(),
+    plan: Plan | None = None,
+    model: Forecaster | None = None,
 ) -> Usage:
-    """How to use a method, from the options (as in results.json) of the command that recommends it.
+    """Return how to use a model, as the page shows it, and the command that made it.
 
-    `driven` is a record with known inputs; `named` is what the record is called, where a command
-    without one has made it; `found` is the file that says how the method is to be trained.
+    Parameters
+    ----------
+    command, given : What made it, with its options as in results.json.
+    out : The folder of its results, with the model.
+    plan : What was asked.
+    model : The recommended method as it was trained; None: there is none.
     """
     record = str(given.get("record", ""))
     of_case = command == "benchmark" and record  # one of its cases is a comparison of its own
     asked = _line(f"splitband {'compare' if of_case else command}", given, [*given])
-    record = record or (named if named in RECORDS else "")
-    if not method or not record:
+    if plan is None or model is None:
+        return Usage(asked=asked)
+    record = record or (plan.record.name if plan.record.name in RECORDS else "")
+    if not record:
         return Usage(asked=asked)
     given = {**given, "record": record}
+    commands = [("Simulate it beyond its training record", _simulate(given, out, plan, model))]
+    found = found_in(model, out)
     if found is not None:
         given = {k: v for k, v in given.items() if k not in _FOUND} | {"settings": str(found)}
-    ahead = ["--steps " + str(STEPS), *(["--future-inputs FILE"] if driven else [])]
-    commands = []
-    if method in FITTED:
-        options = ["record", *_FIT]
-        end = [f"--method {method}", "--out model"]
-        fit = _line("splitband fit", given, options, end)
+    if model.name in FITTED:
+        end = [f"--method {model.name}", f"--out {shlex.quote(str(out / 'model-of-all'))}"]
+        fit = _line("splitband fit", given, ["record", *_FIT], end)
         commands.append(("Fit it to the whole record", fit))
-        simulated = "simulator" in named_forecaster(method).needs
-        options = [*_SIMULATE] if simulated else ["time_column"]
-        end = ["--history FILE", *ahead, "--out ahead.csv"]
-        simulate = _line("splitband simulate model", given, options, end)
-        commands.append(("Simulate it beyond measured samples", simulate))
     else:
-        options = ["record", *_FORECAST]
-        forecast = _line("splitband forecast", given, options, [f"--method {method}", *ahead])
+        end = [f"--method {model.name}", f"--steps {STEPS}"]
+        end += ["--future-inputs FILE"] if plan.record.nu else []
+        forecast = _line("splitband forecast", given, ["record", *_FORECAST], end)
         commands.append(("Fit it to the whole record, and forecast what comes next", forecast))
     more = [_read(each, given) for each in given.get("more") or ()]
     named_record = "" if record not in RECORDS else f"{_IMPORT}\n\n"
     return Usage(commands, f"{named_record}record = {_read(record, given)}", asked, more)
+
+
+def _simulate(given: Mapping[str, Any], out: Path, plan: Plan, model: Forecaster) -> str:
+    """The command that goes on from where the model was fitted, by what is known of the time."""
+    ahead = 0 if plan.refit else len(plan.record) - plan.train
+    steps = min(plan.horizon or STEPS, STEPS)
+    options: dict[str, Any] = {"time_column": given.get("time_column")}
+    if "simulator" in model.needs:
+        options |= {name: given.get(name) for name in _SIMULATE}
+        options["simulator"] = given.get("simulator") or given["record"]
+    if plan.record.nu:
+        # By time stamps it is known where the record's own inputs go on; without, the user knows.
+        stamped = plan.record.start is not None or given["record"] in RECORDS
+        known = ahead and stamped
+        options["future_inputs"] = given.get("future_inputs") or (
+            given["record"] if known else "FILE"
+        )
+    begin, end = f"splitband simulate {shlex.quote(str(out / MODEL))}", [f"--steps {steps}"]
+    return _line(begin, options, [*options], [*end, "--out ahead.csv"])
 
 
 def _line(begin: str, given: Mapping[str, Any], names: Any, end: Sequence[str] = ()) -> str:

@@ -13,7 +13,8 @@ from splitband.evaluation.budget import BASE, BASELINES, SEARCH, TimeBudget
 from splitband.evaluation.budget import TRIAL as TRIAL_OVER
 from splitband.evaluation.costs import job_cost
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.runs import Work
+from splitband.evaluation.protocols import models_of
+from splitband.evaluation.runs import Work, run_all
 from splitband.evaluation.search import Search, SearchResult, search
 from splitband.evaluation.selection import MOST_TRIAL_SEEDS, Trial, try_out
 from splitband.forecasters.backtest import Origin, Question, held_out_from
@@ -22,6 +23,10 @@ from splitband.forecasters.ensemble import Ensemble
 
 TRIAL, FINAL = "held-out fit", "final fit"
 """The stages of the work: on how much of the training part the methods are fitted."""
+REFIT = "refit"
+"""The stage in which the recommended method is fitted to the whole record."""
+BEFORE_REFIT = 0.6
+"""Share of the time that is left for final fits which these may take, where a refit follows."""
 AFTER_BASELINES, AFTER_SEARCH, AFTER_TRIAL, AFTER_FINAL = 0.1, 0.6, 0.7, 0.95
 """Shares of a command that are done after these stages, for progress bars."""
 SEEDS = 3
@@ -50,10 +55,11 @@ def last_stages(plan: Plan, work: Work, asked: int) -> tuple[Work, Work]:
     held_out = plan.train - held_out_from(plan.train)
     asking = work.time.asking * asked / (2 * held_out + 3 * plan.horizon)
     time, first = work.time, (AFTER_TRIAL, AFTER_TRIAL)
+    until = time.share(BEFORE_REFIT) if plan.refit else time.deadline
     quick = work if time.allows_processes(time.deadline) else work.alone()
     return (
         quick.for_stage(FINAL, time.deadline, first),
-        work.for_stage(FINAL, work.time.deadline.earlier(asking), (AFTER_TRIAL, AFTER_FINAL)),
+        work.for_stage(FINAL, until.earlier(asking), (AFTER_TRIAL, AFTER_FINAL)),
     )
 
 
@@ -166,6 +172,28 @@ def last_trainings(
         kept[name] = wanted[name]
         left -= cost
     return kept
+
+
+def handed_out(models: Sequence[Forecaster], trial: Trial) -> Forecaster:
+    """The mean of fitted models, of one alone the model, with intervals from the trial."""
+    usual = [model.require_fitted().report.seed for model in models] == [0]
+    model = models[0] if usual or not models[0].random else Ensemble.of(models)
+    model.held_out = trial.held_out.get(model.name)
+    return model
+
+
+def refitted(plan: Plan, model: Forecaster, trial: Trial, work: Work) -> Forecaster:
+    """A method that was handed out, fitted to the whole record as it was fitted to its part."""
+    method, seeds = model.clone(), [0]
+    if isinstance(model, Ensemble):
+        method, seeds = model.member.clone(), [*model.seeds]
+    samples = len(plan.record)
+    origin = Origin(samples, samples - 1)
+    question = Question(plan.record, [origin], samples, plan.others, keep=True)
+    stage = work.for_stage(REFIT, work.time.deadline, (AFTER_FINAL, 1.0))
+    with work.time.phase("refit"):
+        found, _ = run_all([method], {method.name: question}, seeds, stage)
+    return handed_out(models_of(plan, found)[method.name], trial)
 
 
 def as_trained(forecaster: Forecaster, seeds: Sequence[int]) -> Forecaster:

@@ -14,7 +14,15 @@ import pandas as pd
 
 from splitband.data import Record
 from splitband.evaluation.budget import TimeBudget
-from splitband.evaluation.choosing import as_trained, choose, last_stages, last_trainings, timed
+from splitband.evaluation.choosing import (
+    as_trained,
+    choose,
+    handed_out,
+    last_stages,
+    last_trainings,
+    refitted,
+    timed,
+)
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.protocols import Run, Runs, inputs_beyond, mean_run, run_methods
 from splitband.evaluation.runs import Work
@@ -43,6 +51,7 @@ class Comparison:
     attempts : What has been tried to find out how networks are trained.
     forecasters : The methods with all that has been chosen for them, by name, not fitted.
     time : The time that it took, and what was left out for want of time.
+    refit : The recommended method fitted to the whole record, where that was asked for.
     """
 
     plan: Plan
@@ -51,6 +60,7 @@ class Comparison:
     attempts: tuple[SearchAttempt, ...] = ()
     forecasters: Mapping[str, Forecaster] = field(default_factory=dict)
     time: TimeBudget = field(default_factory=TimeBudget)
+    refit: Forecaster | None = None
 
     @property
     def record(self) -> Record:
@@ -76,6 +86,28 @@ class Comparison:
     def recommended(self) -> str:
         """The method to use, chosen by training samples alone."""
         return self.require_trial().recommended
+
+    @cached_property
+    def model(self) -> Forecaster:
+        """The recommended method as it was trained here, ready to predict and to be saved.
+
+        It is fitted to the training part, with `refit` to the whole record. Of what is random it is
+        the mean over the seeds.
+        """
+        return self.refit or self.trained()
+
+    def trained(self, name: str | None = None) -> Forecaster:
+        """Return a method as it was trained on the training part; by default the recommended one.
+
+        Raises
+        ------
+        ValueError
+            For a method that is not among those compared, or could not be fitted.
+        """
+        name = self.recommended if name is None else name
+        if not self.runs.models.get(name):
+            raise ValueError(f"name must be one of {', '.join(self.runs.models)}, got {name}")
+        return handed_out(self.runs.models[name], self.require_trial())
 
     def forecaster(self, name: str | None = None) -> Forecaster:
         """A method as it has been trained here, not fitted: to be fitted to a record and saved.
@@ -255,15 +287,20 @@ def run(plan: Plan, work: Work | None = None) -> Comparison:
     with timed(work or Work(), plan.setup.search).staffed() as staff:
         trial, searched = choose(plan, staff)
         runs = _last_runs(plan, searched, trial, staff)
-    comparison = Comparison(
-        plan,
-        runs,
-        attempts=searched.attempts,
-        forecasters={m.name: m for m in searched.forecasters if m.name in runs},
-        time=staff.time,
-    )
-    trial = replace(trial, left_out=frozenset(comparison.left_out))
-    return replace(comparison, trial=trial.settled(runs.ahead, staff.time.left_out | runs.failed))
+        comparison = Comparison(
+            plan,
+            runs,
+            attempts=searched.attempts,
+            forecasters={m.name: m for m in searched.forecasters if m.name in runs},
+            time=staff.time,
+        )
+        trial = replace(trial, left_out=frozenset(comparison.left_out))
+        trial = trial.settled(runs.ahead, staff.time.left_out | runs.failed)
+        comparison = replace(comparison, trial=trial)
+        if plan.refit:
+            model = refitted(plan, comparison.trained(), trial, staff)
+            comparison = replace(comparison, refit=model)
+    return comparison
 
 
 def _last_runs(plan: Plan, searched: SearchResult, trial: Trial, work: Work) -> Runs:
@@ -284,4 +321,5 @@ def _last_runs(plan: Plan, searched: SearchResult, trial: Trial, work: Work) -> 
         trained = Runs({n: sound_runs(each) for n, each in trained.items()}, trained.failures)
     every = {**runs, **trained}
     ordered = {f.name: every[f.name] for f in methods if f.name in every}
-    return Runs(ordered, (*runs.failures, *trained.failures))
+    models = {**runs.models, **trained.models}
+    return Runs(ordered, (*runs.failures, *trained.failures), models)

@@ -10,9 +10,9 @@ from typing import Any
 
 from splitband.data import Record
 from splitband.evaluation.budget import TimeBudget
-from splitband.evaluation.choosing import as_trained, choose, last_stages, last_trainings, timed
+from splitband.evaluation.choosing import choose, handed_out, last_stages, last_trainings, timed
 from splitband.evaluation.plan import Plan, plan
-from splitband.evaluation.protocols import inputs_beyond
+from splitband.evaluation.protocols import inputs_beyond, models_of
 from splitband.evaluation.runs import Failure, Work, run_all
 from splitband.evaluation.search import SearchResult
 from splitband.evaluation.selection import LEVEL, Trial
@@ -31,7 +31,7 @@ class Forecast:
     Attributes
     ----------
     plan : What was asked: record, methods, setup.
-    forecaster : The recommended method, not fitted: to be fitted again, and saved.
+    model : The recommended method, fitted to the whole record: to predict and to be saved.
     prediction : Its forecast, the mean over seeds, with the interval.
     trial : What was tried, and how it did.
     description : What its fit has settled on.
@@ -41,13 +41,18 @@ class Forecast:
     """
 
     plan: Plan
-    forecaster: Forecaster
+    model: Forecaster
     prediction: Prediction
     trial: Trial
     description: str
     leaves: int | None
     inputs_beyond_training: list[Extrapolation]
     time: TimeBudget = field(default_factory=TimeBudget)
+
+    @property
+    def forecaster(self) -> Forecaster:
+        """The recommended method, not fitted: to be fitted again."""
+        return self.model.clone()
 
     @property
     def record(self) -> Record:
@@ -57,12 +62,12 @@ class Forecast:
     @property
     def seeds(self) -> tuple[int, ...]:
         """Of the recommended method."""
-        return self.forecaster.seeds if isinstance(self.forecaster, Ensemble) else (0,)
+        return self.model.seeds if isinstance(self.model, Ensemble) else (0,)
 
     @property
     def method(self) -> str:
         """The name of the recommended method."""
-        return self.forecaster.name
+        return self.model.name
 
     def report(self, path: str | Path) -> None:
         """Write one HTML file with the forecast, what was tried and settings, to send on."""
@@ -131,7 +136,7 @@ def run_forecast(plan: Plan, work: Work | None = None) -> Forecast:
     u = record.u_beyond
     return Forecast(
         plan,
-        as_trained(next(f for f in fitted if f.name == best), [*done]),
+        handed_out(models_of(plan, backtests)[best], trial),
         replace(mean, lower=mean.y - half, upper=mean.y + half, level=LEVEL),
         trial,
         next(iter(done.values())).description,
@@ -150,7 +155,7 @@ def _last_fits(
 ) -> tuple[dict[str, dict[int, Backtest]], list[Failure]]:
     """The forecasts of methods fitted to all of the record: what needs no training first."""
     origin = Origin(plan.train, plan.train)
-    question = Question(plan.record, [origin], plan.train + plan.horizon, plan.others)
+    question = Question(plan.record, [origin], plan.train + plan.horizon, plan.others, keep=True)
     stages = last_stages(plan, work, plan.horizon)
     quick, networks = ([m for m in fitted if m.random == random] for random in (False, True))
     seeds = last_trainings(plan, networks, searched, trial, stages[1])

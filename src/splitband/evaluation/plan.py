@@ -31,6 +31,7 @@ class Plan:
     others : Further records to train on.
     tests : Records that nothing is fitted to, each with a name of its own.
     seeds : Trainings of each network; None where the search decides.
+    refit : Whether the recommended method is handed out fitted to the whole record.
     """
 
     record: Record
@@ -40,6 +41,7 @@ class Plan:
     others: tuple[Record, ...] = ()
     tests: tuple[Record, ...] = ()
     seeds: int | None = None
+    refit: bool = False
 
     @classmethod
     def of(
@@ -80,6 +82,7 @@ def plan(
     tests: Sequence[Record] = (),
     seeds: int | None = None,
     setup: Setup | Options | None = None,
+    refit: bool = False,
 ) -> Plan:
     """Decide what a comparison computes, and find what is wrong with it.
 
@@ -101,6 +104,8 @@ def plan(
     setup : Settings, bands and sizes, as far as they are decided (`Options`) or all of them
         (`Setup`); by default they are chosen by the training samples, and how networks are trained
         by trials on the last quarter of them, within two minutes.
+    refit : Whether the recommended method is handed out fitted to the whole record, in place of
+        the training part.
 
     Returns
     -------
@@ -127,7 +132,7 @@ def plan(
             decided = replace(decided, search=replace(decided.search, bases=True))
     made = [decided.forecaster(each) if isinstance(each, str) else each for each in methods]
     made = [method.with_defaults(decided.settings, decided.bands) for method in made]
-    found = Plan(record, tuple(made), decided, horizon, tuple(others), tuple(tests), seeds)
+    found = Plan(record, tuple(made), decided, horizon, tuple(others), tuple(tests), seeds, refit)
     check(found)
     if horizon or tests:
         _check_trial(found)

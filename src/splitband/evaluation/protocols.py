@@ -105,13 +105,17 @@ class Runs(dict[str, list[Run]]):
     Attributes
     ----------
     failures : The runs that failed.
+    models : What was fitted, of each method one for each run.
     """
 
     def __init__(
-        self, runs: Mapping[str, list[Run]] | None = None, failures: Sequence[Failure] = ()
+        self,
+        runs: Mapping[str, list[Run]] | None = None,
+        failures: Sequence[Failure] = (),
+        models: Mapping[str, Sequence[Forecaster]] | None = None,
     ) -> None:
         super().__init__(runs or {})
-        self.failures = tuple(failures)
+        self.failures, self.models = tuple(failures), {**(models or {})}
 
     @property
     def ahead(self) -> dict[str, list[Array]]:
@@ -159,7 +163,21 @@ def run_methods(
             one, *rest = runs[f.method]
             said = "; ".join(filter(None, [one.description, f"seed {f.seed} failed: {f.reason}"]))
             runs[f.method] = [replace(one, description=said), *rest]
-    return Runs(runs, failures)
+    return Runs(runs, failures, models_of(plan, backtests))
+
+
+def models_of(
+    plan: Plan, backtests: Mapping[str, Mapping[int, Backtest]]
+) -> dict[str, list[Forecaster]]:
+    """What was fitted, by name; all share the plan's records, whatever process they come from."""
+    models: dict[str, list[Forecaster]] = {}
+    for name, of_seeds in backtests.items():
+        models[name] = [each.model for each in of_seeds.values() if each.model is not None]
+        for model in models[name]:
+            fitted = model.require_fitted()
+            training = plan.record[: len(fitted.record)]
+            model.fitted = replace(fitted, record=training, others=plan.others)
+    return models
 
 
 def _question(plan: Plan, forecaster: Forecaster) -> Question:
@@ -167,7 +185,7 @@ def _question(plan: Plan, forecaster: Forecaster) -> Question:
     record, train, warmup = plan.record, plan.train, plan.setup.settings.warmup
     first = first_origin(record, train, forecaster.warmup or warmup)
     origins = [first, Origin(train, train)][: 1 + (train < len(record))]
-    return Question(record, origins, len(record), plan.others, plan.tests, warmup)
+    return Question(record, origins, len(record), plan.others, plan.tests, warmup, keep=True)
 
 
 def as_run(name: str, question: Question, train: int, done: Backtest) -> Run:

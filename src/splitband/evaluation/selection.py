@@ -26,7 +26,7 @@ from splitband.forecasters.backtest import (
     root_mean_square,
 )
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.intervals import Interval
+from splitband.forecasters.intervals import HeldOut, Interval
 from splitband.metrics import spread
 
 Array = npt.NDArray[np.float64]
@@ -65,6 +65,7 @@ class Trial:
     failed : Why methods could not be fitted, now or, after `settled`, on the whole training part.
     left_out : Methods that are not recommended if there is another one: they have nothing to say
         about the test records.
+    held_out : What the intervals of any level follow from, by method.
     """
 
     errors: Mapping[str, tuple[float, ...]]
@@ -76,6 +77,7 @@ class Trial:
     final: Mapping[str, Array] = field(default_factory=dict)
     failed: Mapping[str, str] = field(default_factory=dict)
     left_out: frozenset[str] = frozenset()
+    held_out: Mapping[str, HeldOut] = field(default_factory=dict)
 
     def settled(self, final: Mapping[str, Sequence[Array]], failed: Mapping[str, str]) -> Trial:
         """With what the methods forecast after all, out of which one is recommended.
@@ -110,6 +112,7 @@ class Trial:
             early={**self.early, **other.early},
             trained=self.trained | other.trained,
             failed={**self.failed, **other.failed},
+            held_out={**self.held_out, **other.held_out},
         )
 
     def change(self, method: str) -> tuple[float, ...]:
@@ -190,6 +193,7 @@ def try_out(
     scale = spread(record.seen)
     scored = {name: held_out_errors(record, y) for name, y in forecasts.items()}
     first = held_out_from(len(record))
+    known = {name: held_out(record, y) for name, y in forecasts.items()}
     early = {
         name: [y[len(record) - at.at :] for at, y in sorted(of_method.items()) if at.at >= first]
         for name, of_method in forecasts.items()
@@ -197,9 +201,10 @@ def try_out(
     return Trial(
         {name: channel_errors(e) for name, e in scored.items()},
         {name: root_mean_square([error / scale for error in e]) for name, e in scored.items()},
-        {name: held_out(record, y).interval(LEVEL) for name, y in forecasts.items()},
+        {name: of_method.interval(LEVEL) for name, of_method in known.items()},
         early,
         scale,
         frozenset(f.name for f in shorter if f.random),
         failed={f.method: f.reason for f in failures[::-1] if f.method not in early},
+        held_out=known,
     )

@@ -73,6 +73,7 @@ class Question:
         fitted to the most samples.
     warmup : Samples at the beginning of a test record that are the history of what has no warm-up
         of its own (`Forecaster.warmup` is 0).
+    keep : Whether what has been fitted to the most samples is handed back with its forecasts.
     """
 
     record: Record
@@ -81,6 +82,7 @@ class Question:
     others: Sequence[Record] = ()
     tests: Sequence[Record] = ()
     warmup: int = 1
+    keep: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +98,7 @@ class Backtest:
     description : What it has settled on.
     unfiltered : By origin, what a model's filters are fed with, where it has any.
     weights : Of a network, the state of its model.
+    model : What has been fitted to the most samples, where it was asked for.
     """
 
     predictions: Mapping[Origin, Prediction]
@@ -105,6 +108,7 @@ class Backtest:
     description: str
     unfiltered: Mapping[Origin, Mapping[str, Array]] = field(default_factory=dict)
     weights: Mapping[str, Tensor] = field(default_factory=dict)
+    model: Forecaster | None = None
 
 
 def backtest(
@@ -158,8 +162,9 @@ def backtest(
     known, said = fitted.require_fitted(), [fitted.describe(), untested]
     description = "; ".join(filter(None, said))
     report = replace(known.report, cut=known.report.cut or cut)
-    weights = fitted.state()
-    return Backtest(predictions, tests, report, known.y_range, description, unfiltered, weights)
+    model = fitted if question.keep else None
+    said_of = predictions, tests, report, known.y_range, description
+    return Backtest(*said_of, unfiltered, fitted.state(), model)
 
 
 def tested_by(forecaster: Forecaster, test: Record) -> bool:

@@ -59,6 +59,24 @@ class Ensemble(Forecaster):
         self._seeds = None if seeds is None else tuple(seeds)
         self.members: list[Forecaster] = []
 
+    @classmethod
+    def of(cls, members: Sequence[Forecaster]) -> Ensemble:
+        """Return the mean of forecasters of one kind that have been fitted to the same records."""
+        seeds = [member.require_fitted().report.seed for member in members]
+        usual = seeds == [*range(len(seeds))]
+        ensemble = cls(members[0].clone(), len(members), seeds=None if usual else seeds)
+        ensemble._take(members, 0)
+        return ensemble
+
+    def _take(self, members: Sequence[Forecaster], seed: int) -> None:
+        """Become the mean of fitted members."""
+        self.members, self.delays = [*members], members[0].delays
+        reports = [member.require_fitted().report for member in members]
+        notes = tuple(f"seed {r.seed}: {note}" for r in reports for note in r.notes)
+        cut = any(r.cut for r in reports)
+        report = FitReport(seed, sum(r.seconds for r in reports), reports[0].losses, notes, cut)
+        self.fitted = replace(members[0].require_fitted(), report=report)
+
     @property
     def seeds(self) -> tuple[int, ...]:
         """Of the members, when the ensemble is fitted with the seed 0."""
@@ -112,17 +130,7 @@ class Ensemble(Forecaster):
             own = seed * (max(self.seeds) + 1) + of_first
             member.fit(*records, seed=own, progress=watch, checkpoint=of_member)
             self.members.append(member)
-        self.delays = self.members[0].delays
-        reports = [member.require_fitted().report for member in self.members]
-        notes = tuple(f"seed {r.seed}: {note}" for r in reports for note in r.notes)
-        report = FitReport(
-            seed,
-            sum(r.seconds for r in reports),
-            reports[0].losses,
-            notes,
-            any(r.cut for r in reports),
-        )
-        self.fitted = replace(self.require_fitted(), report=report)
+        self._take(self.members, seed)
 
     def extrapolate(self, known: Known) -> dict[str, Array]:
         """Return the mean of the members, part by part."""

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 FOUND = "recommended.json"
 """File with the settings of the recommended network, for `--settings`."""
+MODEL = "model"
+"""Folder with the recommended method as it was trained, for `simulate`."""
 
 
 def save(
@@ -47,12 +49,13 @@ def save(
 ) -> None:
     """Write all files of a comparison in place of an earlier result; on an error none of them.
 
-    They are predictions.csv and one for each test record, the pictures, the page, recommended.json
-    where a network is recommended, and results.json. `facts` go into the last one before the
-    others; `usage` is for the page.
+    They are predictions.csv and one for each test record, the pictures, the page, the trained
+    model, recommended.json where a network is recommended, and results.json. `facts` go into the
+    last one before the others; `usage` is for the page.
     """
     with staged(folder) as new:
         _write(comparison, new, facts or {}, usage)
+        comparison.model.save(folder / MODEL)  # it replaces an earlier one as a whole by itself
 
 
 def _write(
@@ -175,6 +178,7 @@ def save_forecast(result: Forecast, folder: Path, usage: Usage | None = None) ->
         save_found(result.forecaster, result.record, new)
         facts = forecast_facts(result) | {"time": result.time.as_json()}
         write_facts(new, facts)
+        result.model.save(folder / MODEL)
 
 
 def forecast_facts(result: Forecast) -> dict[str, Any]:
