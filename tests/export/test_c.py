@@ -86,6 +86,20 @@ def test_too_few_samples_leave_everything_as_it_is(tmp_path: Path) -> None:
     assert compiled.step(1) == pytest.approx(forecaster.stream(record[:20]).step(), rel=1e-9)
 
 
+def test_the_simulator_of_a_saved_model_need_not_be_there(tmp_path: Path) -> None:
+    record = free()
+    short = sb.Settings(window=60, warmup=20, epochs=1)
+    model = sb.Residual(sb.Function(np.sin), sb.GRU(3), settings=short).fit(record[:150])
+    model.save(tmp_path / "model")
+    sb.load(tmp_path / "model").export(tmp_path / "rig.c")
+    assert "Begin with nothing measured: the simulator was not" in (tmp_path / "rig.h").read_text()
+    compiled, stream = Compiled(tmp_path / "rig.c"), model.stream(record[:20])
+    for n in range(20):
+        compiled.observe(record.y[n], y_sim=np.sin(0.1 * n))
+    y_sim = np.sin(2.0)
+    assert compiled.step(1, y_sim=y_sim) == pytest.approx(stream.step(y_sim=y_sim), rel=1e-6)
+
+
 def test_what_cannot_be_exported_is_named(tmp_path: Path) -> None:
     record = free()
     short = sb.Settings(window=60, warmup=20, epochs=1)

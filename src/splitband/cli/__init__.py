@@ -171,8 +171,8 @@ def _complain(message: str) -> int:
 
 OPTIONS = (
     "calibrate", "columns", "conditioned", "cutoff", "downsampling", "epochs", "history",
-    "horizon", "inputs", "level", "methods", "order", "settings", "simulator", "steps", "train",
-    "warmup", "window",
+    "horizon", "inputs", "level", "methods", "order", "precision", "settings", "simulator",
+    "steps", "train", "warmup", "window",
 )  # fmt: skip
 """Arguments of the library that are options of the same name here."""
 

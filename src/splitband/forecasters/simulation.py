@@ -187,7 +187,8 @@ class SimulatorForecaster(Forecaster):
         """Return the simulator's output, which comes with each sample."""
         if not self.applied.stays:
             raise NotSteppedError(
-                f"{self.name} cannot be stepped, as its time is calibrated: {self.applied}"
+                f"{self.name} cannot be stepped, as its time is calibrated ({self.applied}); "
+                "with the terms gain and offset alone it can be"
             )
         ny = self.require_fitted().record.ny
         gain, offset = self.applied.gain or [1.0] * ny, self.applied.offset or [0.0] * ny

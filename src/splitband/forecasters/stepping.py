@@ -211,7 +211,7 @@ class Warmed(Recursion):
             "part": part,
             "y": y,
             "u": u,
-            "rows": np.zeros((self.warmup, *rows.shape[1:])),
+            "rows": np.zeros((self.warmup if self.part else 0, *rows.shape[1:])),
             "count": np.zeros(()),
             "running": np.zeros(()),
             "run": run,
@@ -224,7 +224,8 @@ class Warmed(Recursion):
         part, rows = self._row(state["part"], u, y_sim)
         line, late = self.line.tick(state["line"], u)
         inputs = np.concatenate([state["u"], late[None]])
-        window = np.concatenate([state["rows"], rows])
+        past = state["rows"] if self.part else np.zeros((self.warmup, *rows.shape[1:]))
+        window = np.concatenate([past, rows])
         missing, running = np.isnan(y).any(), state["running"] > 0
         count = np.where(missing, 0.0, np.minimum(state["count"] + 1, self.warmup))
         ready = running | (state["count"] >= self.warmup)
@@ -250,7 +251,7 @@ class Warmed(Recursion):
             "part": part if self.part is None else self.part.learn(part, rows[0], y),
             "y": np.concatenate([state["y"][1:], y[None]]),
             "u": inputs[1:],
-            "rows": window[1 : self.warmup + 1],
+            "rows": window[1 : self.warmup + 1] if self.part else state["rows"],
             "count": count,
             "running": np.where(runs, 1.0, 0.0),
             "run": run,
