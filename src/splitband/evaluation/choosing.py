@@ -160,7 +160,7 @@ def last_trainings(
     kept: dict[str, range] = {}
     needed = not set(trial.scores) - set(scores)
     for name in ranked:
-        cost = searched.costs.get(name, 0.0)
+        cost = searched.cost(name)
         alone = cost > time.reckoned_alone(work.deadline)
         late = work.deadline.left <= 0
         if (kept and (alone or cost > left)) or (late and (kept or not needed)):

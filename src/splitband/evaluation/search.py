@@ -81,7 +81,7 @@ LONGER = 4
 trials were better and only the budget ended them."""
 LAST = 0.7
 """Share of what is left of the budget that this may take."""
-FAILED = 2.0
+FAILED = 3.0
 """A seed whose held-out error is above this multiple of the lowest seed's does not count."""
 SETTLING = 0.25
 """Share of its iterations that a training gets on top of them when further samples are added."""
@@ -159,6 +159,7 @@ class SearchResult:
     done : Of the chosen networks, the forecasts of held-out samples, by name and seed.
     costs : Of the chosen networks, seconds of a reference core for one more training, from its
         beginning.
+    going_on : The same of those that the search has begun, by name: how many, and the cost of each.
     left : Of the budget.
     most_seeds : Of the best network.
     """
@@ -167,8 +168,14 @@ class SearchResult:
     attempts: tuple[SearchAttempt, ...] = ()
     done: Mapping[str, Mapping[int, Backtest]] = field(default_factory=dict)
     costs: Mapping[str, float] = field(default_factory=dict)
+    going_on: Mapping[str, tuple[int, float]] = field(default_factory=dict)
     left: float = 0.0
     most_seeds: int = MOST_SEEDS
+
+    def cost(self, name: str, seed: int = 0) -> float:
+        """Return the cost of the last training of a seed, 0 where nothing was searched."""
+        begun, each = self.going_on.get(name, (0, 0.0))
+        return each if seed < begun else self.costs.get(name, 0.0)
 
     def seeds(self, scores: Mapping[str, float], left: float | None = None) -> dict[str, range]:
         """How many seeds of each method are worth their training, by held-out `scores`.
@@ -179,13 +186,13 @@ class SearchResult:
         ranked = sorted([name for name in self.costs if name in scores], key=lambda n: scores[n])
         counts = dict.fromkeys(ranked, 1)
         left = self.left if left is None else min(left, self.left)
-        left -= sum(self.costs[name] for name in ranked)
+        left -= sum(self.cost(name) for name in ranked)
         good = [name for name in ranked if scores[name] <= GOOD * scores[ranked[0]]]
         for names, most in ((good, USUAL_SEEDS), (ranked[:1], self.most_seeds)):
             for name in names:
-                more = min(most - counts[name], int(max(left, 0) / self.costs[name]))
-                counts[name] += max(more, 0)
-                left -= max(more, 0) * self.costs[name]
+                while counts[name] < most and self.cost(name, counts[name]) <= left:
+                    left -= self.cost(name, counts[name])
+                    counts[name] += 1
         return {name: range(count) for name, count in counts.items()}
 
 
@@ -263,14 +270,15 @@ def search(
     # One short training, so that there is a result; what it comes to is what all else has to beat.
     ladder = trials.run(first[:1], 1.0) + trials.run(first[1:], FIRST_ROUND if rest else 1.0)
     # Of the others those first that have not been tried at all.
-    others_first = [c for turn in zip_longest(*rest) for c in turn if c]
+    quickest = [sorted(each, key=trials.cost) for each in rest]
+    others_first = [c for turn in zip_longest(*quickest) for c in turn if c]
     ladder += trials.run(others_first, FIRST_ROUND + OF_OTHERS)
     while ladder:
         ladder = trials.run([c for each in trials.promoted(ladder) if (c := each.longer())], 1.0)
     chosen = {f.name: trials.best(f.name) for f in tunable}
     if work.time.cut and not trials.tried:  # there is no time to try anything: what is done soonest
-        quickest = [min(each, key=trials.cost) for each in (first, *rest)]
-        chosen = {each.method: each for each in quickest}
+        soonest = [min(each, key=trials.cost) for each in (first, *rest)]
+        chosen = {each.method: each for each in soonest}
     left = budget.core_seconds - trials.spent
     last = {name: trials.last(c, left) for name, c in chosen.items() if c is not None}
     return SearchResult(
@@ -278,6 +286,10 @@ def search(
         tuple(trials.attempts),
         {name: c.done for name, c in chosen.items() if c is not None},
         {name: training_cost(f.going_on(Earlier()), record, others) for name, f in last.items()},
+        {
+            name: (len(f.earlier.weights), training_cost(f, record, others))
+            for name, f in last.items()
+        },
         left,
         max(MOST_SEEDS, round(MOST_SEEDS * budget.core_seconds / SEEDS_GROW_FROM)),
     )
@@ -285,6 +297,8 @@ def search(
 
 def ways(forecaster: Network, record: Record) -> list[TrainingCandidate]:
     """Return candidates for a training record, the most promising one first.
+
+    An iteration of a small state-space network is quick: on long records it has more of them.
 
     A network that begins as a linear model needs no steps of Adam, and differs in size, window and
     penalty from the first candidate, one at a time. From random weights there is also the default
@@ -297,19 +311,21 @@ def ways(forecaster: Network, record: Record) -> list[TrainingCandidate]:
     size, *sizes = forecaster.variants()
     if forecaster.starts_linear(record):
         window = min(usual.warmup + FREE_RUN, usual.window)
-        base = replace(finished, window=window, epochs=0)
+        rung = int(samples > SHORT)
+        base = replace(finished, window=window, epochs=0, quasi_newton=LADDER[rung])
         settings = [base, replace(base, window=usual.window), replace(base, penalty=PENALTY)]
         if samples <= SHORT:
             settings.append(replace(base, window=samples, penalty=PENALTY))
         settings.append(replace(base, epochs=steps, linear_start=False))
         every = [(size, each) for each in settings] + [(other, base) for other in sizes]
     else:
+        rung = 0
         free_runs = sorted({*FREE_RUNS, usual.window - usual.warmup}, reverse=True)
         windows = {min(usual.warmup + free, usual.window) for free in free_runs}
         settings = [replace(finished, window=window) for window in sorted(windows)]
         every = [(other, each) for each in settings for other in (sizes or [size])]
         every += [(other, replace(settings[0], penalty=PENALTY)) for other in sizes[-1:]]
-    found = [TrainingCandidate(forecaster.name, n.trained_as(how), 0) for n, how in every]
+    found = [TrainingCandidate(forecaster.name, n.trained_as(how), rung) for n, how in every]
     if not forecaster.starts_linear(record):
         found.insert(0, TrainingCandidate(forecaster.name, size.trained_as(usual)))
     return [*{candidate.label: candidate for candidate in found}.values()]
