@@ -70,7 +70,7 @@ class _Picked:
 
 
 def read(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] | pd.DataFrame,
     *,
     columns: _Names | None = None,
     inputs: _Names = (),
@@ -79,7 +79,7 @@ def read(
     fallback_sampling_time: float | None = None,
     gaps: Gaps = "refuse",
 ) -> Record:
-    """Read a record from CSV, TSV, Parquet, NPZ, NPY, MAT (up to v7.2) or plain text.
+    """Read a record from CSV, TSV, Parquet, NPZ, NPY, MAT (up to v7.2), text, or a DataFrame.
 
     Columns are chosen by name, or by position from 0 where a text or NPY file names none; a single
     column without a name is called y. A variable of an NPZ or MAT file is a column, and a matrix
@@ -123,12 +123,13 @@ def read(
     >>> len(record), record.sampling_time, record.columns, record.inputs
     (3, 0.5, ('x',), ('force',))
     """
-    path = Path(path)
+    frame = path if isinstance(path, pd.DataFrame) else None
+    path = Path("DataFrame") if isinstance(path, pd.DataFrame) else Path(path)
     try:
-        table = _load(path)
+        table = _load(path) if frame is None else _of_frame(frame)
         picked = _picked(table, columns, inputs, time_column)
         spaced = _spacing(table, picked.stamps, sampling_time, fallback_sampling_time, gaps)
-        record = _assemble(table, picked, spaced, gaps, name=path.stem)
+        record = _assemble(table, picked, spaced, gaps, name=path.stem if frame is None else "")
     except ColumnError as error:
         raise ColumnError(f"{path}: {error}") from error
     except ValueError as error:
@@ -175,7 +176,11 @@ def _read_parquet(path: Path) -> _Table:
     columns = [group.column(i) for group in groups for i in range(group.num_columns)]
     _check_size(8 * sum(column.num_values for column in columns))
     _check_size(sum(column.total_uncompressed_size for column in columns))
-    frame = pd.read_parquet(path)
+    return _of_frame(pd.read_parquet(path))
+
+
+def _of_frame(frame: pd.DataFrame) -> _Table:
+    """Return the columns of a table; an index with a name, or of times, is one of them."""
     times = isinstance(frame.index, pd.DatetimeIndex | pd.TimedeltaIndex)
     if times or (frame.index.name is not None and not isinstance(frame.index, pd.RangeIndex)):
         frame = frame.reset_index(names=str(frame.index.name or "time"))

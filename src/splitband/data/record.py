@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from splitband.data.gaps import BoolArray, FloatArray, filled, places
+from splitband.data.preparation import Clipped, Detrended, Preparation, Resampled
 from splitband.data.timing import (
     Grid,
     Stamp,
@@ -32,7 +33,7 @@ _UNIT = re.compile(r"[ _][(\[]([^()\[\]]+)[)\]]$")
 
 
 @saved
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Record:
     """Represent one evenly sampled record.
 
@@ -56,6 +57,7 @@ class Record:
         is compared with. None: everywhere.
     start : time stamp of the first sample, seconds or a date. None where the record has no time
         stamps: what is put beside it is then taken to begin with it.
+    prepared : what `detrend`, `clip_outliers` and `resample` have done, in that order.
 
     Raises
     ------
@@ -88,6 +90,7 @@ class Record:
     inputs: tuple[str, ...] = ()
     measured: BoolArray | None = None
     start: Stamp | None = None
+    prepared: tuple[Preparation, ...] = ()
 
     def __post_init__(self) -> None:
         y = _signal("y", self.y)
@@ -181,6 +184,97 @@ class Record:
             self, y=y, u=u, y_true=y_true, y_sim=y_sim, beyond=beyond, u_beyond=u_beyond,
             measured=measured, start=start,
         )  # fmt: skip
+
+    @classmethod
+    def from_frame(cls, frame: pd.DataFrame, **options: Any) -> Record:
+        """Return a record from a table with a column for each signal; options as of `read`.
+
+        Time stamps are a column, as in a file, or the table's index of dates.
+        """
+        from splitband.data.reading import read  # noqa: PLC0415  it makes records
+
+        return read(frame, **options)
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return a table with a column of time stamps, then inputs and outputs; gaps are NaN."""
+        named = dict(zip(self.columns, self.seen.T, strict=True))
+        known = {} if self.u is None else dict(zip(self.inputs, self.u.T, strict=True))
+        header = "time (s)" if "time" in (*named, *known) else "time"
+        return pd.DataFrame({header: self.stamps, **known, **named})
+
+    def detrend(self, order: int = 0) -> Record:
+        """Return the record less the means of its outputs and inputs, or less straight lines.
+
+        A model of it remembers them: they are subtracted from a history that has them, and added
+        to the prediction.
+
+        Parameters
+        ----------
+        order : 0 for means, 1 for straight lines, which needs time stamps.
+        """
+        if order not in (0, 1):
+            raise ValueError(f"order must be 0 (means) or 1 (straight lines), got {order}")
+        if order and self.start is None:
+            raise ValueError(
+                "order must be 0 for a record without time stamps, where nothing tells how far "
+                f"along a line a part of it lies, got {order}"
+            )
+        return self._with(Detrended.of(self, order))
+
+    def clip_outliers(self, deviations: float = 5.0) -> Record:
+        """Return the record with each output limited to its median and so many deviations.
+
+        The deviation is 1.4826 times the median one, which outliers do not change. A model of the
+        record limits a history likewise; predictions are not limited.
+        """
+        if not deviations > 0:
+            raise ValueError(f"deviations must be above 0, got {deviations}")
+        return self._with(Clipped.of(self, deviations))
+
+    def resample(self, sampling_time: float) -> Record:
+        """Return the record with a longer step, a whole multiple of its own.
+
+        Each new sample is the mean of those since the one before it, so that nothing looks ahead.
+        A model of the record does the same to a history of the old step, and predicts at the new.
+        """
+        factor = round(_positive_seconds(sampling_time) / self.sampling_time)
+        if factor < 1 or not near_sampling(sampling_time, factor * self.sampling_time):
+            raise ValueError(
+                f"sampling_time must be a whole multiple of {self.sampling_time:g} s, "
+                f"got {sampling_time:g}"
+            )
+        return self._with(Resampled(factor)) if factor > 1 else self
+
+    def prepared_as(self, other: Record) -> Record:
+        """Return the record with done to it what was done to another one.
+
+        Raises ValueError where something else was done to it already.
+        """
+        if self.prepared == other.prepared:
+            return self
+        if self.prepared:
+            raise ValueError(
+                f"{self.name or 'the record'} must be prepared like {other.name or 'the other'}, "
+                "or not at all (detrend, clip_outliers, resample)"
+            )
+        record = self
+        for step in other.prepared:
+            record = record._with(step)
+        return record
+
+    def _with(self, step: Preparation) -> Record:
+        return replace(step.apply(self), prepared=(*self.prepared, step))
+
+    def __repr__(self) -> str:
+        missing = int((~self.complete).sum())
+        parts = [
+            f"{len(self)} samples every {self.sampling_time:.6g} s",
+            described(self.columns, self.inputs),
+            *([f"{missing} with gaps"] if missing else []),
+            *(["a simulator's output"] if self.y_sim is not None else []),
+            *(type(step).__name__.lower() for step in self.prepared),
+        ]
+        return f"<Record {self.name or 'without a name'}: {'; '.join(parts)}>"
 
     @property
     def seen(self) -> FloatArray:
@@ -340,6 +434,11 @@ def check_alike(other: Record, record: Record, name: str) -> None:
                 f"{what} of {name} must be {order} of the training record, "
                 f"{', '.join(known)}, got {', '.join(names)}"
             )
+    if other.prepared != record.prepared:
+        raise ValueError(
+            f"{name} must be prepared like the training record: use prepared_as (detrend, "
+            "clip_outliers, resample)"
+        )
     if not near_sampling(other.sampling_time, record.sampling_time):
         raise ValueError(
             f"{name} must be sampled like the training record, every {record.sampling_time:g} s, "

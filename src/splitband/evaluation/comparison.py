@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
     """What forecasters did on a record, and which of them is recommended.
 
@@ -220,6 +220,15 @@ class Comparison:
         if self.trial is None:
             raise ValueError("nothing has been tried on held-out samples in this comparison")
         return self.trial
+
+    def __repr__(self) -> str:
+        best = "" if self.trial is None else f", recommended: {self.recommended}"
+        return f"<Comparison of {len(self.runs)} methods on {self.record!r}{best}>"
+
+    def _repr_html_(self) -> str:
+        """Return the recommendation and the table, for notebooks."""
+        html: str = import_module("splitband.report.table").as_html(self)
+        return html
 
     def plot(self) -> Figure:
         """Every method's predictions over the record, with intervals."""

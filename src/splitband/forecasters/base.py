@@ -19,6 +19,7 @@ from torch import Tensor
 
 from splitband.data import Record, check_alike
 from splitband.data.gaps import last_before
+from splitband.data.preparation import seconds
 from splitband.data.timing import same_sampling, zones_differ
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import Fitted
@@ -284,6 +285,8 @@ class Forecaster(Written, ABC):
         history : Measured samples up to the origin; by default the (first) training record. The
             state that a forecast begins with is estimated from them. By its time stamps it is known
             how much later than that record it begins; without any it is taken to begin with it.
+            Where the training record was detrended, clipped or resampled and the history was not,
+            the same is done to the history and the inputs, and undone on the prediction.
         u : Known inputs of the samples to come, `(steps, nu)`; by default what the history says of
             them (`u_beyond`), as a slice of a longer record does.
         y_sim : A simulator's output of the samples to come, `(steps or more, ny)`, likewise
@@ -319,6 +322,8 @@ class Forecaster(Written, ABC):
                 f"history must go on from the training record for {self.name}, which depends "
                 "on the time since then"
             )
+        if history is not None and history.prepared != fitted.record.prepared:
+            return self._predict_raw(steps, history, u, y_sim, level, other_record)
         known, past = self._known(steps, history, u, y_sim, other_record)
         extrapolated = self.extrapolate(known)
         y = total([*extrapolated.values()] if isinstance(extrapolated, dict) else [extrapolated])
@@ -538,6 +543,34 @@ class Forecaster(Written, ABC):
         """Take over all attributes of another one but those that are kept."""
         vars(self).clear()
         vars(self).update({**vars(other), **kept})
+
+    def _predict_raw(
+        self,
+        steps: int,
+        history: Record,
+        u: npt.ArrayLike | None,
+        y_sim: npt.ArrayLike | None,
+        level: float | None,
+        other_record: bool,
+    ) -> Prediction:
+        """Predict after a history that has not been prepared as the training record was."""
+        record = self.require_fitted().record
+        prepared = history.prepared_as(record)
+
+        def times(samples: int) -> Array:
+            """Return the seconds of so many samples after the history."""
+            last = seconds(prepared)[-1]
+            return np.asarray(last + prepared.sampling_time * np.arange(1.0, samples + 1))
+
+        for step in record.prepared:
+            if u is not None:
+                u = np.asarray(u, np.float64).reshape(-1, history.nu)
+                u = step.inputs(u, times(len(u)))
+            if y_sim is not None:
+                y_sim = np.asarray(y_sim, np.float64).reshape(-1, history.ny)
+                y_sim = step.outputs(y_sim, times(len(y_sim)))
+        found = self.predict(steps, prepared, u, y_sim, level, other_record)
+        return found.restored(record.prepared, times(steps))
 
     def _known(
         self,

@@ -197,6 +197,7 @@ class ModelCheck:
 def check(forecaster: Forecaster, record: Record) -> ModelCheck:
     """Check a fitted forecaster on a record; see `Forecaster.check_residuals`."""
     fitted = forecaster.require_fitted()
+    record = record.prepared_as(fitted.record)
     begin = first_after(record.complete, forecaster.warmup or min(WARMUP, len(record) // 10))
     if begin is None or begin < 2 or len(record) - begin < 2 * LAGS:
         raise ValueError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from html import escape
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from splitband.data import Grid
+from splitband.data.preparation import Preparation
 from splitband.data.timing import stamps_at
 
 if TYPE_CHECKING:
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Prediction:
     """The samples that follow an origin.
 
@@ -66,6 +68,33 @@ class Prediction:
                 table[f"{column}, lower"] = self.lower[:, i]
                 table[f"{column}, upper"] = self.upper[:, i]
         return pd.DataFrame(table)
+
+    def restored(self, prepared: Sequence[Preparation], time: Array) -> Prediction:
+        """Return the prediction with undone what was done to its record, at these seconds."""
+        signals = {"y": self.y, "lower": self.lower, "upper": self.upper}
+        for step in reversed(prepared):
+            signals = {
+                name: None if signal is None else step.restored(signal, time)
+                for name, signal in signals.items()
+            }
+        assert signals["y"] is not None
+        trend = signals["y"] - self.y
+        parts = {**self.components, "trend": trend} if self.components and trend.any() else {}
+        return replace(
+            self,
+            y=signals["y"],
+            lower=signals["lower"],
+            upper=signals["upper"],
+            components=parts or self.components,
+        )
+
+    def __repr__(self) -> str:
+        level = "" if self.level is None else f", with a {100 * self.level:g} % interval"
+        return f"<Prediction of {', '.join(self.columns)}: {self.grid}{level}>"
+
+    def _repr_html_(self) -> str:
+        """Return the first and last rows as a table, for notebooks."""
+        return f"<p>{escape(repr(self))}</p>{self.to_frame().to_html(max_rows=10, index=False)}"
 
     def plot(self) -> Figure:
         """A picture of it."""

@@ -9,6 +9,7 @@ import math
 import statistics
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from html import escape
 from typing import Any, Literal
 
 from splitband.data import Record
@@ -207,6 +208,22 @@ def remarks(comparison: Comparison) -> dict[str, str]:
         for name, reason in failed.items()
         if name not in found
     }
+
+
+def as_html(comparison: Comparison) -> str:
+    """Return the table as HTML without style, the recommended method first, for notebooks."""
+    listed, rows = columns(comparison), remarks(comparison)
+    heads = "".join(f"<th>{escape(column.label)}</th>" for column in listed)
+    body = []
+    for name in rows:
+        cells = "".join(
+            f"<td>{'<b>' * best}{escape(column.entry(name))}{'</b>' * best}</td>"
+            for column in listed
+            for best in [column.best == name]
+        )
+        body.append(f"<tr><th>{escape(name)}</th>{cells}</tr>")
+    table = f"<table><thead><tr><th>method</th>{heads}</tr></thead><tbody>{''.join(body)}</tbody>"
+    return f"<p>{escape(repr(comparison))}</p>{table}</table>"
 
 
 def _errors(

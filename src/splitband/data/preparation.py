@@ -1,0 +1,199 @@
+"""Prepare records: what was done to one is remembered, and undone on predictions."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from splitband.data.timing import seconds_of, stamp_after
+from splitband.runtime.options import saved
+
+if TYPE_CHECKING:
+    from splitband.data.record import Record
+
+FloatArray = npt.NDArray[np.float64]
+Numbers = tuple[float, ...]
+
+
+class Preparation(ABC):
+    """Represent something that is done to a record."""
+
+    @abstractmethod
+    def apply(self, record: Record) -> Record:
+        """Return the record with it done."""
+
+    def inputs(self, u: FloatArray, time: FloatArray) -> FloatArray:
+        """Return inputs `(time, nu)` at `time`, in seconds, with it done."""
+        return u
+
+    def outputs(self, y: FloatArray, time: FloatArray) -> FloatArray:
+        """Return a simulator's output `(time, ny)` with it done."""
+        return y
+
+    def restored(self, y: FloatArray, time: FloatArray) -> FloatArray:
+        """Return predictions `(time, ny)` with it undone."""
+        return y
+
+
+@final
+@saved
+@dataclass(frozen=True)
+class Detrended(Preparation):
+    """Remove means, or straight lines over time, from outputs and inputs.
+
+    Attributes
+    ----------
+    begin : Seconds at which the levels are given.
+    levels, slopes : Of the outputs, `ny` each; slopes per second.
+    input_levels, input_slopes : The same of the inputs.
+    """
+
+    begin: float
+    levels: Numbers
+    slopes: Numbers
+    input_levels: Numbers = ()
+    input_slopes: Numbers = ()
+
+    @classmethod
+    def of(cls, record: Record, order: int) -> Detrended:
+        """Fit to a record: means (order 0) or straight lines (order 1)."""
+        time = seconds(record)
+        begin = float(time[0]) if order else 0.0
+        fits = [
+            _line(time - begin, signal, order)
+            for of in (record.seen, record.u)
+            if of is not None
+            for signal in of.T
+        ]
+        levels, slopes = zip(*fits, strict=True)
+        ny = record.ny
+        return cls(begin, levels[:ny], slopes[:ny], levels[ny:], slopes[ny:])
+
+    def apply(self, record: Record) -> Record:
+        """Return the record less the trend; a simulator's output loses that of the outputs."""
+        time = seconds(record)
+        later = time[-1] + record.sampling_time * (1 + np.arange(_most(record)))
+        changed: dict[str, Any] = {"y": record.y - self._trend(time)}
+        for field in ("y_true", "y_sim"):
+            if (signal := getattr(record, field)) is not None:
+                changed[field] = self.outputs(signal, time)
+        if record.beyond is not None:
+            changed["beyond"] = self.outputs(record.beyond, later[: len(record.beyond)])
+        if record.u is not None:
+            changed["u"] = self.inputs(record.u, time)
+        if record.u_beyond is not None:
+            changed["u_beyond"] = self.inputs(record.u_beyond, later[: len(record.u_beyond)])
+        return replace(record, **changed)
+
+    def inputs(self, u: FloatArray, time: FloatArray) -> FloatArray:
+        """See `Preparation`."""
+        slopes = np.outer(time - self.begin, self.input_slopes)
+        return np.asarray(u - np.array(self.input_levels) - slopes)
+
+    def outputs(self, y: FloatArray, time: FloatArray) -> FloatArray:
+        """See `Preparation`."""
+        return np.asarray(y - self._trend(time))
+
+    def restored(self, y: FloatArray, time: FloatArray) -> FloatArray:
+        """See `Preparation`."""
+        return np.asarray(y + self._trend(time))
+
+    def _trend(self, time: FloatArray) -> FloatArray:
+        return np.asarray(np.array(self.levels) + np.outer(time - self.begin, self.slopes))
+
+
+@final
+@saved
+@dataclass(frozen=True)
+class Clipped(Preparation):
+    """Limit the outputs to a range each.
+
+    Attributes
+    ----------
+    low, high : Of each output.
+    """
+
+    low: Numbers
+    high: Numbers
+
+    @classmethod
+    def of(cls, record: Record, deviations: float) -> Clipped:
+        """Return limits: the median, and so many deviations, as the median deviation has them."""
+        seen = record.seen
+        middle = np.nanmedian(seen, axis=0)
+        # The factor makes the median deviation the standard deviation of what is normal.
+        reach = deviations * 1.4826 * np.nanmedian(abs(seen - middle), axis=0)
+        reach = np.where(reach > 0, reach, np.inf)
+        return cls(tuple(map(float, middle - reach)), tuple(map(float, middle + reach)))
+
+    def apply(self, record: Record) -> Record:
+        """See `Preparation`."""
+        return replace(record, y=np.clip(record.y, self.low, self.high))
+
+
+@final
+@saved
+@dataclass(frozen=True)
+class Resampled(Preparation):
+    """Take the mean of every `factor` samples, which does not look ahead.
+
+    The newest samples are kept: those that are too few for a mean are left out at the beginning.
+    The time stamp of a mean is that of its last sample. A prediction has the new step; so have
+    the inputs that are given for it.
+
+    Attributes
+    ----------
+    factor : Samples of a mean.
+    """
+
+    factor: int
+
+    def apply(self, record: Record) -> Record:
+        """See `Preparation`."""
+        k = self.factor
+        if len(record) < 2 * k:
+            raise ValueError(f"record must have {2 * k} samples to be resampled, got {len(record)}")
+        first = len(record) % k
+        measured = None if record.measured is None else record.measured[first:]
+        if measured is not None:
+            measured = np.asarray(measured.reshape(-1, k, record.ny).all(axis=1))
+        changed: dict[str, Any] = {}
+        for field in ("y", "y_true", "y_sim", "u", "beyond", "u_beyond"):
+            if (signal := getattr(record, field)) is not None:
+                ahead = field in ("beyond", "u_beyond")
+                means = self._means(signal[: len(signal) // k * k] if ahead else signal[first:])
+                changed[field] = means if len(means) else None
+        step, start = record.sampling_time, record.start
+        if start is not None:
+            start = stamp_after(start, (first + k - 1) * step)
+        return replace(record, sampling_time=k * step, start=start, measured=measured, **changed)
+
+    def _means(self, signal: FloatArray) -> FloatArray:
+        means = signal.reshape(-1, self.factor, signal.shape[1]).mean(axis=1)
+        return np.asarray(means, dtype=np.float64)
+
+
+def seconds(record: Record) -> FloatArray:
+    """Return the times of a record in seconds, `(time,)`; dates since 1970."""
+    start = record.start
+    begin = start.timestamp() if isinstance(start, pd.Timestamp) else seconds_of(start)
+    return np.asarray(begin + record.sampling_time * np.arange(float(len(record))))
+
+
+def _line(time: FloatArray, signal: FloatArray, order: int) -> tuple[float, float]:
+    """Return level and slope of what was measured."""
+    known = ~np.isnan(signal)
+    if not order:
+        return float(signal[known].mean()), 0.0
+    slope, level = np.polyfit(time[known], signal[known], 1)
+    return float(level), float(slope)
+
+
+def _most(record: Record) -> int:
+    ahead = (record.beyond, record.u_beyond)
+    return max((len(signal) for signal in ahead if signal is not None), default=0)
