@@ -64,7 +64,7 @@ def test_c_says_what_a_stream_says(
 
 
 def test_ten_thousand_steps_differ_by_rounding(tmp_path: Path) -> None:
-    forecaster, record = fitted("split, conditioned, no inputs")
+    forecaster, record = fitted("gru, no inputs")
     forecaster.export(tmp_path / "rig.c")
     compiled, stream = Compiled(tmp_path / "rig.c"), forecaster.stream()
     errors = [np.abs(compiled.step(1) - stream.step()).max() for _ in range(10_000)]
