@@ -1,6 +1,6 @@
 """Choose the filter pair from the training samples: cut-off, order and down-sampling.
 
-Not in the paper, which sets them by eye. No network is trained for it; docs/theory/rules.md says
+Not in the paper, which sets them by eye. No network is trained for it; docs/results/rules.md says
 what the rules were tried on.
 """
 
