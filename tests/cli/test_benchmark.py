@@ -11,7 +11,9 @@ import pytest
 
 from splitband.cli import cases, main
 from splitband.cli.comparing import Request
-from splitband.evaluation.comparison import compare
+from splitband.evaluation.comparison import run
+from splitband.evaluation.plan import Plan
+from splitband.evaluation.runs import Work
 from splitband.report.benchmark import Row, picture, summary
 from splitband.runtime.files import CHECKPOINTS
 from tests.cli.support import (
@@ -39,7 +41,7 @@ data/record.csv,tested,a,force,data/history.csv; data/record.csv,,,12
 data/record.csv,wrong,absent,,,,,
 data/record.csv,beside,a,,,data/simulated.csv,120,
 """
-COMPARE = "splitband.cli.comparing.compare_forecasters"
+COMPARE = "splitband.cli.comparing.run"
 NAMES = ["free", "tested", "wrong", "beside"]
 OPTIONS = f"--methods gru,persistence,mean {QUICK} --seeds 2 --jobs 1"
 
@@ -66,9 +68,9 @@ def again(begun: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[
     monkeypatch.chdir(tmp_path)
     compared: list[int] = []
 
-    def counted(record: Any, **others: Any) -> Any:
-        compared.append(len(record))
-        return compare(record, **others)
+    def counted(plan: Plan, work: Work) -> Any:
+        compared.append(len(plan.record))
+        return run(plan, work)
 
     monkeypatch.setattr(COMPARE, counted)
     return compared
@@ -188,11 +190,11 @@ def test_ctrl_c_ends_in_one_line_and_the_same_command_goes_on(
     shutil.move("out", "whole")
     line = f"benchmark list.csv {OPTIONS} --out out"
 
-    def interrupted(record: Any, **others: Any) -> Any:
+    def interrupted(plan: Plan, work: Work) -> Any:
         if again:
             raise KeyboardInterrupt
-        again.append(len(record))
-        return compare(record, **others)
+        again.append(len(plan.record))
+        return run(plan, work)
 
     with monkeypatch.context() as patch:
         patch.setattr(COMPARE, interrupted)
