@@ -1,5 +1,6 @@
 """A simulator with fitted parameters as a forecaster: from any origin, on any record."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -76,6 +77,31 @@ def test_a_wrong_model_goes_on_from_what_was_measured_last() -> None:
     model = sb.GreyBox(simulator, starts=2).fit(record[:300])
     assert 0 < model.memory < 100
     assert sb.nrmse(y[300:310, None], model.predict(10).y) < 0.1
+
+
+def test_a_saved_model_needs_its_simulator_and_keeps_its_values(
+    model: sb.GreyBox, tmp_path: Path
+) -> None:
+    record = driven(0)
+    model.save(tmp_path)
+    loaded = sb.load(tmp_path)
+    with pytest.raises(ValueError, match="simulator must be given"):
+        loaded.predict(10, u=inputs(record)[300:310])
+    # With other ranges: the values are those that were fitted.
+    loaded = sb.load(tmp_path, simulator=rig(k=(1.0, 2.0)))
+    expected = model.predict(100, u=inputs(record)[300:]).y
+    np.testing.assert_allclose(loaded.predict(100, u=inputs(record)[300:]).y, expected, atol=1e-6)
+    assert loaded.describe() == model.describe()
+
+
+def test_a_hybrid_fits_the_parameters_first(model: sb.GreyBox) -> None:
+    record = driven(0)
+    settings = sb.Settings(window=40, warmup=10, epochs=2)
+    hybrid = sb.Residual(rig(), sb.GRU(4), settings=settings).fit(record[:300], seed=0)
+    assert hybrid.name == "residual-grey-box-gru"
+    assert f"grey-box: {model.describe()}" in hybrid.describe()
+    found = hybrid.predict(100, u=inputs(record)[300:]).components["grey-box"]
+    np.testing.assert_allclose(found, record.truth[300:], atol=0.01)
 
 
 def test_a_black_box_function_is_fitted_too() -> None:

@@ -9,16 +9,18 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.costs import job_cost
 from splitband.forecasters.backtest import Backtest, Question, backtest
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.grey_box import ESTIMATES
+from splitband.forecasters.remembering import Remembered
 from splitband.forecasters.simulation import CALIBRATIONS
 from splitband.runtime.deadlines import Deadline, OverError, now, within
 from splitband.runtime.job_folders import Files, JobFolder
 from splitband.runtime.processes import Processes, over
-from splitband.simulators.calibration import Calibration
 from splitband.training import Checkpoint, Progress
 
 
@@ -119,6 +121,8 @@ class Failure:
     """Whether it is for want of time."""
 
 
+REMEMBERED: tuple[Remembered[Any], ...] = (CALIBRATIONS, ESTIMATES)
+"""What jobs are told of that has been computed before."""
 LATE = "left out, as the time was over"
 HALF = 0.5
 PATIENCE = 2.0
@@ -144,7 +148,7 @@ def run_all(
     done: dict[tuple[str, int], Backtest | Failure] = {}
     for f in forecasters:
         try:
-            ready[f.name] = _prepared(f, questions[f.name])
+            ready[f.name] = _prepared(f, questions[f.name], work)
         except ValueError as error:
             done |= {(f.name, s): Failure(f.name, s, str(error)) for s in seeds_of[f.name]}
     costs = {name: job_cost(f, questions[name]) for name, f in ready.items()}
@@ -165,7 +169,9 @@ def run_all(
             )
             for at, (f, _, seed) in enumerate(ordered)
         ]
-        job = partial(_work, ready, questions, stage, place, dict(CALIBRATIONS.results))
+        job = partial(
+            _work, ready, questions, stage, place, [dict(each.results) for each in REMEMBERED]
+        )
         workers = work.executor or work.jobs
         watch = _Watch(work, {(each.name, each.seed): costs[each.name] for each in todo})
         # What needs no training looks at the deadline by itself, and is what there is in any case.
@@ -226,7 +232,7 @@ def _seeds_of(
     return seeds if forecaster.random else seeds[:1]
 
 
-def _prepared(forecaster: Forecaster, asked: Question) -> Forecaster:
+def _prepared(forecaster: Forecaster, asked: Question, work: Work) -> Forecaster:
     """With what all of its jobs share computed here, once for all processes.
 
     Raises ValueError where a simulator of its own fails.
@@ -241,9 +247,11 @@ def _prepared(forecaster: Forecaster, asked: Question) -> Forecaster:
         # It may only fail for test records, and is not asked about them then.
         forecaster = forecaster.simulated(record, ahead, *asked.others)
     # These errors are not lost: the job that needs the result computes it again and reports them.
-    with suppress(ValueError):
+    workers, folder = work.executor or work.jobs, work.checkpoints
+    with suppress(ValueError), within(work.deadline):
         for samples in fits:
-            forecaster.prepare(asked.record[:samples])
+            training = [asked.record[:samples], *asked.others]
+            forecaster.prepare(training, workers, None if folder is None else Path(folder))
     return forecaster
 
 
@@ -327,7 +335,7 @@ def _work(
     questions: Mapping[str, Question],
     stage: str | None,
     place: JobFolder | None,
-    calibrations: Mapping[str, Calibration],
+    remembered: Sequence[Mapping[str, Any]],
     job: _FitJob,
     report: Callable[[RunProgress], None],
 ) -> _FitOutcome:
@@ -335,7 +343,8 @@ def _work(
     # What needs no training is begun however late it is, so that there is a result.
     if job.deadline.over and forecasters[name].random and not job.needed:
         return _FitOutcome(name, seed, Failure(name, seed, LATE, late=True), {}, 0.0)
-    CALIBRATIONS.learn(calibrations)
+    for each, results in zip(REMEMBERED, remembered, strict=True):
+        each.learn(results)
     watch = None if stage is None else _reporter(name, seed, stage, report)
     forecaster, question = forecasters[name], questions[name]
     with within(job.deadline):

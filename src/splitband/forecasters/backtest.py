@@ -236,7 +236,7 @@ def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
     """
     samples = len(record)
     fitted = held_out_from(samples)
-    if forecaster.random:
+    if not forecaster.refits:
         held = samples - fitted
         return sorted({Origin(fitted, fitted + i * held // 3) for i in range(3)})
     ends = [samples - max(1, round(share * samples)) for share in REFITS]

@@ -7,6 +7,7 @@ import time
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -125,6 +126,11 @@ class Forecaster(Written, ABC):
         return any(part.shares_bands for part in parts_of(self).values())
 
     @property
+    def refits(self) -> bool:
+        """Return whether it is fitted again quickly, for each origin of a trial."""
+        return not self.random
+
+    @property
     def as_base(self) -> AsBase:
         """Return what a hybrid says of it where it holds the slow part."""
         return AsBase(self.name, before=f"-{self.name}")
@@ -208,10 +214,18 @@ class Forecaster(Written, ABC):
         """Return it with its simulator calibrated, if it has one; itself otherwise."""
         return self.with_parts(lambda part: part.calibrated())
 
-    def prepare(self, record: Record) -> None:
-        """Compute once what the fits of several forecasters and seeds to a record share."""
+    def prepare(
+        self,
+        records: Sequence[Record],
+        workers: int | Executor = 1,
+        folder: Path | None = None,
+    ) -> None:
+        """Compute once what the fits of several forecasters and seeds to records share.
+
+        `workers` may help, and what is cut off may go on from files in the `folder`.
+        """
         for part in parts_of(self).values():
-            part.prepare(record)
+            part.prepare(records, workers, folder)
 
     def check(self, *records: Record) -> None:
         """Raise ValueError for what is wrong with the training records, before anything runs."""

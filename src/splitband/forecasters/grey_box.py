@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import final
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, final
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record
 from splitband.data.timing import seconds_of
-from splitband.forecasters.base import Forecaster
+from splitband.forecasters.base import AsBase, Forecaster
 from splitband.forecasters.known import Known
+from splitband.forecasters.remembering import Remembered
 from splitband.metrics import rmse
+from splitband.simulators.absent import Absent
 from splitband.simulators.adjusted import Adjusted
 from splitband.simulators.estimate import Estimate
 from splitband.simulators.identification import Effort, identify
@@ -25,6 +31,31 @@ STARTS = 0.5, 2 / 3, 5 / 6
 """Shares of the training record, from which on forecasts are compared to choose the `memory`."""
 SHORTEST, GROWTH = 20, 4
 _PAYS = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A fit that several forecasters ask for; `repr` is all that its result depends on."""
+
+    simulator: Any
+    records: tuple[Record, ...]
+    effort: Effort
+
+    def result(self) -> Estimate:
+        """Carry it out."""
+        return identify(self.simulator, *self.records, effort=self.effort)
+
+    def __repr__(self) -> str:
+        said = sha256(f"{self.simulator.digest()} {self.simulator.known}".encode())
+        for record in self.records:
+            said.update(f"{record.start} {record.sampling_time} {record.y.shape}".encode())
+            for array in (record.seen, record.u):
+                said.update(b"" if array is None else array.tobytes())
+        return f"{said.hexdigest()} {self.effort.starts}"
+
+
+ESTIMATES: Remembered[Estimate] = Remembered(_Fit.result)
+"""Hybrids, seeds and trials ask for the same fit, which takes seconds."""
 
 
 @final
@@ -40,7 +71,7 @@ class GreyBox(Forecaster):
     Attributes
     ----------
     estimate : The values, how certain they are, and what the record does not tell.
-    adjusted : The simulator with these values.
+    adjusted : What is known of the simulator with these values.
     memory : Samples of a history, counted from its end, that a forecast's state is estimated from;
         0 for all of them.
 
@@ -71,8 +102,27 @@ class GreyBox(Forecaster):
 
     @property
     def name(self) -> str:
-        """See `Forecaster`."""
+        """Return the name that it was given, or "grey-box"."""
         return self._name or "grey-box"
+
+    @property
+    def as_base(self) -> AsBase:
+        """Return what a hybrid says of it."""
+        return AsBase(self.name, before=f"-{self.name}", words="a simulator with fitted parameters")
+
+    @property
+    def refits(self) -> bool:
+        """Return False: a fit takes as long as that of a network."""
+        return False
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what is saved: of the simulator a description."""
+        described = None if self.simulator is None else Absent.of(self.simulator)
+        return {**super().to_dict(), "simulator": described}
+
+    def in_words(self) -> str:
+        """Return what it is."""
+        return "the simulator, its parameters fitted to the training samples"
 
     def learn(
         self,
@@ -82,17 +132,29 @@ class GreyBox(Forecaster):
         progress: Callable[[Progress], None] | None,
         checkpoint: Checkpoint | None,
     ) -> None:
-        """See `Forecaster`; all records are fitted together."""
+        """Fit the parameters to all records together."""
         folder = None if checkpoint is None else checkpoint.path.parent
-        effort = Effort(self.starts, self.seconds, folder=folder)
-        self.estimate = identify(self.simulator, *records, effort=effort)
+        self.estimate = self._estimated(records, Effort(self.starts, self.seconds, folder=folder))
         experiments = [Experiment.of(record) for record in records]
-        self.adjusted = Adjusted.of(self.simulator, self.estimate, experiments)
+        adjusted = Adjusted.of(self.simulator, self.estimate, experiments)
+        self.adjusted = replace(adjusted, simulator=None)
         self.u = records[0].u
         self.memory = self._chosen_memory(experiments[0])
 
+    def prepare(
+        self,
+        records: Sequence[Record],
+        workers: int | Executor = 1,
+        folder: Path | None = None,
+    ) -> None:
+        """Fit the parameters once for all hybrids, seeds and trials."""
+        self._estimated(records, Effort(self.starts, self.seconds, workers, folder))
+
+    def _estimated(self, records: Sequence[Record], effort: Effort) -> Estimate:
+        return ESTIMATES(_Fit(self.simulator, tuple(records), effort))
+
     def extrapolate(self, known: Known) -> Array:
-        """See `Forecaster`; from the state that the last samples of the history tell."""
+        """Return what follows the state that the last samples of the history tell."""
         memory = min(self.memory or len(known.y), len(known.y))
         if memory == len(known.y):
             return self.trajectory(known)[len(known.y) :]
@@ -114,13 +176,13 @@ class GreyBox(Forecaster):
         return adjusted.response(whole, state)[0]
 
     def describe(self) -> str:
-        """See `Forecaster`."""
+        """Return the values with their standard errors, and what the record does not tell."""
         return str(self.estimate)
 
     def _adjusted(self) -> Adjusted:
         self.require_fitted()
         assert self.adjusted is not None
-        return self.adjusted
+        return replace(self.adjusted, simulator=self.simulator)
 
     def _reach(self) -> float:
         """Return how many samples of inputs are known from the first training sample on."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Any, final
 
 from splitband import models
 from splitband.data import Record
 from splitband.filters.spectrum import oracle
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.network import CONDITIONED, Network
 from splitband.forecasters.simulation import Simulation
 from splitband.forecasters.template import Template, as_template, label_of
@@ -20,7 +21,8 @@ from splitband.training import Settings
 def as_slow_part(base: Forecaster | Simulator | None) -> Forecaster:
     """Return what holds the slow part; raises ValueError for what knows nothing of the history."""
     if not isinstance(base, Forecaster):
-        return Simulation(base)
+        adjustable: Any = base if getattr(base, "adjustable", False) else None
+        return Simulation(base) if adjustable is None else GreyBox(adjustable)
     if type(base).trajectory is Forecaster.trajectory:
         raise ValueError(
             f"base must say something about the whole record, as a simulator, Linear, Periodic "
@@ -35,8 +37,9 @@ class Filtered(Network):
 
     Parameters
     ----------
-    base : What holds the low band: a simulator, which may be `Calibrated`, or a forecaster that is
-        fitted first, such as `Linear()`; by default the simulator's output that a record brings.
+    base : What holds the low band: a simulator, whose parameters are fitted first (`GreyBox`), or
+        which may be `Calibrated`, or a forecaster that is fitted first, such as `Linear()`; by
+        default the simulator's output that a record brings.
     cell : The network's.
     bands : Where they part; by default chosen by where base and training samples agree.
     conditioned : Tell the network what the base says, value and slope. Not in the paper.

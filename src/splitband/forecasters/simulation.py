@@ -352,9 +352,9 @@ class Calibrated(SimulatorForecaster):
         """Fit the terms to the first record."""
         self.applied = self._fitted_to(records[0])
 
-    def prepare(self, record: Record) -> None:
+    def prepare(self, records: Sequence[Record], *_: Any) -> None:
         """Fit the terms once for all seeds and trials."""
-        self._fitted_to(record)
+        self._fitted_to(records[0])
 
     def describe(self) -> str:
         """Return the terms."""

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from splitband.runtime.options import saved
 from splitband.simulators.estimate import Estimate
 from splitband.simulators.shooting import BAD, STATE_STEP, Adjustable, Experiment
 
@@ -22,13 +23,14 @@ _COMPARED = 10
 _LEAST_NOISE = 1e-3
 
 
+@saved
 @dataclass(frozen=True, eq=False)
 class Adjusted:
     """Run a simulator with the values that were fitted.
 
     Attributes
     ----------
-    simulator : With ranges, as it was fitted.
+    simulator : With ranges, as it was fitted; None in a saved model.
     values : Of every parameter; initial values are those of the first training record.
     noise : RMSE of each channel in training, `(ny,)`.
     states, outputs : Of the training records, `(n, nx)` and `(n, ny)`; at most `MOST_STATES` rows.

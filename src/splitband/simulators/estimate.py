@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from splitband.runtime.options import saved
 from splitband.simulators.parameters import Parameters
 
 Array = npt.NDArray[np.float64]
@@ -26,6 +27,7 @@ INVOLVED = 0.2
 _MOST_LAGS = 0.1
 
 
+@saved
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """Hold the values of fitted parameters, with standard errors.

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.runtime.options import Written
+from splitband.simulators.parameters import Given, Parameters
 
 Array = npt.NDArray[np.float64]
 
@@ -29,14 +30,21 @@ class Fmu(Written):
     ----------
     path : Of the .fmu file.
     outputs : Variables that correspond to the record's channels; by default the FMU's outputs.
-    start_values : Parameters and initial values by name.
+    parameters : Start values of variables by name, parameters and initial values: a number, or a
+        range `(low, high)` in which it is fitted. All records have them in common.
+    inputs : Variables that take the record's inputs; by default the FMU's inputs, where the record
+        has any. Co-simulation holds them until the next sample, model exchange interpolates.
     """
+
+    states = 0
+    difference = 1e-4
 
     def __init__(
         self,
         path: str | Path,
         outputs: Sequence[str] | None = None,
-        start_values: Mapping[str, float] | None = None,
+        parameters: Given | None = None,
+        inputs: Sequence[str] | None = None,
     ) -> None:
         try:
             import fmpy  # noqa: PLC0415  the optional extra
@@ -44,10 +52,11 @@ class Fmu(Written):
         except ImportError:
             raise ValueError("an FMU needs FMPy: pip install 'splitband[fmu]'") from None
         self.path = Path(path)
-        self.start_values = None if start_values is None else dict(start_values)
+        self.parameters = None if parameters is None else dict(parameters)
+        self.known = Parameters(dict(parameters or {}))
         if not self.path.is_file():
             raise FileNotFoundError(f"no such FMU: {self.path}")
-        self._simulate_fmu = fmpy.simulate_fmu
+        self._simulate_fmu, self._instantiate = fmpy.simulate_fmu, instantiate_fmu
         self._folder = tempfile.mkdtemp(prefix="splitband-fmu-")
         self._idle: list[Any] = []  # the instance while it does not run
         # Unlike `weakref.finalize` it also runs at the end of a worker process, and leaves alone
@@ -62,18 +71,49 @@ class Fmu(Written):
             raise ValueError(f"{self.path} is not an FMU that can be run here: {error}") from error
         variables = {v.name: v for v in self._description.modelVariables}
         given = outputs or [v.name for v in variables.values() if v.causality == "output"]
-        for name in (*given, *(self.start_values or {})):
+        taken = [v.name for v in variables.values() if v.causality == "input"]
+        self._inputs = [*(taken if inputs is None else inputs)]
+        self.inputs = None if inputs is None else list(inputs)
+        for name in (*given, *self._inputs, *self.known.given):
             if name not in variables:
                 self.close()
                 raise ValueError(f"{self.path} has no variable {name}; it has {_some(variables)}")
         self.outputs = list(given)
 
+    @property
+    def adjustable(self) -> bool:
+        """Return whether it has to be fitted, or needs inputs: a `GreyBox` runs it."""
+        return bool(self.known.free) or bool(self._inputs)
+
+    def fixed(self, values: Mapping[str, float]) -> Fmu:
+        """Return the FMU with these values of parameters."""
+        given = self.known.fixed(values).given
+        return Fmu(self.path, self.outputs, given, self.inputs)
+
     def simulate(self, time: Array) -> npt.ArrayLike:
-        """Simulate the measured channels at the times `time` in s."""
-        if not self._idle:
-            raise ValueError(f"the FMU {self.path} has been closed, or an earlier run failed")
-        # Kept for the next run only after success: one that failed or still runs cannot be freed.
-        instance = self._idle.pop()
+        """Simulate the measured channels at the times `time` in s.
+
+        A parameter with a range is in the middle of it.
+        """
+        return self._run(time, None, self.known.middle())
+
+    def respond(
+        self, time: Array, u: Array | None, points: Sequence[tuple[Mapping[str, float], Any]]
+    ) -> list[tuple[Array, Array]]:
+        """See `Adjustable`: there are no states. A run that fails gives NaN."""
+        found = []
+        for values, _ in points:
+            try:
+                y = np.asarray(self._run(time, u, values), dtype=float)
+            except Exception as error:
+                if len(points) == 1:
+                    raise ValueError(f"the FMU {self.path} failed: {error}") from error
+                y = np.full((len(time), len(self.outputs)), np.nan)
+            found.append((y, np.empty((len(time), 0))))
+        return found
+
+    def _run(self, time: Array, u: Array | None, values: Mapping[str, float]) -> Array:
+        instance = self._idle.pop() if self._idle else self._instance()
         step = float(time[1] - time[0])
         result = self._simulate_fmu(
             self._folder,
@@ -82,22 +122,58 @@ class Fmu(Written):
             start_time=float(time[0]),
             stop_time=float(time[-1]),
             output_interval=step,
-            start_values=self.start_values or {},
+            start_values=dict(values),
+            input=self._signals(time, u),
             output=self.outputs,
         )
         instance.reset()
+        # Kept for the next run only after success: one that failed or still runs cannot be freed.
         self._idle.append(instance)
         if result["time"][-1] < time[-1] - step / 2:
             raise ValueError(f"the FMU {self.path} stopped at {result['time'][-1]:g} s")
-        values = np.column_stack([result[name] for name in self.outputs])
+        found = np.column_stack([result[name] for name in self.outputs])
         # At an event FMPy stores more samples than the grid has: take the grid's.
         at = np.searchsorted(result["time"], time - step / 4)
-        return values[np.minimum(at, len(values) - 1)]
+        return np.asarray(found[np.minimum(at, len(found) - 1)])
+
+    def _instance(self) -> Any:
+        """Return a new instance, after one that failed."""
+        if not Path(self._folder).is_dir():
+            raise ValueError(f"the FMU {self.path} has been closed")
+        return self._instantiate(self._folder, self._description)
+
+    def _signals(self, time: Array, u: Array | None) -> Any:
+        """Return the inputs as FMPy takes them."""
+        if u is None or not self._inputs:
+            return None
+        if u.shape[1] != len(self._inputs):
+            raise ValueError(
+                f"inputs must be {u.shape[1]} variables of the FMU, as many as the record has, got "
+                f"{', '.join(self._inputs)}"
+            )
+        signals = np.empty(len(time), [("time", float), *((name, float) for name in self._inputs)])
+        signals["time"] = time
+        for name, column in zip(self._inputs, u.T, strict=True):
+            signals[name] = column
+        return signals
+
+    def digest(self) -> str:
+        """Return what its response depends on besides the parameters' values."""
+        content = hashlib.sha256(self.path.read_bytes()).hexdigest()
+        return f"{content} {self.outputs} {self._inputs}"
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what other processes open it by."""
+        return {"path": self.path, "outputs": self.outputs, "parameters": self.parameters,
+                "inputs": self.inputs}  # fmt: skip
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        Fmu.__init__(self, **state)
 
     def fingerprint(self) -> str:
         """Return the cache key: all that the output depends on besides the time grid."""
         content = hashlib.sha256(self.path.read_bytes()).hexdigest()
-        return f"{content} {self.outputs} {sorted((self.start_values or {}).items())}"
+        return f"{content} {self.outputs} {sorted(self.known.middle().items())}"
 
     def close(self) -> None:
         """Free the instance and remove the unpacked files."""

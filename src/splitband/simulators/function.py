@@ -43,6 +43,11 @@ class Function(Written):
         """Return the parameters, checked."""
         return Parameters(dict(self.parameters or {}))
 
+    @property
+    def adjustable(self) -> bool:
+        """Return whether it has to be fitted, or needs inputs: a `GreyBox` runs it."""
+        return bool(self.known.given) or count_arguments(self.function) > 1
+
     def fixed(self, values: Mapping[str, float]) -> Self:
         """Return the function with these values of parameters."""
         return replace(self, parameters=dict(self.known.fixed(values).given))

@@ -8,8 +8,9 @@ simulation does not tell, as its phase is lost, a short one does.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from hashlib import sha256
@@ -24,7 +25,7 @@ from splitband.data import Record
 from splitband.metrics import spread
 from splitband.runtime.deadlines import Deadline, OverError, current, within
 from splitband.runtime.files import write_json
-from splitband.runtime.processes import over
+from splitband.runtime.processes import Processes, over
 from splitband.simulators.estimate import Curvature, Estimate, labelled
 from splitband.simulators.shooting import BAD, Adjustable, Experiment, Shooting
 
@@ -165,7 +166,7 @@ def _tried(
         batch = [i for i in range(first, min(first + _BATCH, len(points))) if i not in done]
         if done and deadline.over:
             break
-        for outcome in over(work, batch, effort.workers):
+        for outcome in _side_by_side(work, batch, effort.workers):
             done[outcome.number] = outcome
             if not outcome.cut:
                 kept.keep(outcome)
@@ -174,6 +175,30 @@ def _tried(
         if _agree([o for i, o in done.items() if i < first + _BATCH], experiments):
             break
     return [done[i] for i in sorted(done) if i < first + _BATCH]
+
+
+def _side_by_side(
+    work: Any, batch: Sequence[int], workers: int | Executor
+) -> Iterator[StartOutcome]:
+    """Yield the outcomes of several starts; one whose process is ended has failed.
+
+    Which of several that was is not known: those without an outcome are tried again one by one.
+    """
+    if isinstance(workers, int) and workers == 1:
+        yield from over(work, batch)
+        return
+    left = [*batch]
+    with nullcontext(workers) if isinstance(workers, Executor) else Processes(workers) as staff:
+        try:
+            for outcome in over(work, batch, staff):
+                left.remove(outcome.number)
+                yield outcome
+        except OSError:
+            for number in left:
+                try:
+                    yield from over(work, [number], staff)
+                except OSError as error:
+                    yield StartOutcome(number, failure=f"{type(error).__name__}: {error}")
 
 
 def _agree(outcomes: Sequence[StartOutcome], experiments: Sequence[Experiment]) -> bool:

@@ -20,6 +20,9 @@ Array = npt.NDArray[np.float64]
 Response = tuple[Array, Array]
 """Measured channels `(time, ny)` and states `(time, nx)`."""
 
+WORTH_COMPILING = 30_000
+"""Steps that take about as long as compiling the equation; it is compiled after them."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Ode(Written):
@@ -29,7 +32,7 @@ class Ode(Written):
     ----------
     rhs : `rhs(t, x, u, p) -> dx/dt`, or without the last or the last two arguments. x and u are
         arrays of the states and the inputs at time t in s, p holds the parameters by name (`p.k`).
-        While parameters are fitted, it is compiled by Numba if it can be.
+        After many steps it is compiled by Numba, if it can be.
     x0 : x at the record's first sample.
     observe : `observe(x)` or `observe(x, u, p)` maps the states `(time, nx)` to the measured
         channels, `(time,)` or `(time, ny)`; by default the first state.
@@ -85,6 +88,11 @@ class Ode(Written):
     def difference(self) -> float:
         """See `Adjustable`: with the same steps nothing but rounding is in the way."""
         return 1e-6 if self.method == "RK45" else 1e-4
+
+    @property
+    def adjustable(self) -> bool:
+        """Return whether it has to be fitted, or needs inputs: a `GreyBox` runs it."""
+        return bool(self.known.given) or self.driven
 
     @property
     def driven(self) -> bool:
@@ -166,20 +174,17 @@ class Ode(Written):
         arguments = (t, x, u, self._p(self.known.middle()) if p is None else p)
         return self.rhs(*arguments[: count_arguments(self.rhs)])
 
-    def _solver(self, probe: tuple[Any, ...]) -> Callable[..., Array]:
+    def _faster(self, *probe: Any) -> Callable[..., Array]:
         """Return the compiled solver, or the plain one where Numba cannot compile the equation.
 
         `probe` is a short simulation, in which both must agree: compiled code does not notice, for
         instance, an index beyond the states.
         """
-        usual = solver(self.rhs, count_arguments(self.rhs), compiled=False)
-        if not self.known.free:  # a single run is over before anything is compiled
-            return usual
         p, initial, time, inputs, tolerances = probe
+        usual, fast = (solver(self.rhs, count_arguments(self.rhs), c) for c in (False, True))
         steps = np.zeros((2, len(time) - 1), dtype=np.int64)
         expected = usual(p, initial, time, inputs, (steps[0], *tolerances))
         try:
-            fast = solver(self.rhs, count_arguments(self.rhs), compiled=True)
             found = fast(p, initial, time, inputs, (steps[1], *tolerances))
         except Exception:  # whatever Numba does not know
             return usual
@@ -198,12 +203,12 @@ class Ode(Written):
             return self._scipy(lambda t, x: self._plain(t, x, self._between(t, time, u), p),
                                time, initial)  # fmt: skip
         kept = vars(self)
-        if "_solve" not in kept:
-            short = slice(0, 3)
-            kept["_solve"] = self._solver(
-                (p, initial, time[short], (u[short], self.held), self.tolerances)
-            )
-        solved: Array = kept["_solve"](p, initial, time, (u, self.held), (steps, *self.tolerances))
+        solve = kept.get("_solve") or solver(self.rhs, count_arguments(self.rhs), False)
+        if "_solve" not in kept and kept.get("_taken", 0) > WORTH_COMPILING:
+            inputs = u[:3], self.held
+            solve = kept["_solve"] = self._faster(p, initial, time[:3], inputs, self.tolerances)
+        solved: Array = solve(p, initial, time, (u, self.held), (steps, *self.tolerances))
+        kept["_taken"] = kept.get("_taken", 0) + int(steps.sum())
         return solved
 
     def _between(self, t: float, time: Array, u: Array) -> Array:
