@@ -48,7 +48,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     remembered = Remembered(counted)
     monkeypatch.setattr("splitband.forecasters.simulation.CALIBRATIONS", remembered)
-    monkeypatch.setattr("splitband.evaluation.runs.CALIBRATIONS", remembered)
+    monkeypatch.setattr("splitband.evaluation.runs.REMEMBERED", (remembered,))
     return found
 
 

@@ -12,7 +12,12 @@ from splitband.cli import devices, naming, records, setups, showing, timing
 from splitband.cli.options.models import AUTO, ModelOptions
 from splitband.cli.options.records import FurtherRecords, RecordOptions, TestRecords
 from splitband.cli.options.simulators import SimulatorOptions
-from splitband.cli.simulators import each_with_simulator, tests_with_simulator, with_simulator
+from splitband.cli.simulators import (
+    adjustable,
+    each_with_simulator,
+    tests_with_simulator,
+    with_simulator,
+)
 from splitband.cli.usage import usage
 from splitband.cli.worker_pool import WorkerPool
 from splitband.data import Record
@@ -23,6 +28,7 @@ from splitband.evaluation.saved_settings import SavedSettings
 from splitband.evaluation.setup import default_names
 from splitband.forecasters.names import (
     BASES,
+    GREY_BOX,
     NAMES,
     TRAINED,
     named,
@@ -69,10 +75,11 @@ def planned(request: Request, cores: int, steps: int = 0, fitting: bool = False)
     saved = setups.load_settings(request.settings, request.model)
     record = records.load_record(request.record, reading, saved)
     names = _names(request, record, saved)
-    hybrid = simulator.simulator is not None or record.y_sim is not None
+    hybrid = _beside_simulator(request, record)
     expected = names or default_names(hybrid, record.nu > 0)
     beyond = any(NAMES[method].calibrates for method in expected)
     past = steps if hybrid and simulator.simulator not in BASES else 0
+    fitted = adjustable(simulator)
     record = with_simulator(record, simulator, reading, past, beyond)
     if steps:
         u = records.inputs_ahead(request.future_inputs, record, steps, reading.time_column)
@@ -97,11 +104,18 @@ def planned(request: Request, cores: int, steps: int = 0, fitting: bool = False)
         others=others,
         tests=tests,
         seeds=request.seeds,
-        setup=setups.options_of(request.model, cores, saved),
+        setup=replace(setups.options_of(request.model, cores, saved), simulator=fitted),
         refit=request.refit,
     )
     device = request.model.device
     return replace(found, methods=tuple(devices.on_device(m, device) for m in found.methods))
+
+
+def _beside_simulator(request: Request, record: Record) -> bool:
+    """Whether methods read a simulator's output beside the record."""
+    if request.simulator.parameters is not None:
+        return False
+    return request.simulator.simulator is not None or record.y_sim is not None
 
 
 def _names(request: Request, record: Record, saved: SavedSettings | None) -> list[str] | None:
@@ -112,11 +126,12 @@ def _names(request: Request, record: Record, saved: SavedSettings | None) -> lis
     elif saved is None and not (request.calibrate or request.conditioned or base in BASES):
         return None
     else:
-        hybrid = base is not None or record.y_sim is not None
-        names = default_names(hybrid, record.nu > 0)
+        names = default_names(base is not None or record.y_sim is not None, record.nu > 0)
         if saved is not None:
             names = [saved.method, *(name for name in names if name not in TRAINED)]
     names = with_variants(names, request.calibrate, request.conditioned)
+    if request.simulator.parameters is not None:
+        return with_base(names, GREY_BOX)
     return with_base(names, base) if base in BASES else names
 
 

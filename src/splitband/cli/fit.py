@@ -23,7 +23,7 @@ from splitband.evaluation.runs import Work
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.names import BASES, with_base, with_variants
+from splitband.forecasters.names import BASES, GREY_BOX, with_base, with_variants
 from splitband.forecasters.network import Network
 from splitband.metrics import rmse
 from splitband.report import results
@@ -73,7 +73,9 @@ def fit(
         method = "split-gru" if saved is None else saved.method
     if calibrate or conditioned:
         method = with_variants([method], calibrate, conditioned)[-1]
-    if simulator.simulator in BASES:
+    if simulator.parameters is not None:
+        (method,) = with_base([method], GREY_BOX)
+    elif simulator.simulator in BASES:
         (method,) = with_base([method], simulator.simulator)
     naming.check_names("--method", [method], naming.FITTED)
     request = Request(
@@ -107,6 +109,7 @@ def fit(
         "setup": setup.as_json(),
         "training": training_in_words,
         "calibration": None if calibration is None else asdict(calibration),
+        "parameters": forecaster.parameters,
     }
     within = _training_error(forecaster)
     outcome = {

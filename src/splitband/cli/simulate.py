@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -13,7 +13,7 @@ from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Device
 from splitband.cli.options.records import FutureInputs, GapsOption, TimeColumn
 from splitband.cli.options.simulators import SimulatorOptions
-from splitband.cli.simulators import opened_simulator
+from splitband.cli.simulators import adjustable, opened_simulator
 from splitband.data import Record
 from splitband.data.gaps import Gaps
 from splitband.data.record import described
@@ -142,9 +142,14 @@ def opened_with_simulator(
 ) -> Forecaster:
     """Return the forecaster with the simulator that the options name."""
     if options.simulator is None:
-        if "simulator" in forecaster.needs:
+        if "simulator" in forecaster.needs or forecaster.parameters:
             raise ValueError(f"--simulator must be given for {forecaster.name}, a hybrid model")
         return forecaster
+    if used := forecaster.parameters.get("used"):
+        own = ",".join(f"{name}={value!r}" for name, value in used.items())
+        fitted: Any = adjustable(replace(options, parameters=options.parameters or own))
+        with showing.warnings_as_lines():
+            return forecasters.load(folder, fitted)
     opened = opened_simulator(options, past, time_column)
     if isinstance(opened, Recorded):
         if opened.start is None:  # it is taken to begin with the history

@@ -24,6 +24,9 @@ from splitband.simulators import Recorded, Simulator, SimulatorTimeoutError, run
 from splitband.simulators.calibration import samples_needed
 from splitband.simulators.isolation import Isolated
 from splitband.simulators.named import SIMULATORS
+from splitband.simulators.opening import opened
+from splitband.simulators.parameters import Parameters
+from splitband.simulators.shooting import Adjustable
 
 
 def with_simulator(
@@ -39,6 +42,8 @@ def with_simulator(
     one that cannot say more is taken as it is. `reading` says how the record was read.
     """
     simulator = options.simulator
+    if options.parameters is not None:  # it is run by what fits them
+        return record
     if simulator is None and (beyond or ahead) and record.y_sim is not None:
         simulator = record.name  # run a named record's own simulator for longer
     if simulator is None or simulator in BASES:
@@ -160,6 +165,22 @@ def opened_simulator(
         outputs = tuple(columns)
         return Isolated(file, outputs=outputs, timeout=timeout, reads=reads, cache=cache)
     return _exported(text, record, columns, time_column)
+
+
+def adjustable(options: SimulatorOptions) -> Adjustable | None:
+    """The simulator whose parameters are fitted; None without --parameters."""
+    if options.parameters is None:
+        return None
+    file, function = parts_of(options.simulator or "")
+    if not function and not file.lower().endswith(".fmu"):
+        raise ValueError(
+            "--parameters is for a --simulator that can be run again, FILE.py:FUNCTION or an .fmu, "
+            f"got {options.simulator or 'none'}"
+        )
+    if not Path(file).is_file():
+        raise FileNotFoundError(f"--simulator must be a file, got {file}")
+    given = Parameters.read(options.parameters).given
+    return opened(file, function, given, names(options.simulator_columns or ""))
 
 
 def parts_of(simulator: str) -> tuple[str, str]:

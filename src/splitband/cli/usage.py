@@ -12,16 +12,17 @@ from splitband.cli.options.simulators import PATIENCE
 from splitband.data.named import RECORDS
 from splitband.evaluation.plan import Plan
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.names import NAMES
 from splitband.report.page.usage import Usage
 from splitband.report.results import MODEL, found_in
 
 _FIT = (
     "columns", "inputs", "time_column", "sampling_time", "gaps", "simulator", "simulator_columns",
-    "simulator_timeout", "simulator_cache", "simulator_reads", "more", "more_simulator",
-    "cutoff", "order", "downsampling", "warmup", "window", "epochs", "recipe", "learning_rate",
-    "lr_milestones", "hidden", "budget", "effort", "settings", "device",
+    "simulator_timeout", "simulator_cache", "simulator_reads", "parameters", "more",
+    "more_simulator", "cutoff", "order", "downsampling", "warmup", "window", "epochs", "recipe",
+    "learning_rate", "lr_milestones", "hidden", "budget", "effort", "settings", "device",
 )  # fmt: skip
-_FORECAST = (*_FIT[:12], "epochs", "budget", "effort", "settings", "device")
+_FORECAST = (*_FIT[:13], "epochs", "budget", "effort", "settings", "device")
 _SIMULATE = (
     "simulator", "simulator_columns", "simulator_timeout", "simulator_cache", "simulator_reads",
     "time_column",
@@ -73,7 +74,7 @@ def usage(
         end = [f"--method {model.name}", f"--out {shlex.quote(str(out / 'model-of-all'))}"]
         fit = _line("splitband fit", given, ["record", *_FIT], end)
         commands.append(("Fit it to the whole record", fit))
-    else:
+    elif model.name in NAMES:
         end = [f"--method {model.name}", f"--steps {STEPS}"]
         end += ["--future-inputs FILE"] if plan.record.nu else []
         forecast = _line("splitband forecast", given, ["record", *_FORECAST], end)
@@ -88,7 +89,7 @@ def _simulate(given: Mapping[str, Any], out: Path, plan: Plan, model: Forecaster
     ahead = 0 if plan.refit else len(plan.record) - plan.train
     steps = min(plan.horizon or STEPS, STEPS)
     options: dict[str, Any] = {"time_column": given.get("time_column")}
-    if "simulator" in model.needs:
+    if "simulator" in model.needs or model.parameters:
         options |= {name: given.get(name) for name in _SIMULATE}
         options["simulator"] = given.get("simulator") or given["record"]
     if plan.record.nu:

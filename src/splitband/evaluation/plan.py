@@ -9,7 +9,7 @@ import numpy as np
 
 from splitband.data import Record, check_alike
 from splitband.data.gaps import first_after
-from splitband.evaluation.setup import Options, Setup, usual_names
+from splitband.evaluation.setup import Options, Setup
 from splitband.forecasters.backtest import for_trial, held_out_from
 from splitband.forecasters.base import Forecaster
 from splitband.runtime.arguments import whole
@@ -127,8 +127,8 @@ def plan(
     if seeds is not None:
         whole("seeds", seeds)
     if methods is None:
-        methods = usual_names(record, decided.bands)
-        if decided.search is not None:
+        methods = decided.usual(record)
+        if decided.search is not None and decided.simulator is None:
             decided = replace(decided, search=replace(decided.search, bases=True))
     made = [decided.forecaster(each) if isinstance(each, str) else each for each in methods]
     made = [method.with_defaults(decided.settings, decided.bands) for method in made]

@@ -11,10 +11,15 @@ from splitband.data import Record
 from splitband.evaluation.search import Search
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster, parts_of
-from splitband.forecasters.names import NAMES, QUICK, Sizes, named
+from splitband.forecasters.grey_box import GreyBox
+from splitband.forecasters.names import GREY_BOX, NAMES, QUICK, Sizes, named, with_base
 from splitband.forecasters.network import Network
+from splitband.simulators.shooting import Adjustable
 from splitband.training import Settings, default_warmup
 from splitband.training.recipes import Recipe, recipe_settings
+
+AS_GIVEN = "simulator-as-given"
+"""What a simulator with parameters is called whose ranges are not fitted: it has their middles."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +32,7 @@ class Setup:
     settings : How networks are trained.
     bands : Which band is whose.
     sizes : Of the networks that go by a name.
+    simulator : One whose parameters are fitted, for methods that have none of their own.
     search : How much may go into finding better settings where a forecaster has none of its own;
         None: the settings are what they are.
     """
@@ -36,10 +42,12 @@ class Setup:
     bands: Bands = field(default_factory=Bands)
     sizes: Sizes = field(default_factory=Sizes)
     search: Search | None = None
+    simulator: Adjustable | None = None
 
     def forecaster(self, name: str) -> Forecaster:
         """The forecaster of a name, with nothing left open but what the bands do."""
         forecaster = named(name, self.sizes).with_defaults(self.settings, self.bands)
+        forecaster = forecaster if self.simulator is None else forecaster.given(self.simulator)
         if isinstance(forecaster, Network):
             forecaster.resizable = self.search is not None and self.search.sizes
         return forecaster
@@ -52,6 +60,15 @@ class Setup:
             raise ValueError(f"train must be that of setup, {self.train}, got {train}")
         return self
 
+    def usual(self, record: Record) -> list[Forecaster | str]:
+        """Return what is worth comparing on a record; a simulator also before it is fitted."""
+        if self.simulator is None:
+            return [*usual_names(record, self.bands)]
+        middle = self.simulator.fixed(self.simulator.known.middle())
+        names = with_base(default_names(True, record.nu > 0), GREY_BOX)
+        at = names.index(GREY_BOX)
+        return [*names[:at], GreyBox(middle, name=AS_GIVEN), *names[at:]]
+
     def as_json(self) -> dict[str, Any]:
         """For a result file: flat, and with the settings that each of them is made of."""
         bands, sizes = asdict(self.bands), asdict(self.sizes)
@@ -59,6 +76,7 @@ class Setup:
             {"train": self.train, "settings": asdict(self.settings)}
             | {name: bands[name] for name in ("cutoff", "order", "downsampling")}
             | sizes
+            | ({} if self.simulator is None else {"parameters": str(self.simulator.known)})
             | {"choice": bands["choice"]}
             | ({} if self.search is None else {"search": asdict(self.search)})
         )
@@ -106,6 +124,7 @@ class Options:
     sizes : Of the networks that go by a name.
     search : How much may go into finding better settings. By default two minutes, and nothing
         where settings are given.
+    simulator : One whose parameters are fitted, for methods that have none of their own.
     """
 
     recipe: Recipe = "default"
@@ -114,6 +133,7 @@ class Options:
     bands: Bands = field(default_factory=Bands)
     sizes: Sizes | None = None
     search: Search | None = None
+    simulator: Adjustable | None = None
 
     def decided(
         self, record: Record, train: int, methods: Sequence[Forecaster | str] | None = None
@@ -130,7 +150,7 @@ class Options:
             methods = default_names(record.y_sim is not None)
         bands = self._bands(record, train, settings, methods)
         sizes = Sizes() if self.recipe == "paper" else Sizes(hidden_high=32, hidden_low=16)
-        return Setup(train, settings, bands, self.sizes or sizes, self._search())
+        return Setup(train, settings, bands, self.sizes or sizes, self._search(), self.simulator)
 
     def _settings(self, training: Record) -> Settings:
         """How networks are trained to begin with."""

@@ -121,6 +121,11 @@ class Forecaster(Written, ABC):
         return None
 
     @property
+    def parameters(self) -> dict[str, Any]:
+        """Return what is known of the fitted parameters of its simulator, as JSON can hold it."""
+        return {}
+
+    @property
     def shares_bands(self) -> bool:
         """Return whether it takes the bands that a comparison chooses, see `with_defaults`."""
         return any(part.shares_bands for part in parts_of(self).values())
@@ -210,6 +215,10 @@ class Forecaster(Written, ABC):
         parts = {name: changed(part) for name, part in parts_of(self).items()}
         return self.clone().set_params(**parts) if parts else self
 
+    def given(self, simulator: Any) -> Forecaster:
+        """Return it with this simulator where it fits the parameters of one and has none."""
+        return self.with_parts(lambda part: part.given(simulator))
+
     def calibrated(self) -> Forecaster:
         """Return it with its simulator calibrated, if it has one; itself otherwise."""
         return self.with_parts(lambda part: part.calibrated())
@@ -278,7 +287,7 @@ class Forecaster(Written, ABC):
         report = self.fitted.report
         if not report.seconds:  # the training of a network has set its own time
             report = replace(report, seconds=time.perf_counter() - began)
-        self.fitted = replace(self.fitted, report=report)
+        self.fitted = replace(self.fitted, report=replace(report, parameters=self.parameters))
         return self
 
     @final

@@ -88,6 +88,11 @@ class Ensemble(Forecaster):
         return self._name or self.member.name
 
     @property
+    def parameters(self) -> dict[str, Any]:
+        """Return those of the members, which are the same."""
+        return self.members[0].parameters if self.members else {}
+
+    @property
     def warmup(self) -> int:
         """The members'."""
         return max([m.warmup for m in self.members], default=self.member.warmup)

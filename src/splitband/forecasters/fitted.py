@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +33,7 @@ class FitReport:
     losses : Mean training loss of each epoch, by network.
     notes : What went wrong in training and was mended.
     cut : Whether a deadline ended the training before its time.
+    parameters : What is known of the fitted parameters of a simulator, as JSON can hold it.
     """
 
     seed: int = 0
@@ -39,6 +41,7 @@ class FitReport:
     losses: Mapping[str, Sequence[float]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     cut: bool = False
+    parameters: Mapping[str, Any] = field(default_factory=dict)
 
 
 @saved

@@ -64,7 +64,8 @@ class GreyBox(Forecaster):
 
     Parameters
     ----------
-    simulator : With ranges for its parameters, such as `Ode` and `Fmu`.
+    simulator : With ranges for its parameters, such as `Ode` and `Fmu`; None where a comparison
+        brings it.
     starts, seconds : Starting points, and time, that may go into the fit.
     name : By default "grey-box".
 
@@ -87,12 +88,12 @@ class GreyBox(Forecaster):
 
     def __init__(
         self,
-        simulator: Adjustable,
+        simulator: Adjustable | None = None,
         starts: int = Effort.starts,
         seconds: float | None = None,
         name: str | None = None,
     ) -> None:
-        self.simulator = simulator
+        self.simulator: Any = simulator
         self.starts, self.seconds = starts, seconds
         self._name = name
         self.estimate = Estimate()
@@ -109,6 +110,28 @@ class GreyBox(Forecaster):
     def as_base(self) -> AsBase:
         """Return what a hybrid says of it."""
         return AsBase(self.name, before=f"-{self.name}", words="a simulator with fitted parameters")
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Return the estimate, and the values that are used, those that were set included."""
+        if self.adjusted is None:
+            return {}
+        return {**self.estimate.as_json(), "used": dict(self.adjusted.values)}
+
+    def given(self, simulator: Any) -> Forecaster:
+        """Return it with this simulator, if it has none."""
+        if self.simulator is not None:
+            return self
+        return self.clone().set_params(simulator=simulator)
+
+    def check(self, *records: Record) -> None:
+        """Raise ValueError where it has no simulator, too."""
+        super().check(*records)
+        if self.simulator is None:
+            raise ValueError(
+                f"{self.name} needs a simulator with parameters to fit (--simulator and "
+                "--parameters)"
+            )
 
     @property
     def refits(self) -> bool:

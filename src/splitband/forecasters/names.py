@@ -20,6 +20,7 @@ from splitband.forecasters.closed_form import (
     Persistence,
     SeasonalNaive,
 )
+from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.hybrids import Filtered, Residual
 from splitband.forecasters.simulation import AFFINE, Calibrated, Simulation
 from splitband.forecasters.single import Single
@@ -70,6 +71,7 @@ def _kinds(sizes: Sizes) -> list[Forecaster]:
         Simulation(),
         Calibrated(terms=AFFINE),
         Calibrated(),
+        GreyBox(),
         *_baselines(),
     ]
 
@@ -87,12 +89,17 @@ def _baselines() -> list[Forecaster]:
 
 BASES = {each.name: each for each in _baselines() if each.as_base.words}
 """What may hold the slow part in a simulator's place: it is fitted to the training samples."""
+GREY_BOX = GreyBox().name
+_IN_ITS_PLACE: dict[str, Forecaster] = {**BASES, GREY_BOX: GreyBox()}
 
 
 def _methods(sizes: Sizes) -> Iterator[Forecaster]:
     """Return each kind: as it comes, on each base, and each of these with its variants."""
     for kind in _kinds(sizes):
-        for based in (kind, *(_on_base(kind, base) for base in BASES.values() if parts_of(kind))):
+        for based in (
+            kind,
+            *(_on_base(kind, base) for base in _IN_ITS_PLACE.values() if parts_of(kind)),
+        ):
             yield from variants(based, calibrate=True, conditioned=True)
 
 
@@ -141,8 +148,12 @@ def named(name: str, sizes: Sizes | None = None) -> Forecaster:
 
 
 def with_base(names: Sequence[str], base: str) -> list[str]:
-    """Return the names with one of `BASES` in a simulator's place, in hybrids and by itself."""
-    return [*dict.fromkeys(_on_base(named(name), BASES[base]).name for name in names)]
+    """Return the names with one of `BASES` in a simulator's place, in hybrids and by itself.
+
+    Or with the simulator whose parameters are fitted (`GREY_BOX`).
+    """
+    put = _IN_ITS_PLACE[base]
+    return [*dict.fromkeys(_on_base(named(name), put).name for name in names)]
 
 
 def with_variants(names: Sequence[str], calibrate: bool, conditioned: bool) -> list[str]:

@@ -107,6 +107,11 @@ class Network(Forecaster):
         return None if self.fitted_base is None else self.fitted_base.calibration
 
     @property
+    def parameters(self) -> dict[str, Any]:
+        """Return those of the base."""
+        return {} if self.fitted_base is None else self.fitted_base.parameters
+
+    @property
     def shares_bands(self) -> bool:
         """Return whether its bands are open, or those of the base.
 

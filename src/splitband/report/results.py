@@ -261,6 +261,8 @@ def _method(runs: Sequence[Run]) -> dict[str, Any]:
         facts["leaves_training_range_after"] = [r.leaves for r in runs]
     if runs[0].description:
         facts["description"] = runs[0].description
+    if runs[0].fit.parameters:
+        facts["parameters"] = runs[0].fit.parameters
     if runs[0].fit.losses:
         facts["final_loss"] = [{k: v[-1] for k, v in r.fit.losses.items()} for r in runs]
     return facts

@@ -70,6 +70,11 @@ class Function(Written):
             found.append((y[:, None] if y.ndim == 1 else y, np.empty((len(time), 0))))
         return found
 
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Say how other processes make it: as it has been opened, where that was from a file."""
+        again = vars(self).get("_opened")
+        return super().__reduce_ex__(protocol) if again is None else (again, ())
+
     def fingerprint(self) -> str | None:
         """Return the cache key."""
         return None if self.key is None else f"{self.key} {self.known}".strip()

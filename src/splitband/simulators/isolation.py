@@ -129,13 +129,18 @@ def _run_in(folder: Path, patience: float | None) -> int:
         process.wait()
 
 
-def function_of(path: str, name: str) -> Callable[[Array], Any]:
-    """Run the user's file and return a function of it."""
+def named_in(path: str, name: str) -> Any:
+    """Run the user's file and return what a name stands for in it; None for none."""
     sys.path.insert(0, str(Path(path).resolve().parent))
     try:
-        function = runpy.run_path(path, run_name=Path(path).stem).get(name)
+        return runpy.run_path(path, run_name=Path(path).stem).get(name)
     except (Exception, SystemExit) as error:
         raise ValueError(f"{path} cannot be run: {type(error).__name__}: {error}") from error
+
+
+def function_of(path: str, name: str) -> Callable[[Array], Any]:
+    """Run the user's file and return a function of it."""
+    function: Any = named_in(path, name)
     if not callable(function):
         raise ValueError(f"{path} must define a function {name}")
     return function

@@ -134,6 +134,11 @@ class Ode(Written):
             found.append((self._observed(x, inputs, values), x))
         return found
 
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Say how other processes make it: as it has been opened, where that was from a file."""
+        again = vars(self).get("_opened")
+        return super().__reduce_ex__(protocol) if again is None else (again, ())
+
     def fingerprint(self) -> str | None:
         """Return the cache key: the key, the parameters and the solver's settings."""
         if self.key is None:

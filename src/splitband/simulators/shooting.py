@@ -41,6 +41,12 @@ class Adjustable(Protocol):
     def known(self) -> Parameters:
         """Its parameters."""
 
+    def fixed(self, values: Mapping[str, float]) -> Any:
+        """The simulator with these values of parameters."""
+
+    def digest(self) -> str:
+        """What its response depends on besides the parameters' values."""
+
     @property
     def states(self) -> int:
         """The number of states from which it can be begun; 0 for a black box."""

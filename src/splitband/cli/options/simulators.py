@@ -75,6 +75,18 @@ SimulatorReads = Annotated[
         show_default=False,
     ),
 ]
+Parameters = Annotated[
+    str | None,
+    typer.Option(
+        "--parameters",
+        metavar="k=0.1:10,c=0.05",
+        help="Fit the simulator's parameters in these ranges, or set them. The simulator is an "
+        "FMU, FILE.py:RHS with a function of (t, x, u, p), whose states begin at x0_1, x0_2, ... "
+        "and are measured in this order, FILE.py:FUNCTION of (time, u, p), or an sb.Ode of a file.",
+        rich_help_panel=_PANEL,
+        show_default=False,
+    ),
+]
 Calibrate = Annotated[
     bool,
     typer.Option(
@@ -114,6 +126,7 @@ class SimulatorOptions:
     simulator_timeout: SimulatorTimeout = PATIENCE
     simulator_cache: SimulatorCache = None
     simulator_reads: SimulatorReads = None
+    parameters: Parameters = None
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,98 @@
+"""`--parameters`: the simulator's parameters are fitted, by every command."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.cli.support import assert_fails, call, results
+
+pytestmark = [
+    pytest.mark.usefixtures("undrawn"),
+    pytest.mark.xdist_group("parameters"),
+]
+
+PLANT = """
+import splitband as sb
+
+
+def lag(t, x, u, p):
+    return [p.rate * (u[0] - x[0])]
+
+
+def decay(time, u, p):
+    return p.level * 2.718281828 ** (-time)
+
+
+plant = sb.Ode(lag, [0.0], parameters={"rate": (0.1, 1.0)})
+number = 3
+"""
+RIG = "record.csv --inputs u --simulator plant.py:lag --parameters rate=0.1:10,x0_1=0"
+QUICK = "--recipe paper --epochs 1 --hidden 4,3 --window 30 --warmup 10 --seeds 1 --jobs 1"
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A record of x' = 2 (u - x), its input held by the measurement."""
+    folder = tmp_path_factory.mktemp("rig")
+    time = 0.1 * np.arange(200)
+    u = np.sin(time) + np.sin(0.3 * time)
+    exact, x = [], 0.0
+    for n in range(200):
+        exact.append(x)
+        for i in range(100):  # Euler, as fine as it needs to be
+            at = u[n] + i / 100 * (u[min(n + 1, 199)] - u[n])
+            x += 0.1 / 100 * 2 * (at - x)
+    noise = np.random.default_rng(0).normal(0, 0.01, 200)
+    table = pd.DataFrame({"time": time, "y": exact + noise, "u": u})
+    table.to_csv(folder / "record.csv", index=False)
+    table[:160].to_csv(folder / "history.csv", index=False)
+    table[["time", "u"]][160:].to_csv(folder / "coming.csv", index=False)
+    (folder / "plant.py").write_text(PLANT)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def inside_rig(rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(rig)
+
+
+def test_compare_puts_fitted_parameters_beside_networks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call(f"compare {RIG} {QUICK} --methods residual-gru,simulator,mean", tmp_path)
+    found = results(tmp_path)["methods"]
+    assert list(found) == ["residual-grey-box-gru", "grey-box", "mean"]
+    for name in ("residual-grey-box-gru", "grey-box"):
+        assert found[name]["parameters"]["values"] == pytest.approx({"rate": 2.0}, rel=0.02)
+        assert 0 < found[name]["parameters"]["standard_errors"]["rate"] < 0.02
+    assert results(tmp_path)["recommended"] == "grey-box"
+    said = capsys.readouterr().out
+    assert "rate = " in said
+    assert "--simulator plant.py:lag" in said
+
+
+def test_a_saved_grey_box_simulates_with_its_values(tmp_path: Path) -> None:
+    call(f"fit {RIG} --method grey-box --train 160 --jobs 1", tmp_path / "model")
+    call(f"simulate {tmp_path}/model --history history.csv --future-inputs coming.csv --steps 40 "
+         f"--simulator plant.py:lag", tmp_path / "ahead.csv")  # fmt: skip
+    found = pd.read_csv(tmp_path / "ahead.csv")["y"]
+    expected = pd.read_csv("record.csv")["y"][160:]
+    np.testing.assert_allclose(found, expected, atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("--simulator plant.py:lag --parameters rate=1:x", "parameters must be given as NAME="),
+        ("--simulator plant.py:lag --parameters rate=0.1:1", "how many states"),
+        ("--simulator plant.py:number --parameters rate=0.1:1", "must define a function"),
+        ("--simulator record.csv --parameters rate=0.1:1", "--parameters is for a --simulator"),
+        ("--methods grey-box", "needs a simulator with parameters"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused(
+    options: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert_fails(f"compare record.csv --inputs u {options} {QUICK}", (message,), capsys)
