@@ -28,7 +28,8 @@ def planned(nu: int = 0, start: float | None = 0.0, name: str = "rig") -> Plan:
 
 def test_the_trained_model_is_simulated_with_what_was_given() -> None:
     found = usage("compare", GIVEN, OUT, planned(1), sb.named("gru"))
-    (_, simulate), (_, fit) = found.commands
+    (_, simulate), (_, fit), (_, checked) = found.commands
+    assert checked == "splitband check out/model --record later.csv"
     assert shlex.split(simulate.replace("\\\n", "")) == shlex.split(
         "splitband simulate out/model --future-inputs 'my rig.csv' --steps 50 --out ahead.csv"
     )
@@ -50,7 +51,7 @@ def test_a_network_is_trained_again_as_it_was_found() -> None:
     """What decides how to train is in the file; the record and the device are not."""
     given = GIVEN | {"budget": "1m", "hidden": 8, "device": "cuda"}
     model = sb.Single(sb.GRU(8), sb.Settings())
-    _, (_, fit) = usage("compare", given, OUT, planned(1), model).commands
+    _, (_, fit), _ = usage("compare", given, OUT, planned(1), model).commands
     assert shlex.split(fit.replace("\\\n", "")) == shlex.split(
         "splitband fit 'my rig.csv' --inputs force --gaps mask --more a.csv --more b.csv "
         "--settings out/recommended.json --device cuda --method gru --out out/model-of-all"

@@ -12,6 +12,7 @@ from splitband.filters.spectrum import periodogram
 from splitband.forecasters.names import HYBRIDS
 from splitband.report.page import words
 from splitband.report.page.usage import Usage
+from splitband.report.results import MODEL
 from splitband.report.table import columns, remarks
 
 
@@ -56,6 +57,8 @@ def show(result: Comparison, out: Path, used: Usage) -> None:
         showing.console.print(f"residual tests: {tested.verdict()}")
     for what, command in used.commands[:1]:
         showing.console.print(f"{what}:\n    {command}", soft_wrap=True)
+    if result.model is not None:
+        showing.console.print(f"trained model: {out / MODEL}/")
     showing.console.print(f"results and pictures: {out}/\npage: {out / 'report.html'}")
     showing.results_file(out / "results.json")
 

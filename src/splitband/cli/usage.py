@@ -79,6 +79,10 @@ def usage(
         end += ["--future-inputs FILE"] if plan.record.nu else []
         forecast = _line("splitband forecast", given, ["record", *_FORECAST], end)
         commands.append(("Fit it to the whole record, and forecast what comes next", forecast))
+    if given.get("test") and "simulator" not in model.needs:
+        tested = shlex.quote(str(given["test"][0]))
+        checked = f"splitband check {shlex.quote(str(out / MODEL))}"
+        commands.append(("Check it on the test record", f"{checked} --record {tested}"))
     more = [_read(each, given) for each in given.get("more") or ()]
     named_record = "" if record not in RECORDS else f"{_IMPORT}\n\n"
     return Usage(commands, f"{named_record}record = {_read(record, given)}", asked, more)
