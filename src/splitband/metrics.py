@@ -54,7 +54,7 @@ def fit_percent(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Any:
 
     Examples
     --------
-    >>> sb.fit_percent([0.0, 1.0, 2.0, 3.0], [0.1, 0.9, 2.1, 2.9]).round(2)
+    >>> round(sb.fit_percent([0.0, 1.0, 2.0, 3.0], [0.1, 0.9, 2.1, 2.9]), 2)
     91.06
     """
     squared, y = _squared_errors(y, prediction), np.asarray(y, float)
