@@ -29,7 +29,7 @@ from splitband.evaluation.runs import Work
 from splitband.evaluation.search import SearchAttempt, SearchResult
 from splitband.evaluation.selection import LEVEL, Trial
 from splitband.evaluation.setup import Setup
-from splitband.evaluation.sound import sound_runs
+from splitband.evaluation.sound import without_failed
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.checking import LAGS, ResidualTests, residual_tests
 from splitband.forecasters.prediction import Prediction
@@ -327,7 +327,7 @@ def _last_runs(plan: Plan, searched: SearchResult, trial: Trial, work: Work) -> 
         slow = [next(f for f in methods if f.name == name) for name in wanted]
         trained = run_methods(plan, slow, wanted, of_slow, need_one=not runs)
     if plan.seeds is None:
-        trained = Runs({n: sound_runs(each) for n, each in trained.items()}, trained.failures)
+        trained = without_failed(trained)
     every = {**runs, **trained}
     ordered = {f.name: every[f.name] for f in methods if f.name in every}
     models = {**runs.models, **trained.models}

@@ -5,11 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from splitband.evaluation.protocols import Run
+from splitband.evaluation.protocols import Run, Runs
 from splitband.forecasters.fitted import FitReport
 
 FAILED = 2.0
 """A seed whose error is above this multiple of the lowest seed's has failed."""
+
+
+def without_failed(runs: Runs) -> Runs:
+    """Return the runs and the models of the seeds that count."""
+    kept = {name: sound_runs(each) for name, each in runs.items()}
+    models = {}
+    for name, of_method in runs.models.items():
+        seeds = {run.seed for run in kept[name]}
+        models[name] = [m for m in of_method if m.require_fitted().report.seed in seeds]
+    return Runs(kept, runs.failures, models)
 
 
 def sound_runs(runs: Sequence[Run]) -> list[Run]:
