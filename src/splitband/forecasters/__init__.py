@@ -1,1 +1,1 @@
-"""Whatever predicts, behind one interface: networks, simulators, baselines, means of seeds."""
+"""Put whatever predicts behind one interface: networks, simulators, baselines, means of seeds."""

@@ -1,4 +1,4 @@
-"""Asking a forecaster about samples that are known, from several origins.
+"""Ask a forecaster about samples that are known, from several origins.
 
 Both protocols of a comparison, the trial on held-out training samples and the interval around a
 forecast are made of these forecasts.
@@ -44,7 +44,7 @@ forecast samples is above this multiple of the method's usual one."""
 
 @dataclass(frozen=True, order=True)
 class Origin:
-    """Where a forecast begins.
+    """Say where a forecast begins.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Origin:
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What a forecaster is asked.
+    """Ask a forecaster for forecasts of a record.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class Question:
 
 @dataclass(frozen=True, eq=False)
 class Backtest:
-    """What one forecaster with one seed says from several origins.
+    """Keep what one forecaster with one seed says from several origins.
 
     Attributes
     ----------
@@ -168,13 +168,13 @@ def backtest(
 
 
 def tested_by(forecaster: Forecaster, test: Record) -> bool:
-    """Whether a forecaster can be asked about another record."""
+    """Return whether a forecaster can be asked about another record."""
     simulated = "simulator" not in forecaster.needs or test.y_sim is not None
     return simulated and not forecaster.anchored
 
 
 def _tested(fitted: Forecaster, question: Question) -> tuple[list[Prediction], str]:
-    """Each test record, simulated to its end from its first samples; or none, and why."""
+    """Return each test record, simulated to its end from its first samples; or none, and why."""
     predictions: list[Prediction] = []
     if not all(tested_by(fitted, test) for test in question.tests):
         return predictions, ""
@@ -190,7 +190,7 @@ def _tested(fitted: Forecaster, question: Question) -> tuple[list[Prediction], s
 
 
 def first_origin(record: Record, train: int, warmup: int) -> Origin:
-    """The first sample with `warmup` measured samples right before it (the paper's protocol).
+    """Return the first sample with `warmup` measured ones right before it (the paper's protocol).
 
     There are two at least, as a history is a record, which has no fewer.
     """
@@ -201,7 +201,7 @@ def first_origin(record: Record, train: int, warmup: int) -> Origin:
 
 
 def held_out_from(samples: int) -> int:
-    """The first sample of the last quarter of so many, which is held out."""
+    """Return the first sample of the last quarter of so many, which is held out."""
     return samples - max(1, round(HELD_OUT * samples))
 
 
@@ -219,7 +219,7 @@ def check_held_out(record: Record) -> None:
 def for_trial(
     forecaster: AnyForecaster, samples: int, training: int | None = None
 ) -> AnyForecaster:
-    """The forecaster as it is fitted to all but the held-out part of so many samples.
+    """Return the forecaster as it is fitted to all but the held-out part of so many samples.
 
     They are the first ones of the `training` samples that its settings are for, by default all.
     """
@@ -227,7 +227,7 @@ def for_trial(
 
 
 def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
-    """From where forecasts of a record's own last quarter are tried.
+    """Return from where forecasts of a record's own last quarter are tried.
 
     A network is trained once, and forecasts from the beginning of that quarter, from a third and
     from two thirds of it, as a method may be lucky from a single origin: persistence is, for
@@ -249,7 +249,7 @@ def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
 
 
 def held_out_errors(record: Record, forecasts: Mapping[Origin, Array]) -> list[Array]:
-    """Errors of forecasts of a record's last quarter, by horizon: those that count in a score."""
+    """Return, by horizon, the errors of a record's last quarter that count in a score."""
     first = held_out_from(len(record))
     return [e for at, e in _errors(record, forecasts) if at >= first]
 
@@ -283,7 +283,7 @@ def held_out_by(forecaster: Forecaster) -> HeldOut:
 
 
 def mean_forecasts(done: Sequence[Backtest]) -> dict[Origin, Array]:
-    """By origin, the mean over the seeds of what was forecast."""
+    """Return, by origin, the mean over the seeds of what was forecast."""
     return {
         origin: np.mean([backtest.predictions[origin].y for backtest in done], axis=0)
         for origin in done[0].predictions
@@ -291,7 +291,7 @@ def mean_forecasts(done: Sequence[Backtest]) -> dict[Origin, Array]:
 
 
 def root_mean_square(errors: Sequence[Array]) -> float:
-    """Of errors `(time, ny)` of several forecasts, together; NaN does not count."""
+    """Return that of all errors `(time, ny)` of several forecasts; NaN does not count."""
     every = np.concatenate(errors)
     return rmse(every, np.zeros_like(every))
 
@@ -302,7 +302,7 @@ def channel_errors(errors: Sequence[Array]) -> tuple[float, ...]:
 
 
 def _errors(record: Record, forecasts: Mapping[Origin, Array]) -> list[tuple[int, Array]]:
-    """By index of the first sample, in its order."""
+    """Return the errors by the index of their first sample, in its order."""
     seen = record.seen
     return [
         (origin.at, seen[origin.at :] - y[: len(record) - origin.at])
@@ -311,7 +311,7 @@ def _errors(record: Record, forecasts: Mapping[Origin, Array]) -> list[tuple[int
 
 
 def _sound(scored: Sequence[Array], longer: Sequence[Array], scale: Array) -> list[Array]:
-    """All errors, but no `longer` ones from the first fit on that failed for want of samples.
+    """Return all errors, but no `longer` ones from the first failed fit on, for want of samples.
 
     `longer` begins with the fit to the most samples. A fit to too few samples, less than a period
     of the record for instance, is wrong from its first forecast samples on; errors that merely grow

@@ -1,4 +1,4 @@
-"""Which frequency band is whose: cut-off, order and down-sampling, given or chosen."""
+"""Say which frequency band is whose: cut-off, order and down-sampling, given or chosen."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 @saved
 @dataclass(frozen=True, repr=False)
 class Bands(Written):
-    """How a filter pair parts a signal into two bands; None is chosen by the training samples.
+    """Describe how a filter pair splits a signal; None is chosen by the training samples.
 
     Attributes
     ----------
@@ -42,13 +42,13 @@ class Bands(Written):
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is left to be chosen."""
+        """Return whether nothing is left to be chosen."""
         return None not in (self.cutoff, self.order, self.downsampling)
 
     def chosen(
         self, y: Array, sampling_rate: float, warmup: int, y_sim: Array | None = None
     ) -> Bands:
-        """With what is missing chosen by the training samples.
+        """Return the bands with what is missing chosen by the training samples.
 
         Parameters
         ----------
@@ -70,12 +70,12 @@ class Bands(Written):
         return Bands(choice.cutoff, choice.order, choice.downsampling, choice)
 
     def pair(self, sampling_rate: float) -> ComplementaryPair:
-        """The zero-phase pair of a split model."""
+        """Return the zero-phase pair of a split model."""
         cutoff, order = self._known()
         return ComplementaryPair.butterworth(cutoff, sampling_rate, order)
 
     def one_way_pair(self, sampling_rate: float) -> ComplementaryPair:
-        """The pair of a hybrid model, which filters forwards only."""
+        """Return the pair of a hybrid model, which filters forwards only."""
         cutoff, order = self._known()
         b, a = butterworth(cutoff, sampling_rate, order)
         return ComplementaryPair.perfect(b, a, sampling_rate, cutoff=cutoff)

@@ -1,4 +1,4 @@
-"""The interface of everything that predicts: fitted to a record, it forecasts what follows."""
+"""Define what predicts: fitted to a record, it forecasts what follows."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class AsBase:
 
 
 class Forecaster(Written, ABC):
-    """Whatever predicts: a network, a simulator, a baseline, a mean of several.
+    """Predict what follows a record: a network, a simulator, a baseline, a mean of several.
 
     A forecaster of your own says what it is called (`name`), what it learns (`learn`) and what
     comes next (`extrapolate`); `known` is already aligned in time. Its constructor keeps each
@@ -90,7 +90,7 @@ class Forecaster(Written, ABC):
     @property
     @abstractmethod
     def name(self) -> str:
-        """What tables and files call it; two of one comparison must differ."""
+        """Return what tables and files call it; two of one comparison must differ."""
 
     @property
     def needs(self) -> frozenset[str]:
@@ -142,12 +142,12 @@ class Forecaster(Written, ABC):
 
     @property
     def warmup(self) -> int:
-        """Measured samples without a gap that a forecast begins with; 0 where it needs none."""
+        """Return how many measured samples in a row a forecast begins with."""
         return 0
 
     @abstractmethod
     def extrapolate(self, known: Known) -> Array | dict[str, Array]:
-        """What comes after `known.y`: `(steps, ny)`, or the parts that add up to it, by name."""
+        """Return what comes after `known.y`, `(steps, ny)`, or its parts by name."""
 
     def learn(
         self,
@@ -186,7 +186,7 @@ class Forecaster(Written, ABC):
         return ""
 
     def doubts(self, known: Known) -> list[str]:
-        """Reasons to doubt what it extrapolates, in sentences, beside those that hold for all."""
+        """Return reasons to doubt what it extrapolates, in sentences, beside those for all."""
         return []
 
     def to(self, device: str | torch.device) -> Self:
@@ -300,7 +300,7 @@ class Forecaster(Written, ABC):
         level: float | None = None,
         other_record: bool = False,
     ) -> Prediction:
-        """The samples that come after a history.
+        """Return the samples that come after a history.
 
         Parameters
         ----------
@@ -553,13 +553,13 @@ class Forecaster(Written, ABC):
         return {}
 
     def require_fitted(self) -> Fitted:
-        """What is remembered of the training records; raises ValueError before `fit`."""
+        """Return what is remembered of the training records; raises ValueError before `fit`."""
         if self.fitted is None:
             raise ValueError(f"{self.name} must be fitted before it is asked: call fit(record)")
         return self.fitted
 
     def _made(self, params: dict[str, Any]) -> Self:
-        """A forecaster of the same class with these options."""
+        """Return a forecaster of the same class with these options."""
         return type(self)(**params)
 
     def _become(self, other: Self, kept: dict[str, Any]) -> None:
@@ -603,7 +603,7 @@ class Forecaster(Written, ABC):
         y_sim: npt.ArrayLike | None,
         other_record: bool = False,
     ) -> tuple[Known, Record]:
-        """What may be known of `steps` samples, and the history."""
+        """Return what may be known of `steps` samples, and the history."""
         fitted = self.require_fitted()
         past, begin = fitted.record, None if other_record else float(fitted.begin)
         if history is not None:
@@ -632,7 +632,7 @@ class Forecaster(Written, ABC):
         return Known(past.seen, steps, begin, inputs, simulated, past.grid, own), past
 
     def _tried_out(self) -> HeldOut:
-        """How well it forecasts known samples, which is found out once."""
+        """Return how well it forecasts known samples, which is found out once."""
         if self.held_out is None:
             from splitband.forecasters.backtest import held_out_by  # noqa: PLC0415  it fits copies
 
@@ -647,13 +647,13 @@ def parts_of(forecaster: Forecaster) -> dict[str, Forecaster]:
 
 
 def total(parts: Sequence[Array]) -> Array:
-    """Their sum, with `OVERFLOWED` where it is not finite."""
+    """Return their sum, with `OVERFLOWED` where it is not finite."""
     most = OVERFLOWED
     return np.nan_to_num(np.sum(parts, axis=0), nan=most, posinf=most, neginf=-most)
 
 
 def _cloned(option: Any) -> Any:
-    """An option of a clone: forecasters are cloned in turn, everything else is shared."""
+    """Return an option of a clone: forecasters are cloned in turn, everything else is shared."""
     if isinstance(option, Forecaster):
         return option.clone()
     if type(option) in (list, tuple):

@@ -1,4 +1,4 @@
-"""Where a network's training begins: with the linear model of its record, or an earlier training.
+"""Begin a network's training with the linear model of its record, or with an earlier training.
 
 What a linear model explains, no gradient has to find: from random weights a network may take as
 long for it as for all else, or never find it.
@@ -32,7 +32,7 @@ NONLINEAR = 0.1
 
 @runtime_checkable
 class LinearPart(Protocol):
-    """A cell with a linear part that can be set, as `StateSpace` has it."""
+    """Describe a cell with a linear part that can be set, as `StateSpace` has it."""
 
     ny: int
     nu: int
@@ -49,7 +49,7 @@ class LinearPart(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Earlier:
-    """Earlier trainings, of another part of the record or of fewer iterations, to go on from.
+    """Go on from earlier trainings, of another part of the record or of fewer iterations.
 
     Attributes
     ----------

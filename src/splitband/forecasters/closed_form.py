@@ -1,4 +1,4 @@
-"""Baselines as forecasters: fitted in closed form, with nothing to train."""
+"""Forecast by baselines: fitted in closed form, with nothing to train."""
 
 from __future__ import annotations
 
@@ -288,12 +288,12 @@ class Linear(Forecaster):
 
 
 def _rmse_of_channels(errors: Array) -> Array:
-    """The RMSE of each channel, `(ny,)`; 0 where nothing was measured."""
+    """Return the RMSE of each channel, `(ny,)`; 0 where nothing was measured."""
     return np.sqrt(np.nansum(errors**2, axis=0) / np.maximum((~np.isnan(errors)).sum(axis=0), 1))
 
 
 def _whole(begin: float | None) -> float:
-    """As an integer where it is one, so that times are the same to the bit."""
+    """Return the time as an integer where it is one, so that times are the same to the bit."""
     assert begin is not None, "what depends on the time is not asked about other records"
     return int(begin) if begin == int(begin) else begin
 

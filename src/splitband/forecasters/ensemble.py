@@ -1,4 +1,4 @@
-"""The mean of several seeds as one forecaster."""
+"""Forecast by the mean of several seeds."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Ensemble(Forecaster):
 
     @property
     def seeds(self) -> tuple[int, ...]:
-        """Of the members, when the ensemble is fitted with the seed 0."""
+        """Return those of the members, when the ensemble is fitted with the seed 0."""
         return tuple(range(self.count)) if self._seeds is None else self._seeds
 
     @property
@@ -94,7 +94,7 @@ class Ensemble(Forecaster):
 
     @property
     def warmup(self) -> int:
-        """The members'."""
+        """Return that of the members."""
         return max([m.warmup for m in self.members], default=self.member.warmup)
 
     def to(self, device: str | torch.device) -> Self:
@@ -162,5 +162,5 @@ class Ensemble(Forecaster):
 def _shifted(
     progress: Callable[[Progress], None], done: int, count: int
 ) -> Callable[[Progress], None]:
-    """Progress of one member as that of all of them."""
+    """Return progress of one member as that of all of them."""
     return lambda at: progress(replace(at, share=(done + at.share) / count))

@@ -1,4 +1,4 @@
-"""What a forecaster remembers of its fit: the training record, ranges, and how the fit went."""
+"""Remember a fit: the training record, ranges, and how the fit went."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NEAR_ROW = 1e-3
 @saved
 @dataclass(frozen=True)
 class FitReport:
-    """What a fit did.
+    """Report what a fit did.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class FitReport:
 @saved
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """What a forecaster remembers of the records it was fitted to.
+    """Remember the records that a forecaster was fitted to.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class Fitted:
 
     @property
     def several(self) -> bool:
-        """Whether there were further training records."""
+        """Return whether there were further training records."""
         return bool(self.others) or not self.whole
 
     def end(self, first: int) -> Fitted:
@@ -92,7 +92,7 @@ class Fitted:
 
     @classmethod
     def of(cls, records: Sequence[Record], seed: int) -> Fitted:
-        """What is known before anything is computed."""
+        """Return what is known before anything is computed."""
         seen = np.concatenate([record.seen for record in records])
         inputs = [record.u for record in records if record.u is not None]
         return cls(
@@ -106,7 +106,7 @@ class Fitted:
         )
 
     def begins(self, history: Record) -> float:
-        """How many samples after the training record's first one a history begins."""
+        """Return how many samples after the training record's first one a history begins."""
         step = self.record.sampling_time
         if self.start is None or history.start is None:
             return 0.0
@@ -136,7 +136,7 @@ class Fitted:
         return f"input delay {', '.join(said)}" if said else ""
 
     def inputs_beyond(self, u: Array | None) -> list[Extrapolation]:
-        """Which inputs `u` `(time, nu)` go beyond those that were trained on."""
+        """Return which inputs `u` `(time, nu)` go beyond those that were trained on."""
         if u is None or self.u_range is None:
             return []
         low, high = self.u_range

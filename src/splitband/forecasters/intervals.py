@@ -1,4 +1,4 @@
-"""How sure a forecast is: an interval around it for each horizon.
+"""Say how sure a forecast is: an interval around it for each horizon.
 
 Not in the paper. Forecasts of known samples show how large a method's errors are and how they grow
 with the horizon. The horizon of the forecast is usually longer than theirs, and errors of
@@ -37,7 +37,7 @@ own: what wanders or drifts varies more in the whole than in a part."""
 
 @dataclass(frozen=True)
 class Interval:
-    """Half-widths of the interval around a forecast, by horizon.
+    """Give the half-widths of the interval around a forecast, by horizon.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Interval:
         return HeldOut.of(errors, y).interval(share)
 
     def widened(self, change: Array) -> Interval:
-        """At least as wide as errors of the size of `change` `(time, ny)`, by horizon, call for.
+        """Return it at least as wide as errors of the size of `change` `(time, ny)` call for.
 
         Their deviation at a horizon is the root of their mean square up to it.
         """
@@ -79,7 +79,7 @@ class Interval:
         return replace(self, half_width=tuple(tuple(map(float, row)) for row in widths))
 
     def half_widths(self, steps: int) -> Array:
-        """For the first `steps` samples of a horizon, `(steps, ny)`."""
+        """Return the half-widths of the first `steps` samples of a horizon, `(steps, ny)`."""
         wanted = np.arange(steps)
         beyond = np.maximum(wanted - self.horizon[-1], 0)
         rows = []
@@ -114,7 +114,7 @@ def _share(inside: Array) -> float:
 @saved
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """How far forecasts of known samples were off, from which the interval of any level follows.
+    """Keep how far forecasts of known samples were off: the interval of any level follows.
 
     Attributes
     ----------
@@ -180,19 +180,19 @@ class HeldOut:
 
 
 def _quantile(share: float) -> float:
-    """Of a normal distribution: +- this many deviations hold `share`."""
+    """Return the quantile of a normal distribution: +- this many deviations hold `share`."""
     return float(scipy.special.ndtri(0.5 + share / 2))
 
 
 def _is_bounded(channel: Array) -> bool:
-    """Whether a channel `(time,)` keeps to one level and one spread; NaN was not measured."""
+    """Return whether a channel `(time,)` keeps to one level and spread; NaN was not measured."""
     parts = [part[~np.isnan(part)] for part in np.array_split(channel, PARTS)]
     within = [float(np.var(part)) for part in parts if len(part)]
     return float(np.nanvar(channel)) <= BOUNDED * float(np.mean(within))
 
 
 def _growth(horizon: Array) -> tuple[Array, Array]:
-    """How large errors are at a horizon (in training records), over their size at the beginning.
+    """Return how large errors are at a horizon (in training records), over their first size.
 
     One row for each law, and the logarithm of its prior probability. A random walk's variance
     grows by the horizon, a drift's by its square, a saturating one's by
@@ -212,7 +212,7 @@ def _growth(horizon: Array) -> tuple[Array, Array]:
 
 
 def _half_widths(errors: Sequence[Array], train: int, horizon: Array, share: float) -> Array:
-    """Of one channel at each `horizon` `(n,)`, from its errors by horizon `(time,)`."""
+    """Return the half-widths of one channel at each `horizon` `(n,)`, from its errors `(time,)`."""
     known = [np.flatnonzero(~np.isnan(of_one)) for of_one in errors]
     sizes = abs(np.concatenate([e[at] for e, at in zip(errors, known, strict=True)]))
     if not sizes.any():
@@ -236,7 +236,7 @@ def _half_widths(errors: Sequence[Array], train: int, horizon: Array, share: flo
 
 
 def _information(errors: Sequence[Array]) -> tuple[Array, float]:
-    """What each known error is worth, and how many independent ones there are in all.
+    """Return what each known error is worth, and how many independent ones there are in all.
 
     Forecasts from different samples on overlap and share what they have in common, and errors of
     neighbouring samples are alike: `independent` is the number of distinct samples over the
@@ -263,7 +263,7 @@ def _information(errors: Sequence[Array]) -> tuple[Array, float]:
 
 
 def _autocorrelation_time(errors: Sequence[Array]) -> float:
-    """Samples that count as one: 1 + twice the sum of the autocorrelation, or of its square.
+    """Return samples that count as one: 1 + twice the sum of the autocorrelation, or of its square.
 
     The first, up to its first zero, is for errors that keep their sign. The second is for those
     that keep their size while the sign changes, as where a phase is off: the squares of Gaussian
@@ -281,7 +281,7 @@ def _autocorrelation_time(errors: Sequence[Array]) -> float:
 
 
 def _mixture_quantile(posterior: Array, deviation: Array, share: float) -> Array:
-    """What holds `share` of normal errors of the deviations `(law, n)`, by bisection, `(n,)`.
+    """Return what holds `share` of normal errors of deviations `(law, n)`, by bisection, `(n,)`.
 
     Laws of a probability below 1e-6 are left out.
     """

@@ -1,4 +1,4 @@
-"""What a forecaster may know when it is asked."""
+"""Define what a forecaster may know when it is asked."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What a forecaster may know when it is asked.
+    """Hold what a forecaster may know when it is asked.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Known:
 def continued(
     name: str, past: Array, ahead: npt.ArrayLike | None, steps: int, more: bool = False
 ) -> Array:
-    """A signal up to the origin and its next `steps` samples, or with `more` all that are given.
+    """Return a signal up to the origin and its next `steps` samples, or with `more` all given.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ from splitband.runtime.arguments import LARGEST_SIZE, did_you_mean, whole
 
 @dataclass(frozen=True)
 class Sizes:
-    """Of the networks that go by a name.
+    """Say the sizes of the networks that go by a name.
 
     Attributes
     ----------

@@ -46,7 +46,7 @@ CONDITIONED = "-conditioned"
 
 
 class Network(Forecaster):
-    """A forecaster that is trained by gradients.
+    """Train a forecaster by gradients.
 
     A kind of network says which options it has, what its model is (`build`) and what it is called
     (`_derived_name`). What it has not stays as it is here: no base, no bands, not conditioned.
@@ -162,22 +162,22 @@ class Network(Forecaster):
         return new
 
     def trained_as(self, settings: Settings) -> Self:
-        """With other settings."""
+        """Return it with other settings."""
         return self.clone().set_params(settings=settings)
 
     def going_on(self, earlier: Earlier) -> Self:
-        """With trainings that `fit` goes on from."""
+        """Return it with trainings that `fit` goes on from."""
         new = self.clone()
         new.earlier = earlier
         return new
 
     def starts_linear(self, record: Record) -> bool:
-        """Whether its network begins as the linear model of a record."""
+        """Return whether its network begins as the linear model of a record."""
         cells = [getattr(self, name) for name in self.cells]
         return record.nu > 0 and all(isinstance(cell, LinearPart) for cell in cells)
 
     def variants(self) -> list[Self]:
-        """With cells of other sizes that are worth trying, the usual ones first."""
+        """Return it with cells of other sizes that are worth trying, the usual ones first."""
         offered = [getattr(self, name) for name in self.cells]
         if not self.resizable or not all(hasattr(cell, "variants") for cell in offered):
             return [self.clone()]
@@ -187,11 +187,11 @@ class Network(Forecaster):
         ]
 
     def called(self, name: str) -> Self:
-        """Under another name."""
+        """Return it under another name."""
         return self.clone().set_params(name=name)
 
     def training_in_words(self) -> str:
-        """Sizes, window and steps, for tables."""
+        """Return sizes, window and steps, for tables."""
         sizes = [describe() for cell in self.cells
                  if (describe := getattr(getattr(self, cell), "size_in_words", None))]  # fmt: skip
         said = [" and ".join(sizes)] if sizes else []
@@ -205,7 +205,7 @@ class Network(Forecaster):
         return {name: x.detach().cpu().clone() for name, x in self._trained().state_dict().items()}
 
     def weights(self, record: Record) -> int:
-        """How many weights are trained, for such a record."""
+        """Return how many weights are trained, for such a record."""
         model = self._built(record, self._settings_for(record), seed=0)
         return sum(weight.numel() for weight in model.parameters())
 
@@ -350,7 +350,7 @@ class Network(Forecaster):
         return new
 
     def _inputs_shifted(self, records: Sequence[Record], seen: Sequence[Record]) -> list[Record]:
-        """The records as the model sees them, with inputs that act at once."""
+        """Return the records as the model sees them, with inputs that act at once."""
         self.delays = ()
         if records[0].u is not None:
             self.delays = DELAYS(*(x for r in records for x in (r.seen, r.u)))
@@ -411,7 +411,7 @@ class Network(Forecaster):
         return None if self.fitted_base is None else self.fitted_base.part()
 
     def _built(self, record: Record, settings: Settings, seed: int) -> Model:
-        """The untrained model, its parameters drawn from `seed`."""
+        """Return the untrained model, its parameters drawn from `seed`."""
         with drawn_from(seed):
             return self.build(record, settings)
 
@@ -424,7 +424,7 @@ class Network(Forecaster):
         return self.model
 
     def _start(self, known: Known) -> int:
-        """Where the free run starts: after the last warm-up without a gap."""
+        """Return where the free run starts: after the last warm-up without a gap."""
         complete = np.asarray(~np.isnan(known.y).any(axis=1))
         start = last_before(complete, self.warmup, len(known.y))
         if start is None:
@@ -435,7 +435,7 @@ class Network(Forecaster):
         return start
 
     def _warm(self, known: Known) -> tuple[Array, int, Array | None, Array | None]:
-        """What `Model.simulate` takes: warm-up, steps, inputs and the slow part."""
+        """Return what `Model.simulate` takes: warm-up, steps, inputs and the slow part."""
         start = self._start(known)
         begin = start - self.warmup
         u = None if known.u is None else delayed(known.u, self.delays)

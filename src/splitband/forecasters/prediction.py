@@ -1,4 +1,4 @@
-"""What a forecaster returns: values, their times, and the interval around them."""
+"""Define what a forecaster returns: values, their times, and the interval around them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prediction:
-    """The samples that follow an origin.
+    """Hold the samples that follow an origin.
 
     Attributes
     ----------
@@ -53,14 +53,14 @@ class Prediction:
 
     @property
     def time(self) -> Array | pd.DatetimeIndex:
-        """The time stamps, `(steps,)`: seconds or dates; without any, seconds after the origin."""
+        """Return the time stamps, `(steps,)`: seconds or dates; else seconds after the origin."""
         rows = np.arange(len(self))
         if self.grid.start is None:
             return stamps_at(0.0, self.grid.step, 1 + rows)
         return stamps_at(self.grid.start, self.grid.step, rows)
 
     def to_frame(self) -> pd.DataFrame:
-        """A table with a column of time stamps and one for each channel, with its interval."""
+        """Return a table with a column of time stamps and one for each channel and its interval."""
         table: dict[str, object] = {time_header(self.columns): self.time}
         for i, column in enumerate(self.columns):
             table[column] = self.y[:, i]
@@ -97,13 +97,13 @@ class Prediction:
         return f"<p>{escape(repr(self))}</p>{self.to_frame().to_html(max_rows=10, index=False)}"
 
     def plot(self) -> Figure:
-        """A picture of it."""
+        """Return a picture of it."""
         # The module of pictures imports this one, so that it is imported only here.
         return import_module("splitband.report.pictures").prediction(self)
 
 
 def mean_of(predictions: Sequence[Prediction]) -> Prediction:
-    """The mean of several predictions of the same samples, such as those of several seeds.
+    """Return the mean of several predictions of the same samples, such as those of several seeds.
 
     Parts that they all have are averaged, too; what is a reason to doubt one of them stays one.
     """
@@ -124,5 +124,5 @@ def mean_of(predictions: Sequence[Prediction]) -> Prediction:
 
 
 def time_header(columns: tuple[str, ...]) -> str:
-    """The name of the time column beside `columns`."""
+    """Return the name of the time column beside `columns`."""
     return "time (s)" if "time" in columns else "time"

@@ -1,4 +1,4 @@
-"""Results of slow functions, each computed once and sent to other processes."""
+"""Remember results of slow functions, each computed once and sent to other processes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Result = TypeVar("Result")
 
 
 class Remembered(Generic[Result]):
-    """A function of arrays and numbers that is computed once for the same arguments.
+    """Compute a function of arrays and numbers once for the same arguments.
 
     Arguments are compared by content. It is computed on one thread, so that the result is the same
     to the bit in whichever process that is.
@@ -35,7 +35,7 @@ class Remembered(Generic[Result]):
         self.results: dict[str, Result] = {}
 
     def __call__(self, *arguments: Any) -> Result:
-        """`function(*arguments)`."""
+        """Return `function(*arguments)`."""
         parts = (torch.from_numpy(np.array(a)) if isinstance(a, np.ndarray) else a
                  for a in arguments)  # fmt: skip
         key = key_of(*parts)

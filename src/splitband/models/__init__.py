@@ -1,4 +1,4 @@
-"""Models of a record: what is trained, and how it simulates from a warm-up.
+"""Define models of a record: what is trained, and how it simulates from a warm-up.
 
 A model says which networks it has and what each must reproduce (`tasks`); `training.loop` knows
 nothing more. Training and simulation go through the same methods, so a network meets in training

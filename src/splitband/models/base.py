@@ -1,4 +1,4 @@
-"""What every model is: networks with tasks to learn, and components to add up."""
+"""Define what every model is: networks with tasks to learn, and components to add up."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Signal = TypeVar("Signal", npt.NDArray[Any], Tensor)
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """What a model may know, normalised: `(time, n)` for a record, `(batch, time, n)` otherwise."""
+    """Hold what a model may know, normalised: `(time, n)` for a record, or `(batch, time, n)`."""
 
     y: Tensor
     u: Tensor | None = None
@@ -39,7 +39,7 @@ class Signals:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One network's share of the training.
+    """Describe one network's share of the training.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Task:
 
 
 class Model(nn.Module, ABC):
-    """A simulator learned from a record; subclasses say what its components are.
+    """Simulate what was learned from a record; subclasses say what the components are.
 
     Parameters
     ----------
@@ -90,11 +90,11 @@ class Model(nn.Module, ABC):
 
     @abstractmethod
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """The parts of a simulation, to be added: `steps` samples after the warm-up `known.y`."""
+        """Return the parts of a simulation, to be added: `steps` samples after `known.y`."""
 
     @abstractmethod
     def tasks(self, record: Signals) -> list[Task]:
-        """What each network has to learn from a normalised record."""
+        """Return what each network has to learn from a normalised record."""
 
     def simulate(
         self,
@@ -131,7 +131,7 @@ class Model(nn.Module, ABC):
         return total
 
     def extrapolations(self, u: Signal) -> list[Extrapolation]:
-        """Where inputs, shaped as for `simulate`, go beyond their range in training."""
+        """Return where inputs, shaped as for `simulate`, go beyond their range in training."""
         values = u.detach().cpu().numpy() if isinstance(u, Tensor) else np.asarray(u)
         values = values.reshape(-1, values.shape[-2] if values.ndim > 1 else len(values), self.nu)
         low, high = (x.cpu().numpy() for x in (self.u_low, self.u_high))
@@ -151,7 +151,7 @@ class Model(nn.Module, ABC):
         u: Signal | None = None,
         y_sim: Signal | None = None,
     ) -> dict[str, Signal]:
-        """The parts that `simulate` adds up, by name; the first one carries the record's mean."""
+        """Return the parts that `simulate` adds up; the first one carries the record's mean."""
         known = self._normalised(y_warmup, steps, u, y_sim)
         if isinstance(y_warmup, Tensor):
             parts = self.components(known, steps)
@@ -166,7 +166,7 @@ class Model(nn.Module, ABC):
     def simulate_unfiltered(
         self, y_warmup: Signal, steps: int, u: Signal | None = None, y_sim: Signal | None = None
     ) -> dict[str, Signal]:
-        """What the filters of a model are fed with, by name; empty for a model without.
+        """Return what the filters of a model are fed with, by name; empty for a model without.
 
         As for `simulate`, but each part is of the whole signal: they do not add up to it.
         """
@@ -183,11 +183,11 @@ class Model(nn.Module, ABC):
         raise ValueError(f"{type(self).__name__} cannot be stepped")
 
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """What is filtered after the warm-up `known.y`; nothing, unless a subclass filters."""
+        """Return what is filtered after the warm-up; nothing, unless a subclass filters."""
         return {}
 
     def _shaped(self, values: Tensor, like: Signal) -> Signal:
-        """`(batch, steps, ny)` as the caller's kind of array."""
+        """Return `(batch, steps, ny)` as the caller's kind of array."""
         values = values.reshape(*like.shape[:-2], values.shape[1], self.ny)
         values = values[:, 0] if like.ndim == 1 else values
         return values.to(like) if isinstance(like, Tensor) else values.cpu().numpy()
@@ -210,7 +210,7 @@ class Model(nn.Module, ABC):
                 getattr(self, f"{name}_std").copy_(torch.from_numpy(spread(values)))
 
     def normalised(self, trajectory: Record) -> Signals:
-        """The signals of a record as the networks see them, each `(time, n)`."""
+        """Return the signals of a record as the networks see them, each `(time, n)`."""
         u, y_sim = trajectory.u, trajectory.y_sim
         return Signals(
             self._to_network(trajectory.y, "y"),
@@ -254,7 +254,7 @@ class Model(nn.Module, ABC):
 def conditioning(
     slow: Tensor, scale: Tensor, k: int = 1, offset: int = 0, driven: bool = False
 ) -> Tensor:
-    """What a slower signal tells a faster network: its value and its slope, side by side.
+    """Return what a slower signal tells a faster network: its value and its slope, side by side.
 
     Without known inputs the slow signal depends on time alone. The row that acts on the step from
     one of the network's samples to the next holds value and slope of the latter, and the slope is
@@ -280,7 +280,7 @@ def conditioning(
 
 
 def with_next_input(u: Tensor) -> Tensor:
-    """Each row of the inputs with the next one behind it, `(..., time, 2 nu)`.
+    """Return each row of the inputs with the next one behind it, `(..., time, 2 nu)`.
 
     The step from n to n + 1 then knows the inputs of both samples, as it must where an input acts
     on the output at once (direct feedthrough). The last row acts on no step.
@@ -290,7 +290,7 @@ def with_next_input(u: Tensor) -> Tensor:
 
 
 def concat_inputs(u: Tensor | None, given: Tensor) -> Tensor:
-    """The known inputs, if any, and `given` behind them, as far as both go: `(..., time, n)`."""
+    """Return the known inputs, if any, and `given` behind them, as far as both go."""
     if u is None:
         return given
     rows = min(u.shape[-2], given.shape[-2])
@@ -298,7 +298,7 @@ def concat_inputs(u: Tensor | None, given: Tensor) -> Tensor:
 
 
 def slope_scale(slow: Sequence[Tensor], driven: bool = False) -> Tensor:
-    """The standard deviation of each channel's slope in records `(time, ny)`; 1 for a constant.
+    """Return the deviation of each channel's slope in records `(time, ny)`; 1 for a constant.
 
     `driven` as for `conditioning`.
     """
@@ -307,7 +307,7 @@ def slope_scale(slow: Sequence[Tensor], driven: bool = False) -> Tensor:
 
 
 def _slope(x: Tensor, backward: bool) -> Tensor:
-    """By sample, from the neighbours on both sides, or from the sample before."""
+    """Return the slope by sample, from the neighbours on both sides, or from the sample before."""
     if x.shape[-2] < 2:
         return torch.zeros_like(x)
     if backward:
@@ -317,7 +317,7 @@ def _slope(x: Tensor, backward: bool) -> Tensor:
 
 
 def inputs_of(cell: Cell, told: int, feedthrough: bool) -> int:
-    """The inputs of a model by those of its network, of which `told` come from the model itself.
+    """Return the inputs of a model by those of its network; `told` come from the model itself.
 
     Raises ValueError where the network has too few, or with feedthrough an odd number.
     """
@@ -377,7 +377,7 @@ def _tied(model: Model) -> list[list[str]]:
 
 
 def as_module(cell: Cell) -> nn.Module:
-    """The cell as what is trained; raises TypeError where it is none."""
+    """Return the cell as what is trained; raises TypeError where it is none."""
     if not isinstance(cell, nn.Module):
         raise TypeError(f"a cell must be an nn.Module, got {type(cell).__name__}")
     return cell

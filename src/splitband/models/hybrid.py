@@ -1,4 +1,4 @@
-"""Hybrid models: a network and a black-box simulator."""
+"""Combine a network and a black-box simulator."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SLOW, FAST = "simulator", "network"
 
 
 class Hybrid(Model):
-    """A network and a simulator.
+    """Combine a network and a simulator.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Hybrid(Model):
         self.slope_scale.copy_(slope_scale(simulated, driven=self.nu > 0))
 
     def _conditioned(self, known: Signals) -> Signals:
-        """The inputs as the network wants them, with the simulator's output among them."""
+        """Return the inputs as the network wants them, with the simulator's output among them."""
         if self.feedthrough and known.u is not None:
             known = replace(known, u=with_next_input(known.u))
         if not self.conditioned:
@@ -65,7 +65,7 @@ class Hybrid(Model):
 
 
 class Filtered(Hybrid):
-    """The simulator in the low band, a network in the high band (paper, Sec. 4.3).
+    """Add the simulator in the low band and a network in the high band (paper, Sec. 4.3).
 
     H(network) + L(simulator) through the joint recurrence, trained end to end. The paper starts
     the filter with the first P samples of the training signal; here these are the last P of the
@@ -93,7 +93,7 @@ class Filtered(Hybrid):
         self.pair = pair
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """L(simulator) and H(network)."""
+        """Return L(simulator) and H(network)."""
         filtered = self._low_passed(known)
         low = _required(filtered)[:, known.y.shape[1] :][:, :steps]
         return {f"{SLOW}, low band": low, f"{FAST}, high band": self._high(filtered, steps)}
@@ -103,7 +103,7 @@ class Filtered(Hybrid):
         return SteppedFiltered(self)
 
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """The simulator's samples and the network's, before the filters."""
+        """Return the simulator's samples and the network's, before the filters."""
         warmup = known.y.shape[1]
         network = rollout(self.cell, known.y, steps, self._conditioned(known).u)
         return {SLOW: _required(known)[:, warmup : warmup + steps], FAST: network}
@@ -114,7 +114,7 @@ class Filtered(Hybrid):
         return [Task(FAST, as_module(self.cell), known, record.y, self._combined)]
 
     def _low_passed(self, known: Signals) -> Signals:
-        """L(simulator) in place of the simulator, once the network has been told of it."""
+        """Return L(simulator) in place of the simulator, once the network has been told of it."""
         return replace(self._conditioned(known), y_sim=self.pair.lowpass(_required(known)))
 
     def _combined(self, filtered: Signals, steps: int) -> Tensor:
@@ -122,7 +122,7 @@ class Filtered(Hybrid):
         return self._high(filtered, steps) + _required(filtered)[:, warmup : warmup + steps]
 
     def _high(self, filtered: Signals, steps: int) -> Tensor:
-        """H(network), going on from what L(simulator) leaves of the last measured samples."""
+        """Return H(network), going on from what L(simulator) leaves of the measured samples."""
         order, warmup = self.pair.order, filtered.y.shape[1]
         if warmup < order:
             raise ValueError(f"the warm-up must have at least {order} samples, got {warmup}")
@@ -134,13 +134,13 @@ class Filtered(Hybrid):
 
 
 class Residual(Hybrid):
-    """A network for what the simulator leaves: y = network + simulator (paper, Sec. 5.1).
+    """Learn what the simulator leaves: y = network + simulator (paper, Sec. 5.1).
 
     The network warms up on the residual of the measured samples. Parameters as for `Hybrid`.
     """
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """The simulator's samples and the network's."""
+        """Return the simulator's samples and the network's."""
         warmup = known.y.shape[1]
         residual = self._simulate(self._conditioned(known), steps)
         return {SLOW: _required(known)[:, warmup : warmup + steps], FAST: residual}

@@ -1,4 +1,4 @@
-"""Models learned from a record alone: one network, or several on their bands."""
+"""Define models learned from a record alone: one network, or several on their bands."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from splitband.networks import Cell, rollout
 
 
 class Recurrent(Model):
-    """One network on the whole band: the baseline (paper, Sec. 4.1).
+    """Run one network on the whole band: the baseline (paper, Sec. 4.1).
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Recurrent(Model):
         self.cell, self.feedthrough = cell, feedthrough
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """The network's free run."""
+        """Return the network's free run."""
         return {"network": self._simulate(known, steps)}
 
     def stepped(self) -> SteppedRecurrent:
@@ -59,7 +59,7 @@ class Recurrent(Model):
 
 
 class Split(Model):
-    """Networks, each on its band (paper, Sec. 4.2): "split GRU" and "split GRU + HP".
+    """Add networks, each on its band (paper, Sec. 4.2): "split GRU" and "split GRU + HP".
 
     A network of a slower band lives on the low-passed, down-sampled signal; its free run is
     up-sampled, and those of all bands are added. The paper has two bands and no conditioning.
@@ -126,7 +126,7 @@ class Split(Model):
         self._check_bands()
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """The bands from slow to fast, each at the full rate (paper, Eq. 13)."""
+        """Return the bands from slow to fast, each at the full rate (paper, Eq. 13)."""
         return self._bands(len(self.networks), known, steps)
 
     def tasks(self, record: Signals) -> list[Task]:
@@ -166,7 +166,7 @@ class Split(Model):
             self.slope_scale[i].copy_(slope_scale(low, driven=self.nu > 0))
 
     def _in_training(self, band: int, known: Signals, steps: int) -> Tensor:
-        """`steps` samples of a band at its rate, the slower bands being as they are."""
+        """Return `steps` samples of a band at its rate, the slower bands being as they are."""
         slower = None
         if self.conditioned and band:
             with torch.no_grad():
@@ -175,7 +175,7 @@ class Split(Model):
         return self._simulate(band, known, steps, slower)
 
     def _bands(self, count: int, known: Signals, steps: int) -> dict[str, Tensor]:
-        """The `count` slowest bands, each at the full rate."""
+        """Return the `count` slowest bands, each at the full rate."""
         lengths = [steps] * count
         for band in range(count - 1, 0, -1):
             lengths[:band] = [max(lengths[band - 1], self._told_for(band, lengths[band]))] * band
@@ -186,7 +186,7 @@ class Split(Model):
         return {name: part[:, :steps] for name, part in bands.items()}
 
     def _told_for(self, band: int, steps: int) -> int:
-        """Samples of the slower bands that `steps` samples of a band depend on."""
+        """Return samples of the slower bands that `steps` samples of a band depend on."""
         if not self.conditioned or self.nu:
             return steps
         # To the last sample of the band, and one more for the slope there.
@@ -201,7 +201,7 @@ class Split(Model):
         return upsample(self._simulate(band, known, (steps - 2) // k + 2, slower), k, length=steps)
 
     def _simulate(self, band: int, known: Signals, steps: int, slower: Tensor | None) -> Tensor:
-        """`steps` samples of a band at its rate, the first of them right after the warm-up.
+        """Return `steps` samples of a band at its rate, the first of them right after the warm-up.
 
         `slower` is what the slower bands predict from there on, at the full rate.
         """
@@ -226,7 +226,7 @@ class Split(Model):
         return pair.highpass(torch.cat([history, y], dim=1))[:, warmup:]
 
     def _band_of(self, band: int, y: Tensor) -> Tensor:
-        """The share of a signal that is a band's."""
+        """Return the share of a signal that is a band's."""
         upper = self.pairs[band].lowpass(y) if band < len(self.pairs) else y
         return upper - self.pairs[band - 1].lowpass(y) if band else upper
 
@@ -268,7 +268,7 @@ class Split(Model):
 
 
 def _mean_before(u: Tensor, k: int, offset: int) -> Tensor:
-    """For every k-th sample from `offset` on, the mean input of the k samples that end with it.
+    """Return the mean input of the k samples that end with every k-th one from `offset` on.
 
     A band's sample n + k, and with it what is interpolated from n on, must depend on no input
     after n. Before the first sample the input is taken to have been the same.
