@@ -41,8 +41,8 @@ def page(comparison: Comparison, used: Usage) -> Page:
     sections = [
         _answer(comparison, styles, used),
         Section("methods", "All methods", [" ".join(why)], tables=[tables.methods(comparison)]),
-        *([residuals(tested, folded=True)] if (tested := comparison.residual_tests()) else []),
         *_over_time(comparison, frame, most),
+        *([residuals(tested, folded=True)] if (tested := comparison.residual_tests()) else []),
         _bands(comparison),
         *_trained(comparison, styles),
         usage.section(
