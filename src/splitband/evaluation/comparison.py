@@ -327,7 +327,7 @@ def _last_runs(plan: Plan, searched: SearchResult, trial: Trial, work: Work) -> 
         slow = [next(f for f in methods if f.name == name) for name in wanted]
         trained = run_methods(plan, slow, wanted, of_slow, need_one=not runs)
     if plan.seeds is None:
-        trained = without_failed(trained)
+        trained = without_failed(trained, plan.training)
     every = {**runs, **trained}
     ordered = {f.name: every[f.name] for f in methods if f.name in every}
     models = {**runs.models, **trained.models}

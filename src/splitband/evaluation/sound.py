@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from splitband.data import Record
 from splitband.evaluation.protocols import Run, Runs
 from splitband.forecasters.fitted import FitReport
+from splitband.metrics import rmse, spread
 
 FAILED = 2.0
 """A seed whose error is above this multiple of the lowest seed's has failed."""
 
 
-def without_failed(runs: Runs) -> Runs:
+def without_failed(runs: Runs, training: Record) -> Runs:
     """Return the runs and the models of the seeds that count."""
-    kept = {name: sound_runs(each) for name, each in runs.items()}
+    kept = {name: sound_runs(each, training) for name, each in runs.items()}
     models = {}
     for name, of_method in runs.models.items():
         seeds = {run.seed for run in kept[name]}
@@ -22,24 +24,36 @@ def without_failed(runs: Runs) -> Runs:
     return Runs(kept, runs.failures, models)
 
 
-def sound_runs(runs: Sequence[Run]) -> list[Run]:
-    """Return the runs of a method without the seeds whose training error is far from the lowest.
+def sound_runs(runs: Sequence[Run], training: Record) -> list[Run]:
+    """Return the runs of a method without the seeds that failed on the training record.
 
-    The description of the first run says which have been left out.
+    What counts is the last training loss, of windows, and the error of a free run from the first
+    samples to the end of the training record, which shows a model that grows without bound. The
+    description of the first run says which seeds have been left out.
     """
-    losses = {run.seed: training_error(run.fit) for run in runs}
-    lowest = min(losses.values(), default=0.0)
-    kept = [run for run in runs if losses[run.seed] <= FAILED * lowest]
-    failed = [seed for seed, loss in losses.items() if loss > FAILED * lowest]
+    errors = [(training_loss(run.fit), _from_start(run, training)) for run in runs]
+    lowest = [min(of_kind) for of_kind in zip(*errors, strict=True)]
+    worst = [max(e / least if least else 1.0 for e, least in zip(each, lowest, strict=True))
+             for each in errors]  # fmt: skip
+    kept = [run for run, ratio in zip(runs, worst, strict=True) if ratio <= FAILED]
+    failed = [str(run.seed) for run, ratio in zip(runs, worst, strict=True) if ratio > FAILED]
     if not failed or not kept:
         return [*runs]
-    seeds = f"seed{'s' if len(failed) > 1 else ''} {', '.join(map(str, failed))}"
-    worst = max(losses[seed] for seed in failed) / lowest
-    said = f"{seeds} left out: training error up to {worst:.1f} times the lowest"
+    seeds = f"seed{'s' if len(failed) > 1 else ''} {', '.join(failed)}"
+    said = f"{seeds} left out: training error up to {max(worst):.3g} times the lowest"
     first = replace(kept[0], description="; ".join(filter(None, [kept[0].description, said])))
     return [first, *kept[1:]]
 
 
-def training_error(report: FitReport) -> float:
+def training_loss(report: FitReport) -> float:
     """Return the last training loss of all networks of a forecaster together; 0 without any."""
     return sum(losses[-1] ** 2 for losses in report.losses.values() if len(losses)) ** 0.5
+
+
+def _from_start(run: Run, training: Record) -> float:
+    """Return the RMSE of the simulation of the training record, channels scaled; 0 if empty."""
+    begin = len(training) - len(run.from_start.y)
+    begin = max(begin, 0) if run.forecast is None else max(begin + len(run.forecast.y), 0)
+    y = run.from_start.y[: len(training) - begin]
+    scale = spread(training.seen)
+    return rmse(training.seen[begin : begin + len(y)] / scale, y / scale) if len(y) else 0.0
