@@ -127,7 +127,11 @@ def test_compare_recommends_a_method_and_says_how_sure_it_is(compared: Path) -> 
 
 def test_compare_leaves_nothing_but_results_pictures_and_page(compared: Path) -> None:
     pictures = {path.name for path in compared.glob("*.png")}
-    assert set(files(compared)) == {"results.json", "predictions.csv", "report.html", *pictures}
+    assert set(files(compared)) == {
+        "results.json", "predictions.csv", "report.html", *pictures,
+        *(f"model/{name}" for name in files(compared / "model")),
+    }  # fmt: skip
+    assert "forecaster.json" in files(compared / "model")
 
 
 def test_the_predictions_beside_the_results_have_the_errors_in_them(compared: Path) -> None:

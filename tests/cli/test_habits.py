@@ -48,7 +48,7 @@ def test_every_command_that_compares_trains_or_simulates_prints_json(
         "methods": "simple baselines",
         "doctor": "versions",
     }
-    assert {*lines, "demo", "benchmark", "spectrum"} == {*WITH_JSON}
+    assert {*lines, "demo", "benchmark", "spectrum", "check"} == {*WITH_JSON}
     for command, line in lines.items():
         call(f"{line} --json")
         assert keys[command] in json.loads(capsys.readouterr().out)

@@ -148,7 +148,7 @@ def test_nothing_of_an_earlier_result_stays_but_what_is_the_users() -> None:
         (out / name).write_text(text)
     call(MEAN, out)
     found = results(out)
-    assert {path.name for path in out.iterdir()} == {*found["files"], "results.json", *own}
+    assert {path.name for path in out.iterdir()} == {*found["files"], "results.json", "model", *own}
     assert not (out / "predictions-test-1.csv").exists()
     call("forecast record.csv --method mean --steps 3", out)
     assert {path.name for path in out.iterdir()} == {

@@ -287,8 +287,8 @@ def test_channels_of_different_units_have_errors_and_scales_of_their_own() -> No
         left = both.y[-len(found.from_start) :] - found.from_start.y
         np.testing.assert_allclose(of_channels, np.sqrt(np.mean(left**2, axis=0)))
     picture = rollouts(Comparison(Plan.of(both, (), SETUP), runs))
-    for i, ax in enumerate(picture.axes):
+    for ax in picture.axes:
         low, high = ax.get_ylim()
-        seen = both.y[:, i // 2 % 2]
+        seen = both.y[:, int(low > 1e3)]
         assert low < seen.min() < seen.max() < high
         assert high - low < 2 * np.ptp(seen)

@@ -86,7 +86,7 @@ def test_what_has_no_settings_or_another_name_says_nothing(forecaster: Forecaste
         (("training", "epochs"), KeyError, "training.epochs must be given"),
         (("training", "epochs"), 2.5, "training.epochs must be a whole number, got 2.5"),
         (("training", "epochs"), True, "training.epochs must be a whole number, got true"),
-        (("training", "epochs"), 0, "training: epochs must be at least 1, got 0"),
+        (("training", "epochs"), -1, "training: epochs must be at least 0, got -1"),
         (("training", "window"), 12, "training: window must be longer than the warm-up of 12"),
         (("training", "clip"), "1", 'training.clip must be a number or null, got "1"'),
         (("training", "one_cycle"), 1, "training.one_cycle must be true or false, got 1"),

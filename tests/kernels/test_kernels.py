@@ -225,6 +225,8 @@ def test_float32_is_as_near_to_float64_as_the_plain_loop(
     )
     ours, theirs = (samples_and_gradients(run, *args) for run in (kernel, loop))
     for name, value in expected.items():
+        if not value.numel():  # weights of inputs that there are none of
+            continue
         scale = value.abs().max().item() or 1.0
         error, allowed = (
             (found[name].double() - value).abs().max().item() / scale for found in (ours, theirs)

@@ -193,7 +193,7 @@ def test_diverging_training_says_so() -> None:
         ({"window": 12}, "window must be longer than the warm-up of 12 samples, got 12"),
         ({"window": LENGTH + 1}, f"training record of {LENGTH} samples, got {LENGTH + 1}"),
         ({"warmup": 0}, "warmup must be at least 1, got 0"),
-        ({"epochs": 0}, "epochs must be at least 1, got 0"),
+        ({"epochs": 0}, "epochs must be positive without quasi_newton, got 0"),
         ({"batch_size": 0}, "batch_size must be at least 1, got 0"),
         ({"learning_rate": -1.0}, "learning rates must be positive, got -1.0"),
         ({"milestones": ((3, 0.0),)}, "learning rates must be positive, got 0.0"),

@@ -345,8 +345,8 @@ class Network(Forecaster):
     def _made(self, params: dict[str, Any]) -> Self:
         """Return one with other options; where it runs and what may be tuned are none of them."""
         new = super()._made(params)
-        new.device, new.tunable, new.resizable = self.device, self.tunable, self.resizable
-        new.earlier = self.earlier
+        kept = ("device", "tunable", "resizable", "earlier")
+        vars(new).update({name: vars(self)[name] for name in kept if name in vars(self)})
         return new
 
     def _inputs_shifted(self, records: Sequence[Record], seen: Sequence[Record]) -> list[Record]:

@@ -26,7 +26,7 @@ TEST_PREDICTIONS = "predictions-test-{}.csv"
 RESULT_FILES = (
     FACTS, "predictions.csv", "rollouts.png", "error.png", "spectrum.png", "components.png",
     "tests.png", "report.html", "recommended.json", "forecast.csv", "forecast.png",
-    "settings.json", "history.png", "importances.png", "table.csv", "cases.png",
+    "check.png", "responses.png", "table.csv", "cases.png",
 )  # fmt: skip
 """Names of the files of results: no other file is ever removed with an earlier result."""
 MODEL, WEIGHTS = "forecaster.json", "weights-{}.safetensors"
