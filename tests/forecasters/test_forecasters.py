@@ -53,7 +53,12 @@ def recorded() -> Recorded:
 REPRESENTATIVES = (
     *(name for name in QUICK if name != "grey-box"),
     *("gru", "rnn", "state-space", "split-gru", "split-gru-hp", "split-gru-conditioned"),
-    *("filtered-gru", "filtered-gru-calibrated-conditioned", "residual-rnn"),
+    *(
+        "filtered-gru",
+        "filtered-gru-calibrated-conditioned",
+        "residual-rnn",
+        "filtered-rnn-conditioned",
+    ),
     *("residual-gru-calibrated", "residual-periodic-gru", "filtered-linear-state-space"),
 )
 """One of each kind, and pairs of the options; grey boxes have tests of their own."""
