@@ -124,7 +124,8 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     places = np.array(best.found[window][0])
     shooting.divide(window, places)
     with within(Deadline()):  # what has been found is looked at however late it is
-        places = places if best.cut or deadline.over else _descend(shooting, places, _LAST_ROUNDS)
+        if not (best.cut or deadline.over):
+            places, _ = _descend(shooting, places, _LAST_ROUNDS)
         estimate = _told(shooting, places, window if window < longest else 0)
     agreeing = [error for error, _ in ranked if error <= ranked[0][0] * (1 + _SAME_ERROR)]
     remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, places)]
@@ -227,8 +228,8 @@ def _try(
                 shooting.divide(length, places)
                 error = _error(shooting.residuals(places))
                 if error < 0.5 * BAD:
-                    places = _descend(shooting, places, _ROUNDS)
-                    found[length] = places.tolist(), _error(shooting.residuals(places))
+                    places, error = _descend(shooting, places, _ROUNDS)
+                    found[length] = places.tolist(), error
     except OverError:
         cut = True
     return StartOutcome(number, found, shooting.failure, cut)
@@ -242,16 +243,19 @@ def _lengths(longest: int, growing: bool) -> list[int]:
     return lengths
 
 
-def _descend(shooting: Shooting, places: Array, rounds: int) -> Array:
-    """Return better places, within the ranges; those of the best run where the time is over."""
+def _descend(shooting: Shooting, places: Array, rounds: int) -> tuple[Array, float]:
+    """Return better places, within the ranges, and their error.
+
+    Where the time is over, they are those of the best run.
+    """
     least, best = np.inf, None
 
     def residuals(at: Array) -> Array:
         nonlocal least, best
         found = shooting.residuals(at)
-        power = float(found @ found)
-        if power < least:
-            least, best = power, at.copy()
+        error = _error(found)
+        if error < least:
+            least, best = error, at.copy()
         return found
 
     begin = np.clip(places, 1e-6, 1 - 1e-6)
@@ -263,7 +267,8 @@ def _descend(shooting: Shooting, places: Array, rounds: int) -> Array:
     except OverError:
         if best is None:
             raise
-    return places if best is None else best
+    assert best is not None
+    return best, least
 
 
 def _error(residuals: Array) -> float:
