@@ -16,7 +16,7 @@ from rich.table import Table as RichTable
 from typer.exceptions import TyperException
 
 import splitband as sb
-from reproduction import long_runs, long_tables
+from reproduction import evidence, long_runs, long_tables
 from reproduction.costs import progress
 from reproduction.figures import FIGURES, figure, needed
 from reproduction.jobs import SYSTEMS
@@ -26,7 +26,7 @@ from reproduction.tables import Table, table
 from splitband.evaluation.runs import RunProgress
 from splitband.forecasters.names import TRAINED
 from splitband.report import pictures
-from splitband.runtime.files import output_folder, replacing, write_json
+from splitband.runtime.files import output_folder, replacing, write_json, write_json_lines
 from splitband.runtime.threads import available_cores
 
 console = Console(markup=False, emoji=False, highlight=False)
@@ -160,7 +160,8 @@ def make_readings(out: Out = Path("paper"), run: Run = True) -> None:
         long_runs.complete(out, console.print)
     with replacing(out / "readings.md") as temporary:
         temporary.write_text(long_tables.page(out), encoding="utf-8")
-    console.print(f"tables: {out / 'readings.md'}")
+    write_json_lines(out / "readings.json", evidence.collected(out))
+    console.print(f"tables: {out / 'readings.md'}, their figures: {out / 'readings.json'}")
 
 
 @app.command("figure")

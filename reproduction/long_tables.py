@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from benchmarks import study
 from reproduction import high_pass, published
 from reproduction.bands import HIGH, LOW
-from reproduction.jobs import ORACLE, Job
+from reproduction.evidence import HORIZONS, SOON, Runs, horizons, of_reading, of_table
+from reproduction.jobs import ORACLE
 from reproduction.published import Value
 from reproduction.readings import (
     ABLATIONS,
@@ -24,9 +24,9 @@ from reproduction.readings import (
     READINGS,
     Reading,
 )
-from reproduction.runs import final_losses, load
+from reproduction.runs import final_losses
 from reproduction.specs import DRAWS
-from reproduction.system_i import NAIVE, NETWORKS, path_of
+from reproduction.system_i import NAIVE, NETWORKS
 from reproduction.tables import spread
 
 HEADING = """# System (i) under other readings of the paper's text
@@ -39,7 +39,6 @@ reading has noise of standard deviation 0.1, and the record is filtered as a who
 APART = 2.0
 """Standard errors by which two readings are called different."""
 PAPER = published.LEARNING_BASED["i"]
-Runs = Sequence[Mapping[str, Any]]
 
 
 def page(out: Path) -> str:
@@ -54,29 +53,17 @@ def page(out: Path) -> str:
         ('"+HP" under other readings', readings(near, "split-gru-hp", HP_READINGS)),
         ("Ablations under the nearest reading", ablations(near)),
         ('"+HP" on the double-torsion record', recipes(out / "high-pass", results)),
-        ("Short and long term in the runs of Tables 1 to 3", horizons(results)),
+        ("Short and long term in the runs of Tables 1 to 3", soon_and_late(results)),
     ]
     tables = "\n\n".join("\n".join([f"## {title}", "", *lines]) for title, lines in sections)
     return f"{HEADING}\n{tables}\n"
-
-
-def found(out: Path, method: str, name: str, draw: int = 0, seeds: int = 100) -> Runs:
-    """Return the runs that are there, by seed."""
-    paths = [path_of(out, method, name, seed, draw) for seed in range(seeds)]
-    runs = [json.loads(path.read_text(encoding="utf-8")) for path in paths if path.exists()]
-    return [run | {"late": _late(run["errors"])} if "errors" in run else run for run in runs]
-
-
-def _late(errors: Sequence[float]) -> float:
-    """Return the mean error over the last tenth of the epochs: the last one alone is a lottery."""
-    return float(np.mean(errors[-max(1, len(errors) // 10) :]))
 
 
 def block(near: Path) -> list[str]:
     """Return the second block of Table 1."""
     rows = []
     for method in (*NETWORKS, *NAIVE, ORACLE):
-        runs = found(near, method, BASE)
+        runs = of_reading(near, method, BASE)
         if runs:
             trained = ["", "", ""]
             if method in NETWORKS:
@@ -93,7 +80,8 @@ def draws(near: Path) -> list[str]:
     best = _oracle_errors(near)
     rows = []
     for method, name, key in _DRAWN:
-        runs = [run for draw in range(DRAWS) for run in found(near, method, name, draw, seeds=1)]
+        by_draw = [of_reading(near, method, name, draw, seeds=1) for draw in range(DRAWS)]
+        runs = [run for of_draw in by_draw for run in of_draw]
         if not runs:
             continue
         values = np.array([run[key] for run in runs])
@@ -139,10 +127,10 @@ def oracle(near: Path) -> list[str]:
 
 def readings(near: Path, method: str, of: Mapping[str, Reading]) -> list[str]:
     """Return what each reading comes to, beside the nearest one."""
-    paper, base = PAPER[method], found(near, method, BASE)
+    paper, base = PAPER[method], of_reading(near, method, BASE)
     rows, compared = [], {}
     for name in (BASE, *(name for name in of if name != BASE)):
-        runs = found(near, method, name)
+        runs = of_reading(near, method, name)
         if not runs:
             continue
         compared[name] = nearer(base, runs, paper) if name != BASE else 0.0
@@ -185,7 +173,7 @@ def ablations(near: Path) -> list[str]:
     for label, row in (cutoffs | factors).items():
         for reading, name in ((BASE, label), (FALLING_RATE, f"{label}, {FALLING_RATE}")):
             for method in NETWORKS[1:]:
-                runs = found(near, method, name if name in ABLATIONS else reading)
+                runs = of_reading(near, method, name if name in ABLATIONS else reading)
                 if runs:
                     shown = [_spread(runs, key) for key in _EPOCH]
                     rows.append((label, reading, method, *shown, str(row[method]), str(len(runs))))
@@ -197,9 +185,8 @@ def recipes(out: Path, results: Path) -> list[str]:
     rows: list[tuple[str, ...]] = []
     for row in high_pass.SYSTEM_ROWS:
         for method in ("split-gru", "split-gru-hp"):
-            runs = [load(job, results) for seed in range(5) if
-                    (results / (job := Job(row, method, seed)).path).exists()]  # fmt: skip
-            high = [final_losses(run)[high_pass.HIGH] for run in runs]
+            runs = of_table(results, row, method)
+            high = [final_losses(dict(run))[high_pass.HIGH] for run in runs]
             rows.append((row, f"{method}, as in the paper", _spread(runs, "total_rmse"),
                          str(published.LEARNING_BASED[row][method]), _spread(runs, "forecast_rmse"),
                          "", spread(high), "", str(len(runs))))  # fmt: skip
@@ -222,33 +209,17 @@ def _recipe_cells(row: str, name: str, runs: Runs) -> tuple[str, ...]:
             str(len(runs)))  # fmt: skip
 
 
-def horizons(results: Path) -> list[str]:
+def soon_and_late(results: Path) -> list[str]:
     """Return the errors of free runs soon after the warm-up and at the end of the record."""
     rows = []
-    for system, methods in _HORIZONS.items():
-        truth = Job(system, methods[0]).record.truth
+    for system, methods in HORIZONS.items():
         for method in methods:
-            jobs = [Job(system, method, seed) for seed in range(5)]
-            runs = [load(job, results) for job in jobs if (results / job.path).exists()]
-            errors = [
-                truth[-len(run["from_start"][0]) :] - np.array(run["from_start"]).T for run in runs
-            ]
-            if errors:
-                soon = [float(np.sqrt(np.mean(e[:SOON] ** 2))) for e in errors]
-                late = [float(np.sqrt(np.mean(e[-len(e) // 4 :] ** 2))) for e in errors]
-                rows.append((system, method, spread(soon), spread(late), str(len(errors))))
+            errors = horizons(results, system, method)
+            if errors["soon"]:
+                shown = (spread(errors["soon"]), spread(errors["late"]), str(len(errors["soon"])))
+                rows.append((system, method, *shown))
     header = ("system", "method", f"first {SOON} samples", "last quarter", "seeds")
     return study.table(header, rows)
-
-
-SOON = 100
-"""Samples after the warm-up that are called the short term."""
-_HYBRIDS = ("gru", "residual-gru", "filtered-gru", "rnn", "residual-rnn", "filtered-rnn")
-_HORIZONS = {
-    **dict.fromkeys(("i", "ii", "iii", "iv"), NETWORKS),
-    **dict.fromkeys(("ii-simulated", "iii-simulated", "iv-simulated"), NETWORKS),
-    **dict.fromkeys(("v", "vi"), (*_HYBRIDS, "simulator")),
-}
 
 
 def _of_bands(runs: Runs) -> tuple[str, str]:
