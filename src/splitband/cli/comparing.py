@@ -16,6 +16,7 @@ from splitband.cli.simulators import (
     adjustable,
     each_with_simulator,
     tests_with_simulator,
+    with_own_parameters,
     with_simulator,
 )
 from splitband.cli.usage import usage
@@ -71,6 +72,7 @@ def planned(request: Request, cores: int, steps: int = 0, fitting: bool = False)
     steps : Samples to forecast beyond the end of the record, all of which is trained on.
     fitting : Nothing is forecast; by default, all of the record is trained on.
     """
+    request = replace(request, simulator=with_own_parameters(request.simulator))
     reading, simulator = request.reading, request.simulator
     saved = setups.load_settings(request.settings, request.model)
     record = records.load_record(request.record, reading, saved)

@@ -17,6 +17,7 @@ from splitband.cli.options.models import Conditioned, ModelOptions, SettingsFile
 from splitband.cli.options.records import FurtherRecords, RecordArgument, RecordOptions
 from splitband.cli.options.simulators import Calibrate, SimulatorOrBaseOptions
 from splitband.cli.options.workers import Jobs
+from splitband.cli.simulators import with_own_parameters
 from splitband.data.timing import as_json
 from splitband.evaluation.fitting import fit as fit_planned
 from splitband.evaluation.runs import Work
@@ -73,6 +74,7 @@ def fit(
         method = "split-gru" if saved is None else saved.method
     if calibrate or conditioned:
         method = with_variants([method], calibrate, conditioned)[-1]
+    simulator = replace(simulator, parameters=with_own_parameters(simulator).parameters)
     if simulator.parameters is not None:
         (method,) = with_base([method], GREY_BOX)
     elif simulator.simulator in BASES:

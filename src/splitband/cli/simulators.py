@@ -22,11 +22,12 @@ from splitband.data.timing import in_words
 from splitband.forecasters.names import BASES, HYBRIDS, NAMES
 from splitband.simulators import Recorded, Simulator, SimulatorTimeoutError, run
 from splitband.simulators.calibration import samples_needed
-from splitband.simulators.isolation import Isolated
+from splitband.simulators.isolation import Isolated, named_in
 from splitband.simulators.named import SIMULATORS
 from splitband.simulators.opening import opened
 from splitband.simulators.parameters import Parameters
 from splitband.simulators.shooting import Adjustable
+from splitband.simulators.sources import defines_function
 
 
 def with_simulator(
@@ -165,6 +166,16 @@ def opened_simulator(
         outputs = tuple(columns)
         return Isolated(file, outputs=outputs, timeout=timeout, reads=reads, cache=cache)
     return _exported(text, record, columns, time_column)
+
+
+def with_own_parameters(options: SimulatorOptions) -> SimulatorOptions:
+    """The options as if --parameters were given, where FILE.py:NAME is an `sb.Ode` with its own."""
+    file, name = parts_of(options.simulator or "")
+    known = options.parameters is not None or defines_function(file, name)
+    if known or not name or not Path(file).is_file():
+        return options
+    fitted = getattr(named_in(file, name), "adjustable", False)
+    return replace(options, parameters="") if fitted else options
 
 
 def adjustable(options: SimulatorOptions) -> Adjustable | None:

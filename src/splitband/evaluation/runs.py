@@ -248,7 +248,8 @@ def _prepared(forecaster: Forecaster, asked: Question, work: Work) -> Forecaster
         forecaster = forecaster.simulated(record, ahead, *asked.others)
     # These errors are not lost: the job that needs the result computes it again and reports them.
     workers, folder = work.executor or work.jobs, work.checkpoints
-    with suppress(ValueError), within(work.deadline):
+    first_half = Deadline.after(HALF * work.deadline.left)  # the rest is for what is built on it
+    with suppress(ValueError, OverError), within(first_half):
         for samples in fits:
             training = [asked.record[:samples], *asked.others]
             forecaster.prepare(training, workers, None if folder is None else Path(folder))

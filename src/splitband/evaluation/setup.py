@@ -87,16 +87,17 @@ def default_names(with_simulator: bool, with_inputs: bool = False) -> list[str]:
 
     What knows no inputs is asked even where there are some: they may not matter.
     """
-    networks, simulator = ["split-gru", "split-gru-conditioned"], []
-    if with_simulator:
-        networks = ["filtered-gru-calibrated-conditioned", "residual-gru-calibrated-conditioned"]
-        simulator = ["simulator", "simulator-calibrated"]
-    # In the order in which they are fitted where time is short.
-    driven = ["linear"] if with_inputs else []
-    naive = ["mean", "persistence", *driven, "seasonal-naive", "periodic", "harmonic"]
-    # The first network is searched most thoroughly.
-    first = ["state-space"] if with_inputs else []
-    return [*first, "gru", *networks, *simulator, *naive]
+    # In the order in which they are fitted where time is short; the first network is searched most
+    # thoroughly.
+    naive = ["mean", "persistence", "seasonal-naive", "periodic", "harmonic"]
+    first, cell = ["gru"], "gru"
+    if with_inputs:
+        naive.insert(2, "linear")
+        first, cell = ["state-space", "gru"], "state-space"
+    if not with_simulator:
+        return [*first, "split-gru", "split-gru-conditioned", *naive]
+    hybrids = [f"filtered-{cell}-calibrated-conditioned", f"residual-{cell}-calibrated-conditioned"]
+    return [*first, *hybrids, "simulator", "simulator-calibrated", *naive]
 
 
 def usual_names(record: Record, bands: Bands) -> list[str]:

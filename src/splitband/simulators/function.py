@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband.kernels.ode import parameters_class
-from splitband.runtime.options import Written
-from splitband.simulators.parameters import Given, Parameters
+from splitband.simulators.parameters import Given
 from splitband.simulators.sources import code_digest, count_arguments
+from splitband.simulators.user_code import UserCode
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Function(Written):
+class Function(UserCode):
     """Call a Python function of time, whose parameters may be fitted to a record.
 
     Attributes
@@ -38,19 +37,10 @@ class Function(Written):
     states = 0
     difference = 1e-6
 
-    @cached_property
-    def known(self) -> Parameters:
-        """Return the parameters, checked."""
-        return Parameters(dict(self.parameters or {}))
-
     @property
     def adjustable(self) -> bool:
         """Return whether it has to be fitted, or needs inputs: a `GreyBox` runs it."""
         return bool(self.known.given) or count_arguments(self.function) > 1
-
-    def fixed(self, values: Mapping[str, float]) -> Self:
-        """Return the function with these values of parameters."""
-        return replace(self, parameters=dict(self.known.fixed(values).given))
 
     def simulate(self, time: Array) -> npt.ArrayLike:
         """Simulate the measured channels at the times `time` in s.
@@ -69,11 +59,6 @@ class Function(Written):
             y = np.asarray(self._called(time, inputs, values), dtype=float)
             found.append((y[:, None] if y.ndim == 1 else y, np.empty((len(time), 0))))
         return found
-
-    def __reduce_ex__(self, protocol: Any) -> Any:
-        """Say how other processes make it: as it has been opened, where that was from a file."""
-        again = vars(self).get("_opened")
-        return super().__reduce_ex__(protocol) if again is None else (again, ())
 
     def fingerprint(self) -> str | None:
         """Return the cache key."""

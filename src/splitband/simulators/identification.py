@@ -35,6 +35,8 @@ STARTS = 32
 """Starting points at most."""
 ENOUGH = 4
 """Starts that lead to the same error, after which no others are tried."""
+PATIENCE, _HARDLY_BETTER = 8, 0.02
+"""Starts after which no others are tried, where they have hardly lowered the error (relative)."""
 _BATCH = 4
 _SAME_ERROR = 1e-3  # relative
 _SAME_PLACE = 0.02  # share of a range
@@ -122,8 +124,8 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     ranked = sorted((o.found[window][1], o.number) for o in outcomes if window in o.found)
     best = next(o for o in outcomes if o.number == ranked[0][1])
     places = np.array(best.found[window][0])
-    shooting.divide(window, places)
     with within(Deadline()):  # what has been found is looked at however late it is
+        shooting.divide(window, places)
         if not (best.cut or deadline.over):
             places, _ = _descend(shooting, places, _LAST_ROUNDS)
         estimate = _told(shooting, places, window if window < longest else 0)
@@ -173,7 +175,7 @@ def _tried(
                 kept.keep(outcome)
             if effort.progress is not None:
                 effort.progress(len(done), len(points))
-        if _agree([o for i, o in done.items() if i < first + _BATCH], experiments):
+        if _settled([done[i] for i in sorted(done) if i < first + _BATCH], experiments):
             break
     return [done[i] for i in sorted(done) if i < first + _BATCH]
 
@@ -202,10 +204,14 @@ def _side_by_side(
                     yield StartOutcome(number, failure=f"{type(error).__name__}: {error}")
 
 
-def _agree(outcomes: Sequence[StartOutcome], experiments: Sequence[Experiment]) -> bool:
+def _settled(outcomes: Sequence[StartOutcome], experiments: Sequence[Experiment]) -> bool:
+    """Return whether starts agree on the lowest error, or the last ones have hardly lowered it."""
     longest = max(len(e.y) for e in experiments)
-    errors = sorted(o.found[longest][1] for o in outcomes if longest in o.found)
-    return sum(e <= errors[0] * (1 + _SAME_ERROR) for e in errors) >= ENOUGH if errors else False
+    errors = [o.found[longest][1] for o in outcomes if longest in o.found]
+    if sum(e <= min(errors) * (1 + _SAME_ERROR) for e in errors) >= ENOUGH:
+        return True
+    before = [o.found[longest][1] for o in outcomes[:-PATIENCE] if longest in o.found]
+    return min(before, default=np.inf) <= min(errors, default=0.0) * (1 + _HARDLY_BETTER)
 
 
 def _try(

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
 from splitband.kernels.ode import parameters_class, solver
-from splitband.runtime.options import Written
-from splitband.simulators.parameters import INITIAL, Given, Parameters
+from splitband.simulators.parameters import INITIAL, Given
 from splitband.simulators.sources import code_digest, count_arguments
+from splitband.simulators.user_code import UserCode
 
 Array = npt.NDArray[np.float64]
 Response = tuple[Array, Array]
@@ -25,7 +25,7 @@ WORTH_COMPILING = 30_000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Ode(Written):
+class Ode(UserCode):
     """Solve an ordinary differential equation, whose parameters may be fitted to a record.
 
     Attributes
@@ -74,11 +74,6 @@ class Ode(Written):
                 f"got {wrong[0]}"
             )
 
-    @cached_property
-    def known(self) -> Parameters:
-        """Return the parameters, checked."""
-        return Parameters(dict(self.parameters or {}))
-
     @property
     def states(self) -> int:
         """Return the number of states."""
@@ -98,10 +93,6 @@ class Ode(Written):
     def driven(self) -> bool:
         """Return whether it takes a record's inputs."""
         return count_arguments(self.rhs) > 2 or count_arguments(self.observe) > 1
-
-    def fixed(self, values: Mapping[str, float]) -> Self:
-        """Return the equation with these values of parameters."""
-        return replace(self, parameters=dict(self.known.fixed(values).given))
 
     def simulate(self, time: Array) -> npt.ArrayLike:
         """Solve at the times `time` in s; raises RuntimeError if the solver fails.
@@ -133,11 +124,6 @@ class Ode(Written):
             x = self._solved(values, initial, time, inputs, steps)
             found.append((self._observed(x, inputs, values), x))
         return found
-
-    def __reduce_ex__(self, protocol: Any) -> Any:
-        """Say how other processes make it: as it has been opened, where that was from a file."""
-        again = vars(self).get("_opened")
-        return super().__reduce_ex__(protocol) if again is None else (again, ())
 
     def fingerprint(self) -> str | None:
         """Return the cache key: the key, the parameters and the solver's settings."""

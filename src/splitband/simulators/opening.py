@@ -41,16 +41,15 @@ def opened(
     found = named_in(file, name)
     key = f"{digest(source_files(file))} {name}"
     if isinstance(found, Ode | Function):
-        simulator: Any = replace(found, parameters={**(found.parameters or {}), **given}, key=key)
+        parameters = {**(found.parameters or {}), **given}
+        simulator: Any = replace(found, parameters=parameters, key=key)
     elif not callable(found):
         raise ValueError(f"{file} must define a function, an Ode or a Function {name}")
     elif count_arguments(found) == 4:
         simulator = Ode(found, _initial(given), parameters=dict(given), key=key)
     else:
         simulator = Function(found, key, dict(given))
-    # Other processes open it by the same names: what a file defines cannot be sent to them.
-    vars(simulator)["_opened"] = partial(opened, str(Path(file).resolve()), name, dict(given))
-    return simulator
+    return simulator.opened_by(partial(opened, str(Path(file).resolve()), name))
 
 
 def _initial(given: Mapping[str, Any]) -> list[float]:

@@ -45,6 +45,15 @@ def digest(files: Iterable[str | Path]) -> str:
     return hashlib.sha256(b"".join(each)).hexdigest()
 
 
+def defines_function(file: str | Path, name: str) -> bool:
+    """Return whether a Python file has `def name` in its outermost level; nothing is run."""
+    try:
+        tree = ast.parse(Path(file).read_bytes())
+    except (OSError, SyntaxError, ValueError):
+        return False
+    return any(isinstance(node, ast.FunctionDef) and node.name == name for node in tree.body)
+
+
 def _installed(folder: str) -> bool:
     return any(part in _INSTALLED for part in Path(folder).parts)
 

@@ -82,7 +82,8 @@ Parameters = Annotated[
         metavar="k=0.1:10,c=0.05",
         help="Fit the simulator's parameters in these ranges, or set them. The simulator is an "
         "FMU, FILE.py:RHS with a function of (t, x, u, p), whose states begin at x0_1, x0_2, ... "
-        "and are measured in this order, FILE.py:FUNCTION of (time, u, p), or an sb.Ode of a file.",
+        "and are measured in this order, FILE.py:FUNCTION of (time, u, p), or an sb.Ode of a file, "
+        "which may have its ranges itself.",
         rich_help_panel=_PANEL,
         show_default=False,
     ),
