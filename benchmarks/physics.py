@@ -166,9 +166,15 @@ def shaken(seed: int) -> sb.Record:
 
 def measured_wrong() -> list[dict[str, Any]]:
     """Fit that model, a network, and both together, as `compare` does it with a simulator."""
-    ranges = {"k": (1.0, 100.0), "c": (0.0, 10.0), "gain": (0.1, 10.0), "x0_1": 0.0, "x0_2": 0.0}
+    ranges: dict[str, Any] = {
+        "k": (1.0, 100.0),
+        "c": (0.0, 10.0),
+        "gain": (0.1, 10.0),
+        "x0_1": 0.0,
+        "x0_2": 0.0,
+    }
     found = []
-    for seed in range(3):
+    for seed in (3, 4, 5):  # 0, 1 and 2 were for development
         options = sb.Options(
             search=sb.Search(60.0), simulator=sb.Ode(driven, [0, 0], parameters=ranges)
         )

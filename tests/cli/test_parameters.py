@@ -73,6 +73,15 @@ def test_compare_puts_fitted_parameters_beside_networks(
     assert "--simulator plant.py:lag" in said
 
 
+def test_an_ode_of_a_file_says_its_ranges_itself_to_every_process(tmp_path: Path) -> None:
+    call(f"compare record.csv --inputs u --simulator plant.py:plant {QUICK} --jobs 2", tmp_path)
+    found = results(tmp_path)["methods"]
+    assert "simulator-as-given" in found
+    assert "residual-grey-box-state-space-conditioned" in found
+    (remark,) = found["grey-box"]["parameters"]["remarks"]
+    assert remark == "rate is at its upper bound, 1"
+
+
 def test_a_saved_grey_box_simulates_with_its_values(tmp_path: Path) -> None:
     call(f"fit {RIG} --method grey-box --train 160 --jobs 1", tmp_path / "model")
     call(f"simulate {tmp_path}/model --history history.csv --future-inputs coming.csv --steps 40 "
