@@ -97,7 +97,8 @@ def default_names(with_simulator: bool, with_inputs: bool = False) -> list[str]:
     if not with_simulator:
         return [*first, "split-gru", "split-gru-conditioned", *naive]
     hybrids = [f"filtered-{cell}-calibrated-conditioned", f"residual-{cell}-calibrated-conditioned"]
-    return [*first, *hybrids, "simulator", "simulator-calibrated", *naive]
+    trained = [hybrids[1], first[0], hybrids[0], *first[1:]] if with_inputs else [*first, *hybrids]
+    return [*trained, "simulator", "simulator-calibrated", *naive]
 
 
 def usual_names(record: Record, bands: Bands) -> list[str]:
