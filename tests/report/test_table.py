@@ -180,6 +180,16 @@ def test_rows_are_in_the_order_of_the_score_and_the_recommended_one_is_marked(
     assert scales.recommended in first
 
 
+def test_print_shows_the_fit_of_each_method_in_100_columns(seeds: Comparison) -> None:
+    _, _, heading, *rows = str(seeds).splitlines()
+    assert heading.split()[:4] == ["method", "forecast", "fit", "%"]
+    assert max(map(len, rows)) <= 100
+    marked = [row for row in rows if row.lstrip().startswith("* ")]
+    assert [row.split()[1] for row in marked] == [seeds.recommended]
+    fit = column(seeds, "forecast fit %").entry(seeds.recommended)
+    assert marked[0].split()[2] == fit
+
+
 @pytest.mark.parametrize("ny", [1, 2])
 def test_a_table_fits_a_terminal_of_100_columns(ny: int, seeds: Comparison) -> None:
     found = seeds if ny == 1 else comparisons.everything()

@@ -225,6 +225,11 @@ class Comparison:
         best = "" if self.trial is None else f", recommended: {self.recommended}"
         return f"<Comparison of {len(self.runs)} methods on {self.record!r}{best}>"
 
+    def __str__(self) -> str:
+        """Return the recommendation and the table, which is at most 100 characters wide."""
+        text: str = import_module("splitband.report.table").as_text(self)
+        return text
+
     def _repr_html_(self) -> str:
         """Return the recommendation and the table, for notebooks."""
         html: str = import_module("splitband.report.table").as_html(self)

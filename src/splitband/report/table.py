@@ -12,6 +12,8 @@ from dataclasses import dataclass, field, replace
 from html import escape
 from typing import Any, Literal
 
+import pandas as pd
+
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.protocols import Run, by_channel, fit_by_channel
@@ -208,6 +210,22 @@ def remarks(comparison: Comparison) -> dict[str, str]:
         for name, reason in failed.items()
         if name not in found
     }
+
+
+def as_text(comparison: Comparison, width: int = 100) -> str:
+    """Return the table with as many columns as fit into `width` characters, fit % first."""
+    listed, rows = columns(comparison), remarks(comparison)
+    best = "" if comparison.trial is None else comparison.recommended
+    names = [f"{'*' if name == best else ' '} {name}" for name in rows]
+    table = pd.DataFrame(
+        {column.label: [column.entry(name) for name in rows] for column in listed},
+        index=pd.Index(names, name="  method"),
+    ).reset_index()
+    text = table.to_string(index=False)
+    while len(text.partition("\n")[0]) > width and len(table.columns) > 2:
+        table = table.iloc[:, :-1]
+        text = table.to_string(index=False)
+    return f"{comparison!r}\n\n{text}"
 
 
 def as_html(comparison: Comparison) -> str:
