@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy
+import torch
 
 import splitband as sb
 from splitband import Record, Settings
 from splitband.evaluation import search as searching
 from splitband.evaluation.costs import reference_seconds, training_cost
-from splitband.evaluation.protocols import Errors, Run
+from splitband.evaluation.protocols import Errors, Run, Runs
 from splitband.evaluation.runs import Work
 from splitband.evaluation.search import (
     Search,
@@ -23,7 +24,7 @@ from splitband.evaluation.search import (
     search,
 )
 from splitband.evaluation.setup import Options, Setup
-from splitband.evaluation.sound import sound_runs
+from splitband.evaluation.sound import sound_runs, without_failed
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.beginning import Earlier
 from splitband.forecasters.fitted import FitReport
@@ -109,6 +110,27 @@ def test_a_training_goes_on_from_where_it_stopped() -> None:
             for each in (chosen, fresh)
         )
         assert on[-1] < 0.9 * anew[-1]
+
+
+def test_a_seed_whose_linear_part_is_unstable_is_not_handed_out() -> None:
+    """Tanh units are bounded: with a stable linear part so is every simulation."""
+    training = record()[:TRAIN]
+    short = sb.Settings(window=30, warmup=5, epochs=1)
+    models = [sb.Single(sb.StateSpace(2, 4), short).fit(training, seed=s) for s in range(2)]
+    assert models[1].model is not None
+    cell = next(m for m in models[1].model.modules() if isinstance(m, sb.StateSpace))
+    with torch.no_grad():
+        cell.transition.weight[:, :2] = 1.01 * torch.eye(2)
+    assert [model.stable for model in models] == [True, False]
+    found = [
+        Run("state-space", Errors(1.0, None), m.predict(TRAIN - 10, training[:10]), None,
+            fit=m.require_fitted().report)
+        for m in models
+    ]  # fmt: skip
+    counted = without_failed(Runs({"state-space": found}, models={"state-space": models}), training)
+    assert [run.seed for run in counted["state-space"]] == [0]
+    assert counted.models["state-space"] == [models[0]]
+    assert "seed 1 left out: it is unstable" in counted["state-space"][0].description
 
 
 def test_seeds_that_failed_in_training_do_not_count() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from splitband.data import Record
@@ -16,11 +16,15 @@ FAILED = 2.0
 
 def without_failed(runs: Runs, training: Record) -> Runs:
     """Return the runs and the models of the seeds that count."""
-    kept = {name: sound_runs(each, training) for name, each in runs.items()}
-    models = {}
-    for name, of_method in runs.models.items():
+    kept = {}
+    models = dict(runs.models)
+    for name, of_method in runs.items():
+        fitted = {m.require_fitted().report.seed: m for m in models.get(name, ())}
+        unstable = {seed for seed, model in fitted.items() if not model.stable}
+        bounded = _without(of_method, unstable, "it is unstable, and may grow without bound")
+        kept[name] = sound_runs(bounded, training)
         seeds = {run.seed for run in kept[name]}
-        models[name] = [m for m in of_method if m.require_fitted().report.seed in seeds]
+        models[name] = [model for seed, model in fitted.items() if seed in seeds]
     return Runs(kept, runs.failures, models)
 
 
@@ -35,12 +39,17 @@ def sound_runs(runs: Sequence[Run], training: Record) -> list[Run]:
     lowest = [min(of_kind) for of_kind in zip(*errors, strict=True)]
     worst = [max(e / least if least else 1.0 for e, least in zip(each, lowest, strict=True))
              for each in errors]  # fmt: skip
-    kept = [run for run, ratio in zip(runs, worst, strict=True) if ratio <= FAILED]
-    failed = [str(run.seed) for run, ratio in zip(runs, worst, strict=True) if ratio > FAILED]
-    if not failed or not kept:
+    failed = {run.seed for run, ratio in zip(runs, worst, strict=True) if ratio > FAILED}
+    return _without(runs, failed, f"training error up to {max(worst):.3g} times the lowest")
+
+
+def _without(runs: Sequence[Run], failed: Collection[int], why: str) -> list[Run]:
+    """Return the other runs, the first of which says what was left out; all, if none is left."""
+    kept = [run for run in runs if run.seed not in failed]
+    if not kept or len(kept) == len(runs):
         return [*runs]
-    seeds = f"seed{'s' if len(failed) > 1 else ''} {', '.join(failed)}"
-    said = f"{seeds} left out: training error up to {max(worst):.3g} times the lowest"
+    seeds = [str(run.seed) for run in runs if run.seed in failed]
+    said = f"seed{'s' * (len(seeds) > 1)} {', '.join(seeds)} left out: {why}"
     first = replace(kept[0], description="; ".join(filter(None, [kept[0].description, said])))
     return [first, *kept[1:]]
 

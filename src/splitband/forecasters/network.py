@@ -8,7 +8,7 @@ it has and beside what it stands. One network is in `forecasters.single`, one fo
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, Self
 
@@ -105,6 +105,12 @@ class Network(Forecaster):
     def calibration(self) -> Calibration | None:
         """Return that of the base."""
         return None if self.fitted_base is None else self.fitted_base.calibration
+
+    @property
+    def stable(self) -> bool:
+        """Return whether every network is, of those that can say it."""
+        modules: Iterable[Any] = () if self.model is None else self.model.modules()
+        return all(module.stable() for module in modules if hasattr(module, "stable"))
 
     @property
     def parameters(self) -> dict[str, Any]:

@@ -147,6 +147,11 @@ class StateSpace(Written, nn.Module):
         out = [layer.weight[:, units] for layer in (self.transition, self.observation)]
         return [*self.f.parameters(), *self.g.parameters(), *out]
 
+    def stable(self) -> bool:
+        """Return whether A is: f is bounded, and so is then every free run with bounded inputs."""
+        a = self.transition.weight[:, : self.states].detach().double()
+        return bool(torch.linalg.eigvals(a).abs().max() < 1)
+
     def size_in_words(self) -> str:
         """Describe its size, for tables."""
         return f"{self.states} states, {self.hidden} hidden units"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -38,8 +38,8 @@ def opened(
     """
     if not name:
         return Fmu(file, outputs or None, dict(given))
-    found = named_in(file, name)
-    key = f"{digest(source_files(file))} {name}"
+    contents = digest(source_files(file))
+    found, key = _defined(file, name, contents), f"{contents} {name}"
     if isinstance(found, Ode | Function):
         parameters = {**(found.parameters or {}), **given}
         simulator: Any = replace(found, parameters=parameters, key=key)
@@ -50,6 +50,12 @@ def opened(
     else:
         simulator = Function(found, key, dict(given))
     return simulator.opened_by(partial(opened, str(Path(file).resolve()), name))
+
+
+@lru_cache(maxsize=16)
+def _defined(file: str, name: str, contents: str) -> Any:
+    """Return what a name of a file stands for; the same function is compiled once in a process."""
+    return named_in(file, name)
 
 
 def _initial(given: Mapping[str, Any]) -> list[float]:
