@@ -32,8 +32,8 @@ PROCESSES = 1.5
 starting, too."""
 BUSY = 0.8
 """Share of the time of all cores that trainings side by side make use of."""
-NEWEST = 0.5
-"""Weight of what has just been measured against what was known of the machine's pace."""
+SUPPOSED = 5.0
+"""Seconds of a reference core of trainings that count as much as what was supposed of the pace."""
 
 
 @dataclass
@@ -60,7 +60,8 @@ class TimeBudget:
     cores : Trainings side by side.
     began : When the command began, by the clock of `runtime.deadlines.now`.
     pace : Wall seconds that a second of a reference core takes here; 1 until it is measured.
-    asking : Seconds that a job needed after its training at most, to be asked for forecasts.
+    trained : Seconds of a reference core of the trainings by which it has been measured.
+    asking : Seconds that a job needs after its training, to be asked for forecasts.
     left_out : Methods for which there was no time, and why.
     cut : Trainings that the deadline ended, and choices that it narrowed.
     phases : What has been done, in its order.
@@ -72,6 +73,7 @@ class TimeBudget:
     cores: int = 1
     began: float = field(default_factory=now)
     pace: float = 1.0
+    trained: float = SUPPOSED
     asking: float = 0.0
     left_out: dict[str, str] = field(default_factory=dict)
     cut: list[str] = field(default_factory=list)
@@ -125,10 +127,16 @@ class TimeBudget:
         """Return the same of a single training."""
         return max(until.left / self.pace, 0.0)
 
-    def measured(self, reckoned: float, took: float) -> None:
-        """Learn the pace from trainings that were reckoned to take some time, and took another."""
+    def measured(self, reckoned: float, took: float, asking: float = 0.0) -> None:
+        """Learn from a training that was reckoned to take some time, and took another.
+
+        The pace is that of all trainings together: in a short one much else is counted, such as the
+        start of a process. For the same reason the quickest answer tells how long `asking` takes.
+        """
         if reckoned > 0:
-            self.pace += NEWEST * (took / reckoned - self.pace)
+            self.pace = (self.trained * self.pace + took) / (self.trained + reckoned)
+            self.trained += reckoned
+            self.asking = min(self.asking, asking) if self.asking else asking
 
     def narrowed(self, what: str) -> None:
         """Note what the clock has changed, once."""

@@ -181,11 +181,9 @@ def run_all(
         for done_job in over(job, todo, workers, watch.report, patience):
             key = done_job.name, done_job.seed
             done[key] = done_job.outcome
-            if done_job.fresh:
-                work.time.measured(costs[done_job.name], done_job.seconds)
             if done_job.fresh and isinstance(done_job.outcome, Backtest):
                 asking = done_job.seconds - done_job.outcome.report.seconds
-                work.time.asking = max(work.time.asking, asking)
+                work.time.measured(costs[done_job.name], done_job.seconds, asking)
             watch.finished(key, done_job.outcome)
             if place is not None:
                 place.keep(done_job.files)
