@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from splitband.evaluation import search as searching
-from splitband.evaluation.budget import TimeBudget
+from splitband.evaluation.budget import Pace, TimeBudget
 from splitband.evaluation.comparison import Comparison, compare
 from splitband.evaluation.forecast import forecast
 from splitband.evaluation.runs import RunProgress, Work
@@ -99,7 +99,7 @@ def test_where_the_clock_changes_nothing_the_work_alone_decides(
 def test_a_slower_machine_tries_less_and_the_plan_says_so(
     unhurried: tuple[Comparison, list[RunProgress]],
 ) -> None:
-    slow = compared(TimeBudget(Deadline.after(100.0), pace=5000.0))
+    slow = compared(TimeBudget(Deadline.after(100.0), pace=Pace(5000.0)))
     assert not slow.time.reproducible
     assert len(slow.attempts) < len(unhurried[0].attempts)
 
@@ -133,13 +133,13 @@ def test_a_budget_is_planned_on_this_machine(monkeypatch: pytest.MonkeyPatch) ->
 def test_the_pace_is_learned_from_what_trainings_took() -> None:
     plan = TimeBudget(Deadline.after(100.0), cores=2)
     assert plan.reckoned(plan.deadline) == pytest.approx(160.0, rel=0.01)
-    plan.measured(
+    plan.pace.measured(
         0.1, 5.0, asking=4.0
     )  # a process had to start: other trainings need not be so slow
-    assert plan.pace < 2.0
+    assert plan.pace.seconds < 2.0
     for _ in range(200):
-        plan.measured(2.0, 8.0, asking=0.1)
-    assert plan.pace == pytest.approx(4.0, rel=0.02)
+        plan.pace.measured(2.0, 8.0, asking=0.1)
+    assert plan.pace.seconds == pytest.approx(4.0, rel=0.02)
     assert plan.reckoned(plan.deadline) == pytest.approx(40.0, rel=0.03)
-    assert plan.asking == 0.1
+    assert plan.pace.asking == 0.1
     assert math.isinf(TimeBudget().reckoned(Deadline()))

@@ -14,8 +14,9 @@ import torch
 import splitband as sb
 from splitband import Record, Settings
 from splitband.evaluation import search as searching
+from splitband.evaluation.choosing import sound_runs
 from splitband.evaluation.costs import reference_seconds, training_cost
-from splitband.evaluation.protocols import Errors, Run, Runs
+from splitband.evaluation.protocols import Errors, Run
 from splitband.evaluation.runs import Work
 from splitband.evaluation.search import (
     Search,
@@ -24,7 +25,7 @@ from splitband.evaluation.search import (
     search,
 )
 from splitband.evaluation.setup import Options, Setup
-from splitband.evaluation.sound import sound_runs, without_failed
+from splitband.evaluation.sound import failed_seeds
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.beginning import Earlier
 from splitband.forecasters.fitted import FitReport
@@ -112,25 +113,16 @@ def test_a_training_goes_on_from_where_it_stopped() -> None:
         assert on[-1] < 0.9 * anew[-1]
 
 
-def test_a_seed_whose_linear_part_is_unstable_is_not_handed_out() -> None:
+def test_a_seed_whose_simulation_may_grow_is_left_out_where_another_cannot() -> None:
     """Tanh units are bounded: with a stable linear part so is every simulation."""
-    training = record()[:TRAIN]
-    short = sb.Settings(window=30, warmup=5, epochs=1)
-    models = [sb.Single(sb.StateSpace(2, 4), short).fit(training, seed=s) for s in range(2)]
-    assert models[1].model is not None
-    cell = next(m for m in models[1].model.modules() if isinstance(m, sb.StateSpace))
+    cell = sb.StateSpace(2, 4)
+    assert cell.stable()
     with torch.no_grad():
-        cell.transition.weight[:, :2] = 1.01 * torch.eye(2)
-    assert [model.stable for model in models] == [True, False]
-    found = [
-        Run("state-space", Errors(1.0, None), m.predict(TRAIN - 10, training[:10]), None,
-            fit=m.require_fitted().report)
-        for m in models
-    ]  # fmt: skip
-    counted = without_failed(Runs({"state-space": found}, models={"state-space": models}), training)
-    assert [run.seed for run in counted["state-space"]] == [0]
-    assert counted.models["state-space"] == [models[0]]
-    assert "seed 1 left out: it is unstable" in counted["state-space"][0].description
+        cell.transition.weight[:, :2] = torch.tensor([[0.0, 1.01], [-1.01, 0.0]])
+    assert not cell.stable()
+    reports = {s: FitReport(s, stable=s > 0, losses={"network": [0.1 + s]}) for s in range(2)}
+    assert failed_seeds(reports) == {0: "it is unstable, and may grow without bound"}
+    assert failed_seeds({0: reports[0]}) == {}
 
 
 def test_seeds_that_failed_in_training_do_not_count() -> None:
@@ -146,7 +138,9 @@ def test_seeds_that_failed_in_training_do_not_count() -> None:
     ]
     kept = sound_runs(runs, training)
     assert [run.seed for run in kept] == [0, 2]
-    assert kept[0].description.startswith("seeds 1, 3 left out: training error up to ")
+    first, second = kept[0].description.split("; ")
+    assert first == "seed 1 left out: training error 40 times the lowest"
+    assert second.startswith("seed 3 left out: training error ")
     assert sound_runs(runs[:1], training) == runs[:1]
 
 

@@ -50,6 +50,33 @@ class Phase:
     planned: float | None = None
 
 
+@dataclass
+class Pace:
+    """How long trainings take on this machine.
+
+    Attributes
+    ----------
+    seconds : Wall seconds that a second of a reference core takes; 1 until it is measured.
+    trained : Seconds of a reference core of the trainings by which it has been measured.
+    asking : Seconds that a job needs after its training, to be asked for forecasts.
+    """
+
+    seconds: float = 1.0
+    trained: float = SUPPOSED
+    asking: float = 0.0
+
+    def measured(self, reckoned: float, took: float, asking: float = 0.0) -> None:
+        """Learn from a training that was reckoned to take some time, and took another.
+
+        The pace is that of all trainings together: in a short one much else is counted, such as the
+        start of a process. For the same reason the quickest answer tells how long `asking` takes.
+        """
+        if reckoned > 0:
+            self.seconds = (self.trained * self.seconds + took) / (self.trained + reckoned)
+            self.trained += reckoned
+            self.asking = min(self.asking, asking) if self.asking else asking
+
+
 @dataclass(eq=False)
 class TimeBudget:
     """The time of one command, and where it went.
@@ -59,9 +86,7 @@ class TimeBudget:
     deadline : When all forecasts must be there; what comes after them has been allowed for.
     cores : Trainings side by side.
     began : When the command began, by the clock of `runtime.deadlines.now`.
-    pace : Wall seconds that a second of a reference core takes here; 1 until it is measured.
-    trained : Seconds of a reference core of the trainings by which it has been measured.
-    asking : Seconds that a job needs after its training, to be asked for forecasts.
+    pace : How fast this machine is, with whatever else runs on it.
     left_out : Methods for which there was no time, and why.
     cut : Trainings that the deadline ended, and choices that it narrowed.
     phases : What has been done, in its order.
@@ -72,9 +97,7 @@ class TimeBudget:
     deadline: Deadline = field(default_factory=Deadline)
     cores: int = 1
     began: float = field(default_factory=now)
-    pace: float = 1.0
-    trained: float = SUPPOSED
-    asking: float = 0.0
+    pace: Pace = field(default_factory=Pace)
     left_out: dict[str, str] = field(default_factory=dict)
     cut: list[str] = field(default_factory=list)
     phases: dict[str, Phase] = field(default_factory=dict)
@@ -96,7 +119,7 @@ class TimeBudget:
         began = now() if began is None else began
         if seconds is None:
             return cls(Deadline(), cores, began)
-        deadline, pace = Deadline(began + seconds - after), SLOWER / speed()
+        deadline, pace = Deadline(began + seconds - after), Pace(SLOWER / speed())
         return cls(deadline, cores, began, pace, phases={START: Phase(now() - began)})
 
     @property
@@ -121,22 +144,11 @@ class TimeBudget:
 
     def reckoned(self, until: Deadline) -> float:
         """Return how many seconds of a reference core all cores together have until then."""
-        return max(BUSY * self.cores * until.left / self.pace, 0.0)
+        return max(BUSY * self.cores * until.left / self.pace.seconds, 0.0)
 
     def reckoned_alone(self, until: Deadline) -> float:
         """Return the same of a single training."""
-        return max(until.left / self.pace, 0.0)
-
-    def measured(self, reckoned: float, took: float, asking: float = 0.0) -> None:
-        """Learn from a training that was reckoned to take some time, and took another.
-
-        The pace is that of all trainings together: in a short one much else is counted, such as the
-        start of a process. For the same reason the quickest answer tells how long `asking` takes.
-        """
-        if reckoned > 0:
-            self.pace = (self.trained * self.pace + took) / (self.trained + reckoned)
-            self.trained += reckoned
-            self.asking = min(self.asking, asking) if self.asking else asking
+        return max(until.left / self.pace.seconds, 0.0)
 
     def narrowed(self, what: str) -> None:
         """Note what the clock has changed, once."""

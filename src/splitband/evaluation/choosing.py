@@ -8,18 +8,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from splitband.data import Record
 from splitband.evaluation.bases import on_baseline
 from splitband.evaluation.budget import BASE, BASELINES, SEARCH, TimeBudget
 from splitband.evaluation.budget import TRIAL as TRIAL_OVER
 from splitband.evaluation.costs import job_cost
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.protocols import models_of
+from splitband.evaluation.protocols import Run, Runs, models_of
 from splitband.evaluation.runs import Work, run_all
 from splitband.evaluation.search import Search, SearchResult, search
 from splitband.evaluation.selection import MOST_TRIAL_SEEDS, Trial, try_out
+from splitband.evaluation.sound import failed_seeds
 from splitband.forecasters.backtest import Origin, Question, held_out_from
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import Ensemble
+from splitband.metrics import rmse, spread
 
 TRIAL, FINAL = "held-out fit", "final fit"
 """The stages of the work: on how much of the training part the methods are fitted."""
@@ -53,7 +56,7 @@ def last_stages(plan: Plan, work: Work, asked: int) -> tuple[Work, Work]:
     asked : Samples that each method forecasts in the end.
     """
     held_out = plan.train - held_out_from(plan.train)
-    asking = work.time.asking * asked / (2 * held_out + 3 * plan.horizon)
+    asking = work.time.pace.asking * asked / (2 * held_out + 3 * plan.horizon)
     time, first = work.time, (AFTER_TRIAL, AFTER_TRIAL)
     until = time.share(BEFORE_REFIT) if plan.refit else time.deadline
     quick = work if time.allows_processes(time.deadline) else work.alone()
@@ -127,7 +130,7 @@ def _in_time(
             origin = Origin(held_out_from(plan.train), plan.train)
             cost = seeds * job_cost(f, Question(plan.training, [origin], 0, plan.others))
         if cost > left and (kept or not needed):
-            takes = cost * time.pace / time.cores
+            takes = cost * time.pace.seconds / time.cores
             time.left_out[f.name] = (
                 f"left out: its trial takes about {takes:.0f} s here, and "
                 f"{max(work.deadline.left, 0):.0f} s were left for it"
@@ -164,14 +167,43 @@ def last_trainings(
         alone = cost > time.reckoned_alone(work.deadline)
         late = work.deadline.left <= 0
         if (kept and (alone or cost > left)) or (late and (kept or not needed)):
+            takes = cost * time.pace.seconds
             time.left_out[name] = (
-                f"left out: its last training takes about {cost * time.pace:.0f} s here, and "
+                f"left out: its last training takes about {takes:.0f} s here, and "
                 f"{max(work.deadline.left, 0):.0f} s were left for it"
             )
             continue
         kept[name] = wanted[name]
         left -= cost
     return kept
+
+
+def without_failed(runs: Runs, training: Record) -> Runs:
+    """Return the runs and the models of the seeds that count."""
+    kept = {name: sound_runs(each, training) for name, each in runs.items()}
+    models = {}
+    for name, of_method in runs.models.items():
+        seeds = {run.seed for run in kept[name]}
+        models[name] = [m for m in of_method if m.require_fitted().report.seed in seeds]
+    return Runs(kept, runs.failures, models)
+
+
+def sound_runs(runs: Sequence[Run], training: Record) -> list[Run]:
+    """Return the runs of a method without the seeds that failed on the training record.
+
+    What counts is the last training loss, of windows, and the error of a free run from the first
+    samples to the end of the training record. The description of the first run says which seeds
+    have been left out.
+    """
+    failed = failed_seeds(
+        {run.seed: run.fit for run in runs}, {run.seed: _from_start(run, training) for run in runs}
+    )
+    kept = [run for run in runs if run.seed not in failed]
+    if not failed:
+        return kept
+    said = [f"seed {seed} left out: {why}" for seed, why in failed.items()]
+    first = replace(kept[0], description="; ".join(filter(None, [kept[0].description, *said])))
+    return [first, *kept[1:]]
 
 
 def handed_out(models: Sequence[Forecaster], trial: Trial) -> Forecaster:
@@ -202,3 +234,12 @@ def as_trained(forecaster: Forecaster, seeds: Sequence[int]) -> Forecaster:
         return forecaster.clone()
     usual = [*seeds] == [*range(len(seeds))]
     return Ensemble(forecaster.clone(), len(seeds), seeds=None if usual else seeds)
+
+
+def _from_start(run: Run, training: Record) -> float:
+    """Return the RMSE of the simulation of the training record, channels scaled; 0 if empty."""
+    begin = len(training) - len(run.from_start.y)
+    begin = max(begin, 0) if run.forecast is None else max(begin + len(run.forecast.y), 0)
+    y = run.from_start.y[: len(training) - begin]
+    scale = spread(training.seen)
+    return rmse(training.seen[begin : begin + len(y)] / scale, y / scale) if len(y) else 0.0

@@ -22,6 +22,7 @@ from splitband.evaluation.choosing import (
     last_trainings,
     refitted,
     timed,
+    without_failed,
 )
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.protocols import Run, Runs, inputs_beyond, mean_run, run_methods
@@ -29,7 +30,6 @@ from splitband.evaluation.runs import Work
 from splitband.evaluation.search import SearchAttempt, SearchResult
 from splitband.evaluation.selection import LEVEL, Trial
 from splitband.evaluation.setup import Setup
-from splitband.evaluation.sound import without_failed
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.checking import LAGS, ResidualTests, residual_tests
 from splitband.forecasters.prediction import Prediction

@@ -176,14 +176,14 @@ def run_all(
         watch = _Watch(work, {(each.name, each.seed): costs[each.name] for each in todo})
         # What needs no training looks at the deadline by itself, and is what there is in any case.
         trains = any(f.random for f in ready.values())
-        late = Deadline(work.deadline.at + PATIENCE + work.time.asking)
+        late = Deadline(work.deadline.at + PATIENCE + work.time.pace.asking)
         patience = late if trains else Deadline()
         for done_job in over(job, todo, workers, watch.report, patience):
             key = done_job.name, done_job.seed
             done[key] = done_job.outcome
             if done_job.fresh and isinstance(done_job.outcome, Backtest):
                 asking = done_job.seconds - done_job.outcome.report.seconds
-                work.time.measured(costs[done_job.name], done_job.seconds, asking)
+                work.time.pace.measured(costs[done_job.name], done_job.seconds, asking)
             watch.finished(key, done_job.outcome)
             if place is not None:
                 place.keep(done_job.files)

@@ -23,6 +23,7 @@ from splitband.data import Record
 from splitband.evaluation.budget import ONE
 from splitband.evaluation.costs import reference_seconds, training_cost
 from splitband.evaluation.runs import Work, run_all
+from splitband.evaluation.sound import failed_seeds
 from splitband.forecasters.backtest import (
     HELD_OUT,
     Backtest,
@@ -81,8 +82,6 @@ LONGER = 4
 trials were better and only the budget ended them."""
 LAST = 0.7
 """Share of what is left of the budget that this may take."""
-FAILED = 3.0
-"""A seed whose held-out error is above this multiple of the lowest seed's does not count."""
 SETTLING = 0.25
 """Share of its iterations that a training gets on top of them when further samples are added."""
 
@@ -397,7 +396,8 @@ class _Trials:
         return [self._scored(c, results[c.label]) for c in affordable]
 
     def _scored(self, candidate: TrainingCandidate, done: dict[int, Backtest]) -> TrainingCandidate:
-        done = sound(self._record, done)
+        failed = failed_seeds({seed: each.report for seed, each in done.items()})
+        done = {seed: each for seed, each in done.items() if seed not in failed}
         score = held_out_score(self._record, [*done.values()]) if done else None
         training = candidate.network.training_in_words()
         self.attempts.append(SearchAttempt(candidate.method, training, len(done), score))
@@ -443,13 +443,6 @@ class _Trials:
             first + min(share / self._most, 1.0) * (last - first) for share in (self.spent, spent)
         )
         return before, after
-
-
-def sound(record: Record, done: Mapping[int, Backtest]) -> dict[int, Backtest]:
-    """Return the seeds whose held-out error is not far above the lowest (`FAILED`)."""
-    errors = {seed: held_out_score(record, [each]) for seed, each in done.items()}
-    most = FAILED * min(errors.values(), default=0.0)
-    return {seed: each for seed, each in done.items() if errors[seed] <= most}
 
 
 def held_out_score(record: Record, done: Sequence[Backtest]) -> float:

@@ -181,11 +181,6 @@ class Forecaster(Written, ABC):
         """Return what it is, in words that follow "is"; empty where nothing is known."""
         return ""
 
-    @property
-    def stable(self) -> bool:
-        """Return False where it is known that a simulation may grow without bound."""
-        return True
-
     def describe(self) -> str:
         """Return what the fit has settled on, in a few words for a table."""
         return ""

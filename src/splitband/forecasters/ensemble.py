@@ -73,8 +73,9 @@ class Ensemble(Forecaster):
         self.members, self.delays = [*members], members[0].delays
         reports = [member.require_fitted().report for member in members]
         notes = tuple(f"seed {r.seed}: {note}" for r in reports for note in r.notes)
-        cut = any(r.cut for r in reports)
-        report = FitReport(seed, sum(r.seconds for r in reports), reports[0].losses, notes, cut)
+        cut, stable = any(r.cut for r in reports), all(r.stable for r in reports)
+        seconds = sum(r.seconds for r in reports)
+        report = FitReport(seed, seconds, reports[0].losses, notes, cut, stable)
         self.fitted = replace(members[0].require_fitted(), report=report)
 
     @property

@@ -33,6 +33,7 @@ class FitReport:
     losses : Mean training loss of each epoch, by network.
     notes : What went wrong in training and was mended.
     cut : Whether a deadline ended the training before its time.
+    stable : False where a simulation is known to be able to grow without bound.
     parameters : What is known of the fitted parameters of a simulator, as JSON can hold it.
     """
 
@@ -41,6 +42,7 @@ class FitReport:
     losses: Mapping[str, Sequence[float]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     cut: bool = False
+    stable: bool = True
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -107,12 +107,6 @@ class Network(Forecaster):
         return None if self.fitted_base is None else self.fitted_base.calibration
 
     @property
-    def stable(self) -> bool:
-        """Return whether every network is, of those that can say it."""
-        modules: Iterable[Any] = () if self.model is None else self.model.modules()
-        return all(module.stable() for module in modules if hasattr(module, "stable"))
-
-    @property
     def parameters(self) -> dict[str, Any]:
         """Return those of the base."""
         return {} if self.fitted_base is None else self.fitted_base.parameters
@@ -296,7 +290,9 @@ class Network(Forecaster):
         left = self.earlier.remaining(settings, seed)
         history = fit(self.model, seen, left, seed, progress, checkpoint)
         notes = (*self._remarks(seen[0]), *history.notes)
-        report = FitReport(seed, history.seconds, history.losses, notes, history.cut)
+        networks: Iterable[Any] = self.model.modules()
+        stable = all(each.stable() for each in networks if hasattr(each, "stable"))
+        report = FitReport(seed, history.seconds, history.losses, notes, history.cut, stable)
         self.fitted = replace(self.require_fitted(), report=report)
 
     def extrapolate(self, known: Known) -> dict[str, Array]:
