@@ -12,7 +12,7 @@ default recipe instead.
 
 Constants are chosen on `--development` seeds; without it, other seeds are drawn, and the paper's
 records are added, on which nothing is chosen. Each record is a file in `--parts` that is made once:
-stop it, go on. The tables of baselines and of `default` go to docs/reliability.md.
+stop it, go on. The tables of baselines and of `default` go to docs/results/coverage.md.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ FILES = {
     BASELINES: Path("docs/benchmarks/recommendation.json"),
     DEFAULT: Path("docs/benchmarks/recommendation-default.json"),
 }
-"""Of which methods there is a table in docs/reliability.md, and where its facts are."""
-PAGE = Path("docs/reliability.md")
+"""Of which methods there is a table in docs/results/coverage.md, and where its facts are."""
+PAGE = Path("docs/results/coverage.md")
 
 
 @dataclass(frozen=True)

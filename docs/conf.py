@@ -23,8 +23,7 @@ extensions = [
     "mathml",
     "repository",
 ]
-# Templates that results/README.md is made of, and tables that it contains.
-exclude_patterns = ["_build", "results/page.md", "results/causes.md", "results/tables"]
+exclude_patterns = ["_build"]
 nitpicky = True
 
 smartquotes = False  # it takes the two hyphens of an option for a dash

@@ -139,10 +139,13 @@ def make_table(
     for each, rows in of.items():
         made = table(each, rows, out / "runs")
         output_folder(out / "tables", "--out")
-        with replacing(out / "tables" / f"{each}.md") as temporary:
-            temporary.write_text(made.markdown(), encoding="utf-8")
         asked = {"systems": systems, "methods": methods, "seeds": seeds, "epochs": epochs}
-        facts = {"title": made.title, "asked": asked, "rows": made.facts}
+        facts = {
+            "title": made.title,
+            "asked": asked,
+            "rows": made.facts,
+            "markdown": made.markdown(),
+        }
         write_json(out / "tables" / f"{each}.json", facts)
         console.print(_rich(made))
     console.print(f"tables: {out / 'tables'}/")

@@ -1,8 +1,8 @@
 """Make the tables and README.md from the run files: `python -m reproduction.fill`.
 
-README.md is page.md with whatever stands between double braces replaced by what the function of
-that name in `Page` says of the tables, so that no figure is typed in. causes.md has, for rows that
-differ from the paper's, what was found, with figures in the same way.
+README.md is pages/results.md with whatever stands between double braces replaced by what the
+function of that name in `Page` says of the tables, so that no figure is typed in. pages/causes.md
+has, for rows that differ from the paper's, what was found, with figures in the same way.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from splitband.data.named import double_mass_spring
 from splitband.metrics import rmse
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
+PAGES = Path(__file__).parent / "pages"
 Row = Mapping[str, Any]
 ERRORS = ("learning-based", "hybrid-gru", "hybrid-rnn", "pendulum")
 """Tables whose rows have one system and one method each."""
@@ -31,17 +32,18 @@ APART = 2.0
 
 
 class Page:
-    """What page.md and causes.md may ask for: each public method, by its name.
+    """What results.md and causes.md may ask for: each public method, by its name.
 
     A row is named by system and method, as in `v/filtered-gru`.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.rows_of = {
-            path.stem: json.loads(path.read_text(encoding="utf-8"))["rows"]
+        self.tables = {
+            path.stem: json.loads(path.read_text(encoding="utf-8"))
             for path in sorted((folder / "tables").glob("*.json"))
         }
+        self.rows_of = {name: table["rows"] for name, table in self.tables.items()}
         self.rows = {f"{r['system']}/{r['method']}": r for t in ERRORS for r in self.rows_of[t]}
 
     def fill(self, template: str) -> str:
@@ -52,7 +54,7 @@ class Page:
     def _replaced(self, found: re.Match[str]) -> str:
         name, *arguments = shlex.split(found[1])
         if name.startswith("_") or not hasattr(type(self), name):
-            raise SystemExit(f"page.md asks for {name}, which fill.py does not know: {found[0]}")
+            raise SystemExit(f"results.md asks for {name}, which fill.py does not know: {found[0]}")
         return str(getattr(self, name)(*arguments))
 
     # One row
@@ -94,13 +96,15 @@ class Page:
 
     def table(self, name: str) -> str:
         """A table as it stands in its file."""
-        return (self.folder / "tables" / f"{name}.md").read_text(encoding="utf-8").strip()
+        return str(self.tables[name]["markdown"]).strip()
 
     def fewer_seeds(self, name: str) -> str:
         """How many seeds the rows of a table have instead of five, and what a run takes."""
         rows = [row for row in self.rows_of[name] if row["epochs"] is not None]
         if any(row["epochs"] != row["paper_epochs"] for row in rows):
-            raise SystemExit(f"{name} has rows of fewer epochs than the paper's; page.md denies it")
+            raise SystemExit(
+                f"{name} has rows of fewer epochs than the paper's; results.md denies it"
+            )
         counts = sorted({row["runs"] for row in rows})
         minutes = {
             system: statistics.median(
@@ -154,14 +158,6 @@ class Page:
         deviation = statistics.mean(statistics.stdev(row["total_rmse"]) for row in rows)
         return (f"{values}; the best and the worst are {(max(means) - min(means)) / deviation:.1f} "
                 f"standard deviations over seeds apart")  # fmt: skip
-
-    def longer(self, method: str) -> str:
-        """What more epochs do to a method on (i), and where its loss has settled."""
-        rows = [r for r in self.rows_of["epochs"] if r["method"] == method and r["total_rmse"]]
-        values = _listed(f"{spread(r['total_rmse'])} after {r['epochs']}" for r in rows)
-        settled = [row["epochs"] for row in rows if row["settled"]]
-        where = f"settled after {settled[0]}" if settled else "not been seen to settle"
-        return f"{values}; the loss has {where}"
 
     def settled_share(self) -> str:
         """What twice the epochs must leave of a loss that has settled."""
@@ -253,7 +249,7 @@ class Page:
             and sign * _deviations(row) > APART
         }  # fmt: skip
         text, named = [], set()
-        for names, cause in _causes(self.folder / "causes.md"):
+        for names, cause in _causes(PAGES / "causes.md"):
             here = [name for name in names if name in rows]
             named |= {*here}
             if here:
@@ -322,7 +318,7 @@ def main() -> None:
     """Make the tables again and write README.md."""
     if reproduction(["table", "all", "--no-run", "--out", str(RESULTS)]):
         raise SystemExit("README.md is left as it is")
-    text = Page(RESULTS).fill((RESULTS / "page.md").read_text(encoding="utf-8"))
+    text = Page(RESULTS).fill((PAGES / "results.md").read_text(encoding="utf-8"))
     (RESULTS / "README.md").write_text(text, encoding="utf-8")
 
 

@@ -45,11 +45,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_row_is_run_and_stands_beside_the_papers(folder: Path) -> None:
-    text = (folder / "tables" / "learning-based.md").read_text(encoding="utf-8")
+    facts = json.loads((folder / "tables" / "learning-based.json").read_text(encoding="utf-8"))
+    text = facts["markdown"]
     assert "| (i) | split-gru |" in text
     assert "0.127 (0.008)" in text
     assert "2 of 300" in text
-    facts = json.loads((folder / "tables" / "learning-based.json").read_text(encoding="utf-8"))
     runs = [json.loads(p.read_text()) for p in sorted((folder / "runs/i/split-gru").iterdir())]
     assert [run["job"]["seed"] for run in runs] == [0, 1]
     assert facts["rows"][0]["total_rmse"] == [run["total_rmse"] for run in runs]

@@ -7,13 +7,13 @@ from functools import cache
 
 import pytest
 
-from reproduction.fill import RESULTS, Page
+from reproduction.fill import PAGES, RESULTS, Page
 
 
 @cache
 def _results_page() -> str:
     page = Page(RESULTS)
-    return str(page.fill((RESULTS / "page.md").read_text(encoding="utf-8")))
+    return str(page.fill((PAGES / "results.md").read_text(encoding="utf-8")))
 
 
 def test_the_results_page_is_made_of_the_tables() -> None:
@@ -21,9 +21,9 @@ def test_the_results_page_is_made_of_the_tables() -> None:
     assert (RESULTS / "README.md").read_text(encoding="utf-8") == _results_page()
 
 
-@pytest.mark.parametrize("name", ["page.md", "causes.md"])
+@pytest.mark.parametrize("name", ["results.md", "causes.md"])
 def test_no_figure_of_the_results_page_is_typed_in(name: str) -> None:
-    text = (RESULTS / name).read_text(encoding="utf-8")
+    text = (PAGES / name).read_text(encoding="utf-8")
     assert re.findall(r".*\d.*", re.sub(r"\{\{.+?\}\}", "", text, flags=re.DOTALL)) == []
 
 
