@@ -1,14 +1,14 @@
 """Parameters of simulators: the crane, the two tanks, a pendulum, and a model without its friction.
 
-`python -m benchmarks.physics [crane|tanks|pendulum|wrong]` writes docs/benchmarks/physics.json. The
+`python -m benchmarks.physics [--only crane]` writes docs/benchmarks/physics.json. The
 tanks are read from SPLITBAND_DATA_DIR.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -201,7 +201,10 @@ def measured_wrong() -> dict[str, list[dict[str, Any]]]:
 def main() -> None:
     measure = {"crane": measured_crane, "tanks": measured_tanks, "pendulum": measured_pendulum,
                "wrong": measured_wrong}  # fmt: skip
-    for name in sys.argv[1:] or measure:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", choices=measure)
+    only = parser.parse_args().only
+    for name in [only] if only else measure:
         found = json.loads(OUT.read_text()) if OUT.exists() else {}
         found[name] = measure[name]()
         OUT.write_text(json.dumps(found, indent=1) + "\n")

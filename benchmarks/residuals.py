@@ -11,6 +11,7 @@ samples were fitted.
 
 from __future__ import annotations
 
+import argparse
 from unittest.mock import patch
 
 import numpy as np
@@ -49,6 +50,7 @@ def _tests(model: Linear, part: Record) -> ResidualTests:
 
 def main() -> None:
     """Print the rates."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     for fitted in (1000, 8000):
         for order in (1, 2):
             both = zip(*(tested(seed, order, fitted) for seed in range(SEEDS)), strict=True)

@@ -11,6 +11,7 @@ lead to the figure follow in brackets. What stands between the comments is repla
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import statistics
@@ -320,6 +321,7 @@ COMPUTED: dict[str, Callable[[], Any]] = {
 
 def main() -> None:
     """Write the figures of every page, and say which pages changed."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     for page in pages():
         text = page.read_text(encoding="utf-8")
         try:

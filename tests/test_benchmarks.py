@@ -2,7 +2,9 @@
 
 import importlib
 import json
+import runpy
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,36 @@ ROOT = Path(__file__).resolve().parents[1]
 def recommendation(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.syspath_prepend(str(ROOT))
     return importlib.import_module("benchmarks.recommendation")
+
+
+SCRIPTS = [
+    ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    for folder in ("benchmarks", "docs", "tests/cli")
+    for path in sorted((ROOT / folder).glob("*.py"))
+    if "ArgumentParser(" in path.read_text(encoding="utf-8")
+]
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_a_script_is_imported_and_shows_its_help(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT))
+    monkeypatch.setattr(sys, "argv", [name, "--help"])
+    monkeypatch.delitem(sys.modules, name, raising=False)
+    with pytest.raises(SystemExit) as left:
+        runpy.run_module(name, run_name="__main__", alter_sys=True)
+    assert left.value.code == 0
+    assert capsys.readouterr().out.startswith("usage:")
+
+
+def test_every_script_of_the_benchmarks_has_a_help() -> None:
+    runs = {
+        f"benchmarks.{path.stem}"
+        for path in (ROOT / "benchmarks").glob("*.py")
+        if "__main__" in path.read_text(encoding="utf-8")
+    }
+    assert runs <= {*SCRIPTS}
 
 
 @pytest.mark.parametrize("methods", ["baselines", "default"])
