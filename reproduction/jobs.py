@@ -68,7 +68,7 @@ SYSTEMS = {
         for row in ("ii", "iii", "iv")
     },
     "v": System("Van der Pol", HYBRID["v"], _once(lambda draw: van_der_pol())),
-    "vi": System("drill string", HYBRID["vi"], lambda draw: drill_string()),
+    "vi": System("drill string", HYBRID["vi"], _once(lambda draw: drill_string())),
 }
 """By the paper's numbers; it has one record for each of (ii) to (iv), of which one is public."""
 

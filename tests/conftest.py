@@ -1,6 +1,9 @@
 """Fixtures that several test files share."""
 
+import gc
 import os
+import shutil
+import tempfile
 
 # One core for each process of the suite. The threads of BLAS and of torch would wait for each other
 # by spinning, which takes twice the time of the work itself. Tests that are about threads ask for
@@ -11,6 +14,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import pkgutil
 from collections.abc import Iterator
 from importlib import import_module
+from multiprocessing.util import Finalize
 from pathlib import Path
 
 import pytest
@@ -76,6 +80,38 @@ class VanDerPol(Fmi2Slave):
             self.v += h / 6 * (a[1] + 2 * b[1] + 2 * c[1] + d[1])
         return True
 '''
+
+
+FOREIGN = ("pymp-", "torchinductor_", "playwright", "org.chromium", ".org.chromium", "pytest-of-")
+"""What other libraries keep in the temporary folder until the process ends, or for ever."""
+
+
+@pytest.fixture(autouse=True, scope="session")
+def temporary_folder() -> Iterator[Path]:
+    """Each process of the suite has a temporary folder, with a short name for sockets."""
+    name = tempfile.mkdtemp(prefix="suite-")
+    # After the folder that multiprocessing keeps in it, which goes at a priority of -100.
+    Finalize(None, shutil.rmtree, (name, True), exitpriority=-1000)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TMPDIR", name)
+        patch.setattr(tempfile, "tempdir", name)
+        yield Path(name)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def nothing_left(temporary_folder: Path) -> Iterator[None]:
+    """A file of tests leaves nothing in the temporary folder."""
+
+    def found() -> list[Path]:
+        return [each for each in temporary_folder.iterdir() if not each.name.startswith(FOREIGN)]
+
+    yield
+    if found():
+        gc.collect()  # what belongs to an object goes with it
+    left = found()
+    for each in left:
+        shutil.rmtree(each, ignore_errors=True)
+    assert [each.name for each in left] == []
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -18,7 +18,6 @@ from tests.cli.support import (
 
 pytestmark = [
     pytest.mark.usefixtures("inside", "undrawn"),
-    pytest.mark.xdist_group("models"),  # what its fixtures train is made once
 ]
 
 

@@ -31,7 +31,6 @@ from tests.records import rms
 
 pytestmark = [
     pytest.mark.usefixtures("undrawn"),
-    pytest.mark.xdist_group("benchmark"),  # what its fixture computes is made once
 ]
 
 LIST = """\

@@ -32,7 +32,6 @@ distributed = pytest.importorskip("distributed")
 
 pytestmark = [
     pytest.mark.usefixtures("inside", "undrawn"),
-    pytest.mark.xdist_group("cluster"),
     pytest.mark.filterwarnings("default"),  # Dask has its own
     pytest.mark.skipif(sys.platform == "win32", reason="sends signals"),
 ]
@@ -97,7 +96,7 @@ class Running:
 
     def _begin(self, *words: str, **environment: str) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1"]
-        path = {"PYTHONPATH": os.pathsep.join(sys.path)}
+        path = {"PYTHONPATH": os.pathsep.join(sys.path), "TMPDIR": str(self.folder)}
         return subprocess.Popen(
             [*command, "--scheduler-file", str(self.file)],
             cwd=self.folder, env=os.environ | path | environment,

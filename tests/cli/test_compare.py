@@ -38,7 +38,6 @@ from tests.support import compare
 
 pytestmark = [
     pytest.mark.usefixtures("inside", "undrawn"),
-    pytest.mark.xdist_group("compare"),  # what its fixtures train is made once
 ]
 
 

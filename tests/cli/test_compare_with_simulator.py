@@ -22,7 +22,6 @@ from tests.records import rms
 
 pytestmark = [
     pytest.mark.usefixtures("inside", "undrawn"),
-    pytest.mark.xdist_group("compare with a simulator"),  # what its fixtures train is made once
 ]
 
 

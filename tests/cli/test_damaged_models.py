@@ -12,7 +12,6 @@ from tests.cli.support import HYBRID_AHEAD, assert_fails
 
 pytestmark = [
     pytest.mark.usefixtures("inside", "undrawn"),
-    pytest.mark.xdist_group("models"),  # what its fixtures train is made once
 ]
 
 

@@ -8,7 +8,6 @@ from tests.cli.support import assert_fails, call
 
 pytestmark = [
     pytest.mark.usefixtures("inside"),
-    pytest.mark.xdist_group("models"),  # what its fixtures train is made once
 ]
 
 

@@ -16,9 +16,6 @@ from tests.records import DT, NAN, rms, with_gaps
 from tests.support import compare, try_out
 from tests.support import load_model as load
 
-pytestmark = pytest.mark.xdist_group("gaps")  # what its fixtures compare is made once
-
-
 QUICKLY = "--recipe paper --epochs 2 --hidden 4,3 --window 30 --warmup 10"
 
 GRU_ON = f"--columns a --methods gru {QUICKLY} --seeds 1 --jobs 1 --out out"

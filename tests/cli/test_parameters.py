@@ -10,7 +10,6 @@ from tests.cli.support import assert_fails, call, results
 
 pytestmark = [
     pytest.mark.usefixtures("undrawn"),
-    pytest.mark.xdist_group("parameters"),
 ]
 
 PLANT = """

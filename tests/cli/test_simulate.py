@@ -16,7 +16,6 @@ from tests.support import load_model as load
 
 pytestmark = [
     pytest.mark.usefixtures("inside", "undrawn"),
-    pytest.mark.xdist_group("models"),  # what its fixtures train is made once
 ]
 
 

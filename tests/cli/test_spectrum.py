@@ -26,7 +26,6 @@ from tests.records import rms
 
 pytestmark = [
     pytest.mark.usefixtures("inside", "undrawn"),
-    pytest.mark.xdist_group("spectrum"),  # what its fixtures train is made once
 ]
 
 

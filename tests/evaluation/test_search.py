@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -152,7 +153,7 @@ def test_the_search_looks_at_nothing_after_the_training_part() -> None:
     assert results[0].attempts == results[1].attempts
 
 
-def test_it_depends_neither_on_processes_nor_on_what_is_resumed(
+def test_it_depends_neither_on_workers_nor_on_what_is_resumed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """But for rounding, which trainings amplify: what is tried first is the same in any case."""
@@ -160,7 +161,9 @@ def test_it_depends_neither_on_processes_nor_on_what_is_resumed(
     monkeypatch.setattr(searching, "FREE_RUNS", (10,))
     training = record()[:TRAIN]
     alone = searched_by(training, ["gru"])
-    first = searched_by(training, ["gru"], work=Work(2, None, tmp_path))
+    with ThreadPoolExecutor(2) as pool:
+        work = Work(executor=pool, checkpoints=tmp_path)
+        first = searched_by(training, ["gru"], work=work)
     resumed = searched_by(training, ["gru"], work=Work(1, None, tmp_path))
     for other in (first, resumed):
         of_both = list(zip(alone.attempts, other.attempts, strict=True))

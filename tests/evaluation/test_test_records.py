@@ -14,7 +14,6 @@ from splitband import Bands, Record, Settings, Setup
 from splitband.metrics import rmse
 
 DT, TRAIN, WARMUP = 0.1, 160, 12
-pytestmark = pytest.mark.xdist_group("test records")  # they share a comparison
 QUICK = Settings(40, WARMUP, 1, 16)
 SETUP = Setup(TRAIN, QUICK, Bands(0.6, 1, 2))
 

@@ -14,9 +14,10 @@ def main() -> None:
     """Filter, and simulate with gradients."""
     lfilter([0.5], [1.0, -0.5], np.arange(3.0))
     for dtype in (torch.float32, torch.float64):
-        y = torch.zeros(1, 2, 1, dtype=dtype)
-        for cell in (GRU(2), EulerMLP(1, 2, 2, 2, 2, 0.1), StateSpace(2, 2)):
-            rollout(cell.to(dtype), y, 2).sum().backward()
+        for batch in (1, 8):  # few rows and many are different kernels
+            y = torch.zeros(batch, 2, 1, dtype=dtype)
+            for cell in (GRU(2), EulerMLP(1, 2, 2, 2, 2, 0.1), StateSpace(2, 2)):
+                rollout(cell.to(dtype), y, 2).sum().backward()
 
 
 if __name__ == "__main__":

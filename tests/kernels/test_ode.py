@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import scipy
 
-from splitband.kernels.ode import parameters_class, solver
+from splitband.kernels.ode import solver
+from splitband.simulators.parameters import parameters_class
 
 TIME = 0.05 * np.arange(200)
 P = parameters_class(("k", "c"))(9.0, 0.3)

@@ -26,7 +26,6 @@ LONG = 200_000
 
 pytestmark = [
     pytest.mark.skipif(not CHROMIUM.exists(), reason=f"there is no browser at {CHROMIUM}"),
-    pytest.mark.xdist_group("browser"),
 ]
 
 

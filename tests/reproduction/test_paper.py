@@ -30,7 +30,6 @@ from splitband.runtime.files import CHECKPOINTS
 
 Array = npt.NDArray[np.float64]
 
-pytestmark = pytest.mark.xdist_group("paper")  # its fixture is made once
 
 ROW = ["--systems", "i", "--seeds", "2", "--epochs", "2", "--jobs", "1"]
 METHODS = ["--methods", "split-gru,harmonic,oracle"]

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -45,6 +46,26 @@ def test_every_job_is_done_and_reported(processes: int) -> None:
 def test_a_process_ended_from_outside_is_an_error_that_says_so() -> None:
     with pytest.raises(OSError, match="ended from outside"):
         list(over(end, [1, 1], 2))
+
+
+def leave(job: int, report: Callable[[int], None]) -> str:
+    """Leave a temporary folder, and end the process of the second job."""
+    folder = tempfile.mkdtemp(prefix="left-")
+    if job:
+        os._exit(job)
+    return folder
+
+
+def test_temporary_files_of_processes_are_removed_however_they_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    (folder,) = (Path(each) for each in over(leave, [0], 1))
+    assert folder.parent == tmp_path  # that of this process stays
+    folder.rmdir()
+    with pytest.raises(OSError, match="ended from outside"):
+        list(over(leave, [0, 1], 2))
+    assert not [path.name for path in tmp_path.iterdir() if not path.name.startswith("pymp-")]
 
 
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="POSIX")

@@ -16,7 +16,7 @@ from splitband.training import History, fit
 from splitband.training.windows import windows
 from tests.models.test_models import _Scripted
 from tests.records import LENGTH, QUICK, SETUP, TRAIN, record
-from tests.support import compare, untrained
+from tests.support import untrained
 from tests.training.support import parameters, seen_by_adam
 
 
@@ -217,19 +217,6 @@ def test_settings_that_cannot_be_are_refused(change: Any, message: Any) -> None:
 def test_a_record_of_other_channels_is_refused() -> None:
     with pytest.raises(ValueError, match=r"model's 1 channel\(s\) and 0 input\(s\), got 2 and 1"):
         fit(Recurrent(GRU(4, 1)), record(2, 1), QUICK)
-
-
-def test_comparing_in_processes_gives_the_numbers_of_comparing_in_one() -> None:
-    methods = ["gru", "filtered-gru", "mean"]
-    alone, together = (
-        compare(record(), methods, SETUP, seeds=(0, 1), jobs=jobs) for jobs in (1, 2)
-    )
-    for method in methods:
-        for a, b in zip(alone[method], together[method], strict=True):
-            assert a.seed == b.seed
-            # Not to the bit: torch rounds some sums by where in memory their terms lie.
-            assert a.total_rmse == pytest.approx(b.total_rmse, rel=1e-6)
-            np.testing.assert_allclose(a.ahead, b.ahead, rtol=1e-5, atol=1e-6)
 
 
 def test_a_network_that_has_learned_nothing_is_said_to_be_so() -> None:

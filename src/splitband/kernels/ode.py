@@ -7,7 +7,6 @@ for neighbouring parameters and states, so that finite differences see a smooth 
 
 from __future__ import annotations
 
-from collections import namedtuple
 from collections.abc import Callable
 from functools import cache, partial
 from typing import Any
@@ -33,12 +32,6 @@ _WEIGHTS[6, :6] = 35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84
 _ERRORS = np.array(
     [71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40]
 )  # of order 5 less order 4
-
-
-@cache
-def parameters_class(names: tuple[str, ...]) -> Any:
-    """Return the class of what a right-hand side gets as `p`: a named tuple."""
-    return namedtuple("p", names)
 
 
 def solve(  # noqa: PLR0912  one loop, for Numba

@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import shutil
 import signal
+import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
@@ -71,6 +73,8 @@ def _ignore(_: Any) -> None:
 class Processes(Workers):
     """Run jobs in processes of this machine, which end with this one.
 
+    Their temporary files are in a folder that is removed at the end, however a process ends.
+
     Parameters
     ----------
     count : Largest number of processes.
@@ -78,12 +82,15 @@ class Processes(Workers):
 
     def __init__(self, count: int) -> None:
         self._count = count
+        self._folder = tempfile.TemporaryDirectory(prefix="splitband-", ignore_cleanup_errors=True)
         self._begin()
 
     def _begin(self) -> None:
         context = multiprocessing.get_context("spawn")
         self._queue: SimpleQueue[Any] = context.SimpleQueue()
-        self._pool = ProcessPoolExecutor(self._count, context, _start_worker, (self._queue,))
+        self._pool = ProcessPoolExecutor(
+            self._count, context, _start_worker, (self._queue, self._folder.name)
+        )
 
     def submit(
         self,
@@ -124,24 +131,27 @@ class Processes(Workers):
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
         """End the processes."""
         self._pool.shutdown(wait, cancel_futures=cancel_futures)
+        self._folder.cleanup()
 
 
 _queue: Any = None
 
 
-def _start_worker(queue: Any) -> None:
+def _start_worker(queue: Any, folder: str) -> None:
     global _queue  # noqa: PLW0603  set once, when the process starts
     _queue = queue
+    tempfile.tempdir = os.environ["TMPDIR"] = folder
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends them
     use_one_thread()
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
 
 
-def _end_with_parent() -> None:
+def _end_with_parent(folder: str) -> None:
     """End this process when its parent has been killed, as nobody waits for its result."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
+        shutil.rmtree(folder, ignore_errors=True)
         os._exit(1)
 
 

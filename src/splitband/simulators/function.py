@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from splitband.kernels.ode import parameters_class
-from splitband.simulators.parameters import Given
+from splitband.simulators.parameters import Given, parameters_class
 from splitband.simulators.sources import code_digest, count_arguments
 from splitband.simulators.user_code import UserCode
 

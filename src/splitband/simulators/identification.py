@@ -25,7 +25,6 @@ from splitband.data import Record
 from splitband.metrics import spread
 from splitband.runtime.deadlines import Deadline, OverError, current, within
 from splitband.runtime.files import write_json
-from splitband.runtime.processes import Processes, over
 from splitband.simulators.estimate import Curvature, Estimate, labelled
 from splitband.simulators.shooting import BAD, Adjustable, Experiment, Shooting
 
@@ -187,6 +186,8 @@ def _side_by_side(
 
     Which of several that was is not known: those without an outcome are tried again one by one.
     """
+    from splitband.runtime.processes import Processes, over  # noqa: PLC0415  which loads torch
+
     if isinstance(workers, int) and workers == 1:
         yield from over(work, batch)
         return

@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.kernels.ode import parameters_class, solver
-from splitband.simulators.parameters import INITIAL, Given
+from splitband.simulators.parameters import INITIAL, Given, parameters_class
 from splitband.simulators.sources import code_digest, count_arguments
 from splitband.simulators.user_code import UserCode
 
@@ -172,7 +171,7 @@ class Ode(UserCode):
         instance, an index beyond the states.
         """
         p, initial, time, inputs, tolerances = probe
-        usual, fast = (solver(self.rhs, count_arguments(self.rhs), c) for c in (False, True))
+        usual, fast = (_solver(self.rhs, compiled) for compiled in (False, True))
         steps = np.zeros((2, len(time) - 1), dtype=np.int64)
         expected = usual(p, initial, time, inputs, (steps[0], *tolerances))
         try:
@@ -194,7 +193,7 @@ class Ode(UserCode):
             return self._scipy(lambda t, x: self._plain(t, x, self._between(t, time, u), p),
                                time, initial)  # fmt: skip
         kept = vars(self)
-        solve = kept.get("_solve") or solver(self.rhs, count_arguments(self.rhs), False)
+        solve = kept.get("_solve") or _solver(self.rhs, False)
         if "_solve" not in kept and kept.get("_taken", 0) > WORTH_COMPILING:
             inputs = u[:3], self.held
             solve = kept["_solve"] = self._faster(p, initial, time[:3], inputs, self.tolerances)
@@ -223,3 +222,9 @@ class Ode(UserCode):
         arguments = (x, u, self._p(values))
         y = np.asarray(self.observe(*arguments[: count_arguments(self.observe)]), dtype=float)
         return y[:, None] if y.ndim == 1 else y
+
+
+def _solver(rhs: Callable[..., Any], compiled: bool) -> Callable[..., Array]:
+    from splitband.kernels.ode import solver  # noqa: PLC0415  which loads torch: seconds
+
+    return solver(rhs, count_arguments(rhs), compiled)

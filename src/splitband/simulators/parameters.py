@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,12 @@ INITIAL = "x0_"
 """What the names of initial values begin with; each record has its own."""
 DECADE = 10.0
 """A range is searched on a logarithmic scale if its ends differ by more than this factor."""
+
+
+@cache
+def parameters_class(names: tuple[str, ...]) -> Any:
+    """Return the class of what a right-hand side gets as `p`: a named tuple."""
+    return namedtuple("p", names)
 
 
 @dataclass(frozen=True)
