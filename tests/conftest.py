@@ -82,7 +82,15 @@ class VanDerPol(Fmi2Slave):
 '''
 
 
-FOREIGN = ("pymp-", "torchinductor_", "playwright", "org.chromium", ".org.chromium", "pytest-of-")
+FOREIGN = (
+    "pymp-",
+    "torchinductor_",
+    "playwright",
+    "org.chromium",
+    ".org.chromium",
+    "pytest-of-",
+    ".ses",
+)
 """What other libraries keep in the temporary folder until the process ends, or for ever."""
 
 
