@@ -309,12 +309,44 @@ def lowest_deviation() -> float:
     return min(float(found["total_rmse"]["deviation"]) for found in readings)
 
 
+def physics() -> dict[str, dict[str, float]]:
+    """Return how well parameters are found, and errors on the tanks in V (5 initial samples)."""
+    found = _read("benchmarks/physics")
+    crane, tanks = found["crane"], found["tanks"]
+    return {
+        "crane": {
+            "largest": 100 * max(crane["largest_relative_error"].values()),
+            "covered": 100 * crane["covered_together"],
+        },
+        "tanks": {"alone": tanks["grey box"]["5"], "network": tanks["residual"]["5"]},
+    }
+
+
+def physics_wrong_table() -> str:
+    """Return errors of incomplete equations, networks and hybrids, and what was recommended."""
+    kinds = {
+        "as given": "simulator-as-given",
+        "fitted": "grey-box",
+        "network alone": "state-space",
+        "residual hybrid": "residual-grey-box-state-space-conditioned",
+        "filtered hybrid": "filtered-grey-box-state-space-conditioned",
+    }
+    shown = {name: kind for kind, name in kinds.items()}
+    rows = [f"| equation | {' | '.join(kinds)} | recommended |", f"|---|{'---:|' * len(kinds)}---|"]
+    for case, records in _read("benchmarks/physics")["wrong"].items():
+        for found in records:
+            errors = [f"{found['forecast_rmse'][name]:.3f}" for name in kinds.values()]
+            best = shown.get(found["recommended"], found["recommended"])
+            rows.append(f"| {case} | {' | '.join(errors)} | {best} |")
+    return "\n".join(rows)
+
+
 COMPUTED: dict[str, Callable[[], Any]] = {
     function.__name__: cache(function)
     for function in (
         default_minutes, drill_string, drill_string_table, calibration_of_v,
         regrets_beyond, reliability, tanks_published, conditioning, tsfast, paper,
-        drill_string_of_the_paper, losses, lowest_deviation,
+        drill_string_of_the_paper, losses, lowest_deviation, physics, physics_wrong_table,
     )
 }  # fmt: skip
 
