@@ -2,6 +2,7 @@
 
 import ctypes
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 import splitband as sb
-from tests.streams import Leaky, fitted, free, rows
+from tests.streams import BANDS, SHORT, Leaky, driven, fitted, free, in_double, rows
 
 STRICT = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror"]
 
@@ -104,8 +105,54 @@ def test_the_simulator_of_a_saved_model_need_not_be_there(tmp_path: Path) -> Non
     compiled, stream = Compiled(tmp_path / "rig.c"), model.stream(record[:20])
     for n in range(20):
         compiled.observe(record.y[n], y_sim=np.sin(0.1 * n))
-    y_sim = np.sin(2.0)
-    assert compiled.step(1, y_sim=y_sim) == pytest.approx(stream.step(y_sim=y_sim), rel=1e-6)
+    assert compiled.step(1, y_sim=np.sin(2.0)) == pytest.approx(stream.step(), rel=1e-6)
+
+
+def test_a_hybrid_on_a_grey_box_is_given_what_its_equation_says(tmp_path: Path) -> None:
+    record = driven()
+    assert record.u is not None
+
+    def tank(t: float, x: Any, u: Any, p: Any) -> list[float]:
+        return [p.gain * u[0] - p.rate * x[0]]
+
+    ode = sb.Ode(tank, [0.0], parameters={"gain": (0.1, 10.0), "rate": (0.1, 5.0)})
+    first = sb.Record(record.y[:, 0], 0.1, u=record.u)
+    short = sb.Settings(window=60, warmup=20, epochs=1)
+    model = sb.Residual(sb.GreyBox(ode, starts=2), sb.GRU(3), settings=short).fit(first[:150])
+    in_double(model)
+    files = model.export(tmp_path / "rig.c")
+    compiled, stream = Compiled(files[0]), model.stream()
+    said = model.predict(60, u=record.u[150:210]).components["grey-box"]
+    for n in range(150, 210):
+        u = record.u[n]
+        if n < 200:
+            stream.observe(first.y[n], u)
+            compiled.observe(first.y[n], u, said[n - 150])
+        else:
+            found = compiled.step(1, u, said[n - 150])
+            np.testing.assert_allclose(found, stream.step(u), atol=1e-9)
+    grey = sb.GreyBox(ode, starts=2).fit(first[:150])
+    with pytest.raises(ValueError, match="its equation is your own code; integrate it there"):
+        grey.export(tmp_path / "grey.c")
+
+
+def test_a_program_takes_what_is_measured_and_prepares_it(tmp_path: Path) -> None:
+    raw = replace(driven(), start=1000.0)
+    assert raw.u is not None
+    assert raw.y_sim is not None
+    record = raw.detrend(1).clip_outliers(1.5)
+    model = sb.Filtered(None, sb.GRU(5), BANDS, conditioned=True, settings=SHORT).fit(record[:150])
+    in_double(model)
+    model.export(tmp_path / "rig.c")
+    compiled = Compiled(tmp_path / "rig.c")
+    for n in range(150, 190):
+        y = np.full(2, np.nan) if n == 160 else raw.y[n]
+        compiled.observe(y, raw.u[n], raw.y_sim[n])
+    found = [
+        compiled.step(2, u, y_sim) for u, y_sim in zip(raw.u[190:], raw.y_sim[190:], strict=True)
+    ]
+    wanted = model.predict(70, raw[:190]).y
+    np.testing.assert_allclose(found, wanted, atol=1e-9 * np.std(raw.y))
 
 
 def test_what_cannot_be_exported_is_named(tmp_path: Path) -> None:

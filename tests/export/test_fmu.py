@@ -12,7 +12,7 @@ from fmpy.validation import validate_fmu
 
 import splitband as sb
 from tests.export.test_c import STRICT
-from tests.streams import fitted, free, rows
+from tests.streams import driven, fitted, free, rows
 
 
 class Instance:
@@ -68,6 +68,20 @@ def test_an_fmu_says_what_a_stream_says(name: str, tmp_path: Path) -> None:
         else:
             worst = max(worst, np.abs(instance.step(**at(n)) - stream.step(**at(n))).max())
     assert worst < 1e-9 * np.std(record.y)
+
+
+def test_an_fmu_is_given_what_is_measured(tmp_path: Path) -> None:
+    raw = driven()
+    model = sb.Linear().fit(raw.detrend()[:150])
+    model.export(tmp_path / "rig.fmu")
+    assert raw.u is not None
+    variables = fmpy.read_model_description(str(tmp_path / "rig.fmu")).modelVariables
+    starts = {v.name: float(v.start) for v in variables if v.start and v.type == "Real"}
+    assert starts["force"] == pytest.approx(raw.u[149, 0])
+    assert starts["y0_measured"] == pytest.approx(raw.y[149, 0])
+    instance, stream = Instance(tmp_path / "rig.fmu", tmp_path / "rig", raw), model.stream()
+    found = np.stack([instance.step(u=u) for u in raw.u[150:170]])
+    np.testing.assert_allclose(found, [stream.step(u) for u in raw.u[150:170]], rtol=1e-9)
 
 
 def test_an_importer_that_reads_outputs_before_it_sets_inputs(tmp_path: Path) -> None:

@@ -27,8 +27,16 @@ class Preparation(ABC):
     def apply(self, record: Record) -> Record:
         """Return the record with it done."""
 
+    def measured(self, y: FloatArray, time: FloatArray) -> FloatArray:
+        """Return measured samples `(time, ny)` at `time`, in seconds, with it done."""
+        return y
+
     def inputs(self, u: FloatArray, time: FloatArray) -> FloatArray:
-        """Return inputs `(time, nu)` at `time`, in seconds, with it done."""
+        """Return inputs `(time, nu)` with it done."""
+        return u
+
+    def inputs_restored(self, u: FloatArray, time: FloatArray) -> FloatArray:
+        """Return inputs `(time, nu)` with it undone."""
         return u
 
     def outputs(self, y: FloatArray, time: FloatArray) -> FloatArray:
@@ -38,6 +46,10 @@ class Preparation(ABC):
     def restored(self, y: FloatArray, time: FloatArray) -> FloatArray:
         """Return predictions `(time, ny)` with it undone."""
         return y
+
+    def counted_from(self, begin: float) -> Preparation:
+        """Return the same for times that count from `begin`, in seconds."""
+        return self
 
 
 @final
@@ -78,7 +90,7 @@ class Detrended(Preparation):
         """Return the record less the trend; a simulator's output loses that of the outputs."""
         time = seconds(record)
         later = time[-1] + record.sampling_time * (1 + np.arange(_most(record)))
-        changed: dict[str, Any] = {"y": record.y - self._trend(time)}
+        changed: dict[str, Any] = {"y": self.measured(record.y, time)}
         for field in ("y_true", "y_sim"):
             if (signal := getattr(record, field)) is not None:
                 changed[field] = self.outputs(signal, time)
@@ -90,21 +102,38 @@ class Detrended(Preparation):
             changed["u_beyond"] = self.inputs(record.u_beyond, later[: len(record.u_beyond)])
         return replace(record, **changed)
 
+    def measured(self, y: FloatArray, time: FloatArray) -> FloatArray:
+        """Return measured samples less the trend."""
+        return y - self._trend(time)
+
     def inputs(self, u: FloatArray, time: FloatArray) -> FloatArray:
-        """See `Preparation`."""
-        slopes = np.outer(time - self.begin, self.input_slopes)
-        return np.asarray(u - np.array(self.input_levels) - slopes)
+        """Return inputs less their trend."""
+        return u - np.array(self.input_levels) - self._risen(time, self.input_slopes)
+
+    def inputs_restored(self, u: FloatArray, time: FloatArray) -> FloatArray:
+        """Return inputs with their trend."""
+        return u + np.array(self.input_levels) + self._risen(time, self.input_slopes)
 
     def outputs(self, y: FloatArray, time: FloatArray) -> FloatArray:
-        """See `Preparation`."""
-        return np.asarray(y - self._trend(time))
+        """Return a simulator's output less the trend of the outputs."""
+        return y - self._trend(time)
 
     def restored(self, y: FloatArray, time: FloatArray) -> FloatArray:
-        """See `Preparation`."""
-        return np.asarray(y + self._trend(time))
+        """Return predictions with the trend."""
+        return y + self._trend(time)
+
+    def counted_from(self, begin: float) -> Detrended:
+        """Return the same trend for times that count from `begin`."""
+        return replace(self, begin=self.begin - begin)
 
     def _trend(self, time: FloatArray) -> FloatArray:
-        return np.asarray(np.array(self.levels) + np.outer(time - self.begin, self.slopes))
+        return np.array(self.levels) + self._risen(time, self.slopes)
+
+    def _risen(self, time: FloatArray, slopes: Numbers) -> FloatArray:
+        """Return by how much straight lines have risen, `(time, channels)`."""
+        if not any(slopes):
+            return np.zeros((1, len(slopes)))
+        return (time - self.begin)[:, None] * np.array(slopes)
 
 
 @final
@@ -132,8 +161,13 @@ class Clipped(Preparation):
         return cls(tuple(map(float, middle - reach)), tuple(map(float, middle + reach)))
 
     def apply(self, record: Record) -> Record:
-        """See `Preparation`."""
-        return replace(record, y=np.clip(record.y, self.low, self.high))
+        """Return the record with its outputs in range."""
+        return replace(record, y=self.measured(record.y, seconds(record)))
+
+    def measured(self, y: FloatArray, time: FloatArray) -> FloatArray:
+        """Return measured samples in range; what is NaN stays so."""
+        clipped = np.clip(y, np.array(self.low), np.array(self.high))
+        return np.where(np.isnan(y), y, clipped)
 
 
 @final
@@ -154,7 +188,7 @@ class Resampled(Preparation):
     factor: int
 
     def apply(self, record: Record) -> Record:
-        """See `Preparation`."""
+        """Return the record of means."""
         k = self.factor
         if len(record) < 2 * k:
             raise ValueError(f"record must have {2 * k} samples to be resampled, got {len(record)}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from html import escape
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from splitband.metrics import Extrapolation, leaves_range
 from splitband.runtime.arguments import whole
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Forecast:
     """What comes after the end of a record.
 
@@ -68,6 +69,14 @@ class Forecast:
     def method(self) -> str:
         """The name of the recommended method."""
         return self.model.name
+
+    def __repr__(self) -> str:
+        steps = len(self.prediction)
+        return f"<Forecast of {steps} samples after {self.record!r}, by {self.method}>"
+
+    def _repr_html_(self) -> str:
+        """Return the first and last rows of the prediction as a table, for notebooks."""
+        return f"<p>{escape(repr(self))}</p>{self.prediction._repr_html_()}"
 
     def report(self, path: str | Path) -> None:
         """Write one HTML file with the forecast, what was tried and settings, to send on."""

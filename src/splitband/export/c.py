@@ -52,6 +52,9 @@ def _header(program: Program, precision: Precision) -> str:
         f"y_sim{list(program.given['y_sim'])}: the simulator's output of the sample, and of the "
         "next one if there are two rows" if "y_sim" in program.given else "",
     ]  # fmt: skip
+    if program.raw:
+        done = ", ".join(dict.fromkeys(type(s).__name__.lower() for s in record.prepared))
+        signals.append(f"as they are measured: before they are {done}")
     listed = "\n".join(f" *   {_comment(signal)}" for signal in signals if signal)
     others = "".join(f", const {precision} *{s}" for s in program.given if s != "y")
     guard, needed = f"{name.upper()}_H", max(program.forecaster.warmup, 1)

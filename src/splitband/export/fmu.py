@@ -100,11 +100,12 @@ def _compile(sources: Path, name: str, library: Path) -> None:
 def _numbers(program: Program) -> list[Variable]:
     """Return the outputs, the inputs, the simulator's output and the measured samples."""
     record = program.record
+    y, u = program.usual()
 
     def channels(ending: str, description: str) -> list[Variable]:
         return [
             Variable(f"{name}{ending}", "input", description, float(start), unit)
-            for name, start, unit in zip(record.columns, record.y[-1], record.units, strict=True)
+            for name, start, unit in zip(record.columns, y, record.units, strict=True)
         ]
 
     found = [
@@ -112,10 +113,9 @@ def _numbers(program: Program) -> list[Variable]:
         for name, unit in zip(record.columns, record.units, strict=True)
     ]
     if "u" in program.given:
-        assert record.u is not None
         found += [
             Variable(name, "input", "known input", float(start), unit_of(name))
-            for name, start in zip(record.inputs, record.u[-1], strict=True)
+            for name, start in zip(record.inputs, u, strict=True)
         ]
     if "y_sim" in program.given:
         for ending in ["_simulated", "_simulated_next"][: program.given["y_sim"][0]]:

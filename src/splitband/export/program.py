@@ -11,7 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record
+from splitband.data.preparation import seconds
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.streaming import program_of
 from splitband.runtime.tracing import Block, Node, Symbol, named_leaves, trace
 
 Array = npt.NDArray[np.float64]
@@ -45,6 +47,7 @@ class Program:
         predicted sample and whether it could be predicted.
     leaves : The state.
     given : Names and shapes of what comes with each sample: y, and u and y_sim where there are any.
+    raw : Whether signals are given as they were before the record was prepared.
     empty : Whether it begins with nothing measured, as the simulator was not there to say what it
         did until then.
     """
@@ -54,6 +57,7 @@ class Program:
     block: Block
     leaves: tuple[Leaf, ...]
     given: dict[str, tuple[int, ...]]
+    raw: bool
     empty: bool
 
     @property
@@ -61,19 +65,24 @@ class Program:
         """Return the training record, for names and the sampling time."""
         return self.forecaster.require_fitted().record
 
+    def usual(self) -> tuple[Array, Array]:
+        """Return outputs `(ny,)` and inputs `(nu,)` that are usual, in the units that are given."""
+        record = self.record
+        y, time = record.y[-1:], seconds(record)[-1:]
+        u = np.zeros((1, 0)) if record.u is None else record.u[-1:]
+        for step in reversed(record.prepared if self.raw else ()):
+            y, u = step.restored(y, time), step.inputs_restored(u, time) if u.size else u
+        return y[0], u[0]
+
 
 def program(forecaster: Forecaster, name: str, history: Record | None = None) -> Program:
     """Return the program of a fitted forecaster, which begins after a history.
 
     Raises ValueError, with the name of what cannot be exported.
     """
-    recursion = forecaster.stepped()
-    begun = cleared = recursion.initial()
-    try:
-        begun = forecaster.stream(history).state
-    except ValueError:  # a simulator that is not there
-        if not recursion.simulated or history is not None:
-            raise
+    recursion, state = program_of(forecaster, history)
+    cleared = recursion.initial()
+    begun = cleared if state is None else state
     ny = recursion.ny
     given = {
         "y": (ny,),
@@ -97,6 +106,7 @@ def program(forecaster: Forecaster, name: str, history: Record | None = None) ->
         block,
         tuple(leaves),
         used,
+        bool(recursion.prepared),
         begun is cleared,
     )
 

@@ -27,8 +27,13 @@ from splitband.forecasters.fitted import Fitted
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.known import Known, continued
 from splitband.forecasters.prediction import Prediction
-from splitband.forecasters.stepping import Extrapolated, NotSteppedError, Part, Recursion
-from splitband.forecasters.streaming import Asked, Stream
+from splitband.forecasters.stepping import (
+    Extrapolated,
+    NotSteppedError,
+    Part,
+    Recursion,
+)
+from splitband.forecasters.streaming import Stream, stream_of
 from splitband.metrics import ExtrapolationWarning, leaves_range
 from splitband.runtime.arguments import whole
 from splitband.runtime.options import Written, attributes, options
@@ -430,17 +435,11 @@ class Forecaster(Written, ABC):
 
         Parameters
         ----------
-        history, other_record : See `predict`.
+        history, other_record : See `predict`. Where the training record was detrended, clipped or
+            resampled, samples are in the units of before; they have its step. After a history that
+            was prepared in the same way they are in its units.
         """
-        past = self.require_fitted().record if history is None else history
-        u = None if past.u is None else past.u[:0]
-        y_sim = past.beyond if past.y_sim is None or past.beyond is not None else past.y_sim[:0]
-        known, _ = self._known(0, history, u, y_sim, other_record)
-        try:
-            recursion = self.stepped()
-        except NotSteppedError:
-            recursion = Asked(self, past, "simulator" in self.needs, other_record)
-        return Stream(self.name, recursion, recursion.followed(known))
+        return stream_of(self, history, other_record)
 
     @final
     def export(
@@ -473,15 +472,23 @@ class Forecaster(Written, ABC):
         )
         return files
 
-    def stepped(self) -> Recursion:
+    def stepped(self, outside: bool = False) -> Recursion:
         """Return what the fitted forecaster does with each sample, by default that of its `part`.
 
-        Raises NotSteppedError with the reason where `predict` has to be asked.
+        Parameters
+        ----------
+        outside : Whether the output of a simulator of its own comes with each sample, too, as in a
+            program that is exported.
+
+        Raises
+        ------
+        NotSteppedError
+            With the reason where `predict` has to be asked.
         """
         record = self.require_fitted().record
-        return Extrapolated(self.part(), record.ny, record.nu)
+        return Extrapolated(self.part(outside), record.ny, record.nu)
 
-    def part(self) -> Part:
+    def part(self, outside: bool = False) -> Part:
         """Return what the fitted forecaster says sample by sample, by itself or in a hybrid.
 
         Raises NotSteppedError, see `stepped`.

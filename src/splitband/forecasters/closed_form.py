@@ -46,7 +46,7 @@ class Mean(Forecaster):
         """Return the mean."""
         return np.tile(self.level, (known.steps, 1))
 
-    def part(self) -> Part:
+    def part(self, outside: bool = False) -> Part:
         """Return the mean."""
         return Constant(self.level)
 
@@ -73,7 +73,7 @@ class Persistence(Forecaster):
         last = len(known.y) - 1 - measured[::-1].argmax(axis=0)
         return np.tile(np.take_along_axis(known.y, last[None], axis=0), (known.steps, 1))
 
-    def part(self) -> Part:
+    def part(self, outside: bool = False) -> Part:
         """Return the sample that is held."""
         return Held(self.require_fitted().record.ny)
 
@@ -116,7 +116,7 @@ class _ByTime(Forecaster):
         """Return its values, over the history too, `(time + steps, ny)`."""
         return self.baseline.predict(_whole(known.begin), len(known.y) + known.steps)
 
-    def part(self) -> Part:
+    def part(self, outside: bool = False) -> Part:
         """Return the function of time."""
         return InTime(self.baseline.predict)
 
@@ -154,7 +154,7 @@ class SeasonalNaive(_ByTime):
         """Fit `baselines.seasonal`."""
         return LastPeriod.fit(y)
 
-    def part(self) -> Part:
+    def part(self, outside: bool = False) -> Part:
         """Return the period and its trend."""
         baseline = self.baseline
         assert isinstance(baseline, LastPeriod)
@@ -242,7 +242,7 @@ class Linear(Forecaster):
         y = np.full_like(known.y, np.nan) if known.own else known.y  # the fit has told its state
         return self.model.continued(_inputs(known.u), y, before)
 
-    def part(self) -> Part:
+    def part(self, outside: bool = False) -> Part:
         """Return the model's recursion."""
         return Driven(self.model, self.u)
 

@@ -146,9 +146,9 @@ class Ensemble(Forecaster):
         ]
         return {name: np.mean([p[name] for p in parts], axis=0) for name in parts[0]}
 
-    def stepped(self) -> Recursion:
+    def stepped(self, outside: bool = False) -> Recursion:
         """Return the mean of the members."""
-        return Averaged([member.stepped() for member in self.members])
+        return Averaged([member.stepped(outside) for member in self.members])
 
     def doubts(self, known: Known) -> list[str]:
         """Return those of every member."""

@@ -17,6 +17,8 @@ from splitband.data.timing import seconds_of
 from splitband.forecasters.base import AsBase, Forecaster
 from splitband.forecasters.known import Known
 from splitband.forecasters.remembering import Remembered
+from splitband.forecasters.stepping import NotSteppedError, Part, Recursion
+from splitband.forecasters.stepping_simulators import Clock, FromMemory, Given, Integrated
 from splitband.metrics import rmse
 from splitband.simulators.absent import Absent
 from splitband.simulators.adjusted import Adjusted
@@ -198,9 +200,34 @@ class GreyBox(Forecaster):
         state = adjusted.beginning(whole.part(0, len(known.y)))
         return adjusted.response(whole, state)[0]
 
+    def part(self, outside: bool = False) -> Part:
+        """Return the simulator, integrated from the training record's first state on."""
+        if outside:
+            ny = self.require_fitted().record.ny
+            return Given(np.ones(ny), np.zeros(ny), self.trajectory)
+        return self._integrated()
+
+    def stepped(self, outside: bool = False) -> Recursion:
+        """Return the simulator with the state that its `memory` tells."""
+        if outside:
+            raise NotSteppedError(
+                f"{self.name} cannot be exported: its equation is your own code; integrate it "
+                "there, with the values that describe() prints, or export a hybrid on it, whose "
+                "network takes what the equation says as y_sim"
+            )
+        record = self.require_fitted().record
+        return FromMemory(self._integrated(), self.memory, record.ny, record.nu)
+
     def describe(self) -> str:
         """Return the values with their standard errors, and what the record does not tell."""
         return str(self.estimate)
+
+    def _integrated(self) -> Integrated:
+        if not getattr(self.simulator, "advances", False):
+            raise NotSteppedError(f"{self.name} has a simulator that does not go on from its state")
+        fitted = self.require_fitted()
+        clock = Clock(seconds_of(fitted.start), fitted.record.sampling_time, self.u)
+        return Integrated(self.name, self._adjusted(), clock)
 
     def _adjusted(self) -> Adjusted:
         self.require_fitted()

@@ -26,7 +26,7 @@ from splitband.forecasters.beginning import Earlier, LinearPart
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.known import Known
 from splitband.forecasters.remembering import Remembered
-from splitband.forecasters.stepping import NotSteppedError, Part, Recursion, Warmed
+from splitband.forecasters.stepping import NotSteppedError, Recursion, Warmed
 from splitband.models import Model
 from splitband.models.base import with_weights
 from splitband.models.hybrid import FAST, SLOW
@@ -301,13 +301,14 @@ class Network(Forecaster):
         since = len(known.y) - self._start(known)
         return self._labelled({name: part[since:] for name, part in parts.items()})
 
-    def stepped(self) -> Recursion:
+    def stepped(self, outside: bool = False) -> Recursion:
         """Return the recursion of its model, warmed up."""
         try:
             model = self._trained().stepped()
         except ValueError as error:
             raise NotSteppedError(f"{self.name} cannot be stepped: {error}") from None
-        return Warmed(model, self._slow_part(), self.warmup, self.delays)
+        part = None if self.fitted_base is None else self.fitted_base.part(outside)
+        return Warmed(model, part, self.warmup, self.delays)
 
     def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
         """Return what the model's filters are fed with; empty for a model without filters."""
@@ -407,10 +408,6 @@ class Network(Forecaster):
         slow = slow if slow != FAST else "base"
         return {label.replace(SLOW, slow, 1) if label.startswith(SLOW) else label: part
                 for label, part in parts.items()}  # fmt: skip
-
-    def _slow_part(self) -> Part | None:
-        """Return what that is sample by sample; None without any."""
-        return None if self.fitted_base is None else self.fitted_base.part()
 
     def _built(self, record: Record, settings: Settings, seed: int) -> Model:
         """Return the untrained model, its parameters drawn from `seed`."""

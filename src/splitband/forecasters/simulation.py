@@ -16,7 +16,8 @@ from splitband.forecasters.base import AsBase, Forecaster
 from splitband.forecasters.fitted import NEAR_ROW, first_only
 from splitband.forecasters.known import Known
 from splitband.forecasters.remembering import Remembered
-from splitband.forecasters.stepping import Given, NotSteppedError, Part
+from splitband.forecasters.stepping import NotSteppedError, Part
+from splitband.forecasters.stepping_simulators import Given, RunAhead
 from splitband.models.hybrid import SLOW
 from splitband.simulators import Recorded, Simulator, run
 from splitband.simulators.absent import Absent
@@ -183,8 +184,10 @@ class SimulatorForecaster(Forecaster):
         y = self.applied.apply(y_sim, count, step, start, first)
         return np.concatenate([np.full((known.since, y.shape[1]), np.nan), y])
 
-    def part(self) -> Part:
-        """Return the simulator's output, which comes with each sample."""
+    def part(self, outside: bool = False) -> Part:
+        """Return the simulator's output, which comes with each sample or is run ahead."""
+        if self.simulator is not None and not outside:
+            return RunAhead(self.trajectory)
         if not self.applied.stays:
             raise NotSteppedError(
                 f"{self.name} cannot be stepped, as its time is calibrated ({self.applied}); "

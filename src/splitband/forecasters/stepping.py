@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband.data.gaps import last_before
+from splitband.data.preparation import Preparation
 from splitband.forecasters.known import Known
 from splitband.models.stepping import Stepped
 from splitband.runtime.tracing import cond
@@ -39,6 +40,7 @@ class Recursion(ABC):
     ahead : How many samples after the present one a simulator's output is looked at, 0 or 1.
     simulated : Whether a simulator's output is looked at.
     warmup : How many samples in a row have to be measured before a forecast.
+    prepared : What is done to signals as they are measured, and undone.
     """
 
     ny: int
@@ -46,6 +48,7 @@ class Recursion(ABC):
     ahead = 0
     simulated = False
     warmup = 0
+    prepared: Sequence[Preparation] = ()
 
     @abstractmethod
     def initial(self, known: Known | None = None) -> State:
@@ -314,6 +317,44 @@ class Averaged(Recursion):
         return {"members": [member.followed(known) for member in self.members]}
 
 
+class InUnits(Recursion):
+    """Another recursion in the units of signals that were prepared for it, such as detrended.
+
+    Parameters
+    ----------
+    inner : In the units of the prepared signals.
+    prepared : What is done to signals; its times count from the first sample of the history.
+    step : Seconds between two samples.
+    """
+
+    def __init__(self, inner: Recursion, prepared: Sequence[Preparation], step: float) -> None:
+        self.inner, self.prepared, self.step = inner, prepared, step
+        self.ny, self.nu, self.ahead = inner.ny, inner.nu, inner.ahead
+        self.simulated, self.warmup = inner.simulated, inner.warmup
+
+    def initial(self, known: Known | None = None) -> State:
+        """Return the state of the other one, and the number of samples before the next one."""
+        return {"inner": self.inner.initial(known), "samples": np.zeros(())}
+
+    def followed(self, known: Known) -> State:
+        """Return the state after a history, which is prepared."""
+        return {"inner": self.inner.followed(known), "samples": np.array(float(len(known.y)))}
+
+    def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
+        """Prepare the signals of a sample, and undo that on what is predicted."""
+        time = self.step * np.stack([state["samples"] + i for i in range(1 + self.ahead)])
+        rows, inputs = y[None], u[None]
+        for each in self.prepared:
+            rows = each.measured(rows, time[:1])
+            inputs = each.inputs(inputs, time[:1]) if self.nu else inputs
+            y_sim = each.outputs(y_sim, time) if self.simulated else y_sim
+        inner, predicted, able = self.inner.tick(state["inner"], rows[0], inputs[0], y_sim)
+        predicted = predicted[None]
+        for each in reversed(self.prepared):
+            predicted = each.restored(predicted, time[:1])
+        return {"inner": inner, "samples": state["samples"] + 1}, predicted[0], able
+
+
 class Constant(Part):
     """The same value for every sample."""
 
@@ -400,34 +441,3 @@ class Repeated(Part):
         both = np.concatenate([period[:1], following[:1]])[: 1 + ahead]
         values = both + self.trend(state["time"], 1 + ahead)
         return {"time": state["time"] + 1, "period": following}, values[..., None]
-
-
-class Given(Part):
-    """A simulator's output, which comes with each sample.
-
-    Parameters
-    ----------
-    gain, offset : Of its calibration, `(ny,)`.
-    trajectory : The calibrated output over what is known, see `Simulation.trajectory`.
-    """
-
-    simulated = True
-
-    def __init__(self, gain: Array, offset: Array, trajectory: Any) -> None:
-        self.gain, self.offset, self.trajectory = gain, offset, trajectory
-
-    def initial(self, known: Known | None) -> State:
-        """See `Part`."""
-        return {}
-
-    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """See `Part`."""
-        return state, (y_sim[: 1 + ahead] * self.gain + self.offset)[..., None]
-
-    def simulated_over(self, known: Known, ahead: int) -> Array | None:
-        """See `Part`; after the last sample that is known it stands still."""
-        known = replace(known, steps=0)
-        if ahead and known.y_sim is not None and len(known.y_sim) > len(known.y):
-            known = replace(known, steps=ahead)
-        values = (self.trajectory(known) - self.offset) / np.where(self.gain, self.gain, 1.0)
-        return np.concatenate([values, np.repeat(values[-1:], ahead, axis=0)])

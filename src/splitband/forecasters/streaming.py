@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record
+from splitband.data.preparation import seconds
 from splitband.forecasters.known import Known
-from splitband.forecasters.stepping import Recursion, State
+from splitband.forecasters.stepping import InUnits, NotSteppedError, Recursion, State
 from splitband.metrics import ExtrapolationWarning
+
+if TYPE_CHECKING:
+    from splitband.forecasters.base import Forecaster
 
 Array = npt.NDArray[np.float64]
 
@@ -120,6 +124,62 @@ class Stream:
         return signal.reshape(shape)
 
 
+def stream_of(
+    forecaster: Forecaster, history: Record | None = None, other_record: bool = False
+) -> Stream:
+    """Return a fitted forecaster with a state; see `Forecaster.stream`."""
+    try:
+        return _begun(forecaster, forecaster.stepped(), history, other_record)
+    except NotSteppedError:
+        asked = Asked(forecaster, _prepared(forecaster, history), other_record)
+        return _begun(forecaster, asked, history, other_record)
+
+
+def program_of(
+    forecaster: Forecaster, history: Record | None = None
+) -> tuple[Recursion, State | None]:
+    """Return what `Forecaster.export` writes, and its state after a history.
+
+    The state is None where a simulator is not there that has to say what it did until then.
+    """
+    recursion = forecaster.stepped(outside=True)
+    try:
+        stream = _begun(forecaster, recursion, history, False)
+    except ValueError:
+        if not recursion.simulated or history is not None:
+            raise
+        return _in_units(forecaster, recursion, history), None
+    return stream.recursion, stream.state
+
+
+def _prepared(forecaster: Forecaster, history: Record | None) -> Record:
+    record = forecaster.require_fitted().record
+    return record if history is None else history.prepared_as(record)
+
+
+def _begun(
+    forecaster: Forecaster, recursion: Recursion, history: Record | None, other_record: bool
+) -> Stream:
+    """Return a stream after a history."""
+    past = _prepared(forecaster, history)
+    u = None if past.u is None else past.u[:0]
+    y_sim = past.beyond if past.y_sim is None or past.beyond is not None else past.y_sim[:0]
+    own = None if history is None else past
+    known, _ = forecaster._known(0, own, u, y_sim, other_record)
+    recursion = _in_units(forecaster, recursion, history)
+    return Stream(forecaster.name, recursion, recursion.followed(known))
+
+
+def _in_units(forecaster: Forecaster, recursion: Recursion, history: Record | None) -> Recursion:
+    """Return the recursion in the units of a history, without one in those that were measured."""
+    past = _prepared(forecaster, history)
+    prepared = past.prepared
+    if not prepared or (history is not None and history.prepared == prepared):
+        return recursion
+    steps = [each.counted_from(seconds(past)[0]) for each in prepared]
+    return InUnits(recursion, steps, past.sampling_time)
+
+
 class Asked(Recursion):
     """A forecaster that is asked anew for each sample; slower the longer the history is.
 
@@ -127,15 +187,12 @@ class Asked(Recursion):
     ----------
     forecaster : Any that is fitted.
     history : Of which the record goes on.
-    simulated : Whether it needs a simulator's output.
     other_record : See `Forecaster.predict`.
     """
 
-    def __init__(
-        self, forecaster: Any, history: Record, simulated: bool, other_record: bool
-    ) -> None:
+    def __init__(self, forecaster: Forecaster, history: Record, other_record: bool) -> None:
         self.forecaster, self.history, self.other_record = forecaster, history, other_record
-        self.simulated = simulated
+        self.simulated = "simulator" in forecaster.needs
         self.ny, self.nu, self.warmup = history.ny, history.nu, forecaster.warmup
 
     def initial(self, known: Known | None = None) -> State:

@@ -52,8 +52,9 @@ def solve(  # noqa: PLR0912  one loop, for Numba
     time : `(time,)`, in s.
     inputs : `(time, nu)`, and whether they are held between samples; otherwise they run along
         straight lines.
-    control : Steps of each interval, `(time - 1,)`, where 0 is found and filled in; the relative
-        and the absolute tolerance of an interval.
+    control : Steps of each interval, `(time - 1,)`, where 0 is found and filled in, and in the
+        first place less than 0 says how many the interval before has taken; the relative and the
+        absolute tolerance of an interval.
     """
     u, held = inputs
     steps, rtol, atol = control
@@ -63,7 +64,7 @@ def solve(  # noqa: PLR0912  one loop, for Numba
     x, stage, begin = initial.copy(), np.empty(nx), np.empty(nx)
     now = np.empty(nu)
     states[0] = x
-    count = 1
+    count = max(1, -steps[0]) if len(steps) else 1
     for n in range(time.shape[0] - 1):
         width = time[n + 1] - time[n]
         given = steps[n] > 0

@@ -68,13 +68,18 @@ class Adjusted:
             self.simulator.simulate(experiment.time)  # one that must be given says so
         values, first = self._began(state)
         y, x = self.simulator.respond(experiment.time, experiment.u, [(values, first)])[0]
-        if not np.isfinite(y).all():
-            bad = int(np.argmin(np.isfinite(y).all(axis=1)))
-            raise ValueError(
-                f"the simulator must return finite values, got others from {experiment.time[bad]:g}"
-                " s on"
-            )
-        return y, x
+        return _finite(y, experiment.time), x
+
+    def advance(
+        self, state: Any, time: Array, u: Array | None, taken: int = 0
+    ) -> tuple[Array, Array, int]:
+        """Return channels, states, and what the next call is told as `taken`; see `Ode.advance`.
+
+        Raises ValueError where the run fails.
+        """
+        state = self.simulator.initial(self.values) if state is None else state
+        y, x, taken = self.simulator.advance(self.values, state, time, u, taken)
+        return _finite(y, time), x, taken
 
     def beginning(self, history: Experiment) -> Array | None:
         """Return the state in which a history begins, which fits it best; None where it has none.
@@ -138,6 +143,16 @@ class Adjusted:
         told = np.nan_to_num((y - history.y) / self.noise, nan=BAD, posinf=BAD, neginf=-BAD)
         told = np.where(np.isnan(history.y), 0.0, np.clip(told, -BAD, BAD))
         return np.concatenate([told.ravel(), (state - mean) / spread])
+
+
+def _finite(y: Array, time: Array) -> Array:
+    """Return the channels; raises ValueError for what is not finite."""
+    if not np.isfinite(y).all():
+        bad = int(np.argmin(np.isfinite(y).all(axis=1)))
+        raise ValueError(
+            f"the simulator must return finite values, got others from {time[bad]:g} s on"
+        )
+    return y
 
 
 def _deviation(experiments: Sequence[Experiment]) -> Array:

@@ -101,7 +101,7 @@ class Ode(UserCode):
         if self.driven:
             y, _ = self.respond(time, None, [(self.known.middle(), None)])[0]
             return y
-        x = self._scipy(self._plain, np.asarray(time, float), self._initial(self.known.middle()))
+        x = self._scipy(self._plain, np.asarray(time, float), self.initial(self.known.middle()))
         return self._observed(x, np.empty((len(time), 0)), self.known.middle())
 
     def respond(
@@ -119,10 +119,33 @@ class Ode(UserCode):
         steps = np.zeros(max(len(time) - 1, 0), dtype=np.int64)
         found = []
         for values, state in points:
-            initial = self._initial(values) if state is None else np.array(state, dtype=float)
+            initial = self.initial(values) if state is None else np.array(state, dtype=float)
             x = self._solved(values, initial, time, inputs, steps)
             found.append((self._observed(x, inputs, values), x))
         return found
+
+    @property
+    def advances(self) -> bool:
+        """Return whether `advance` goes on as one long solution does, but for rounding."""
+        return self.method == "RK45"
+
+    def advance(
+        self, values: Mapping[str, float], state: Array, time: Array, u: Array | None, taken: int
+    ) -> tuple[Array, Array, int]:
+        """Return channels and states at `time`, and the steps that the last interval took.
+
+        Parameters
+        ----------
+        values : Of the parameters.
+        state : At the first of two times or more, `(nx,)`.
+        time, u : See `respond`.
+        taken : Steps of the interval before; 0 without one.
+        """
+        inputs = np.empty((len(time), 0)) if u is None else np.ascontiguousarray(u, dtype=float)
+        steps = np.zeros(len(time) - 1, dtype=np.int64)
+        steps[0] = -taken
+        x = self._solved(values, np.array(state, dtype=float), time, inputs, steps)
+        return self._observed(x, inputs, values), x, int(steps[-1])
 
     def fingerprint(self) -> str | None:
         """Return the cache key: the key, the parameters and the solver's settings."""
@@ -156,7 +179,8 @@ class Ode(UserCode):
     def _p(self, values: Mapping[str, float]) -> Any:
         return self._named(*(float(values[name]) for name in self._named._fields))
 
-    def _initial(self, values: Mapping[str, float]) -> Array:
+    def initial(self, values: Mapping[str, float]) -> Array:
+        """Return the state at the record's first sample."""
         x0 = np.atleast_1d(np.array(self.x0, dtype=float))
         return np.array([values.get(name, x) for name, x in zip(self._states, x0, strict=True)])
 

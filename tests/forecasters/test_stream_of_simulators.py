@@ -1,0 +1,187 @@
+"""A stream runs a simulator of its own, and takes samples as they are measured."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import splitband as sb
+from splitband.forecasters.streaming import Asked
+from tests.streams import BANDS, SHORT, driven, free, in_double
+
+Array = npt.NDArray[np.float64]
+TRAIN, SEEN, END = 150, 190, 240
+
+pytestmark = pytest.mark.filterwarnings("ignore::splitband.ExtrapolationWarning")
+
+
+def stiffening(t: float, x: Any, u: Any, p: Any) -> list[float]:
+    return [x[1], p.k * (u[0] - x[0] - 0.3 * x[0] ** 3) - p.c * x[1]]
+
+
+def swinging(t: float, x: Any, u: Any, p: Any) -> list[float]:
+    return [x[1], -p.k * np.sin(x[0])]
+
+
+def rig() -> sb.Ode:
+    return sb.Ode(stiffening, [0.1, 0.0], parameters={"k": (1.0, 9.0), "c": (0.1, 2.0)})
+
+
+def shaken(start: float | None = None) -> sb.Record:
+    """A spring that stiffens, by the plain Runge-Kutta method, with noise."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.normal(size=26), 10)[:, None]
+    x, y = np.array([0.2, 0.0]), np.empty(260)
+    for n in range(260):
+        y[n] = x[0]
+        for _ in range(50):
+            x = x + 0.002 * np.array([x[1], 4 * (u[n, 0] - x[0] - 0.3 * x[0] ** 3) - 0.5 * x[1]])
+    return sb.Record(y + rng.normal(0, 0.01, 260), 0.1, u=u, start=start)
+
+
+MODELS: dict[str, Any] = {
+    "grey box": lambda: sb.GreyBox(rig(), starts=2),
+    "residual": lambda: sb.Residual(rig(), sb.GRU(4), conditioned=True, settings=SHORT),
+    "filtered": lambda: sb.Filtered(rig(), sb.GRU(4), BANDS, settings=SHORT),
+    "ensemble": lambda: sb.Ensemble(sb.GreyBox(rig(), starts=2), 2),
+}
+
+
+def from_origin(model: sb.Forecaster, record: sb.Record, **options: Any) -> tuple[Array, Array]:
+    """What a stream says after the samples up to `SEEN`, and what `predict` says."""
+    u = record.u
+    stream = model.stream(record[: SEEN - 20], **options)
+    assert not isinstance(stream.recursion, Asked)
+    for n in range(SEEN - 20, SEEN):
+        stream.observe(record.y[n], None if u is None else u[n])
+    copied = stream.copy()
+    said = [stream.step(None if u is None else u[n]) for n in range(SEEN, END)]
+    copied.step(None if u is None else u[SEEN])  # two of them do not disturb each other
+    # Longer, as slopes and splines end differently.
+    ahead = None if u is None else u[SEEN : END + 20]
+    wanted = model.predict(END - SEEN + 20, record[:SEEN], ahead, **options)
+    return np.stack(said), wanted.y[: END - SEEN]
+
+
+@pytest.mark.parametrize("kind", MODELS)
+@pytest.mark.parametrize("memory", [0, 30])
+def test_a_grey_box_is_integrated_sample_by_sample(kind: str, memory: int) -> None:
+    record = shaken(start=3.0)
+    assert record.u is not None
+    model = MODELS[kind]().fit(record[:TRAIN], seed=1)
+    in_double(model)
+    for each in (model, *getattr(model, "members", [])):
+        if isinstance(each, sb.GreyBox):
+            each.memory = memory
+    found, wanted = from_origin(model, record)
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+    stream = model.stream()
+    found = np.stack([stream.step(u) for u in record.u[TRAIN:END]])
+    np.testing.assert_allclose(found, model.predict(90, u=record.u[TRAIN:END]).y, atol=1e-9)
+
+
+def test_the_state_of_another_record_is_told_by_its_last_samples() -> None:
+    model = sb.GreyBox(rig(), starts=2).fit(shaken()[:TRAIN])
+    model.memory = 30
+    record = shaken(start=7.0)
+    found, wanted = from_origin(model, record, other_record=True)
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+    # Where all samples tell it, each forecast asks for all of them.
+    model.memory = 0
+    stream = model.stream(record[:SEEN], other_record=True)
+    assert record.u is not None
+    found = stream.step(record.u[SEEN])
+    np.testing.assert_allclose(found, model.predict(1, record[:SEEN], other_record=True).y[0])
+
+
+def test_a_gap_begins_a_forecast_anew() -> None:
+    record = shaken()
+    model = sb.GreyBox(rig(), starts=2).fit(record[:TRAIN])
+    model.memory = 30
+    y = record.y.copy()
+    y[170:180] = np.nan
+    assert record.u is not None
+    stream = model.stream(record[:160])
+    for n in range(160, SEEN):
+        stream.observe(y[n], record.u[n])
+    gaps = sb.Record.with_gaps(y[:SEEN], 0.1, u=record.u[:SEEN])
+    found = np.stack([stream.step(u) for u in record.u[SEEN:END]])
+    wanted = model.predict(END - SEEN, gaps, record.u[SEEN:END]).y
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+
+
+def test_an_equation_without_inputs_is_integrated_too() -> None:
+    time = 0.1 * np.arange(260)
+    record = sb.Record(np.cos(1.9 * time) + 0.2 * np.sin(7 * time), 0.1)
+    pendulum = sb.Ode(swinging, [1.0, 0.0], parameters={"k": (1.0, 9.0)})
+    model = sb.Residual(pendulum, sb.GRU(4), conditioned=True, settings=SHORT).fit(record[:TRAIN])
+    in_double(model)
+    found, wanted = from_origin(model, record)
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+
+
+@pytest.mark.parametrize("terms", [None, ["gain", "offset"], ["delay"]])
+def test_a_function_is_run_ahead(terms: Any) -> None:
+    record = free()
+    simulator: Any = sb.Function(np.sin)
+    slow = sb.Simulation(simulator) if terms is None else sb.Calibrated(simulator, terms)
+    model = sb.Filtered(slow, sb.GRU(4), BANDS, conditioned=True, settings=SHORT)
+    model.fit(record[:TRAIN])
+    in_double(model)
+    found, wanted = from_origin(model, record)
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+    with pytest.raises(ValueError, match="y_sim must be left out"):
+        model.stream().step(y_sim=1.0)
+
+
+def test_a_step_response_integrates_the_equation() -> None:
+    record = shaken()
+    model = sb.Residual(rig(), sb.GRU(4), settings=SHORT).fit(record[:TRAIN])
+    grey = sb.GreyBox(rig(), starts=2).fit(record[:TRAIN])
+    found = grey.step_responses(300, at=[0.0], size=[1e-3]).y[-1, 0, 0]
+    assert found == pytest.approx(1.0, abs=1e-3)  # x = u where both are small
+    assert np.isfinite(model.step_responses(50).y).all()
+
+
+@pytest.mark.parametrize(("order", "start"), [(0, None), (0, 40.0), (1, 40.0)])
+def test_samples_are_those_that_are_measured(order: int, start: float | None) -> None:
+    """Where a record was detrended and clipped, a stream does that, and undoes it."""
+    made = driven()
+    assert made.u is not None
+    slope = np.linspace(0, 9, len(made))[:, None]
+    raw = sb.Record(made.y + 5 + slope, 0.1, u=made.u - 3, start=start)
+    record = raw.detrend(order).clip_outliers(2.0)
+    for model in (sb.Linear(), sb.Single(sb.GRU(4), SHORT)):
+        model.fit(record[:TRAIN], seed=1)
+        in_double(model)
+        found, wanted = from_origin(model, raw)
+        np.testing.assert_allclose(found, wanted, atol=1e-9)
+        # After a history that was prepared, samples are prepared ones, as those of `predict`.
+        found, wanted = from_origin(model, record)
+        np.testing.assert_allclose(found, wanted, atol=1e-9)
+        # Without a history it goes on from the training record, in the units of what is measured.
+        assert raw.u is not None
+        assert record.u is not None
+        stream = model.stream()
+        found = np.stack([stream.step(u) for u in raw.u[TRAIN:END]])
+        own = model.predict(END - TRAIN, u=record.u[TRAIN:END])
+        time = (start or 0.0) + 0.1 * np.arange(TRAIN, END)
+        np.testing.assert_allclose(found, own.restored(record.prepared, time).y, atol=1e-9)
+
+
+def test_a_saved_model_knows_when_its_samples_were(tmp_path: Any) -> None:
+    made = free()
+    raw = sb.Record(made.y + np.linspace(0, 30, len(made))[:, None], 0.1, start=1e9)
+    model = sb.Single(sb.GRU(4), SHORT).fit(raw.detrend(1)[:TRAIN], seed=1)
+    model.save(tmp_path / "model")
+    found = sb.load(tmp_path / "model").stream().step()
+    np.testing.assert_allclose(found, model.stream(raw[:TRAIN]).step(), atol=1e-6)
+
+
+def test_a_resampled_model_takes_samples_of_its_step() -> None:
+    raw = free()
+    model = sb.Persistence().fit(raw.resample(0.2)[:60])
+    stream = model.stream(raw[:120])
+    stream.observe(3.0)
+    assert stream.step() == 3.0
