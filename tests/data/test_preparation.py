@@ -117,3 +117,7 @@ def test_results_show_themselves_in_notebooks() -> None:
     prediction = sb.Mean().fit(record()).predict(5, u=U[:5])
     assert repr(prediction).startswith("<Prediction of y: 65 s to 65.4 s")
     assert "<table" in prediction._repr_html_()
+    forecast = sb.forecast(sb.Record(X, DT), 5, [sb.Mean()])
+    assert repr(forecast).startswith("<Forecast of 5 samples after <Record")
+    assert repr(forecast).endswith(", by mean>")
+    assert "<table" in forecast._repr_html_()

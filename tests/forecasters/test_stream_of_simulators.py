@@ -166,7 +166,7 @@ def test_samples_are_those_that_are_measured(order: int, start: float | None) ->
         stream = model.stream()
         found = np.stack([stream.step(u) for u in raw.u[TRAIN:END]])
         own = model.predict(END - TRAIN, u=record.u[TRAIN:END])
-        time = (start or 0.0) + 0.1 * np.arange(TRAIN, END)
+        time = (start or 0.0) + 0.1 * np.arange(TRAIN, END, dtype=np.float64)
         np.testing.assert_allclose(found, own.restored(record.prepared, time).y, atol=1e-9)
 
 
