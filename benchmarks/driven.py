@@ -1,5 +1,8 @@
 """Driven nonlinear systems, drawn from seeds: a training record and a test record of each.
 
+`python -m benchmarks.driven` compares what is recommended with the GRU alone, both with the same
+work, and writes docs/benchmarks/driven.json: errors on the test record, as shares of its deviation.
+
 Constants of the package are chosen on the seeds in `kinds.DEVELOPMENT`, and judged by those in
 `kinds.REPORTED`. Parameters differ by up to 30 % from seed to seed. The input is held from one
 sample to the next; the test record is another draw of it, and has no noise.
@@ -7,8 +10,11 @@ sample to the next; the test record is another draw of it, and has no noise.
 
 from __future__ import annotations
 
+import argparse
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -16,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+import splitband as sb
 from splitband.data import Record
 
 Array = npt.NDArray[np.float64]
@@ -165,3 +172,41 @@ def drawn(name: str, seed: int, samples: int, tested: int = 2000) -> tuple[Recor
         seen = y + noise * y.std() * rng.standard_normal(length)
         records.append(Record(seen, system.step, u=u, name=name))
     return records[0], records[1]
+
+
+def measured(name: str, seed: int, samples: int, work: float) -> dict[str, Any]:
+    """Compare the default methods on a record, then the GRU alone; return the test errors."""
+    record, test = drawn(name, seed, samples)
+    setup = sb.Options(search=sb.Search(work))
+    found = {}
+    for label, methods in (("default", None), ("gru", ["gru"])):
+        result = sb.compare(record, methods=methods, tests=[test], setup=setup)
+        errors = {
+            n: of.errors.tests[0] / test.y.std() for n, of in result.means.items() if of.tests
+        }
+        found[label] = errors | {"recommended": result.recommended}
+    best = found["default"][found["default"]["recommended"]]
+    print(name, seed, samples, found["default"]["recommended"], f"{best:.4f}",
+          f"GRU {found['gru']['gru']:.4f}", flush=True)  # fmt: skip
+    return {"seed": seed, "samples": samples, "work": work, **found}
+
+
+def main() -> None:
+    """Measure some systems, one record after the other."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--systems", nargs="*", default=[*SYSTEMS], choices=[*SYSTEMS])
+    parser.add_argument("--seeds", nargs="*", type=int, default=[1000, 1001])
+    parser.add_argument("--samples", type=int, default=400)
+    parser.add_argument("--work", type=float, default=240.0, help="seconds of a reference core")
+    parser.add_argument("--out", type=Path, default=Path("docs/benchmarks/driven.json"))
+    given = parser.parse_args()
+    for name in given.systems:
+        for seed in given.seeds:
+            found = json.loads(given.out.read_text()) if given.out.exists() else {}
+            facts = measured(name, seed, given.samples, given.work)
+            found.setdefault(name, []).append(facts)
+            given.out.write_text(json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
