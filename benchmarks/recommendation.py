@@ -147,7 +147,6 @@ def _method(trial: Trial, method: str, errors: Array) -> Facts:
     interval = trial.intervals[method]
     return {
         "held_out": float(np.linalg.norm(trial.errors[method])),
-        "change": float(np.linalg.norm(trial.change(method))),
         "inside": interval.coverage(errors),
         "width": _width(interval, errors),
     }

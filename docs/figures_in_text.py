@@ -119,14 +119,13 @@ def drill_string() -> dict[str, dict[str, float]]:
 def drill_string_table() -> str:
     """Return the table of README.md, the recommended method's errors in bold."""
     rows = [
-        "| method | held out | changed | from the start | forecast | in interval | |",
-        "|---|---:|---:|---:|---:|---:|---|",
+        "| method | held out | from the start | forecast | in interval | |",
+        "|---|---:|---:|---:|---:|---|",
     ]
     recommended = _read("results/drill-string")["recommended"]
     for name, facts in _methods("results/drill-string").items():
         best = name == recommended
         errors = [_bold(f"{facts['held_out_rmse']:.3f}", best)]
-        errors += [f"{facts['change']:.3f}" if facts["change"] else "0"]
         for key, error in drill_string()[name].items():
             deviation = facts.get(f"{key}_std")
             spread = "" if deviation is None else f" ± {deviation:.3f}"
@@ -185,7 +184,6 @@ def reliability() -> dict[str, Any]:
         for name in ("recommendation", "recommendation-default")
     )
     kinds = {facts["kind"]: facts for facts in found}
-    others = [facts for facts in found if facts["kind"] not in ("trend", "decay")]
     networks = [[f for name, f in facts["methods"].items() if name not in QUICK] for facts in found]
     every = [facts["inside"] for of_record in networks for facts in of_record]
     best = [min(of, key=lambda facts: float(facts["held_out"]))["inside"] for of in networks]
@@ -193,12 +191,10 @@ def reliability() -> dict[str, Any]:
     return {
         "baselines": _regret(baselines),
         "networks": _regret(found),
-        "others": _regret(others),
         "over_baselines": {
             "mean": statistics.geometric_mean(facts["over_baselines"] for facts in found),
             **{kind: facts["over_baselines"] for kind, facts in kinds.items()},
         },
-        "duffing": kinds["duffing, driven"] | {"best": _best(kinds["duffing, driven"])},
         "worst": worst | {"best": _best(worst)},
         "intervals": {
             "networks": len(every),
@@ -209,11 +205,11 @@ def reliability() -> dict[str, Any]:
 
 
 def _regret(found: list[dict[str, Any]]) -> dict[str, float]:
-    regret, alone = (
+    regret, by_change = (
         statistics.geometric_mean(facts[key] for facts in found)
-        for key in ("regret", "regret_by_held_out_alone")
+        for key in ("regret_by_held_out_alone", "regret")
     )
-    return {"records": len(found), "regret": regret, "by_held_out_alone": alone}
+    return {"records": len(found), "regret": regret, "by_change": by_change}
 
 
 def _best(facts: dict[str, Any]) -> str:

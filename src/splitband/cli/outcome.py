@@ -26,7 +26,7 @@ def show(result: Comparison, out: Path, used: Usage) -> None:
     }
     showing.methods(_title(record, setup), columns(result), said, best)
     showing.console.print(timing.in_words(result.time))
-    why = words.why(trial, setup.train, len(record) - setup.train)
+    why = words.why(trial, setup.train)
     showing.console.print(f"\nrecommended: {best}. {' '.join(why)}")
     if result.left_out:
         showing.console.print(

@@ -38,7 +38,7 @@ MOST_TRIAL_SEEDS = 2
 WORTH_TRAINING = 0.1
 """By how much a network's score must be lower than that of what needs no training."""
 CHANGE_COUNTS, NETWORK_CHANGE_COUNTS = 0.5, 1.0
-"""How much of a forecast's mean squared change is taken as its error: two forecasts that have
+"""How much of a forecast's mean squared change widens its interval: two forecasts that have
 independent errors of the same size differ by twice the mean square of either. Errors of networks
 are not independent: what the first one misses, the second one partly misses, too."""
 
@@ -115,25 +115,14 @@ class Trial:
             held_out={**self.held_out, **other.held_out},
         )
 
-    def change(self, method: str) -> tuple[float, ...]:
-        """Return the RMSE between a method's early forecasts and its final one, by channel."""
-        final = self.final[method]
-        if not len(final):
-            return (0.0,) * len(self.scale)
-        return channel_errors([final - y for y in self.early[method]])
-
     @property
     def recommended(self) -> str:
-        """The method whose early forecasts were least wrong; a network's by `WORTH_TRAINING`.
+        """The method with the lowest held-out error; a network needs `WORTH_TRAINING` to win.
 
-        The score is the error on the held-out part. For later samples the error is not known, only
-        how much the forecast changed when the held-out part was learned from, too. A change no
-        larger than the score is to be expected; a larger one shows that early forecasts were worse
-        there. So the larger of the two counts, the change weighted by `CHANGE_COUNTS` or
-        `NETWORK_CHANGE_COUNTS`.
-
-        A network must be better by `WORTH_TRAINING`: of two methods that do equally well on a short
-        held-out part, the simpler one is less likely to fail later.
+        Of two methods that do equally well on a short held-out part, the simpler one is less likely
+        to fail later. What was also tried: to count how much a forecast changes once the held-out
+        part is learned from. It is 1 % better among baselines (120 records), 9 % worse with
+        networks (22 records), and 2 % better on the systems of the paper; so it is left out.
         """
         names = [*(self.final or self.scores)]
         able = [name for name in names if name not in self.left_out]
@@ -147,14 +136,10 @@ class Trial:
 
     def worth(self, method: str) -> float:
         """Return what methods are compared by, see `recommended`: the lower the better."""
-        change = 0.0
-        if len(final := self.final.get(method, ())):
-            change = root_mean_square([(final - y) / self.scale for y in self.early[method]])
-        needed = 1 + WORTH_TRAINING if method in self.trained else 1.0
-        return max(self.scores[method], float(np.sqrt(self._counts(method))) * change) * needed
+        return self.scores[method] * (1 + WORTH_TRAINING if method in self.trained else 1.0)
 
     def _counts(self, method: str) -> float:
-        """How much of a method's mean squared change is taken as its error."""
+        """How much of a method's mean squared change widens its interval."""
         return NETWORK_CHANGE_COUNTS if method in self.trained else CHANGE_COUNTS
 
 

@@ -127,7 +127,6 @@ def results(comparison: Comparison) -> dict[str, Any]:
             | {
                 "score": trial.worth(name),
                 "held_out_rmse": math.hypot(*trial.errors[name]),
-                "change": math.hypot(*trial.change(name)),
                 "interval": _interval(comparison, name),
                 "mean_of_seeds": _mean(comparison, name),
             }
@@ -197,7 +196,6 @@ def forecast_facts(result: Forecast) -> dict[str, Any]:
         "table": [c.as_json() for c in tried(trial, record, [*trial.errors])],
         "held_out_rmse": {name: math.hypot(*each) for name, each in trial.errors.items()},
         "failed": dict(trial.failed),
-        "change": {name: math.hypot(*trial.change(name)) for name in trial.final},
         "interval": asdict(trial.intervals[result.method]),
         "seeds": [*result.seeds],
         "environment": environment(),

@@ -17,13 +17,7 @@ import pandas as pd
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.protocols import Run, by_channel, fit_by_channel
-from splitband.evaluation.selection import (
-    CHANGE_COUNTS,
-    LEVEL,
-    NETWORK_CHANGE_COUNTS,
-    WORTH_TRAINING,
-    Trial,
-)
+from splitband.evaluation.selection import LEVEL, WORTH_TRAINING, Trial
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import leaving
 from splitband.report.numbers import aligned, decimals, number, percent
@@ -41,17 +35,14 @@ NOTES = {
     "test RMSE": "root mean squared error of the simulation of this test record",
     "forecast RMSE": "root mean squared error of the forecast from the end of the training part",
     "score": "what the recommendation goes by: the lowest. It is the held-out RMSE in standard "
-    "deviations (of several outputs the root of the sum of squares) or, where that is larger, "
-    f"{CHANGE_COUNTS**0.5:.2g} times the change, of a network {NETWORK_CHANGE_COUNTS**0.5:.2g} "
-    f"times; a network's is raised by {WORTH_TRAINING:.0%}",
+    "deviations, of several outputs the root of the sum of squares; a network's is raised by "
+    f"{WORTH_TRAINING:.0%}",
     "in interval": f"share of the measured samples in the forecast's interval; {LEVEL:.0%} is "
     "right",
     "held-out RMSE": "of forecasts of the last quarter of the training part by fits to the rest",
     "RMSE from the start": "of the simulation from the first samples to the end of the record",
     "fit % from the start": "of the same simulation",
     "fit (s)": "seconds of one fit, mean over the seeds",
-    "change": "RMSE between the forecast and those of the fits to less of the training part; it "
-    "should not be above the held-out RMSE",
     "seeds": "trainings, whose predictions are averaged; after ±: the standard deviation of the "
     "errors of single seeds",
 }
@@ -155,7 +146,7 @@ def columns(comparison: Comparison) -> list[Column]:
     if ahead:
         headings = "forecast fit %", "forecast RMSE"
         found += _errors(comparison, headings, record, lambda run: run.forecast)
-    found += [] if comparison.trial is None else tried(comparison.trial, record, [*runs], ahead)
+    found += [] if comparison.trial is None else tried(comparison.trial, record, [*runs])
     headings = "fit % from the start", "RMSE from the start"
     found += _errors(comparison, headings, record, lambda run: run.from_start)
     if ahead and comparison.trial is not None:
@@ -177,20 +168,11 @@ def ordered(trial: Trial | None, methods: Iterable[str]) -> list[str]:
     return sorted(methods, key=lambda name: (name in trial.left_out, trial.worth(name)))
 
 
-def tried(trial: Trial, record: Record, methods: Sequence[str], ahead: bool = True) -> list[Column]:
-    """Return the columns of what a trial has found: score, held-out error and change.
-
-    Only a forecast of what lies `ahead` of the training part can change.
-    """
-    settled = [name for name in methods if name in trial.final]
-    scores = {name: trial.worth(name) for name in settled}
-    found = [Column("score", "deviation", scores)]
-    found += _by_channel("held-out RMSE", {m: trial.errors[m] for m in methods}, record)
-    if ahead:
-        changes = {name: trial.change(name) for name in settled}
-        changed = _by_channel("change", changes, record)
-        found += [replace(column, ranked=False) for column in changed]
-    return found
+def tried(trial: Trial, record: Record, methods: Sequence[str]) -> list[Column]:
+    """Return the columns of what a trial has found: score and held-out error."""
+    scores = {name: trial.worth(name) for name in methods if name in trial.final}
+    held_out = {name: trial.errors[name] for name in methods}
+    return [Column("score", "deviation", scores), *_by_channel("held-out RMSE", held_out, record)]
 
 
 def remarks(comparison: Comparison) -> dict[str, str]:

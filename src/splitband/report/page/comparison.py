@@ -37,7 +37,7 @@ def page(comparison: Comparison, used: Usage) -> Page:
     if comparison.predictions:
         first = max(train - (len(record) - train) // BEFORE, 0)
         frame.x_range.update(start=frame.axis.values[first], end=frame.axis.values[-1])
-    why = words.why(trial, train, len(record) - train)
+    why = words.why(trial, train)
     sections = [
         _answer(comparison, styles, used),
         Section("methods", "All methods", [" ".join(why)], tables=[tables.methods(comparison)]),

@@ -20,7 +20,7 @@ def page(result: Forecast, used: Usage) -> Page:
     record, steps = result.record, len(result.prediction)
     styles = method_styles(ordered(result.trial, result.trial.errors), result.trial)
     ahead = Ahead(record, len(record), result.prediction, styles.of(result.method), "forecast")
-    why = words.why(result.trial, len(record), steps)
+    why = words.why(result.trial, len(record))
     sections = [
         _answer(result, ahead.plots(), used),
         Section("methods", "What was tried", [" ".join(why)],

@@ -52,7 +52,7 @@ def headline(comparison: Comparison) -> list[tuple[str, str]]:
     return found
 
 
-def why(trial: Trial, train: int, ahead: int) -> list[str]:
+def why(trial: Trial, train: int) -> list[str]:
     """Return why a method is recommended, in sentences; what was chosen by, if anything was."""
     best = trial.recommended
     settled = [name for name in trial.errors if name in trial.final]
@@ -73,11 +73,6 @@ def why(trial: Trial, train: int, ahead: int) -> list[str]:
         f"The score uses the {train:,} training samples alone: every method was trained on the "
         f"first {percent(1 - HELD_OUT)} of them and predicted the rest."
     )
-    if ahead:
-        words.append(
-            "Then it was trained on all of them. If that changed its forecast by more than the "
-            "held-out error explains, the change is its score."
-        )
     if trial.trained and set(trial.errors) - trial.trained:
         words.append(f"A network's score is raised by {percent(WORTH_TRAINING)}.")
     return words
