@@ -6,7 +6,7 @@ training samples in closed form, and predicts by time index, which counts from t
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,10 @@ FARTHEST_BACK = 10 * LONGEST
 
 class ByTime(Protocol):
     """Define the interface of closed-form fits: functions of time from the first fitted sample."""
+
+    @classmethod
+    def fit(cls, y: Array) -> Self:
+        """Fit to measured samples `(time, ny)`, NaN in gaps."""
 
     def predict(self, start: float, steps: int) -> Array:
         """Return the samples `start`..`start + steps - 1`, counted from there, `(steps, ny)`."""

@@ -11,7 +11,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self, final
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, Unpack, final
 
 import numpy as np
 import numpy.typing as npt
@@ -72,6 +72,14 @@ class AsBase:
     described: bool = True
 
 
+class Training(TypedDict):
+    """Say how `Forecaster.learn` is to go about it: `seed`, `progress`, `checkpoint` of `fit`."""
+
+    seed: int
+    progress: Callable[[Progress], None] | None
+    checkpoint: Checkpoint | None
+
+
 class Forecaster(Written, ABC):
     """Predict what follows a record: a network, a simulator, a baseline, a mean of several.
 
@@ -86,11 +94,15 @@ class Forecaster(Written, ABC):
     delays : By how many samples each input acts late, as found in training; empty where that is
         not asked.
     held_out : How well copies of it forecast known samples, once an interval has been asked for.
+    words : What it is, where that is the same for all of its class; see `in_words`.
+    slow_part : What it is as a hybrid's slow part, likewise; see `as_base`.
     """
 
     fitted: Fitted | None = None
     delays: tuple[int, ...] = ()
     held_out: HeldOut | None = None
+    words: ClassVar[str] = ""
+    slow_part: ClassVar[str] = ""
 
     @property
     @abstractmethod
@@ -143,7 +155,7 @@ class Forecaster(Written, ABC):
     @property
     def as_base(self) -> AsBase:
         """Return what a hybrid says of it where it holds the slow part."""
-        return AsBase(self.name, before=f"-{self.name}")
+        return AsBase(self.name, before=f"-{self.name}", words=self.slow_part)
 
     @property
     def warmup(self) -> int:
@@ -154,16 +166,14 @@ class Forecaster(Written, ABC):
     def extrapolate(self, known: Known) -> Array | dict[str, Array]:
         """Return what comes after `known.y`, `(steps, ny)`, or its parts by name."""
 
-    def learn(
-        self,
-        records: Sequence[Record],
-        *,
-        seed: int,
-        progress: Callable[[Progress], None] | None,
-        checkpoint: Checkpoint | None,
-    ) -> None:
-        """Fit to the records; see `fit`. By default there is nothing to learn."""
-        return
+    def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
+        """Fit to the records; by default there is nothing to learn.
+
+        Parameters
+        ----------
+        records : The training records.
+        how : See `Training`; what needs none of it takes `**_`.
+        """
 
     def trajectory(self, known: Known) -> Array:
         """Return what it says of the history and of what comes after, `(time + steps, ny)`.
@@ -184,7 +194,7 @@ class Forecaster(Written, ABC):
 
     def in_words(self) -> str:
         """Return what it is, in words that follow "is"; empty where nothing is known."""
-        return ""
+        return self.words
 
     def describe(self) -> str:
         """Return what the fit has settled on, in a few words for a table."""

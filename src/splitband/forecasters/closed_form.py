@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib import import_module
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +17,7 @@ from splitband.baselines.naive import ByTime
 from splitband.baselines.periodic import PeriodicRegression
 from splitband.baselines.seasonal import LastPeriod
 from splitband.data import Record
-from splitband.forecasters.base import AsBase, Forecaster
+from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import first_only
 from splitband.forecasters.known import Known
 from splitband.forecasters.stepping import Constant, Held, InTime, Part, Repeated
@@ -50,9 +49,7 @@ class Mean(Forecaster):
         """Return the mean."""
         return Constant(self.level)
 
-    def in_words(self) -> str:
-        """Return what it is."""
-        return "mean of the training samples"
+    words = "mean of the training samples"
 
     def describe(self) -> str:
         """Return what it is."""
@@ -77,9 +74,7 @@ class Persistence(Forecaster):
         """Return the sample that is held."""
         return Held(self.require_fitted().record.ny)
 
-    def in_words(self) -> str:
-        """Return what it is."""
-        return "last measured value, held"
+    words = "last measured value, held"
 
     def describe(self) -> str:
         """Return what it is."""
@@ -93,19 +88,14 @@ class _ByTime(Forecaster):
     error: Array
     """RMSE of each channel in training, `(ny,)`."""
 
-    @abstractmethod
-    def fit_to(self, y: Array) -> ByTime:
-        """Fit to measured samples `(time, ny)`, NaN in gaps."""
-
-    @property
-    def anchored(self) -> bool:
-        """Return True."""
-        return True
+    fits: ClassVar[type[ByTime]]
+    """What is fitted."""
+    anchored = True
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Fit the function to the first of several records."""
         seen = records[0].seen
-        self.baseline = self.fit_to(seen)
+        self.baseline = self.fits.fit(seen)
         self.error = _rmse_of_channels(seen - self.baseline.predict(0, len(seen)))
 
     def extrapolate(self, known: Known) -> Array:
@@ -145,20 +135,14 @@ class SeasonalNaive(_ByTime):
     """Repeat the last period, on top of a trend where there is one."""
 
     name = "seasonal-naive"
+    baseline: LastPeriod
 
-    def in_words(self) -> str:
-        """Return what it is."""
-        return "last period, repeated"
-
-    def fit_to(self, y: Array) -> ByTime:
-        """Fit `baselines.seasonal`."""
-        return LastPeriod.fit(y)
+    words = "last period, repeated"
+    fits = LastPeriod
 
     def part(self, outside: bool = False) -> Part:
         """Return the period and its trend."""
-        baseline = self.baseline
-        assert isinstance(baseline, LastPeriod)
-        return Repeated(baseline.period, baseline.end, baseline.trend)
+        return Repeated(self.baseline.period, self.baseline.end, self.baseline.trend)
 
 
 @final
@@ -167,18 +151,9 @@ class Harmonic(_ByTime):
 
     name = "harmonic"
 
-    @property
-    def as_base(self) -> AsBase:
-        """Return what a hybrid says of it."""
-        return replace(super().as_base, words="sinusoids")
-
-    def in_words(self) -> str:
-        """Return what it is."""
-        return "sinusoids and a trend, fitted"
-
-    def fit_to(self, y: Array) -> ByTime:
-        """Fit `baselines.harmonic`."""
-        return HarmonicRegression.fit(y)
+    slow_part = "sinusoids"
+    words = "sinusoids and a trend, fitted"
+    fits = HarmonicRegression
 
 
 @final
@@ -187,18 +162,9 @@ class Periodic(_ByTime):
 
     name = "periodic"
 
-    @property
-    def as_base(self) -> AsBase:
-        """Return what a hybrid says of it."""
-        return replace(super().as_base, words="periodic waveform")
-
-    def in_words(self) -> str:
-        """Return what it is."""
-        return "periodic waveform, fitted"
-
-    def fit_to(self, y: Array) -> ByTime:
-        """Fit `baselines.periodic`."""
-        return PeriodicRegression.fit(y)
+    slow_part = "periodic waveform"
+    words = "periodic waveform, fitted"
+    fits = PeriodicRegression
 
 
 @final
@@ -211,14 +177,8 @@ class Linear(Forecaster):
     name = "linear"
     needs = frozenset({"inputs"})
 
-    @property
-    def as_base(self) -> AsBase:
-        """Return what a hybrid says of it."""
-        return replace(super().as_base, words="linear model")
-
-    def in_words(self) -> str:
-        """Return what it is."""
-        return "linear model of the inputs (output error)"
+    slow_part = "linear model"
+    words = "linear model of the inputs (output error)"
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Fit the model to all records."""

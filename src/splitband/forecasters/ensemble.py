@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Self, final
+from typing import Any, Self, Unpack, final
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
 from splitband.data import Record
-from splitband.forecasters.base import Forecaster
+from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.known import Known
 from splitband.forecasters.stepping import Averaged, Recursion
 from splitband.runtime.arguments import whole
-from splitband.training import Checkpoint, Progress
+from splitband.training import Progress
 
 Array = npt.NDArray[np.float64]
 
@@ -120,15 +120,9 @@ class Ensemble(Forecaster):
         """Return what the members are."""
         return self.member.in_words()
 
-    def learn(
-        self,
-        records: Sequence[Record],
-        *,
-        seed: int,
-        progress: Callable[[Progress], None] | None,
-        checkpoint: Checkpoint | None,
-    ) -> None:
+    def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the members, each with a checkpoint of its own beside the one given."""
+        seed, progress, checkpoint = how["seed"], how["progress"], how["checkpoint"]
         for i, of_first in enumerate(self.seeds):
             of_member = None if checkpoint is None else checkpoint.numbered(i)
             watch = None if progress is None else _shifted(progress, i, self.count)

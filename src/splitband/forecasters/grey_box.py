@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Unpack, final
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record
 from splitband.data.timing import seconds_of
-from splitband.forecasters.base import AsBase, Forecaster
+from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.known import Known
 from splitband.forecasters.remembering import Remembered
 from splitband.forecasters.stepping import NotSteppedError, Part, Recursion
@@ -25,7 +25,6 @@ from splitband.simulators.adjusted import Adjusted
 from splitband.simulators.estimate import Estimate
 from splitband.simulators.identification import Effort, identify
 from splitband.simulators.shooting import Adjustable, Experiment
-from splitband.training import Checkpoint, Progress
 
 Array = npt.NDArray[np.float64]
 
@@ -108,10 +107,7 @@ class GreyBox(Forecaster):
         """Return the name that it was given, or "grey-box"."""
         return self._name or "grey-box"
 
-    @property
-    def as_base(self) -> AsBase:
-        """Return what a hybrid says of it."""
-        return AsBase(self.name, before=f"-{self.name}", words="a simulator with fitted parameters")
+    slow_part = "a simulator with fitted parameters"
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -135,29 +131,18 @@ class GreyBox(Forecaster):
                 "--parameters)"
             )
 
-    @property
-    def refits(self) -> bool:
-        """Return False: a fit takes as long as that of a network."""
-        return False
+    refits = False
 
     def to_dict(self) -> dict[str, Any]:
         """Return what is saved: of the simulator a description."""
         described = None if self.simulator is None else Absent.of(self.simulator)
         return {**super().to_dict(), "simulator": described}
 
-    def in_words(self) -> str:
-        """Return what it is."""
-        return "the simulator, its parameters fitted to the training samples"
+    words = "the simulator, its parameters fitted to the training samples"
 
-    def learn(
-        self,
-        records: Sequence[Record],
-        *,
-        seed: int,
-        progress: Callable[[Progress], None] | None,
-        checkpoint: Checkpoint | None,
-    ) -> None:
+    def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the parameters to all records together."""
+        checkpoint = how["checkpoint"]
         folder = None if checkpoint is None else checkpoint.path.parent
         self.estimate = self._estimated(records, Effort(self.starts, self.seconds, folder=folder))
         experiments = [Experiment.of(record) for record in records]

@@ -8,9 +8,9 @@ it has and beside what it stands. One network is in `forecasters.single`, one fo
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from splitband.baselines.linear import input_delays
 from splitband.data import Record
 from splitband.data.gaps import first_after, last_before
 from splitband.forecasters.bands import OPEN, Bands
-from splitband.forecasters.base import AsBase, Forecaster, total
+from splitband.forecasters.base import Forecaster, Training, total
 from splitband.forecasters.beginning import Earlier, LinearPart
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.known import Known
@@ -32,7 +32,7 @@ from splitband.models.base import with_weights
 from splitband.models.hybrid import FAST, SLOW
 from splitband.runtime.threads import drawn_from
 from splitband.simulators.calibration import Calibration
-from splitband.training import Checkpoint, Progress, Settings, fit
+from splitband.training import Settings, fit
 from splitband.training.recipes import recipe_settings
 from splitband.training.settings import SHORTEST_WINDOW, longest_window
 from splitband.training.windows import windows_in
@@ -90,10 +90,7 @@ class Network(Forecaster):
         """Return the name that it was given, or what it is made of."""
         return self._name or self._derived_name()
 
-    @property
-    def random(self) -> bool:
-        """Return True: its initial weights are drawn."""
-        return True
+    random = True
 
     @property
     def warmup(self) -> int:
@@ -121,10 +118,7 @@ class Network(Forecaster):
         beside_simulator = self.base is None or "simulator" in self.base.needs
         return (self.bands == OPEN and beside_simulator) or super().shares_bands
 
-    @property
-    def as_base(self) -> AsBase:
-        """Return what a hybrid says of it where it holds the slow part."""
-        return replace(super().as_base, words="network")
+    slow_part = "network"
 
     @property
     def conditioned_in_words(self) -> str:
@@ -271,15 +265,9 @@ class Network(Forecaster):
                 "short for that is one for methods without filters"
             )
 
-    def learn(
-        self,
-        records: Sequence[Record],
-        *,
-        seed: int,
-        progress: Callable[[Progress], None] | None,
-        checkpoint: Checkpoint | None,
-    ) -> None:
+    def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the base, choose what has been left open, and train the model."""
+        seed = how["seed"]
         settings = self.trained_by = self._settings_for(records[0])
         seen = self._inputs_shifted(records, self._seen(records, seed))
         if self.bands is not None:
@@ -288,7 +276,7 @@ class Network(Forecaster):
         self.earlier.begin(self.model, seen, settings, seed)
         self.model.to(self.device)
         left = self.earlier.remaining(settings, seed)
-        history = fit(self.model, seen, left, seed, progress, checkpoint)
+        history = fit(self.model, seen, left, seed, how["progress"], how["checkpoint"])
         notes = (*self._remarks(seen[0]), *history.notes)
         networks: Iterable[Any] = self.model.modules()
         stable = all(each.stable() for each in networks if hasattr(each, "stable"))

@@ -290,9 +290,7 @@ class Simulation(SimulatorForecaster):
         """Return it calibrated."""
         return Calibrated(self.simulator)
 
-    def in_words(self) -> str:
-        """Return what it is."""
-        return "the simulator as it is"
+    words = "the simulator as it is"
 
 
 @final
@@ -335,10 +333,7 @@ class Calibrated(SimulatorForecaster):
             after = "-affine" if self.terms == AFFINE else "-" + "-".join(self.terms)
         return AsBase(SLOW, after=after, words="calibrated simulator")
 
-    @property
-    def calibrates(self) -> bool:
-        """Return True."""
-        return True
+    calibrates = True
 
     @property
     def calibration(self) -> Calibration | None:
