@@ -48,15 +48,21 @@ BASE = "as taken here"
 class FilteredAsAWhole(Split):
     """Its warm-ups are slices of the filtered record, which comes in place of a simulator."""
 
-    def _simulate(self, band: int, known: Signals, steps: int, slower: Tensor | None) -> Tensor:
+    def slow_run(self, known: Signals, steps: int) -> Tensor:
+        """See `Split`."""
         assert known.y_sim is not None
-        k, warmup = self._factor(band), known.y.shape[1]
-        low = known.y_sim[:, :warmup]
-        history = known.y - low if band else low
-        y = rollout(self._network(band), downsample(history, k, warmup % k), steps)
-        if not self.filter_output or not band:
+        k, warmup = self.downsampling, known.y.shape[1]
+        return rollout(self.slow, downsample(known.y_sim[:, :warmup], k, warmup % k), steps)
+
+    def high(self, known: Signals, steps: int, low: Tensor) -> Tensor:
+        """See `Split`."""
+        assert known.y_sim is not None
+        warmup = known.y.shape[1]
+        history = known.y - known.y_sim[:, :warmup]
+        y = rollout(self.fast, history, steps)
+        if not self.filter_output:
             return y
-        return self.pairs[-1].highpass(torch.cat([history, y], dim=1))[:, warmup:]
+        return self.pair.highpass(torch.cat([history, y], dim=1))[:, warmup:]
 
 
 @dataclass(frozen=True)

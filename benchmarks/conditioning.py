@@ -33,13 +33,11 @@ STUDIED = ("double-torsion record", "pendulum ii", "pendulum iii", "i, draw 0", 
 class ToldTheMeasurement(Split):
     """Its fast network is trained beside the measured low band, which stands in for `y_sim`."""
 
-    def _in_training(self, band: int, known: Signals, steps: int) -> Tensor:
-        if band == 0:
-            return super()._in_training(band, known, steps)
+    def high_in_training(self, known: Signals, steps: int) -> Tensor:
+        """See `Split`."""
         assert known.y_sim is not None
         warmup = known.y.shape[1]
-        samples = (steps - 1) * self._factor(band) + 1
-        return self._simulate(band, known, steps, known.y_sim[:, warmup : warmup + samples])
+        return self.high(known, steps, known.y_sim[:, warmup : warmup + steps])
 
 
 def error(part: Record, setup: Setup, kind: type[Split], seed: int) -> dict[str, float]:

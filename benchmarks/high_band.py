@@ -32,22 +32,19 @@ HP_EPOCHS = 150
 class WarmedOnAll(Split):
     """A "+HP" whose fast network warms up on the whole signal, which it can then continue."""
 
-    def _simulate(self, band: int, known: Signals, steps: int, slower: Tensor | None) -> Tensor:
-        if not band:
-            return super()._simulate(band, known, steps, slower)
-        warmup = known.y.shape[1]
-        y = rollout(self._network(band), known.y, steps)
-        return self.pairs[-1].highpass(torch.cat([known.y, y], dim=1))[:, warmup:]
+    def high(self, known: Signals, steps: int, low: Tensor) -> Tensor:
+        """See `Split`."""
+        y = rollout(self.fast, known.y, steps)
+        return self.pair.highpass(torch.cat([known.y, y], dim=1))[:, known.y.shape[1] :]
 
 
 class WarmedOnAllFromZero(Split):
     """Both of `WarmedOnAll` and `StartedFromZero`."""
 
-    def _simulate(self, band: int, known: Signals, steps: int, slower: Tensor | None) -> Tensor:
-        if not band:
-            return super()._simulate(band, known, steps, slower)
-        y = torch.cat([known.y, rollout(self._network(band), known.y, steps)], dim=1)
-        return replace(self.pairs[-1], start="zeros").highpass(y)[:, known.y.shape[1] :]
+    def high(self, known: Signals, steps: int, low: Tensor) -> Tensor:
+        """See `Split`."""
+        y = torch.cat([known.y, rollout(self.fast, known.y, steps)], dim=1)
+        return replace(self.pair, start="zeros").highpass(y)[:, known.y.shape[1] :]
 
 
 class StartedFromZero(Split):
@@ -56,13 +53,11 @@ class StartedFromZero(Split):
     Ours continues a signal by its odd reflection, which multiplies what its last sample does.
     """
 
-    def _simulate(self, band: int, known: Signals, steps: int, slower: Tensor | None) -> Tensor:
-        if not band:
-            return super()._simulate(band, known, steps, slower)
-        history, warmup = self._band_of(band, known.y), known.y.shape[1]
-        y = rollout(self._network(band), history, steps)
-        pair = replace(self.pairs[-1], start="zeros")
-        return pair.highpass(torch.cat([history, y], dim=1))[:, warmup:]
+    def high(self, known: Signals, steps: int, low: Tensor) -> Tensor:
+        """See `Split`."""
+        history = known.y - self.pair.lowpass(known.y)
+        y = torch.cat([history, rollout(self.fast, history, steps)], dim=1)
+        return replace(self.pair, start="zeros").highpass(y)[:, known.y.shape[1] :]
 
 
 class TargetFilteredTwice(Split):
@@ -71,7 +66,7 @@ class TargetFilteredTwice(Split):
     def tasks(self, record: Signals) -> list[Task]:
         """See `Split`."""
         low, high = super().tasks(record)
-        return [low, replace(high, target=self.pairs[-1].highpass(high.target, dim=0))]
+        return [low, replace(high, target=self.pair.highpass(high.target, dim=0))]
 
 
 ONE_CYCLE: dict[str, Any] = {"learning_rate": 1e-2, "one_cycle": True, "clip": 1.0}

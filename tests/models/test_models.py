@@ -29,23 +29,15 @@ def y_sim_of(trajectory: Record) -> npt.NDArray[np.float64]:
 BANDS = [ComplementaryPair.butterworth(cutoff, 1 / DT, 2) for cutoff in (0.3, 0.9)]
 
 
-def three_bands(trajectory: Record) -> Model:
-    torch.manual_seed(1)
-    told = trajectory.nu + 2 * trajectory.ny
-    networks = [GRU(4, trajectory.ny, nu) for nu in (trajectory.nu, told, told)]
-    return Split(networks, BANDS, [4, 2], conditioned=True)
-
-
 def trained(method: str, trajectory: Record) -> Model:
-    three = method == "three-bands-conditioned"
-    model = three_bands(trajectory) if three else untrained(method, trajectory, SETUP, seed=1)
+    model = untrained(method, trajectory, SETUP, seed=1)
     fit(model, trajectory[:TRAIN], SETUP.settings, seed=1)
     return model
 
 
 NAMES = [
     *("gru", "state-space", "split-gru", "split-gru-hp", "split-gru-conditioned"),
-    *("residual-gru", "filtered-gru-conditioned", "three-bands-conditioned"),
+    *("residual-gru", "filtered-gru-conditioned"),
 ]
 """One of each kind of model."""
 
@@ -173,31 +165,6 @@ def test_the_bands_of_the_split_model_add_up_to_the_record_at_its_ends_too() -> 
     known = Signals(torch.tensor(record().y[:TRAIN]))
     low, high = untrained("split-gru", record(), SETUP, seed=0).double().tasks(known)
     torch.testing.assert_close(low.target + high.target, known.y, rtol=0, atol=1e-12)
-
-
-def test_three_bands_add_up_to_the_record_at_its_ends_too() -> None:
-    known = Signals(torch.tensor(record(ny=2).y[:TRAIN]))
-    tasks = three_bands(record(ny=2)).double().tasks(known)
-    assert [(task.name, task.stride) for task in tasks] == [
-        ("low band", 4), ("band 2", 2), ("high band", 1)
-    ]  # fmt: skip
-    total = tasks[0].target + tasks[1].target + tasks[2].target
-    torch.testing.assert_close(total, known.y, rtol=0, atol=1e-12)
-    for i, pair in enumerate(BANDS):
-        low = scipy.signal.filtfilt(pair.b_low, pair.a, known.y.numpy(), axis=0)
-        found = sum(task.target for task in tasks[: i + 1])
-        np.testing.assert_allclose(found, low, atol=1e-9)
-
-
-def test_a_split_of_lists_is_that_of_a_single_pair() -> None:
-    networks = [GRU(3, 1), GRU(5, 1)]
-    single, listed = Split(networks, BANDS[0], 3), Split(networks, [BANDS[0]], [3])
-    y = record().y[:WARMUP]
-    np.testing.assert_array_equal(listed.simulate(y, 40), single.simulate(y, 40))
-    known = Signals(torch.tensor(record().y[:TRAIN]))
-    for a, b in zip(listed.tasks(known), single.tasks(known), strict=True):
-        assert (a.name, a.stride) == (b.name, b.stride)
-        assert torch.equal(a.target, b.target)
 
 
 def test_the_low_network_predicts_the_samples_it_is_up_sampled_to() -> None:
@@ -408,12 +375,8 @@ def test_the_residual_model_adds_its_network_to_the_simulator() -> None:
         ),
         (
             lambda: Split([GRU(4, 1), GRU(4, 1, 1)], BANDS[0], conditioned=True),
-            r"must be \[\(1, 0\), \(1, 2\)\], with 2 ny inputs for the slower bands, "
+            r"must be \[\(1, 0\), \(1, 2\)\], with 2 ny inputs for the slow band, "
             r"got \[\(1, 0\), \(1, 1\)\]",
-        ),
-        (
-            lambda: Split([GRU(4, 2, 1), GRU(4, 2, 5), GRU(4, 2, 1)], BANDS, conditioned=True),
-            r"must be \[\(2, 1\), \(2, 5\), \(2, 5\)\].*got \[\(2, 1\), \(2, 5\), \(2, 1\)\]",
         ),
         (
             lambda: Filtered(GRU(4, 1, 1), BANDS[0], conditioned=True),
@@ -429,19 +392,7 @@ def test_the_residual_model_adds_its_network_to_the_simulator() -> None:
             ),
             "u must be given exactly where the model has inputs, nu = 1",
         ),
-        (
-            lambda: Split([GRU(4, 1)] * 3, BANDS[::-1]),
-            r"cut-offs must rise from pair to pair, got \[0\.9, 0\.3\] Hz",
-        ),
-        (
-            lambda: Split([GRU(4, 1)] * 3, [BANDS[0]] * 2),
-            r"cut-offs must rise from pair to pair, got \[0\.3, 0\.3\] Hz",
-        ),
-        (lambda: Split([GRU(4, 1)] * 3, BANDS[0]), "3 networks need 2 .* got 1 and 2"),
-        (lambda: Split([GRU(4, 1)] * 3, BANDS, [2]), "3 networks need 2 .* got 2 and 1"),
-        (lambda: Split([GRU(4, 1)], []), "networks must be two at least, got 1"),
-        (lambda: Split([GRU(4, 1)] * 3, BANDS, [17, 2]), "downsampling by 17 .* of 0.3 Hz"),
-        (lambda: Split([GRU(4, 1)] * 3, BANDS, [4, 6]), "downsampling by 6 .* of 0.9 Hz"),
+        (lambda: Split([GRU(4, 1)] * 2, BANDS[0], 17), "downsampling by 17 .* of 0.3 Hz"),
         (lambda: EulerMLP(ny=3, state_size=2), "state_size must be at least ny = 3, got 2"),
     ],
 )

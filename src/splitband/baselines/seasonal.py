@@ -64,7 +64,8 @@ class LastPeriod:
         return trending(self.trends, start + np.arange(steps))
 
     def __str__(self) -> str:
-        return f"the last {self.lag} training samples, repeated{described(self.trends)}"
+        trends = described([trend and trend.shape for trend in self.trends])
+        return f"the last {self.lag} training samples, repeated{trends}"
 
 
 def last_period(y: Array) -> Array:

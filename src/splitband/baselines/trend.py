@@ -141,9 +141,8 @@ def trending(trends: Sequence[Trend | None], index: npt.NDArray[np.number]) -> A
     return np.stack([trend.predict(index) if trend else none for trend in trends], axis=1)
 
 
-def described(trends: Sequence[Trend | Shape | None]) -> str:
+def described(shapes: Sequence[Shape | None]) -> str:
     """Describe the trends of channels; empty without any."""
-    shapes = [trend.shape if isinstance(trend, Trend) else trend for trend in trends]
     kinds = [str(shape) for shape in shapes if shape is not None]
     return f", on {' and '.join(dict.fromkeys(kinds))}" if kinds else ""
 

@@ -23,8 +23,6 @@ import safetensors.torch
 from splitband.forecasters import ensemble, names  # noqa: F401  what can be loaded is defined there
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.description import Classes, Tensors, described
-from splitband.forecasters.grey_box import GreyBox
-from splitband.forecasters.simulation import SimulatorForecaster
 from splitband.runtime import outputs
 from splitband.runtime.files import replacing, to_json
 from splitband.simulators import Simulator
@@ -202,9 +200,9 @@ def _give(forecaster: Forecaster, simulator: Simulator) -> None:
         each.simulator = simulator
 
 
-def _simulations(value: Any) -> Iterator[SimulatorForecaster | GreyBox]:
+def _simulations(value: Any) -> Iterator[Any]:
     """Yield the simulations that a forecaster is made of."""
-    if isinstance(value, SimulatorForecaster | GreyBox):
+    if hasattr(value, "simulator"):
         yield value
     elif isinstance(value, Forecaster | list):
         for part in value if isinstance(value, list) else vars(value).values():

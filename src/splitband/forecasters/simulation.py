@@ -10,7 +10,7 @@ from typing import Any, Self, final
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Grid, Record, Stamp, check_alike
+from splitband.data import Aligned, Grid, Record, Stamp, check_alike
 from splitband.data.timing import in_words, stamp_after
 from splitband.forecasters.base import AsBase, Forecaster
 from splitband.forecasters.fitted import NEAR_ROW, first_only
@@ -19,7 +19,7 @@ from splitband.forecasters.remembering import Remembered
 from splitband.forecasters.stepping import NotSteppedError, Part
 from splitband.forecasters.stepping_simulators import Given, RunAhead
 from splitband.models.hybrid import SLOW
-from splitband.simulators import Recorded, Simulator, run
+from splitband.simulators import Simulator, run
 from splitband.simulators.absent import Absent
 from splitband.simulators.calibration import Calibration, Term, calibrate, samples_needed
 
@@ -49,12 +49,12 @@ class _Runs:
         """Return how many times, counted on from the first of the grid, are covered."""
         return len(self._beginning(grid))
 
-    def on(self, grid: Grid) -> Array:
+    def on(self, grid: Grid) -> Aligned:
         """Return the output at these times; raises ValueError where they are not covered."""
         y = self._beginning(grid)
         if len(y) < grid.samples:
             raise ValueError(f"the simulator has not been run for {grid}")
-        return y[: grid.samples]
+        return Aligned(y[: grid.samples], "")
 
     def _beginning(self, grid: Grid) -> Array:
         """Return what begins with the grid, its time between samples equal but for rounding."""
@@ -84,7 +84,8 @@ class SimulatorForecaster(Forecaster):
     """How its output is changed."""
 
     def __init__(self, simulator: Simulator | None, name: str | None) -> None:
-        self.simulator, self._name = simulator, name
+        self.simulator: Any = simulator
+        self._name = name
 
     @property
     def needs(self) -> frozenset[str]:
@@ -104,7 +105,7 @@ class SimulatorForecaster(Forecaster):
 
     def simulated(self, record: Record, horizon: int, *others: Record) -> Self:
         """Return it with its simulator run over these records."""
-        if self.simulator is None or isinstance(self.simulator, Recorded | _Runs):
+        if self.simulator is None or hasattr(self.simulator, "reach"):
             return self
         samples: dict[tuple[Stamp | None, float], int] = {}
         for each, ahead in ((record, horizon), *((other, 0) for other in others)):
@@ -120,7 +121,7 @@ class SimulatorForecaster(Forecaster):
     def to_dict(self) -> dict[str, Any]:
         """Return what is saved: of a simulator, but for recorded output, a description."""
         said = super().to_dict()
-        if not (self.simulator is None or isinstance(self.simulator, Recorded)):
+        if self.simulator is not None and not self._at_own_times:
             said["simulator"] = Absent.of(self.simulator)
         return said
 
@@ -146,7 +147,7 @@ class SimulatorForecaster(Forecaster):
         begin = known.begin or 0.0  # a simulator of another record begins with it
         if begin < 0 and not self.applied.stays:
             raise ValueError(self._before(known))
-        if isinstance(self.simulator, Recorded):
+        if self._at_own_times:
             return self._recorded(self.simulator, known, begin)
         y_sim, begin_sim = known.y_sim, begin
         if self.simulator is not None:
@@ -166,7 +167,12 @@ class SimulatorForecaster(Forecaster):
             raise ValueError(f"{self.name} needs a simulator's output (y_sim)")
         return self.applied.apply(y_sim, samples, record.sampling_time, begin, begin_sim)
 
-    def _recorded(self, simulator: Recorded, known: Known, begin: float) -> Array:
+    @property
+    def _at_own_times(self) -> bool:
+        """Return whether it is recorded output, which is interpolated."""
+        return getattr(self.simulator, "own_times", False)
+
+    def _recorded(self, simulator: Any, known: Known, begin: float) -> Array:
         """Return the trajectory by recorded output, see `trajectory`; its end is held (`doubts`).
 
         It is read at whole steps from the history's samples, to be interpolated just once.
@@ -217,7 +223,7 @@ class SimulatorForecaster(Forecaster):
     def doubts(self, known: Known) -> list[str]:
         """Return whether a calibrated clock or delay asks for more output than there is."""
         begin, samples = known.begin or 0.0, len(known.y) + known.steps
-        if isinstance(self.simulator, Recorded):
+        if self._at_own_times:
             end = float(self.simulator.reach(self._times(known)))
         elif self.simulator is None and known.y_sim is not None:
             end = begin + len(known.y_sim)
@@ -243,7 +249,7 @@ class SimulatorForecaster(Forecaster):
         """Return the output over a record and as far beyond as is known, or needed."""
         if self.simulator is not None:
             samples = self._needed(len(record), len(record))
-            if isinstance(self.simulator, Recorded | _Runs):
+            if hasattr(self.simulator, "reach"):
                 samples = min(samples, max(len(record), self.simulator.reach(record.grid)))
             return self._run(replace(record.grid, samples=samples), record.ny)
         if record.y_sim is None:
@@ -259,10 +265,8 @@ class SimulatorForecaster(Forecaster):
     def _run(self, grid: Grid, ny: int) -> Array:
         """Return the simulator's own output at these times."""
         assert self.simulator is not None
-        if isinstance(self.simulator, Recorded):
-            return self.simulator.on(grid).values
-        if isinstance(self.simulator, _Runs):
-            return self.simulator.on(grid)
+        if hasattr(self.simulator, "on"):
+            return np.asarray(self.simulator.on(grid).values)
         if isinstance(self.simulator, Absent):
             self.simulator.simulate(None)
         return run(self.simulator, grid.samples, grid.step, ny, start=grid.start)

@@ -190,11 +190,11 @@ class SteppedSplit(Stepped):
 
     def __init__(self, model: Any) -> None:
         super().__init__(model)
-        self.pair: ComplementaryPair = model.pairs[0]
+        self.pair: ComplementaryPair = model.pair
         self.slow, self.fast = (SteppedCell(network) for network in model.networks)
-        self.k: int = model.downsampling[0]
+        self.k: int = model.downsampling
         self.conditioned, self.slope_scale = model.conditioned, values(model.slope_scale)[0]
-        self.output = model.pairs[0].one_way() if model.filter_output else None
+        self.output = model.pair.one_way() if model.filter_output else None
         self.at_once = self.feedthrough and self.driven and self.k == 1
         self.ahead = int(not self.driven)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +32,8 @@ class Recorded(Written):
     sampling_time: float
     start: Stamp | None = None
     name: str = "the exported trajectory"
+    own_times: ClassVar[bool] = True
+    """It is brought to a record's times by interpolation."""
 
     @classmethod
     def of(cls, trajectory: Record) -> Recorded:
