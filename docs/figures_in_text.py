@@ -22,6 +22,7 @@ from typing import Any
 
 from benchmarks.sets import SETS
 from splitband.evaluation.search import SECONDS
+from splitband.evaluation.selection import WORTH_TRAINING
 from splitband.forecasters.names import QUICK
 
 ROOT = Path(__file__).parents[1]
@@ -195,6 +196,7 @@ def reliability() -> dict[str, Any]:
             "mean": statistics.geometric_mean(facts["over_baselines"] for facts in found),
             **{kind: facts["over_baselines"] for kind, facts in kinds.items()},
         },
+        "present": _by_held_out(found),
         "worst": worst | {"best": _best(worst)},
         "intervals": {
             "networks": len(every),
@@ -202,6 +204,24 @@ def reliability() -> dict[str, Any]:
             "best": 100 * statistics.mean(best),
         },
     }
+
+
+def _by_held_out(found: list[dict[str, Any]]) -> dict[str, float]:
+    """Return what the present rule recommends of records that were measured by an earlier one."""
+    over, inside, networks = [], [], 0
+    for facts in found:
+        of = facts["methods"]
+        best = min(of, key=lambda name: _worth(of, name))
+        baseline = min([name for name in of if name in QUICK], key=lambda name: _worth(of, name))
+        over.append(of[best]["error"] / of[baseline]["error"])
+        inside.append(of[best]["inside"])
+        networks += best not in QUICK
+    mean, share = statistics.geometric_mean(over), 100 * statistics.mean(inside)
+    return {"over": mean, "worst": max(over), "inside": share, "networks": networks}
+
+
+def _worth(methods: dict[str, Any], name: str) -> float:
+    return float(methods[name]["held_out"]) * (1 if name in QUICK else 1 + WORTH_TRAINING)
 
 
 def _regret(found: list[dict[str, Any]]) -> dict[str, float]:
