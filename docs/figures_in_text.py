@@ -197,6 +197,10 @@ def reliability() -> dict[str, Any]:
             **{kind: facts["over_baselines"] for kind, facts in kinds.items()},
         },
         "present": _by_held_out(found),
+        "present_but_trend": _by_held_out([f for f in found if f["kind"] != "trend"]),
+        "earlier_but_trend": statistics.geometric_mean(
+            facts["over_baselines"] for facts in found if facts["kind"] != "trend"
+        ),
         "worst": worst | {"best": _best(worst)},
         "intervals": {
             "networks": len(every),
