@@ -26,6 +26,8 @@ Index = npt.NDArray[np.int_]
 MOST_HARMONICS = 30
 VIBRATIONS = 4
 """Largest number of decaying sinusoids."""
+LAGS = 4
+"""At which a record resembles itself, that are tried as periods."""
 _WORTH = 0.5
 """A candidate with more freedom must have less than this share of the held-out error of one with
 less: a slightly wrong period and needless vibrations cost the more, the longer the forecast."""
@@ -143,14 +145,14 @@ def _candidates(series: Modes, y: Array) -> tuple[Modes, Modes, Modes]:
     return series, refined, dying
 
 
-def _best_series(y: Array, shape: Shape | None, lags: int = 4) -> Modes:
+def _best_series(y: Array, shape: Shape | None) -> Modes:
     """Return the best Fourier series out of lags at which the record resembles itself."""
     level = Modes.none(y, shape)
     if len(known(y)) < 2:
         return level
     channel = level.residual(y)[:, None]
     # Of multiples of a period that tie, seasonal-naive takes the shortest.
-    periods = {len(last_period(channel)), *self_similar_lags(channel, lags)}
+    periods = {len(last_period(channel)), *self_similar_lags(channel, LAGS)}
     candidates = [_series(y, lag, shape) for lag in sorted(periods)]
     return min(candidates, key=lambda modes: modes.information(y))
 

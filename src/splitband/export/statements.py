@@ -173,9 +173,9 @@ class Renderer:
         self.count += 1
         return f"t{self.count}"
 
-    def _declared(self, symbol: Symbol, name: str | None = None) -> str:
+    def _declared(self, symbol: Symbol) -> str:
         """Write the declaration of a variable for a symbol; return its name."""
-        name = self.names[symbol] = name or self._new()
+        name = self.names[symbol] = self._new()
         kind = "int" if symbol.flag else "real"
         self.write(f"{kind} {name}{f'[{size(symbol)}]' if symbol.shape else ''};")
         return name

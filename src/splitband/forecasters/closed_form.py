@@ -20,7 +20,8 @@ from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import first_only
 from splitband.forecasters.known import Known
-from splitband.forecasters.stepping import Constant, Held, InTime, Part, Repeated
+from splitband.forecasters.stepping import Part
+from splitband.forecasters.stepping_baselines import Constant, Held, InTime, Repeated
 from splitband.forecasters.stepping_linear import Driven
 
 Array = npt.NDArray[np.float64]

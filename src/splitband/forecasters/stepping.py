@@ -41,6 +41,7 @@ class Recursion(ABC):
     simulated : Whether a simulator's output is looked at.
     warmup : How many samples in a row have to be measured before a forecast.
     prepared : What is done to signals as they are measured, and undone.
+    part : What it has beside a network, whose state is `state["part"]`; None without.
     """
 
     ny: int
@@ -49,6 +50,7 @@ class Recursion(ABC):
     simulated = False
     warmup = 0
     prepared: Sequence[Preparation] = ()
+    part: Part | None = None
 
     @abstractmethod
     def initial(self, known: Known | None = None) -> State:
@@ -70,19 +72,17 @@ class Recursion(ABC):
         """Return the first sample of a history on which its forecast depends."""
         return 0
 
-    def simulated_over(self, known: Known) -> Array | None:
-        """Return the simulator's output over a history and `ahead` more samples, `(time, ny)`."""
-        return None
-
     def followed(self, known: Known) -> State:
         """Return the state after a history, which is that of a forecast from its end."""
-        begin, rows = self.first_row(known), len(known.y)
+        begin, rows, part = self.first_row(known), len(known.y), self.part
         u = np.zeros((rows, 0)) if known.u is None else known.u
-        y_sim = self.simulated_over(known)
+        y_sim = None if part is None else part.simulated_over(known, self.ahead)
         y_sim = np.zeros((rows + self.ahead, 0)) if y_sim is None else y_sim
         state = self.initial(known)
         for n in range(begin, rows):
             state = self.tick(state, known.y[n], u[n], y_sim[n : n + 1 + self.ahead])[0]
+        if part is not None and known.own:
+            state = state | {"part": part.after_training(state["part"])}
         return state
 
 
@@ -97,7 +97,7 @@ class Part(ABC):
 
     @abstractmethod
     def initial(self, known: Known | None) -> State:
-        """See `Recursion`."""
+        """Return the state before the first sample of a history; None: of another record."""
 
     @abstractmethod
     def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
@@ -112,7 +112,7 @@ class Part(ABC):
         return np.zeros((1, 0))
 
     def simulated_over(self, known: Known, ahead: int) -> Array | None:
-        """See `Recursion`."""
+        """Return the simulator's output over a history and `ahead` more samples, `(time, ny)`."""
         return None
 
     def after_training(self, state: State) -> State:
@@ -130,16 +130,18 @@ def read(rows: Array, settled: Array) -> Array:
 class Extrapolated(Recursion):
     """A part by itself."""
 
+    part: Part
+
     def __init__(self, part: Part, ny: int, nu: int) -> None:
         self.part, self.ny, self.nu, self.simulated = part, ny, nu, part.simulated
 
     def initial(self, known: Known | None = None) -> State:
-        """See `Recursion`."""
+        """Return the state of the part, and what its history tells."""
         part = self.part.initial(known)
         return {"part": part, "settled": self.part.settle(part), "stale": np.ones(())}
 
     def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """See `Recursion`."""
+        """Read the part at a sample, after settling it where a forecast begins."""
         part, rows = self.part.row(state["part"], u, y_sim, 0)
         missing = np.isnan(y)
         settled = cond(
@@ -151,15 +153,6 @@ class Extrapolated(Recursion):
         stale = np.where(missing.all(), np.where(missing.any(), 0.0, state["stale"]), 1.0)
         new = {"part": self.part.learn(part, rows[0], y), "settled": settled, "stale": stale}
         return new, predicted, np.logical_not(np.isnan(predicted).any())
-
-    def simulated_over(self, known: Known) -> Array | None:
-        """See `Recursion`."""
-        return self.part.simulated_over(known, self.ahead)
-
-    def followed(self, known: Known) -> State:
-        """See `Recursion`."""
-        state = super().followed(known)
-        return state | {"part": self.part.after_training(state["part"])} if known.own else state
 
 
 @dataclass(frozen=True)
@@ -202,7 +195,7 @@ class Warmed(Recursion):
         self.ahead = model.ahead if part is not None else 0
 
     def initial(self, known: Known | None = None) -> State:
-        """See `Recursion`."""
+        """Return the state with nothing measured yet."""
         part = {} if self.part is None else self.part.initial(known)
         y_sim = np.zeros((1 + self.ahead, self.ny))
         _, rows = self._row(part, np.zeros(self.nu), y_sim)
@@ -222,7 +215,7 @@ class Warmed(Recursion):
         }
 
     def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """See `Recursion`."""
+        """Begin a run, go on with it, or wait until enough has been measured."""
         last = self.warmup - 1
         part, rows = self._row(state["part"], u, y_sim)
         line, late = self.line.tick(state["line"], u)
@@ -263,23 +256,12 @@ class Warmed(Recursion):
         return new, predicted, runs
 
     def first_row(self, known: Known) -> int:
-        """See `Recursion`."""
+        """Return the first sample that a warm-up or a late input needs."""
         if self.part is not None:
             return 0
         complete = np.asarray(~np.isnan(known.y).any(axis=1))
         start = last_before(complete, self.warmup, len(known.y))
         return max((start or 0) - self.warmup - max(self.line.delays, default=0), 0)
-
-    def simulated_over(self, known: Known) -> Array | None:
-        """See `Recursion`."""
-        return None if self.part is None else self.part.simulated_over(known, self.ahead)
-
-    def followed(self, known: Known) -> State:
-        """See `Recursion`."""
-        state = super().followed(known)
-        if self.part is None or not known.own:
-            return state
-        return state | {"part": self.part.after_training(state["part"])}
 
     def _row(self, part: State, u: Array, y_sim: Array) -> tuple[State, Array]:
         if self.part is None:
@@ -298,11 +280,11 @@ class Averaged(Recursion):
         self.warmup = max(member.warmup for member in members)
 
     def initial(self, known: Known | None = None) -> State:
-        """See `Recursion`."""
+        """Return the states of the members."""
         return {"members": [member.initial(known) for member in self.members]}
 
     def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """See `Recursion`."""
+        """Return the mean of what the members predict, once all of them can."""
         ticks = [
             member.tick(own, y, u, y_sim[: 1 + member.ahead])
             for member, own in zip(self.members, state["members"], strict=True)
@@ -313,7 +295,7 @@ class Averaged(Recursion):
         return {"members": [new for new, _, _ in ticks]}, total / len(ticks), ready
 
     def followed(self, known: Known) -> State:
-        """See `Recursion`."""
+        """Return the states of the members, each after what it needs of the history."""
         return {"members": [member.followed(known) for member in self.members]}
 
 
@@ -353,91 +335,3 @@ class InUnits(Recursion):
         for each in reversed(self.prepared):
             predicted = each.restored(predicted, time[:1])
         return {"inner": inner, "samples": state["samples"] + 1}, predicted[0], able
-
-
-class Constant(Part):
-    """The same value for every sample."""
-
-    def __init__(self, level: Array) -> None:
-        self.level = level
-
-    def initial(self, known: Known | None) -> State:
-        """See `Part`."""
-        return {}
-
-    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """See `Part`."""
-        return state, np.tile(self.level[:, None], (1 + ahead, 1, 1))
-
-
-class Held(Part):
-    """The last measured value of each channel."""
-
-    def __init__(self, ny: int) -> None:
-        self.ny = ny
-
-    def initial(self, known: Known | None) -> State:
-        """See `Part`."""
-        return {"last": np.full(self.ny, np.nan)}
-
-    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """See `Part`."""
-        return state, np.tile([0.0, 1.0], (1 + ahead, self.ny, 1))
-
-    def learn(self, state: State, row: Array, y: Array) -> State:
-        """See `Part`."""
-        return {"last": np.where(np.isnan(y), state["last"], y)}
-
-    def settle(self, state: State) -> Array:
-        """See `Part`."""
-        return state["last"][:, None]
-
-
-class InTime(Part):
-    """A function of time.
-
-    Parameters
-    ----------
-    predict : Maps the time of the first sample and a number of samples to them, `(steps, ny)`.
-    """
-
-    def __init__(self, predict: Any) -> None:
-        self.predict = predict
-
-    def initial(self, known: Known | None) -> State:
-        """See `Part`."""
-        begin = 0.0 if known is None or known.begin is None else known.begin
-        return {"time": np.array(float(begin))}
-
-    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """See `Part`."""
-        values = self.predict(state["time"], 1 + ahead)
-        return {"time": state["time"] + 1}, values[..., None]
-
-
-class Repeated(Part):
-    """A period that repeats itself, on top of a function of time.
-
-    Parameters
-    ----------
-    period : `(lag, ny)`.
-    end : Time after its last sample.
-    trend : See `InTime`.
-    """
-
-    def __init__(self, period: Array, end: int, trend: Any) -> None:
-        self.period, self.end, self.trend = period, end, trend
-
-    def initial(self, known: Known | None) -> State:
-        """See `Part`."""
-        begin = 0 if known is None or known.begin is None else round(known.begin)
-        rolled = np.roll(self.period, (self.end - begin) % len(self.period), axis=0)
-        return {"time": np.array(float(begin)), "period": rolled}
-
-    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """See `Part`."""
-        period = state["period"]
-        following = np.concatenate([period[1:], period[:1]]) if len(period) > 1 else period
-        both = np.concatenate([period[:1], following[:1]])[: 1 + ahead]
-        values = both + self.trend(state["time"], 1 + ahead)
-        return {"time": state["time"] + 1, "period": following}, values[..., None]

@@ -55,7 +55,7 @@ class Driven(Part):
         self.line = DelayLine(model.delays)
 
     def initial(self, known: Known | None) -> State:
-        """See `Part`, and `OutputError.continued` for what is known of the state."""
+        """Return the state as `OutputError.continued` knows it: simulated, or usual in training."""
         ny, n, late = len(self.a), self.order, max(self.line.delays)
         begin = -1 if known is None or known.begin is None or known.begin % 1 else int(known.begin)
         expected = 0 <= begin <= len(self.u)
@@ -83,7 +83,7 @@ class Driven(Part):
         }
 
     def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """See `Part`."""
+        """Return the simulated sample, and how it changes with the initial state."""
         line, acting = self.line.tick(state["line"], u)
         x = ((acting - self.model.mean) / self.model.scale)[None, :, None]
         forced = (self.b * x).sum(axis=1)
@@ -96,7 +96,7 @@ class Driven(Part):
         return state | {"line": line, "z": z, "answers": answers, "largest": largest}, row[None]
 
     def learn(self, state: State, row: Array, y: Array) -> State:
-        """See `Part`."""
+        """Return the state with a further row of the least squares."""
         left = y - row[:, 0]
         seen = np.logical_not(np.isnan(left))
         data = np.concatenate([row[:, 1:], np.where(seen, left, 0.0)[:, None]], axis=1)
@@ -120,7 +120,7 @@ class Driven(Part):
         }
 
     def settle(self, state: State) -> Array:
-        """See `Part`, and `States.correction`."""
+        """Return the most probable change of the initial state, as `States.correction` does."""
         n = self.order
         known = np.where(state["age"] >= state["turn"], state["triangle"][1], state["triangle"][0])
         noise = np.maximum(self.error, EXACT * state["largest"]) ** 2 + _SMALLEST
@@ -160,7 +160,7 @@ class Driven(Part):
         return np.where(state["own"] > 0, 0.0, state_found)
 
     def after_training(self, state: State) -> State:
-        """See `Part`: the fit has told the state."""
+        """Return the state as the fit has told it, which no sample changes."""
         return state | {"own": np.ones(())}
 
     def _after(self, before: Array) -> Array:

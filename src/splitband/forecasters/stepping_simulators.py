@@ -178,27 +178,27 @@ class FromMemory(Recursion):
 
     Parameters
     ----------
-    part : What it says from the training record's first state on.
+    simulator : What it says from the training record's first state on.
     memory : How many samples tell the state; 0 for none, as the inputs do.
     ny, nu : Channels and inputs.
     """
 
-    def __init__(self, part: Integrated, memory: int, ny: int, nu: int) -> None:
-        self.part, self.memory, self.ny, self.nu = part, memory, ny, nu
+    def __init__(self, simulator: Integrated, memory: int, ny: int, nu: int) -> None:
+        self.simulator, self.memory, self.ny, self.nu = simulator, memory, ny, nu
 
     def initial(self, known: Known | None = None) -> State:
         """Return the state before the first sample of a history.
 
         Raises NotSteppedError where all samples tell the state.
         """
-        if known is None or not (self.memory or self.part.clock.reaches(known)):
-            raise NotSteppedError(f"{self.part.name} asks for all samples of its history")
-        anchored = self.part.clock.reaches(known)
+        if known is None or not (self.memory or self.simulator.clock.reaches(known)):
+            raise NotSteppedError(f"{self.simulator.name} asks for all samples of its history")
+        anchored = self.simulator.clock.reaches(known)
         return {
-            "part": self.part.initial(known) if anchored else None,
+            "part": self.simulator.initial(known) if anchored else None,
             "run": None,
             "rows": 0,
-            "next": self.part.clock.place(known),
+            "next": self.simulator.clock.place(known),
             "y": np.empty((0, self.ny)),
             "u": np.empty((0, self.nu)),
         }
@@ -207,14 +207,14 @@ class FromMemory(Recursion):
         """Return the state after a sample, and the forecast of one that was not measured."""
         part, run, rows = state["part"], state["run"], state["rows"]
         if part is not None:
-            part, _ = self.part.row(part, u, y_sim, 0)
+            part, _ = self.simulator.row(part, u, y_sim, 0)
         missing, predicted = np.isnan(y), y
         if missing.any():
             inputs = u if self.nu else None
             if run is None and part is not None:
                 run = part["now"]
             else:
-                run = self.part.moved(run or self._told(state), inputs)
+                run = self.simulator.moved(run or self._told(state), inputs)
             predicted = run["y"]
         begin = max(len(state["y"]) + 1 - self.memory, 0)
         new = {
@@ -231,7 +231,7 @@ class FromMemory(Recursion):
         """Return the state at the last sample, as the samples before it tell."""
         y, u = state["y"], state["u"] if self.nu else None
         first = state["next"] - len(y)
-        history = Experiment(self.part.clock.times(first, len(y)), y, u)
-        now = self.part.run(self.part.adjusted.beginning(history), first, len(y), u)
+        history = Experiment(self.simulator.clock.times(first, len(y)), y, u)
+        now = self.simulator.run(self.simulator.adjusted.beginning(history), first, len(y), u)
         assert now is not None
         return now

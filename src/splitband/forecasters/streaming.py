@@ -196,7 +196,7 @@ class Asked(Recursion):
         self.ny, self.nu, self.warmup = history.ny, history.nu, forecaster.warmup
 
     def initial(self, known: Known | None = None) -> State:
-        """See `Recursion`."""
+        """Return the history."""
         past = self.history
         return {
             "y": past.seen,
@@ -205,11 +205,11 @@ class Asked(Recursion):
         }
 
     def followed(self, known: Known) -> State:
-        """See `Recursion`."""
+        """Return the history: nothing else is remembered."""
         return self.initial(known)
 
     def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """See `Recursion`."""
+        """Return the history with another sample, and the forecast of one that was not measured."""
         rows = {"y": y[None], "u": u[None], "y_sim": y_sim}
         new = {name: np.concatenate([state[name], row]) for name, row in rows.items()}
         if np.isnan(y).any():

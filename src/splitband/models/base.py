@@ -251,31 +251,25 @@ class Model(nn.Module, ABC):
         return ((values - mean) / std).to(next(self.parameters()).dtype)
 
 
-def conditioning(
-    slow: Tensor, scale: Tensor, k: int = 1, offset: int = 0, driven: bool = False
-) -> Tensor:
+def conditioning(slow: Tensor, scale: Tensor, driven: bool = False) -> Tensor:
     """Return what a slower signal tells a faster network: its value and its slope, side by side.
 
-    Without known inputs the slow signal depends on time alone. The row that acts on the step from
-    one of the network's samples to the next holds value and slope of the latter, and the slope is
-    that between the neighbours on both sides. With known inputs it would then know inputs that
-    come after the samples it acts on. There the row holds those of the first sample after the one
-    that the step begins with, and the slope is that to the sample before.
+    The row that acts on the step from one sample to the next holds those of the latter. The slope
+    is that between the neighbours on both sides; with known inputs, on which the slow signal may
+    depend, that to the sample before, as it would know inputs to come otherwise.
 
     Parameters
     ----------
     slow : `(..., time, ny)`.
     scale : Of each channel's slope, `(ny,)`, see `slope_scale`.
-    k, offset : The network sees every k-th sample from `offset` on.
     driven : Whether the slow signal may depend on known inputs.
 
     Returns
     -------
     Tensor
-        `(..., rows, 2 ny)`; the last row acts on no step.
+        `(..., time, 2 ny)`; the last row acts on no step.
     """
-    values = torch.cat([slow, _slope(slow, driven) / scale.to(slow)], dim=-1)
-    values = values[..., offset + 1 :: k, :] if driven else values[..., offset::k, :][..., 1:, :]
+    values = torch.cat([slow, _slope(slow, driven) / scale.to(slow)], dim=-1)[..., 1:, :]
     return torch.cat([values, values[..., -1:, :]], dim=-2)
 
 

@@ -99,7 +99,7 @@ class Filtered(Hybrid):
         return {f"{SLOW}, low band": low, f"{FAST}, high band": self._high(filtered, steps)}
 
     def stepped(self) -> SteppedFiltered:
-        """See `Model`."""
+        """Return the sum of both bands sample by sample."""
         return SteppedFiltered(self)
 
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
@@ -146,7 +146,7 @@ class Residual(Hybrid):
         return {SLOW: _required(known)[:, warmup : warmup + steps], FAST: residual}
 
     def stepped(self) -> SteppedResidual:
-        """See `Model`."""
+        """Return the sum of simulator and network sample by sample."""
         return SteppedResidual(self)
 
     def tasks(self, record: Signals) -> list[Task]:

@@ -46,7 +46,7 @@ class Recurrent(Model):
         return {"network": self._simulate(known, steps)}
 
     def stepped(self) -> SteppedRecurrent:
-        """See `Model`."""
+        """Return the network sample by sample."""
         return SteppedRecurrent(self)
 
     def tasks(self, record: Signals) -> list[Task]:

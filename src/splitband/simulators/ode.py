@@ -80,7 +80,7 @@ class Ode(UserCode):
 
     @property
     def difference(self) -> float:
-        """See `Adjustable`: with the same steps nothing but rounding is in the way."""
+        """Return the step of finite differences: with the same steps just rounding matters."""
         return 1e-6 if self.method == "RK45" else 1e-4
 
     @property

@@ -1,0 +1,98 @@
+"""Define baselines sample by sample: values that are held, functions of time, a period."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.forecasters.known import Known
+from splitband.forecasters.stepping import Part, State
+
+Array = npt.NDArray[np.float64]
+ByTime = Callable[[float, int], Array]
+"""Maps the time of the first sample and a number of samples to them, `(steps, ny)`."""
+
+
+class Constant(Part):
+    """The same value for every sample."""
+
+    def __init__(self, level: Array) -> None:
+        self.level = level
+
+    def initial(self, known: Known | None) -> State:
+        """Return nothing: the value is known."""
+        return {}
+
+    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        """Return the value."""
+        return state, np.tile(self.level[:, None], (1 + ahead, 1, 1))
+
+
+class Held(Part):
+    """The last measured value of each channel."""
+
+    def __init__(self, ny: int) -> None:
+        self.ny = ny
+
+    def initial(self, known: Known | None) -> State:
+        """Return that nothing has been measured."""
+        return {"last": np.full(self.ny, np.nan)}
+
+    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        """Return that a sample is what is estimated from the history."""
+        return state, np.tile([0.0, 1.0], (1 + ahead, self.ny, 1))
+
+    def learn(self, state: State, row: Array, y: Array) -> State:
+        """Return the sample, or the last one of a channel that was not measured."""
+        return {"last": np.where(np.isnan(y), state["last"], y)}
+
+    def settle(self, state: State) -> Array:
+        """Return the last measured values."""
+        return state["last"][:, None]
+
+
+class InTime(Part):
+    """A function of time."""
+
+    def __init__(self, predict: ByTime) -> None:
+        self.predict = predict
+
+    def initial(self, known: Known | None) -> State:
+        """Return the time of the first sample."""
+        begin = 0.0 if known is None or known.begin is None else known.begin
+        return {"time": np.array(float(begin))}
+
+    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        """Return the function at a sample, and at `ahead` more."""
+        values = self.predict(state["time"], 1 + ahead)
+        return {"time": state["time"] + 1}, values[..., None]
+
+
+class Repeated(Part):
+    """A period that repeats itself, on top of a function of time.
+
+    Parameters
+    ----------
+    period : `(lag, ny)`.
+    end : Time after its last sample.
+    trend : A function of time.
+    """
+
+    def __init__(self, period: Array, end: int, trend: ByTime) -> None:
+        self.period, self.end, self.trend = period, end, trend
+
+    def initial(self, known: Known | None) -> State:
+        """Return the time of the first sample, and the period from there on."""
+        begin = 0 if known is None or known.begin is None else round(known.begin)
+        rolled = np.roll(self.period, (self.end - begin) % len(self.period), axis=0)
+        return {"time": np.array(float(begin)), "period": rolled}
+
+    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        """Return the first of the period with its trend, and turn the period by a sample."""
+        period = state["period"]
+        following = np.concatenate([period[1:], period[:1]]) if len(period) > 1 else period
+        both = np.concatenate([period[:1], following[:1]])[: 1 + ahead]
+        values = both + self.trend(state["time"], 1 + ahead)
+        return {"time": state["time"] + 1, "period": following}, values[..., None]
