@@ -25,7 +25,6 @@ from splitband.forecasters import saving
 from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASES, GREY_BOX, with_base, with_variants
-from splitband.forecasters.network import Network
 from splitband.metrics import rmse
 from splitband.report import results
 from splitband.runtime.files import CHECKPOINTS
@@ -91,11 +90,9 @@ def fit(
         forecaster = fit_planned(plan, seed, work)
     training, setup = plan.training, plan.setup
     fitted = forecaster.require_fitted()
-    training_in_words = ""
-    if isinstance(forecaster, Network):
-        assert forecaster.settings is not None
+    training_in_words = forecaster.training_in_words()
+    if forecaster.settings is not None:
         setup = replace(setup, settings=forecaster.settings)
-        training_in_words = forecaster.training_in_words()
     calibration = forecaster.calibration
     facts = {
         "method": method,

@@ -8,8 +8,8 @@ from rich.table import Table
 from rich.text import Text
 
 from splitband.cli import showing
+from splitband.forecasters.base import parts_of
 from splitband.forecasters.names import BASED, HYBRIDS, NAMES, QUICK, variants
-from splitband.forecasters.network import Network
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,7 @@ class Group:
 
 def _alone(cells: int) -> tuple[str, ...]:
     """Return the methods of so many networks that stand beside nothing."""
-    networks = {name: method for name, method in NAMES.items() if isinstance(method, Network)}
-    return tuple(n for n, m in networks.items() if m.base is None and len(m.cells) == cells)
+    return tuple(n for n, m in NAMES.items() if not parts_of(m) and len(m.cells) == cells)
 
 
 _SIMULATORS = tuple(name for name in QUICK if "simulator" in NAMES[name].needs)

@@ -19,7 +19,6 @@ from splitband.evaluation.search import SearchResult
 from splitband.evaluation.selection import LEVEL, Trial
 from splitband.forecasters.backtest import Backtest, Origin, Question
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.ensemble import Ensemble
 from splitband.forecasters.prediction import Prediction, mean_of
 from splitband.metrics import Extrapolation, leaves_range
 from splitband.runtime.arguments import whole
@@ -63,7 +62,7 @@ class Forecast:
     @property
     def seeds(self) -> tuple[int, ...]:
         """Of the recommended method."""
-        return self.model.seeds if isinstance(self.model, Ensemble) else (0,)
+        return self.model.seeds
 
     @property
     def method(self) -> str:

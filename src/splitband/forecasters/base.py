@@ -94,6 +94,8 @@ class Forecaster(Written, ABC):
     delays : By how many samples each input acts late, as found in training; empty where that is
         not asked.
     held_out : How well copies of it forecast known samples, once an interval has been asked for.
+    cells : Options that hold the templates of its networks' cells; empty without networks.
+    settings : How its networks are trained; None where that is open, or there is nothing to train.
     words : What it is, where that is the same for all of its class; see `in_words`.
     slow_part : What it is as a hybrid's slow part, likewise; see `as_base`.
     """
@@ -101,6 +103,8 @@ class Forecaster(Written, ABC):
     fitted: Fitted | None = None
     delays: tuple[int, ...] = ()
     held_out: HeldOut | None = None
+    cells: ClassVar[tuple[str, ...]] = ()
+    settings: Settings | None = None
     words: ClassVar[str] = ""
     slow_part: ClassVar[str] = ""
 
@@ -141,6 +145,11 @@ class Forecaster(Written, ABC):
     def parameters(self) -> dict[str, Any]:
         """Return what is known of the fitted parameters of its simulator, as JSON can hold it."""
         return {}
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """Return those of the members of a mean of several, else just the first one."""
+        return (0,)
 
     @property
     def shares_bands(self) -> bool:
@@ -198,6 +207,10 @@ class Forecaster(Written, ABC):
 
     def describe(self) -> str:
         """Return what the fit has settled on, in a few words for a table."""
+        return ""
+
+    def training_in_words(self) -> str:
+        """Return sizes, window and steps of its networks, for tables; empty without."""
         return ""
 
     def doubts(self, known: Known) -> list[str]:

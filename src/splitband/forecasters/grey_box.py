@@ -178,10 +178,9 @@ class GreyBox(Forecaster):
         another one is estimated.
         """
         adjusted, whole = self._adjusted(), self._experiment(known)
-        begin = known.begin
-        if begin is not None and begin % 1 == 0 and 0 <= begin <= self._reach():
-            before = self._before(int(begin), whole)
-            return adjusted.response(before)[0][int(begin) :]
+        if self._clock().reaches(known):
+            begin = int(known.begin or 0)
+            return adjusted.response(self._before(begin, whole))[0][begin:]
         state = adjusted.beginning(whole.part(0, len(known.y)))
         return adjusted.response(whole, state)[0]
 
@@ -210,18 +209,16 @@ class GreyBox(Forecaster):
     def _integrated(self) -> Integrated:
         if not getattr(self.simulator, "advances", False):
             raise NotSteppedError(f"{self.name} has a simulator that does not go on from its state")
-        fitted = self.require_fitted()
-        clock = Clock(seconds_of(fitted.start), fitted.record.sampling_time, self.u)
-        return Integrated(self.name, self._adjusted(), clock)
+        return Integrated(self.name, self._adjusted(), self._clock())
 
     def _adjusted(self) -> Adjusted:
         self.require_fitted()
         assert self.adjusted is not None
         return replace(self.adjusted, simulator=self.simulator)
 
-    def _reach(self) -> float:
-        """Return how many samples of inputs are known from the first training sample on."""
-        return np.inf if self.u is None else len(self.u)
+    def _clock(self) -> Clock:
+        fitted = self.require_fitted()
+        return Clock(seconds_of(fitted.start), fitted.record.sampling_time, self.u)
 
     def _experiment(self, known: Known) -> Experiment:
         """Return history and future; NaN is what has not been measured yet."""

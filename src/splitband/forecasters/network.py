@@ -58,7 +58,6 @@ class Network(Forecaster):
     """
 
     cells: ClassVar[tuple[str, ...]] = ("cell",)
-    """Attributes that hold the templates of its cells."""
     base: Forecaster | None = None
     """What holds the slow part, where the network stands beside something."""
     bands: Bands | None = None
