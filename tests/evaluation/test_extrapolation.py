@@ -1,21 +1,16 @@
 """Inputs that go beyond what was seen of them in training are said to."""
 
 import json
-import warnings
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import pytest
-import torch
 
-from splitband import GRU, Record, Settings
+from splitband import GRU, Record, Settings, Single, load
 from splitband.cli import main
 from splitband.metrics import ExtrapolationWarning, extrapolations
-from splitband.models import Recurrent
-from splitband.models.base import with_weights
-from splitband.training import fit
 
 LENGTH, TRAIN = 120, 80
 QUICK = ["--epochs", "1", "--window", "30", "--warmup", "10", "--seeds", "1", "--jobs", "1"]
@@ -46,26 +41,15 @@ def test_a_constant_may_not_change_and_others_may_go_a_tenth_beyond() -> None:
     assert not extrapolations(low, high, u[:2])
 
 
-def test_a_model_warns_of_inputs_that_it_was_not_trained_on() -> None:
-    rng = np.random.default_rng(0)
-    u = rng.uniform(-1, 1, (LENGTH, 1))
-    model = Recurrent(GRU(4, 1, 1))
+def test_a_forecaster_warns_of_inputs_that_it_was_not_trained_on(tmp_path: Path) -> None:
+    u = np.random.default_rng(0).uniform(-1, 1, (LENGTH, 1))
     training = Record(np.cumsum(u, axis=0), 0.1, u=u)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # not trained yet: no range is known
-        model.simulate(training.y[:10], 20, 1e4 * u)
-    fit(model, training, Settings(30, 10, 1))
-    again = with_weights(lambda: Recurrent(GRU(4, 1, 1)), model.state_dict())
-    for trained in (model, again):
-        with pytest.warns(ExtrapolationWarning, match=r"u0 .* from sample 29 on, up to 10000"):
-            trained.simulate(training.y[:10], 20, np.r_[u[:29], [[1e4]]])
-        history = torch.from_numpy(np.stack([training.y[:10]] * 2))
-        batch = torch.from_numpy(np.stack([u[:30], np.r_[u[:29], [[-3.0]]]]))
-        with pytest.warns(ExtrapolationWarning, match="up to -3"):
-            trained.simulate(history, 20, batch)
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            trained.simulate(training.y[:10], 20, u[:30])
+    model = Single(GRU(4), Settings(30, 10, 1)).fit(training)
+    model.save(tmp_path / "model")
+    for trained in (model, load(tmp_path / "model")):
+        with pytest.warns(ExtrapolationWarning, match=r"u .* from sample 19 on, up to 10000"):
+            trained.predict(20, u=np.r_[u[:19], [[1e4]]])
+        assert not any("beyond" in said for said in trained.predict(20, u=u[:20]).warnings)
 
 
 def test_commands_warn_of_inputs_beyond_training(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,13 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from splitband.data import Record
-from splitband.metrics import (
-    Extrapolation,
-    ExtrapolationWarning,
-    extrapolations,
-    input_range,
-    spread,
-)
+from splitband.metrics import spread
 from splitband.models.stepping import Stepped
 from splitband.networks import Cell
 from splitband.runtime.arguments import whole
@@ -72,8 +65,6 @@ class Model(nn.Module, ABC):
     y_std: Tensor
     u_mean: Tensor
     u_std: Tensor
-    u_low: Tensor
-    u_high: Tensor
     units_kept = False
     """Whether `adapt_to` leaves mean and deviation as they are, which the weights are made for."""
 
@@ -83,10 +74,6 @@ class Model(nn.Module, ABC):
         for name, size in (("y", ny), ("u", nu)):
             self.register_buffer(f"{name}_mean", torch.zeros(size, dtype=torch.float64))
             self.register_buffer(f"{name}_std", torch.ones(size, dtype=torch.float64))
-        # The inputs' range in training; nothing is beyond it before the model has been trained.
-        unknown = torch.full((nu,), torch.inf, dtype=torch.float64)
-        self.register_buffer("u_low", -unknown)
-        self.register_buffer("u_high", unknown)
 
     @abstractmethod
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
@@ -116,33 +103,12 @@ class Model(nn.Module, ABC):
         -------
         Signal
             Shaped like `y_warmup`, with `steps` samples; in its units, dtype and device.
-
-        Warns
-        -----
-        ExtrapolationWarning
-            For inputs beyond their range in training.
         """
-        for beyond in [] if u is None else self.extrapolations(u):
-            warnings.warn(beyond.describe(), ExtrapolationWarning, stacklevel=2)
         parts = list(self.simulate_components(y_warmup, steps, u, y_sim).values())
         total = parts[0]
         for part in parts[1:]:
             total = total + part
         return total
-
-    def extrapolations(self, u: Signal) -> list[Extrapolation]:
-        """Return where inputs, shaped as for `simulate`, go beyond their range in training."""
-        values = u.detach().cpu().numpy() if isinstance(u, Tensor) else np.asarray(u)
-        values = values.reshape(-1, values.shape[-2] if values.ndim > 1 else len(values), self.nu)
-        low, high = (x.cpu().numpy() for x in (self.u_low, self.u_high))
-        every = [beyond for of_one in values for beyond in extrapolations(low, high, of_one)]
-        return [
-            max(
-                (beyond for beyond in every if beyond.channel == channel),
-                key=lambda beyond: max(beyond.low - beyond.farthest, beyond.farthest - beyond.high),
-            )
-            for channel in sorted({beyond.channel for beyond in every})
-        ]
 
     def simulate_components(
         self,
@@ -198,9 +164,6 @@ class Model(nn.Module, ABC):
         With `normalize`, that is the mean and the standard deviation of each channel.
         """
         inputs = [record.u for record in records if record.u is not None]
-        if inputs and self.nu:
-            for buffer, values in zip((self.u_low, self.u_high), input_range(inputs), strict=True):
-                buffer.copy_(torch.from_numpy(values))
         if not normalize or self.units_kept:
             return
         for name, signals in (("y", [record.seen for record in records]), ("u", inputs)):
@@ -340,7 +303,8 @@ def with_weights(build: Callable[[], Model], weights: Mapping[str, Any]) -> Mode
             expected = build().state_dict()
     except RuntimeError:  # a cell of the user's own may compute with values
         expected = build().state_dict()
-    found = {name: torch.as_tensor(value) for name, value in weights.items()}
+    left_out = ("u_low", "u_high")  # they were saved once; the forecaster knows the inputs' range
+    found = {name: torch.as_tensor(x) for name, x in weights.items() if name not in left_out}
     shapes, needed = ({k: tuple(t.shape) for k, t in of.items()} for of in (found, expected))
     if shapes != needed:
         name = min(k for k in shapes | needed if shapes.get(k) != needed.get(k))
