@@ -1,7 +1,7 @@
 """Intervals around forecasts: what they hold, and how they grow."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -13,12 +13,17 @@ import scipy
 from splitband.data import Record
 from splitband.evaluation.selection import Trial
 from splitband.evaluation.setup import Options
-from splitband.forecasters.intervals import FARTHEST, Interval
+from splitband.forecasters.intervals import FARTHEST, HeldOut, Interval
 from tests.support import compare, settled, try_out
 
 Array = npt.NDArray[np.float64]
 RECORD = np.random.default_rng(0).standard_normal((2000, 1)) * 50
 NORMAL = scipy.stats.norm.ppf(0.95)
+
+
+def of_errors(errors: Sequence[Array], y: Array, share: float = 0.9) -> Interval:
+    """The interval that errors of forecasts of a record call for."""
+    return HeldOut.of(errors, y).interval(share)
 
 
 def errors(samples: int, growth: float, seed: int) -> Array:
@@ -33,7 +38,7 @@ def test_it_holds_its_share_of_errors_like_those_it_was_fitted_to(
     growth: float, share: float
 ) -> None:
     found = [
-        Interval.fit([errors(500, growth, seed)], RECORD, share).coverage(
+        of_errors([errors(500, growth, seed)], RECORD, share).coverage(
             errors(500, growth, 100 + seed)
         )
         for seed in range(20)
@@ -45,8 +50,7 @@ def test_several_forecasts_count_each_from_its_own_beginning() -> None:
     """Errors that restart with each forecast: taken for one long forecast they would not grow."""
     parts = [errors(170, 0.02, seed) for seed in range(12)]
     apart, glued = (
-        Interval.fit(each, RECORD).half_widths(1001)[:, 0]
-        for each in (parts, [np.concatenate(parts)])
+        of_errors(each, RECORD).half_widths(1001)[:, 0] for each in (parts, [np.concatenate(parts)])
     )
     expected = np.hypot(1, 0.02 * 1000)
     assert apart[-1] / apart[0] > 0.5 * expected
@@ -93,7 +97,7 @@ def fitted(y: Array, forecast: Callable[[Array, int], Array], train: int = 400) 
     """From forecasts at six shares of the training part, as `try_out` makes them."""
     cuts = [round(share * train) for share in (0.5, 0.625, 0.75, 0.8, 0.85, 0.9)]
     left = [(y[cut:train] - forecast(y[:train], cut))[:, None] for cut in cuts]
-    return Interval.fit(left, y[:train, None])
+    return of_errors(left, y[:train, None])
 
 
 @pytest.mark.parametrize("kind", RECORDS)
@@ -115,9 +119,9 @@ def test_it_is_not_wider_than_the_noise_calls_for() -> None:
 
 def test_errors_that_are_all_alike_say_less_than_as_many_different_ones() -> None:
     """An offset is one error, however many samples show it: Student's quantile of two at most."""
-    alike = Interval.fit([np.ones((200, 1))], RECORD).half_widths(1)[0, 0]
+    alike = of_errors([np.ones((200, 1))], RECORD).half_widths(1)[0, 0]
     assert alike == pytest.approx(scipy.stats.t.ppf(0.95, 2) / NORMAL, rel=0.1)
-    different = Interval.fit([errors(2000, 0.0, 2)], RECORD).half_widths(1)[0, 0]
+    different = of_errors([errors(2000, 0.0, 2)], RECORD).half_widths(1)[0, 0]
     assert different == pytest.approx(NORMAL, rel=0.08)
 
 
@@ -125,7 +129,7 @@ def test_a_tone_says_little_of_how_large_the_next_one_is() -> None:
     """Its sign changes soon, its size never does: a third of its samples count as one."""
     tone = np.sin(2 * np.pi * np.arange(200) / 10)[:, None]
     expected = np.quantile(abs(tone), 0.9) * scipy.stats.t.ppf(0.95, 3) / NORMAL
-    found = Interval.fit([tone], RECORD).half_widths(1)[0, 0]
+    found = of_errors([tone], RECORD).half_widths(1)[0, 0]
     assert found == pytest.approx(expected, rel=0.1)
 
 
@@ -133,7 +137,7 @@ def test_only_what_is_bounded_limits_it() -> None:
     rng = np.random.default_rng(2)
     noise, steps = rng.standard_normal((2, 400))
     y = np.stack([noise, steps.cumsum(), 0.02 * N[:400] + noise], axis=1)
-    growing = Interval.fit([np.tile(errors(400, 0.5, 1), 3)], y)
+    growing = of_errors([np.tile(errors(400, 0.5, 1), 3)], y)
     # Two independent Gaussians of the record's deviation: nine tenths of their differences.
     differences = np.diff(np.random.default_rng(2).standard_normal((2, 10**6)), axis=0)
     apart = np.quantile(abs(differences), 0.9)
@@ -147,7 +151,7 @@ def test_only_what_is_bounded_limits_it() -> None:
 
 def test_beyond_the_horizons_it_was_computed_for_it_goes_straight_on() -> None:
     y = np.cumsum(RECORD[:100], axis=0)
-    interval = Interval.fit([errors(50, 0.1, 4)], y)
+    interval = of_errors([errors(50, 0.1, 4)], y)
     assert interval.horizon[-1] == FARTHEST * 100 - 1
     widths = interval.half_widths(FARTHEST * 200)[:, 0]
     slopes = np.diff(widths)[interval.horizon[-2] :]
@@ -158,24 +162,24 @@ def test_beyond_the_horizons_it_was_computed_for_it_goes_straight_on() -> None:
 def test_it_scales_with_the_unit_of_each_channel() -> None:
     e = np.hstack([errors(300, 0.01, 3), errors(300, 0.0, 4)])
     y = np.hstack([RECORD, RECORD])
-    one = Interval.fit([e], y).half_widths(700)
-    other = Interval.fit([e * [1000.0, 0.1]], y * [1000.0, 0.1]).half_widths(700)
+    one = of_errors([e], y).half_widths(700)
+    other = of_errors([e * [1000.0, 0.1]], y * [1000.0, 0.1]).half_widths(700)
     np.testing.assert_allclose(other, one * [1000.0, 0.1], rtol=1e-6)
 
 
 def test_a_perfect_forecast_has_no_interval() -> None:
-    widths = Interval.fit([np.zeros((50, 1))], RECORD).half_widths(100)
+    widths = of_errors([np.zeros((50, 1))], RECORD).half_widths(100)
     assert 0 < widths.max() < 1e-12 * abs(RECORD).max()
 
 
 def test_one_error_is_enough() -> None:
-    widths = Interval.fit([np.array([[1.0]])], RECORD).half_widths(100)
+    widths = of_errors([np.array([[1.0]])], RECORD).half_widths(100)
     assert np.isfinite(widths).all()
     assert widths.min() > 1
 
 
 def test_it_survives_json() -> None:
-    interval = Interval.fit([np.tile(errors(200, 0.01, 5), 2)], np.hstack([RECORD, RECORD]))
+    interval = of_errors([np.tile(errors(200, 0.01, 5), 2)], np.hstack([RECORD, RECORD]))
     facts = json.loads(json.dumps(asdict(interval)))
     np.testing.assert_array_equal(Interval(**facts).half_widths(50), interval.half_widths(50))
 
@@ -183,13 +187,13 @@ def test_it_survives_json() -> None:
 @pytest.mark.parametrize("share", [0.0, 1.0, -1.0])
 def test_a_share_outside_is_named(share: float) -> None:
     with pytest.raises(ValueError, match=f"share must lie between 0 and 1, got {share}"):
-        Interval.fit([np.ones((3, 1))], RECORD, share)
+        of_errors([np.ones((3, 1))], RECORD, share)
 
 
 @pytest.mark.parametrize("none", [[], [np.empty((0, 1))]])
 def test_no_errors_are_named(none: list[Array]) -> None:
     with pytest.raises(ValueError, match="errors must have a sample at least"):
-        Interval.fit(none, RECORD)
+        of_errors(none, RECORD)
 
 
 def test_a_forecast_that_changed_by_more_than_its_errors_has_a_wider_interval() -> None:

@@ -1,5 +1,6 @@
 """Intervals from errors of which some are not known."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -8,11 +9,16 @@ import pytest
 import scipy.optimize
 import scipy.stats
 
-from splitband.forecasters.intervals import Interval
+from splitband.forecasters.intervals import HeldOut, Interval
 from tests.records import LENGTH, SETUP, TRAIN, holed, with_gaps
 from tests.support import try_out
 
 Array = npt.NDArray[np.float64]
+
+
+def fitted(errors: Sequence[Array], y: Array, share: float = 0.9) -> Interval:
+    """The interval that errors of forecasts of a record call for."""
+    return HeldOut.of(errors, y).interval(share)
 
 
 def forecast_errors(samples: int, ny: int, seed: int) -> Array:
@@ -24,16 +30,16 @@ def test_an_interval_is_fitted_to_the_errors_that_are_known() -> None:
     y = 50 * np.random.default_rng(9).standard_normal((1000, 2))
     parts = [forecast_errors(150, 2, seed) for seed in range(3)]
     ends = [holed(part, slice(100 + i, None)) for i, part in enumerate(parts)]
-    cut = Interval.fit([part[: 100 + i] for i, part in enumerate(parts)], y)
-    found = Interval.fit(ends, y).half_widths(500)
+    cut = fitted([part[: 100 + i] for i, part in enumerate(parts)], y)
+    found = fitted(ends, y).half_widths(500)
     np.testing.assert_allclose(found, cut.half_widths(500), rtol=1e-9)
     # What is known counts at its own horizon: with holes it is nearly the same interval, which it
     # is not when the samples after a hole move into it.
     scattered = [holed(holed(p, slice(3, 40), channel=0), 0, 77, channel=1) for p in parts]
-    found, whole = (Interval.fit(each, y).half_widths(150)[50:] for each in (scattered, parts))
+    found, whole = (fitted(each, y).half_widths(150)[50:] for each in (scattered, parts))
     np.testing.assert_allclose(found, whole, rtol=0.05)
     closed = [p[~np.isnan(p[:, 0])][:, :1] for p in scattered]
-    moved = Interval.fit(closed, y[:, :1]).half_widths(150)[50:, 0]
+    moved = fitted(closed, y[:, :1]).half_widths(150)[50:, 0]
     assert (moved > 1.1 * whole[:, 0]).all()
 
 
@@ -53,7 +59,7 @@ def test_the_coverage_is_a_share_of_the_errors_that_are_known() -> None:
 def test_a_channel_without_an_error_has_no_interval(channel: Any) -> None:
     errors = holed(np.ones((5, 2)), slice(None), channel=channel)
     with pytest.raises(ValueError, match="errors must have a sample at least, in every channel"):
-        Interval.fit([errors], np.ones((9, 2)))
+        fitted([errors], np.ones((9, 2)))
 
 
 def test_an_interval_is_limited_by_the_spread_of_what_was_measured() -> None:

@@ -135,6 +135,20 @@ def test_a_function_is_run_ahead(terms: Any) -> None:
         model.stream().step(y_sim=1.0)
 
 
+def test_recorded_output_is_read_as_far_as_it_goes() -> None:
+    record = free()
+    assert record.y_sim is not None
+    recorded = sb.Recorded(record.y_sim, 0.1)
+    model = sb.Filtered(recorded, sb.GRU(4), BANDS, settings=SHORT).fit(record[:TRAIN])
+    in_double(model)
+    stream = model.stream(record[:SEEN])
+    found = np.stack([stream.step() for _ in range(SEEN, len(record))])
+    wanted = model.predict(len(record) - SEEN, record[:SEEN]).y
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+    with pytest.raises(ValueError, match="the exported trajectory"):
+        stream.step()
+
+
 def test_a_step_response_integrates_the_equation() -> None:
     record = shaken()
     model = sb.Residual(rig(), sb.GRU(4), settings=SHORT).fit(record[:TRAIN])

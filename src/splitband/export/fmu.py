@@ -156,58 +156,43 @@ def _given(program: Program) -> str:
 def _description(
     program: Program, numbers: Sequence[Variable], flags: Sequence[Variable], guid: str
 ) -> ElementTree.ElementTree[Any]:
-    record = program.record
+    record, add = program.record, ElementTree.SubElement
     root = ElementTree.Element(
-        "fmiModelDescription",
-        fmiVersion="2.0",
-        modelName=program.name,
-        guid=guid,
+        "fmiModelDescription", fmiVersion="2.0", modelName=program.name, guid=guid,
         description=f"{program.forecaster.name}, exported by splitband",
-        generationTool=f"splitband {__version__}",
-        variableNamingConvention="flat",
+        generationTool=f"splitband {__version__}", variableNamingConvention="flat",
         numberOfEventIndicators="0",
-    )
-    simulation = ElementTree.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=program.name,
-        canHandleVariableCommunicationStepSize="false",
-        canInterpolateInputs="true",
-        canGetAndSetFMUstate="true",
-    )
-    sources = ElementTree.SubElement(simulation, "SourceFiles")
+    )  # fmt: skip
+    simulation = add(
+        root, "CoSimulation", modelIdentifier=program.name, canInterpolateInputs="true",
+        canHandleVariableCommunicationStepSize="false", canGetAndSetFMUstate="true",
+    )  # fmt: skip
+    sources = add(simulation, "SourceFiles")
     for name in (f"{program.name}.c", "fmu.c"):
-        ElementTree.SubElement(sources, "File", name=name)
+        add(sources, "File", name=name)
     if units := sorted({variable.unit for variable in numbers} - {""}):
-        defined = ElementTree.SubElement(root, "UnitDefinitions")
+        defined = add(root, "UnitDefinitions")
         for unit in units:
-            ElementTree.SubElement(defined, "Unit", name=unit)
-    ElementTree.SubElement(root, "DefaultExperiment", stepSize=repr(record.sampling_time))
-    variables = ElementTree.SubElement(root, "ModelVariables")
+            add(defined, "Unit", name=unit)
+    add(root, "DefaultExperiment", stepSize=repr(record.sampling_time))
+    variables = add(root, "ModelVariables")
     for kind, listed in (("Real", numbers), ("Boolean", flags)):
         for reference, variable in enumerate(listed):
-            fixed = kind == "Boolean"
-            scalar = ElementTree.SubElement(
-                variables,
-                "ScalarVariable",
-                name=variable.name,
-                valueReference=str(reference),
-                causality=variable.causality,
-                description=variable.description,
-            )
+            scalar = add(
+                variables, "ScalarVariable", name=variable.name, valueReference=str(reference),
+                causality=variable.causality, description=variable.description,
+            )  # fmt: skip
             if variable.causality == "parameter":
                 scalar.set("variability", "fixed")
-            elif fixed:
+            elif kind == "Boolean":
                 scalar.set("variability", "discrete")
             start = {} if variable.start is None else {"start": str(variable.start).lower()}
-            if variable.unit:
-                start["unit"] = variable.unit
-            ElementTree.SubElement(scalar, kind, start)
-    structure = ElementTree.SubElement(root, "ModelStructure")
+            add(scalar, kind, start | ({"unit": variable.unit} if variable.unit else {}))
+    structure = add(root, "ModelStructure")
     for part in ("Outputs", "InitialUnknowns"):
-        unknowns = ElementTree.SubElement(structure, part)
+        unknowns = add(structure, part)
         for index in range(1, record.ny + 1):
-            ElementTree.SubElement(unknowns, "Unknown", index=str(index))
+            add(unknowns, "Unknown", index=str(index))
     tree = ElementTree.ElementTree(root)
     ElementTree.indent(tree)
     return tree

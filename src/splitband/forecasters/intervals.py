@@ -53,19 +53,6 @@ class Interval:
     most: tuple[float | None, ...]
     share: float = 0.9
 
-    @classmethod
-    def fit(cls, errors: Sequence[Array], y: Array, share: float = 0.9) -> Interval:
-        """Fit to the errors of forecasts.
-
-        Parameters
-        ----------
-        errors : Of forecasts from different samples on, `(time, ny)` each, by horizon, up to the
-            same last sample; NaN where nothing was measured.
-        y : The training record, `(time, ny)`, NaN likewise.
-        share : Of the samples that shall lie inside.
-        """
-        return HeldOut.of(errors, y).interval(share)
-
     def widened(self, change: Array) -> Interval:
         """Return it at least as wide as errors of the size of `change` `(time, ny)` call for.
 
@@ -141,7 +128,13 @@ class HeldOut:
 
     @classmethod
     def of(cls, errors: Sequence[Array], y: Array) -> HeldOut:
-        """Return the errors with what counts of the training record `y`, see `Interval.fit`."""
+        """Return the errors with what counts of the training record.
+
+        Parameters
+        ----------
+        errors : See the attribute; all of them end with the same sample.
+        y : The training record, `(time, ny)`, NaN in gaps.
+        """
         known = ~np.isnan(np.concatenate(errors)) if errors else np.empty((0, 1))
         if not known.any(axis=0).all():
             raise ValueError("errors must have a sample at least, in every channel")

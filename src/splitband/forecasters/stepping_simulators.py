@@ -56,28 +56,37 @@ MARGIN = 30
 class RunAhead(Part):
     """A simulator that is run over twice the time whenever its output does not reach far enough.
 
+    Recorded output, which ends somewhere, is read as far as it is asked for.
+
     Parameters
     ----------
     trajectory : Its output over what is known, see `Forecaster.trajectory`.
     """
 
     def __init__(self, trajectory: Callable[[Known], Array]) -> None:
-        self.trajectory, self.output = trajectory, np.empty((0, 0))
+        self.trajectory = trajectory
 
     def initial(self, known: Known | None) -> State:
         """Return the number of samples so far."""
         if known is not None:
-            self.known = replace(known, steps=max(len(known.y), 100))
-            self.output = self.trajectory(self.known)
+            self.known = known
+            self.output = self._run(len(known.y), 2 * len(known.y) + MARGIN)
         return {"samples": 0}
 
     def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
         """Return the output of the sample, and of `ahead` more."""
-        at = state["samples"]
-        if at + 1 + ahead + MARGIN > len(self.output):
-            self.known = replace(self.known, steps=2 * len(self.output))
-            self.output = self.trajectory(self.known)
-        return {"samples": at + 1}, self.output[at : at + 1 + ahead, :, None]
+        at, end = state["samples"], state["samples"] + 1 + ahead
+        if end + MARGIN > len(self.output):
+            self.output = self._run(end, 2 * end + MARGIN)
+        return {"samples": at + 1}, self.output[at:end, :, None]
+
+    def _run(self, least: int, most: int) -> Array:
+        """Return the output of the most samples, or where it ends before, of the least."""
+        begun = len(self.known.y)
+        try:
+            return self.trajectory(replace(self.known, steps=most - begun))
+        except ValueError:
+            return self.trajectory(replace(self.known, steps=max(least - begun, 0)))
 
 
 @dataclass(frozen=True, eq=False)
