@@ -20,12 +20,11 @@ from torch import Tensor
 
 from splitband.data import Record, check_alike
 from splitband.data.gaps import last_before
-from splitband.data.preparation import seconds
-from splitband.data.timing import same_sampling, zones_differ
+from splitband.forecasters.asking import known_of, predicted, prepared_like, seconds_after
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import Fitted
 from splitband.forecasters.intervals import HeldOut
-from splitband.forecasters.known import Known, continued
+from splitband.forecasters.known import Known
 from splitband.forecasters.prediction import Prediction
 from splitband.forecasters.stepping import (
     Extrapolated,
@@ -34,7 +33,7 @@ from splitband.forecasters.stepping import (
     Recursion,
 )
 from splitband.forecasters.streaming import Stream, stream_of
-from splitband.metrics import ExtrapolationWarning, leaves_range
+from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.arguments import whole
 from splitband.runtime.options import Written, attributes, options
 from splitband.runtime.threads import one_thread
@@ -49,8 +48,6 @@ Array = npt.NDArray[np.float64]
 
 SHORT = 20_000
 """Samples of a training record with a simulator that is saved as a whole."""
-OVERFLOWED = 1e100
-"""Stands for predicted values that are not finite, so that their errors are finite, and huge."""
 
 
 @dataclass(frozen=True)
@@ -374,37 +371,17 @@ class Forecaster(Written, ABC):
                 "on the time since then"
             )
         if history is not None and history.prepared != fitted.record.prepared:
-            return self._predict_raw(steps, history, u, y_sim, level, other_record)
-        known, past = self._known(steps, history, u, y_sim, other_record)
-        extrapolated = self.extrapolate(known)
-        y = total([*extrapolated.values()] if isinstance(extrapolated, dict) else [extrapolated])
-        parts = extrapolated if isinstance(extrapolated, dict) and len(extrapolated) > 1 else {}
-        if y.shape != (steps, past.ny):
-            raise ValueError(
-                f"{self.name} must extrapolate {steps} samples of {past.ny} channel(s), "
-                f"got the shape {y.shape}"
-            )
-        prediction = Prediction(y, past.grid.after(steps), past.columns, parts)
+            prepared, u, y_sim = prepared_like(fitted.record, history, u, y_sim)
+            found = self.predict(steps, prepared, u, y_sim, level, other_record)
+            return found.restored(fitted.record.prepared, seconds_after(prepared, steps))
+        known, past = known_of(self, steps, history, u, y_sim, other_record)
+        prediction = predicted(self, known, past)
         if level is not None:
-            half = self._tried_out().interval(level).half_widths(steps)
+            half, y = self._tried_out().interval(level).half_widths(steps), prediction.y
             prediction = replace(prediction, lower=y - half, upper=y + half, level=level)
-        beyond = fitted.inputs_beyond(None if known.u is None else known.u[len(known.y) :])
-        messages = [each.describe(past.inputs[each.channel]) for each in beyond]
-        messages += (doubts := self.doubts(known))
-        if zones_differ(past.start, fitted.record.start):
-            messages.append(
-                "of the dates of the history and of the training record just one has a time zone: "
-                f"the two were not compared ({past.grid} and {fitted.record.grid})"
-            )
-        left = leaves_range(fitted.y_range, y)
-        if left is not None:
-            messages.append(
-                f"the prediction of {self.name} goes far beyond the training samples after {left} "
-                "samples: not to be trusted from there on"
-            )
-        for message in messages:
+        for message in prediction.warnings:
             warnings.warn(message, ExtrapolationWarning, stacklevel=2)
-        return replace(prediction, warnings=tuple(messages), doubts=tuple(doubts))
+        return prediction
 
     def step_responses(
         self,
@@ -597,70 +574,6 @@ class Forecaster(Written, ABC):
         vars(self).clear()
         vars(self).update({**vars(other), **kept})
 
-    def _predict_raw(
-        self,
-        steps: int,
-        history: Record,
-        u: npt.ArrayLike | None,
-        y_sim: npt.ArrayLike | None,
-        level: float | None,
-        other_record: bool,
-    ) -> Prediction:
-        """Predict after a history that has not been prepared as the training record was."""
-        record = self.require_fitted().record
-        prepared = history.prepared_as(record)
-
-        def times(samples: int) -> Array:
-            """Return the seconds of so many samples after the history."""
-            last = seconds(prepared)[-1]
-            return np.asarray(last + prepared.sampling_time * np.arange(1.0, samples + 1))
-
-        for step in record.prepared:
-            if u is not None:
-                u = np.asarray(u, np.float64).reshape(-1, history.nu)
-                u = step.inputs(u, times(len(u)))
-            if y_sim is not None:
-                y_sim = np.asarray(y_sim, np.float64).reshape(-1, history.ny)
-                y_sim = step.outputs(y_sim, times(len(y_sim)))
-        found = self.predict(steps, prepared, u, y_sim, level, other_record)
-        return found.restored(record.prepared, times(steps))
-
-    def _known(
-        self,
-        steps: int,
-        history: Record | None,
-        u: npt.ArrayLike | None,
-        y_sim: npt.ArrayLike | None,
-        other_record: bool = False,
-    ) -> tuple[Known, Record]:
-        """Return what may be known of `steps` samples, and the history."""
-        fitted = self.require_fitted()
-        past, begin = fitted.record, None if other_record else float(fitted.begin)
-        if history is not None:
-            check_alike(history, fitted.record, "history")
-            step, own = fitted.record.sampling_time, history.sampling_time
-            if self.anchored and not same_sampling(step, own, len(history)):
-                raise ValueError(
-                    f"history must be sampled like the training record for {self.name}, which "
-                    f"depends on the time since then: every {step:.7g} s, got every {own:.7g} s"
-                )
-            past, begin = history, None if other_record else fitted.begins(history)
-        inputs = None
-        if u is not None and not np.isfinite(np.asarray(u, dtype=np.float64)).all():
-            raise ValueError("u must hold finite numbers, got some that are not")
-        if past.u is not None:
-            inputs = continued("u", past.u, past.u_beyond if u is None else u, steps)
-        elif u is not None:
-            raise ValueError("u must be given exactly for a record with inputs, this has none")
-        simulated = None
-        if "simulator" in self.needs:
-            if past.y_sim is None:
-                raise ValueError(f"history must bring a simulator's output (y_sim) for {self.name}")
-            ahead = past.beyond if y_sim is None else y_sim
-            simulated = continued("y_sim", past.y_sim, ahead, steps, more=True)
-        own = history is None and not other_record
-        return Known(past.seen, steps, begin, inputs, simulated, past.grid, own), past
-
     def _tried_out(self) -> HeldOut:
         """Return how well it forecasts known samples, which is found out once."""
         if self.held_out is None:
@@ -674,12 +587,6 @@ def parts_of(forecaster: Forecaster) -> dict[str, Forecaster]:
     """Return the options of a forecaster that are forecasters themselves, by name."""
     options = forecaster.get_params()
     return {name: value for name, value in options.items() if isinstance(value, Forecaster)}
-
-
-def total(parts: Sequence[Array]) -> Array:
-    """Return their sum, with `OVERFLOWED` where it is not finite."""
-    most = OVERFLOWED
-    return np.nan_to_num(np.sum(parts, axis=0), nan=most, posinf=most, neginf=-most)
 
 
 def _cloned(option: Any) -> Any:

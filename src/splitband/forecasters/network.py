@@ -20,8 +20,9 @@ from splitband.baselines.delays import delayed
 from splitband.baselines.linear import input_delays
 from splitband.data import Record
 from splitband.data.gaps import first_after, last_before
+from splitband.forecasters.asking import known_of, total
 from splitband.forecasters.bands import OPEN, Bands
-from splitband.forecasters.base import Forecaster, Training, total
+from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.beginning import Earlier, LinearPart
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.known import Known
@@ -299,7 +300,7 @@ class Network(Forecaster):
 
     def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
         """Return what the model's filters are fed with; empty for a model without filters."""
-        known, _ = self._known(steps, history, None, None)
+        known, _ = known_of(self, steps, history, None, None)
         parts = self._trained().simulate_unfiltered(*self._warm(known))
         since = len(known.y) - self._start(known)
         return self._labelled({name: part[since:] for name, part in parts.items()})

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from splitband.data import Record
 from splitband.data.preparation import seconds
+from splitband.forecasters.asking import known_of
 from splitband.forecasters.known import Known
 from splitband.forecasters.stepping import InUnits, NotSteppedError, Recursion, State
 from splitband.metrics import ExtrapolationWarning
@@ -165,7 +166,7 @@ def _begun(
     u = None if past.u is None else past.u[:0]
     y_sim = past.beyond if past.y_sim is None or past.beyond is not None else past.y_sim[:0]
     own = None if history is None else past
-    known, _ = forecaster._known(0, own, u, y_sim, other_record)
+    known, _ = known_of(forecaster, 0, own, u, y_sim, other_record)
     recursion = _in_units(forecaster, recursion, history)
     return Stream(forecaster.name, recursion, recursion.followed(known))
 

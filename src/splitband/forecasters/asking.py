@@ -1,0 +1,124 @@
+"""Ask a forecaster: what it may know, and what it says with every reason to doubt it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.data import Record, check_alike
+from splitband.data.preparation import seconds
+from splitband.data.timing import same_sampling, zones_differ
+from splitband.forecasters.known import Known, continued
+from splitband.forecasters.prediction import Prediction
+from splitband.metrics import leaves_range
+
+if TYPE_CHECKING:
+    from splitband.forecasters.base import Forecaster
+
+Array = npt.NDArray[np.float64]
+
+OVERFLOWED = 1e100
+"""Stands for predicted values that are not finite, so that their errors are finite, and huge."""
+
+
+def known_of(
+    forecaster: Forecaster,
+    steps: int,
+    history: Record | None,
+    u: npt.ArrayLike | None,
+    y_sim: npt.ArrayLike | None,
+    other_record: bool = False,
+) -> tuple[Known, Record]:
+    """Return what may be known of `steps` samples, and the history; see `Forecaster.predict`."""
+    fitted = forecaster.require_fitted()
+    past, begin = fitted.record, None if other_record else float(fitted.begin)
+    if history is not None:
+        check_alike(history, fitted.record, "history")
+        step, own = fitted.record.sampling_time, history.sampling_time
+        if forecaster.anchored and not same_sampling(step, own, len(history)):
+            raise ValueError(
+                f"history must be sampled like the training record for {forecaster.name}, which "
+                f"depends on the time since then: every {step:.7g} s, got every {own:.7g} s"
+            )
+        past, begin = history, None if other_record else fitted.begins(history)
+    inputs = None
+    if u is not None and not np.isfinite(np.asarray(u, dtype=np.float64)).all():
+        raise ValueError("u must hold finite numbers, got some that are not")
+    if past.u is not None:
+        inputs = continued("u", past.u, past.u_beyond if u is None else u, steps)
+    elif u is not None:
+        raise ValueError("u must be given exactly for a record with inputs, this has none")
+    simulated = None
+    if "simulator" in forecaster.needs:
+        if past.y_sim is None:
+            raise ValueError(
+                f"history must bring a simulator's output (y_sim) for {forecaster.name}"
+            )
+        ahead = past.beyond if y_sim is None else y_sim
+        simulated = continued("y_sim", past.y_sim, ahead, steps, more=True)
+    own = history is None and not other_record
+    return Known(past.seen, steps, begin, inputs, simulated, past.grid, own), past
+
+
+def predicted(forecaster: Forecaster, known: Known, past: Record) -> Prediction:
+    """Return what a forecaster says, and the reasons to doubt it."""
+    fitted, steps = forecaster.require_fitted(), known.steps
+    extrapolated = forecaster.extrapolate(known)
+    parts = extrapolated if isinstance(extrapolated, dict) else {"": extrapolated}
+    y = total([*parts.values()])
+    if y.shape != (steps, past.ny):
+        raise ValueError(
+            f"{forecaster.name} must extrapolate {steps} samples of {past.ny} channel(s), "
+            f"got the shape {y.shape}"
+        )
+    beyond = fitted.inputs_beyond(None if known.u is None else known.u[len(known.y) :])
+    messages = [each.describe(past.inputs[each.channel]) for each in beyond]
+    messages += (doubts := forecaster.doubts(known))
+    if zones_differ(past.start, fitted.record.start):
+        messages.append(
+            "of the dates of the history and of the training record just one has a time zone: "
+            f"the two were not compared ({past.grid} and {fitted.record.grid})"
+        )
+    left = leaves_range(fitted.y_range, y)
+    if left is not None:
+        messages.append(
+            f"the prediction of {forecaster.name} goes far beyond the training samples after "
+            f"{left} samples: not to be trusted from there on"
+        )
+    return Prediction(
+        y,
+        past.grid.after(steps),
+        past.columns,
+        parts if len(parts) > 1 else {},
+        warnings=tuple(messages),
+        doubts=tuple(doubts),
+    )
+
+
+def prepared_like(
+    record: Record, history: Record, u: npt.ArrayLike | None, y_sim: npt.ArrayLike | None
+) -> tuple[Record, npt.ArrayLike | None, npt.ArrayLike | None]:
+    """Return a history, inputs and simulator's output to come, prepared as a record was."""
+    prepared = history.prepared_as(record)
+    for step in record.prepared:
+        if u is not None:
+            u = np.asarray(u, np.float64).reshape(-1, history.nu)
+            u = step.inputs(u, seconds_after(prepared, len(u)))
+        if y_sim is not None:
+            y_sim = np.asarray(y_sim, np.float64).reshape(-1, history.ny)
+            y_sim = step.outputs(y_sim, seconds_after(prepared, len(y_sim)))
+    return prepared, u, y_sim
+
+
+def seconds_after(record: Record, samples: int) -> Array:
+    """Return the seconds of so many samples after a record."""
+    return np.asarray(seconds(record)[-1] + record.sampling_time * np.arange(1.0, samples + 1))
+
+
+def total(parts: Sequence[Array]) -> Array:
+    """Return their sum, with `OVERFLOWED` where it is not finite."""
+    most = OVERFLOWED
+    return np.nan_to_num(np.sum(parts, axis=0), nan=most, posinf=most, neginf=-most)
