@@ -1,6 +1,7 @@
 """Parameters of simulators, fitted to records: closed forms, other solvers, and what is said."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +70,19 @@ def test_standard_errors_and_correlations_are_those_of_scipy() -> None:
     assert [*found.errors.values()] == pytest.approx(deviations, rel=0.01)
     expected = covariance / np.outer(deviations, deviations)
     np.testing.assert_allclose(found.correlations, expected, atol=0.02)
+
+
+def test_a_solver_of_loose_tolerance_gives_the_same_standard_errors() -> None:
+    record = measured(noise=0.02)
+    exact, loose = (
+        identify(
+            replace(oscillator(k=(1.0, 20.0), c=(0.0, 1.0)), tolerances=each), record, effort=FEW
+        )
+        for each in ((1e-8, 1e-10), (1e-2, 1e-2))
+    )
+    for name, error in exact.errors.items():
+        assert loose.errors[name] == pytest.approx(error, rel=0.05)
+        assert abs(loose.values[name] - exact.values[name]) < 0.1 * error
 
 
 def test_numbers_are_kept_and_each_record_has_its_own_initial_state() -> None:

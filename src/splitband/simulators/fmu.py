@@ -85,6 +85,10 @@ class Fmu(Written):
         """Return whether it has to be fitted, or needs inputs: a `GreyBox` runs it."""
         return bool(self.known.free) or bool(self._inputs)
 
+    def precise(self) -> Fmu:
+        """Return it: its solver is its own."""
+        return self
+
     def fixed(self, values: Mapping[str, float]) -> Fmu:
         """Return the FMU with these values of parameters."""
         given = self.known.fixed(values).given

@@ -123,6 +123,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     ranked = sorted((o.found[window][1], o.number) for o in outcomes if window in o.found)
     best = next(o for o in outcomes if o.number == ranked[0][1])
     places = np.array(best.found[window][0])
+    shooting = Shooting(simulator.precise(), experiments, scale)
     with within(Deadline()):  # what has been found is looked at however late it is
         shooting.divide(window, places)
         if not (best.cut or deadline.over):

@@ -44,6 +44,9 @@ class Adjustable(Protocol):
     def fixed(self, values: Mapping[str, float]) -> Any:
         """The simulator with these values of parameters."""
 
+    def precise(self) -> Any:
+        """The simulator as it is for the last steps of a fit, and for standard errors."""
+
     def digest(self) -> str:
         """What its response depends on besides the parameters' values."""
 

@@ -26,6 +26,10 @@ class UserCode(Written):
         made = replace(self, parameters=dict(self.known.fixed(values).given))  # type: ignore[type-var]
         return made.opened_by(vars(self).get("_opened_by"))
 
+    def precise(self) -> Self:
+        """Return it for derivatives; see `Adjustable`."""
+        return self
+
     def opened_by(self, function: Callable[[Given], Self] | None) -> Self:
         """Return it, for other processes to make by a function of its parameters.
 
