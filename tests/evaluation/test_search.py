@@ -143,6 +143,8 @@ def test_seeds_that_failed_in_training_do_not_count() -> None:
     assert first == "seed 1 left out: training error 40 times the lowest"
     assert second.startswith("seed 3 left out: training error ")
     assert sound_runs(runs[:1], training) == runs[:1]
+    (alone,) = sound_runs([replace(runs[0], fit=replace(runs[0].fit, stable=False))], training)
+    assert alone.description == "unstable: a simulation may grow without bound"
 
 
 def test_the_search_looks_at_nothing_after_the_training_part() -> None:

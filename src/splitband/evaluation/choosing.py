@@ -199,9 +199,11 @@ def sound_runs(runs: Sequence[Run], training: Record) -> list[Run]:
         {run.seed: run.fit for run in runs}, {run.seed: _from_start(run, training) for run in runs}
     )
     kept = [run for run in runs if run.seed not in failed]
-    if not failed:
-        return kept
     said = [f"seed {seed} left out: {why}" for seed, why in failed.items()]
+    if not any(run.fit.stable for run in kept):
+        said.append("unstable: a simulation may grow without bound")
+    if not said:
+        return kept
     first = replace(kept[0], description="; ".join(filter(None, [kept[0].description, *said])))
     return [first, *kept[1:]]
 
