@@ -220,7 +220,7 @@ def refitted(plan: Plan, model: Forecaster, trial: Trial, work: Work) -> Forecas
     """A method that was handed out, fitted to the whole record as it was fitted to its part."""
     method, seeds = model.clone(), [0]
     if isinstance(model, Ensemble):
-        method, seeds = model.member.clone(), [*model.seeds]
+        method, seeds = model.one_by_one(), [*model.seeds]
     samples = len(plan.record)
     origin = Origin(samples, samples - 1)
     question = Question(plan.record, [origin], samples, plan.others, keep=True)
@@ -234,8 +234,7 @@ def as_trained(forecaster: Forecaster, seeds: Sequence[int]) -> Forecaster:
     """The forecaster of these seeds, not fitted: what is random is the mean over them."""
     if not forecaster.random or [*seeds] == [0]:
         return forecaster.clone()
-    usual = [*seeds] == [*range(len(seeds))]
-    return Ensemble(forecaster.clone(), len(seeds), seeds=None if usual else seeds)
+    return Ensemble.unfitted([forecaster.for_seed(seed).clone() for seed in seeds], seeds)
 
 
 def _from_start(run: Run, training: Record) -> float:

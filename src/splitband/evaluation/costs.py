@@ -65,7 +65,7 @@ def job_cost(forecaster: Forecaster, question: Question) -> float:
     """Seconds of a reference core to fit a forecaster and ask it, roughly; see `training_cost`."""
     samples = max(origin.fitted for origin in question.origins)
     if isinstance(forecaster, Ensemble):
-        return forecaster.count * job_cost(forecaster.member, question)
+        return sum(job_cost(template, question) for template in forecaster.templates)
     if not isinstance(forecaster, Network) or forecaster.settings is None:
         return QUICK * len({origin.fitted for origin in question.origins})
     try:

@@ -100,9 +100,9 @@ class SavedSettings:
     def of_forecaster(cls, forecaster: Forecaster) -> SavedSettings | None:
         """How a network of a known name is trained; None for everything else.
 
-        Of a mean over seeds it is that of each member.
+        Of a mean of several it is that of the first member.
         """
-        network = forecaster.member if isinstance(forecaster, Ensemble) else forecaster
+        network = forecaster.templates[0] if isinstance(forecaster, Ensemble) else forecaster
         if not isinstance(network, Network) or network.settings is None:
             return None
         if network.name not in TRAINED:

@@ -6,11 +6,12 @@ import contextlib
 import time
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, Unpack, final
 
 import numpy as np
@@ -91,6 +92,8 @@ class Forecaster(Written, ABC):
     delays : By how many samples each input acts late, as found in training; empty where that is
         not asked.
     held_out : How well copies of it forecast known samples, once an interval has been asked for.
+    by_seed : What is fitted in its place with some seeds, as networks of other sizes and settings;
+        not saved.
     cells : Options that hold the templates of its networks' cells; empty without networks.
     settings : How its networks are trained; None where that is open, or there is nothing to train.
     words : What it is, where that is the same for all of its class; see `in_words`.
@@ -100,6 +103,7 @@ class Forecaster(Written, ABC):
     fitted: Fitted | None = None
     delays: tuple[int, ...] = ()
     held_out: HeldOut | None = None
+    by_seed: Mapping[int, Forecaster] = MappingProxyType({})
     cells: ClassVar[tuple[str, ...]] = ()
     settings: Settings | None = None
     words: ClassVar[str] = ""
@@ -237,8 +241,11 @@ class Forecaster(Written, ABC):
 
     def with_parts(self, changed: Callable[[Forecaster], Forecaster]) -> Self:
         """Return it with each of its parts changed; itself where it has none."""
-        parts = {name: changed(part) for name, part in parts_of(self).items()}
-        return self.clone().set_params(**parts) if parts else self
+        parts = parts_of(self)
+        if not parts:
+            return self
+        options = {name: _with_parts(value, changed) for name, value in self.get_params().items()}
+        return self.clone().set_params(**options)
 
     def given(self, simulator: Any) -> Forecaster:
         """Return it with this simulator where it fits the parameters of one and has none."""
@@ -276,6 +283,10 @@ class Forecaster(Written, ABC):
             part.check(*records)
 
     @final
+    def for_seed(self, seed: int) -> Forecaster:
+        """Return the forecaster that is fitted with a seed."""
+        return self.by_seed.get(seed, self)
+
     def fit(
         self,
         *records: Record,
@@ -511,7 +522,8 @@ class Forecaster(Written, ABC):
         Of the training record that is the end, on which a forecast warms up.
         """
         end = None if self.fitted is None else self.fitted.end(self.first_needed())
-        return {**vars(self), "fitted": end}
+        kept = {name: value for name, value in vars(self).items() if name != "by_seed"}
+        return {**kept, "fitted": end}
 
     @classmethod
     def from_dict(cls, found: dict[str, Any]) -> Self:
@@ -567,7 +579,10 @@ class Forecaster(Written, ABC):
 
     def _made(self, params: dict[str, Any]) -> Self:
         """Return a forecaster of the same class with these options."""
-        return type(self)(**params)
+        new = type(self)(**params)
+        if self.by_seed:
+            new.by_seed = self.by_seed
+        return new
 
     def _become(self, other: Self, kept: dict[str, Any]) -> None:
         """Take over all attributes of another one but those that are kept."""
@@ -584,9 +599,27 @@ class Forecaster(Written, ABC):
 
 
 def parts_of(forecaster: Forecaster) -> dict[str, Forecaster]:
-    """Return the options of a forecaster that are forecasters themselves, by name."""
-    options = forecaster.get_params()
-    return {name: value for name, value in options.items() if isinstance(value, Forecaster)}
+    """Return the options of a forecaster that are forecasters themselves, by name.
+
+    Those of a list are numbered.
+    """
+    found: dict[str, Forecaster] = {}
+    for name, option in forecaster.get_params().items():
+        if isinstance(option, Forecaster):
+            found[name] = option
+        elif isinstance(option, list | tuple):
+            parts = {f"{name}.{i}": part for i, part in enumerate(option)}
+            found |= {at: part for at, part in parts.items() if isinstance(part, Forecaster)}
+    return found
+
+
+def _with_parts(option: Any, changed: Callable[[Forecaster], Forecaster]) -> Any:
+    """Return an option with the forecasters in it changed."""
+    if isinstance(option, Forecaster):
+        return changed(option)
+    if type(option) in (list, tuple):
+        return type(option)(_with_parts(part, changed) for part in option)
+    return option
 
 
 def _cloned(option: Any) -> Any:
