@@ -26,11 +26,11 @@ from reproduction.settings import HYBRID, LEARNING_BASED
 from reproduction.systems import MassSpringOracle, double_torsion_pendulum
 from splitband.data import Record, double_torsion, drill_string
 from splitband.data.named import double_mass_spring, van_der_pol
-from splitband.evaluation.comparison import compare
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.protocols import Run, run_methods
-from splitband.evaluation.runs import Work
+from splitband.evaluation.run import compare
 from splitband.evaluation.setup import Options, Setup, default_names
+from splitband.evaluation.work import Work
 from splitband.forecasters.names import with_variants
 from splitband.metrics import rmse
 from splitband.report.results import results

@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.timing import circumstances, write
 from splitband import Cluster, Options, Record, Work
-from splitband.evaluation.runs import run_all
+from splitband.evaluation.jobs import run_all
 from splitband.forecasters.backtest import Origin, Question, first_origin
 from splitband.runtime.processes import over
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 from splitband import Comparison, Forecaster, Record
 from splitband.evaluation.plan import Plan, check
 from splitband.evaluation.protocols import run_methods
-from splitband.evaluation.runs import Work
 from splitband.evaluation.selection import try_out
 from splitband.evaluation.setup import Setup
+from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import for_trial, held_out_from
 from splitband.forecasters.network import Network
 

@@ -21,7 +21,7 @@ import numpy.typing as npt
 import scipy
 
 import splitband as sb
-from splitband.evaluation.runs import Work
+from splitband.evaluation.work import Work
 from splitband.report.results import results
 from splitband.runtime.files import CHECKPOINTS, write_json
 

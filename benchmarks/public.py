@@ -3,11 +3,10 @@
     python -m benchmarks.public [--sets tanks,silverbox] [--budgets 0,1,2,5,10] [--jobs 2]
     python -m benchmarks.public --no-run
 
-Everything is fitted and chosen on the training file alone; of each test file the first samples are
-known, 50 unless a set says otherwise, and the rest is simulated. A budget of 0 is that of
-`splitband compare` without --budget, the others are minutes of two cores. Results that are there
-already are not computed again, and what was cut off goes on; the page docs/results/benchmarks.md is
-made of them.
+Everything is fitted and chosen on the training file alone; each test file is warmed up on its first
+50 samples and simulated to its end. A budget of 0 is that of `splitband compare` without --budget,
+the others are minutes of two cores. Results that are there already are not computed again, and what
+was cut off goes on; the page docs/results/benchmarks.md is made of them.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from __future__ import annotations
 import argparse
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,9 @@ import splitband as sb
 from benchmarks import public_page
 from benchmarks.public_page import CORES, FOR_TRAINING, errors_of
 from benchmarks.sets import SETS, Benchmark, load
-from splitband.evaluation.runs import Work
 from splitband.evaluation.search import Search
 from splitband.evaluation.setup import Options
+from splitband.evaluation.work import Work
 from splitband.report.results import results
 from splitband.runtime.files import CHECKPOINTS, write_json
 
@@ -33,10 +33,9 @@ def measure(benchmark: Benchmark, minutes: float, jobs: int, checkpoints: Path) 
     """What one budget comes to: the command's results, and how long it took."""
     record = load(benchmark.training)
     tests = [load(test) for test in benchmark.tests]
-    # As work, and not as time: the errors do not depend on what else the machine does.
-    effort = Search(FOR_TRAINING * 60 * minutes * CORES) if minutes else Search()
-    options = Options(changes={"warmup": benchmark.warmup}, search=effort)
-    setup = options.decided(record, len(record))
+    setup = Options().decided(record, len(record))
+    if minutes:
+        setup = replace(setup, search=Search(FOR_TRAINING * 60 * minutes * CORES))
     began = time.perf_counter()
     comparison = sb.compare(
         record, tests=tests, setup=setup, train=len(record), work=Work(jobs, None, checkpoints)

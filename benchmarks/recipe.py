@@ -23,8 +23,8 @@ from benchmarks.beyond import SYSTEMS
 from benchmarks.comparing import forecasters, held_out
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.protocols import run_methods
-from splitband.evaluation.runs import Work
 from splitband.evaluation.setup import Options, Setup
+from splitband.evaluation.work import Work
 from splitband.metrics import spread
 from splitband.runtime.files import write_json
 from splitband.training.recipes import paper_settings

@@ -23,7 +23,7 @@ from reproduction.jobs import SYSTEMS
 from reproduction.runs import complete, missing
 from reproduction.specs import SPECS, Line, lines
 from reproduction.tables import Table, table
-from splitband.evaluation.runs import RunProgress
+from splitband.evaluation.work import RunProgress
 from splitband.forecasters.names import TRAINED
 from splitband.report import pictures
 from splitband.runtime.files import output_folder, replacing, write_json, write_json_lines

@@ -21,8 +21,8 @@ from reproduction.systems import MassSpringOracle
 from splitband.data import Record
 from splitband.evaluation.protocols import Errors, Run
 from splitband.evaluation.protocols import as_run as run_of
-from splitband.evaluation.runs import RunProgress
 from splitband.evaluation.setup import Setup
+from splitband.evaluation.work import RunProgress
 from splitband.forecasters.backtest import Origin, Question, backtest, first_origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport

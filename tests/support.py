@@ -15,10 +15,10 @@ from splitband import Forecaster, Record
 from splitband.evaluation.plan import Plan, check
 from splitband.evaluation.protocols import Run, Runs, run_methods
 from splitband.evaluation.protocols import as_run as run_of
-from splitband.evaluation.runs import RunProgress, Work
 from splitband.evaluation.selection import Trial
 from splitband.evaluation.selection import try_out as try_forecasters_out
 from splitband.evaluation.setup import Setup
+from splitband.evaluation.work import RunProgress, Work
 from splitband.forecasters.backtest import Backtest, Origin, Question, backtest, first_origin
 from splitband.forecasters.network import Network
 from splitband.forecasters.saving import load_with_facts

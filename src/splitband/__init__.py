@@ -3,15 +3,18 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from splitband.runtime.provided import provide
+
 if TYPE_CHECKING:
     from splitband.data import Grid, Record, read
-    from splitband.evaluation.comparison import Comparison, compare, run
-    from splitband.evaluation.forecast import Forecast, forecast
+    from splitband.evaluation.comparison import Comparison
+    from splitband.evaluation.forecast import Forecast
     from splitband.evaluation.plan import Plan, plan
-    from splitband.evaluation.runs import Work
+    from splitband.evaluation.run import compare, forecast, run
     from splitband.evaluation.saved_settings import SavedSettings
     from splitband.evaluation.search import Search
     from splitband.evaluation.setup import Options, Setup
+    from splitband.evaluation.work import Work
     from splitband.filters import ComplementaryPair
     from splitband.forecasters.backtest import Origin, Question, backtest
     from splitband.forecasters.bands import Bands
@@ -43,16 +46,36 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 
+# What results and forecasters are asked for, and who does it: the code knows them, not they it.
+provide(
+    {
+        "table": "splitband.report.table:frame",
+        "table as text": "splitband.report.table:as_text",
+        "table as HTML": "splitband.report.table:as_html",
+        "picture of a comparison": "splitband.report.pictures:rollouts",
+        "picture of a prediction": "splitband.report.pictures:prediction",
+        "results": "splitband.report.results:save",
+        "page of a comparison": "splitband.report.page:of_comparison",
+        "page of a forecast": "splitband.report.page:of_forecast",
+        "export": "splitband.export.writing:export",
+        "saving": "splitband.forecasters.saving:save",
+        "step responses": "splitband.forecasters.responses:respond",
+        "check": "splitband.forecasters.checking:check",
+        "held-out forecasts": "splitband.forecasters.backtest:held_out_by",
+    }
+)
+
 # Loaded on first use: torch and pandas take seconds.
 _MODULES = {
     "data": ("Grid", "Record", "read"),
-    "evaluation.comparison": ("Comparison", "compare", "run"),
-    "evaluation.forecast": ("Forecast", "forecast"),
-    "evaluation.runs": ("Work",),
+    "evaluation.comparison": ("Comparison",),
+    "evaluation.forecast": ("Forecast",),
+    "evaluation.run": ("compare", "forecast", "run"),
     "evaluation.search": ("Search",),
     "evaluation.plan": ("Plan", "plan"),
     "evaluation.setup": ("Options", "Setup"),
     "evaluation.saved_settings": ("SavedSettings",),
+    "evaluation.work": ("Work",),
     "filters": ("ComplementaryPair",),
     "forecasters.backtest": ("Origin", "Question", "backtest"),
     "forecasters.bands": ("Bands",),

@@ -11,9 +11,9 @@ import pytest
 
 from splitband.cli import cases, main
 from splitband.cli.comparing import Request
-from splitband.evaluation.comparison import run
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.runs import Work
+from splitband.evaluation.run import run
+from splitband.evaluation.work import Work
 from splitband.report.benchmark import Row, picture, summary
 from splitband.runtime.files import CHECKPOINTS
 from tests.cli.support import (

@@ -20,7 +20,7 @@ import pytest
 from reproduction.__main__ import main as reproduce
 from splitband import Work, compare
 from splitband.cli import main
-from splitband.evaluation.runs import RunProgress
+from splitband.evaluation.work import RunProgress
 from splitband.runtime.cluster import Cluster, _carry_out
 from splitband.runtime.files import CHECKPOINTS
 from tests.cli.support import QUICK, call, results

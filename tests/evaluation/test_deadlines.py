@@ -9,10 +9,10 @@ import pytest
 
 from splitband.evaluation import search as searching
 from splitband.evaluation.budget import Pace, TimeBudget
-from splitband.evaluation.comparison import Comparison, compare
-from splitband.evaluation.forecast import forecast
-from splitband.evaluation.runs import RunProgress, Work
+from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.run import compare, forecast
 from splitband.evaluation.search import Search
+from splitband.evaluation.work import RunProgress, Work
 from splitband.runtime.deadlines import Deadline
 from tests.records import QUICK, SETUP, TRAIN, record
 from tests.support import slowed

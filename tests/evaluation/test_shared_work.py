@@ -48,7 +48,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     remembered = Remembered(counted)
     monkeypatch.setattr("splitband.forecasters.simulation.CALIBRATIONS", remembered)
-    monkeypatch.setattr("splitband.evaluation.runs.REMEMBERED", (remembered,))
+    monkeypatch.setattr("splitband.evaluation.job.REMEMBERED", (remembered,))
     return found
 
 
@@ -72,7 +72,7 @@ def test_other_processes_are_sent_what_is_fitted(
         assert len(learned) == 1
         return [work(job, lambda _: None) for job in jobs]  # type: ignore[attr-defined]
 
-    monkeypatch.setattr("splitband.evaluation.runs.over", sent)
+    monkeypatch.setattr("splitband.evaluation.jobs.over", sent)
     compare(RECORD, CALIBRATED, SETUP)
     assert fitted == [TRAIN]
 

@@ -51,17 +51,14 @@ def pages(everything: Comparison, tmp_path_factory: pytest.TempPathFactory) -> d
         Row("no error", "test", "gru", None, "", None, None, 3.0),
         Row(comparisons.NASTY, failed="the file is empty"),
     ]
-    results: dict[str, Any] = {
-        "comparison": everything,
-        "forecast": comparisons.forecasted(),
-        "spectrum": report.SpectrumReport(r, 0.5, None, facts),
-        "benchmark": rows,
-        "failures": rows[2:],
-    }
     used = Usage([("Fit it", "splitband fit 'a <b>'")], "record = ...", "splitband compare 'a <b>'")
-    for name, result in results.items():
-        report.write(result, folder / name, used)
-    return {name: folder / name for name in results}
+    spectrum = report.SpectrumReport(r, 0.5, None, facts)
+    report.of_comparison(everything, folder / "comparison", used)
+    report.of_forecast(comparisons.forecasted(), folder / "forecast", used)
+    report.of_spectrum(spectrum, folder / "spectrum", used)
+    report.of_rows(rows, folder / "benchmark", used)
+    report.of_rows(rows[2:], folder / "failures", used)
+    return {page.name: page for page in folder.iterdir()}
 
 
 @pytest.mark.parametrize("kind", ["comparison", "forecast", "spectrum", "benchmark", "failures"])

@@ -42,7 +42,7 @@ def browser() -> Iterator[Browser]:
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("page") / "report.html"
     found = comparisons.compared(comparisons.record())
-    report.write(comparisons.as_if_trained(found), path)
+    report.of_comparison(comparisons.as_if_trained(found), path)
     return path
 
 
@@ -95,7 +95,7 @@ def opened(browser: Browser, file: Path) -> Iterator[Opened]:
 
 def test_names_are_text_and_nothing_is_loaded(browser: Browser, tmp_path: Path) -> None:
     """Not even what draws formulas, which a name between dollar signs would ask for."""
-    report.write(comparisons.everything(), tmp_path / "page.html")
+    report.of_comparison(comparisons.everything(), tmp_path / "page.html")
     it = Opened(browser, tmp_path / "page.html")
     alerted = []
     it.page.on("dialog", lambda dialog: alerted.append(dialog.message))
@@ -209,7 +209,7 @@ def test_a_long_record_is_drawn_soon(browser: Browser, tmp_path: Path) -> None:
     y[123_456] = 9.0
     r = Record(y, comparisons.DT)
     path = tmp_path / "page.html"
-    report.write(comparisons.compared(r, ("mean", "persistence"), 150_000), path)
+    report.of_comparison(comparisons.compared(r, ("mean", "persistence"), 150_000), path)
     milliseconds = float("inf")
     for _ in range(3):  # other work of the machine may make one of them slow
         it = Opened(browser, path)

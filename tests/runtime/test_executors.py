@@ -16,7 +16,7 @@ import threadpoolctl
 import torch
 
 from splitband import Work, compare
-from splitband.evaluation.runs import RunProgress
+from splitband.evaluation.work import RunProgress
 from splitband.runtime.job_folders import JobFolder
 from splitband.runtime.processes import over
 from splitband.runtime.threads import drawn_from, one_thread

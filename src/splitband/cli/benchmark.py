@@ -144,7 +144,7 @@ def _save(rows: Sequence[report.Row], out: Path, facts: dict[str, Any]) -> None:
         with replacing(table_file) as temporary:
             report.table(rows).to_csv(temporary)
         pictures.save(report.picture(rows), picture_file)
-        page.write(rows, page_file, usage("benchmark", facts["arguments"]))
+        page.of_rows(rows, page_file, usage("benchmark", facts["arguments"]))
         write_facts(new, facts | {"environment": results.environment()})
 
 

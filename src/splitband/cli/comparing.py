@@ -23,8 +23,9 @@ from splitband.cli.usage import usage
 from splitband.cli.worker_pool import WorkerPool
 from splitband.data import Record
 from splitband.data.named import RECORDS
-from splitband.evaluation.comparison import Comparison, run
+from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import Plan, check_train, plan
+from splitband.evaluation.run import run
 from splitband.evaluation.saved_settings import SavedSettings
 from splitband.evaluation.setup import default_names
 from splitband.forecasters.names import (

@@ -19,8 +19,8 @@ from splitband.cli.options.simulators import Calibrate, SimulatorOrBaseOptions
 from splitband.cli.options.workers import Jobs
 from splitband.cli.simulators import with_own_parameters
 from splitband.data.timing import as_json
-from splitband.evaluation.fitting import fit as fit_planned
-from splitband.evaluation.runs import Work
+from splitband.evaluation.run import fit as fit_planned
+from splitband.evaluation.work import Work
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.base import Forecaster

@@ -19,7 +19,7 @@ from rich.text import Text
 
 from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.protocols import Runs
-from splitband.evaluation.runs import RunProgress
+from splitband.evaluation.work import RunProgress
 from splitband.metrics import Extrapolation, ExtrapolationWarning
 from splitband.report.table import NOTES, Column
 from splitband.runtime.deadlines import now

@@ -96,7 +96,7 @@ def spectrum(
     report = page.SpectrumReport(trajectory, chosen, choice, facts)
     with staged(out) as new:
         pictures.save(drawn, new / "spectrum.png")
-        page.write(report, new / page.NAME, usage("spectrum", arguments(context.params)))
+        page.of_spectrum(report, new / page.NAME, usage("spectrum", arguments(context.params)))
         write_facts(new, facts)
     showing.console.print(f"picture: {out / 'spectrum.png'}\npage: {out / page.NAME}")
     showing.results_file(out / "results.json")

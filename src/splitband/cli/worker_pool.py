@@ -10,7 +10,7 @@ from pathlib import Path
 
 from splitband.cli import showing
 from splitband.evaluation.budget import TimeBudget
-from splitband.evaluation.runs import RunProgress, Work
+from splitband.evaluation.work import RunProgress, Work
 from splitband.runtime.cluster import Cluster, silence
 from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.threads import available_cores

@@ -1,4 +1,9 @@
-"""What `compare` and `forecast` have in common: what is tried, how it is trained, with which seeds.
+"""Decide, by the training part alone, how networks are trained and with how many seeds.
+
+What needs no training is tried first, then networks, as the search trains them. A network on top of
+a baseline is tried where that baseline does better than every network: what a periodic regression
+or a linear model knows of a record, a network need not learn; what these leave, it may. It is kept
+where it is better than the baseline alone on held-out samples. That is not in the paper.
 
 No measured sample after the training part is looked at.
 """
@@ -8,22 +13,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from splitband.data import Record
-from splitband.evaluation.bases import on_baseline
-from splitband.evaluation.budget import BASE, BASELINES, SEARCH, TimeBudget
+from splitband.evaluation.budget import BASE, BASELINES, SEARCH
 from splitband.evaluation.budget import TRIAL as TRIAL_OVER
-from splitband.evaluation.costs import job_cost
+from splitband.evaluation.costs import job_cost, training_cost
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.protocols import Run, Runs, models_of
-from splitband.evaluation.runs import Work, run_all
-from splitband.evaluation.search import Search, SearchResult, search
-from splitband.evaluation.selection import MOST_TRIAL_SEEDS, Trial, try_out
-from splitband.evaluation.sound import failed_seeds
-from splitband.forecasters.backtest import Origin, Question, held_out_from
+from splitband.evaluation.search import SearchAttempt, SearchResult, search
+from splitband.evaluation.selection import MOST_TRIAL_SEEDS, WORTH_TRAINING, Trial, try_out
+from splitband.evaluation.work import Work
+from splitband.forecasters.backtest import HELD_OUT, Origin, Question, held_out_from
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.ensemble import Ensemble
-from splitband.metrics import rmse, spread
+from splitband.forecasters.names import BASES, with_base
 
+ON_BASELINE = "on a baseline"
+"""The stage in which a network on top of a baseline is tried."""
 TRIAL, FINAL = "held-out fit", "final fit"
 """The stages of the work: on how much of the training part the methods are fitted."""
 REFIT = "refit"
@@ -36,26 +38,17 @@ SEEDS = 3
 """Trainings of each network, where nothing else decides how many."""
 
 
-def timed(work: Work, search: Search | None) -> Work:
-    """The work with a time budget: the caller's, or from now on what the search allows."""
-    time = work.time
-    if not time.limited and search is not None:
-        time = TimeBudget.of(search.seconds, work.cores, time.began)
-    if search is not None:
-        time.asked = search.seconds, search.core_seconds
-    return replace(work, time=time, deadline=time.deadline)
-
-
-def last_stages(plan: Plan, work: Work, asked: int) -> tuple[Work, Work]:
+def last_stages(plan: Plan, work: Work, questions: Sequence[Question]) -> tuple[Work, Work]:
     """The work on the whole training part: of what needs no training, and of networks.
 
     Parameters
     ----------
     plan : A trial of it has forecast three parts of what is held out and what lies ahead.
     work : Of the whole command.
-    asked : Samples that each method forecasts in the end.
+    questions : What the methods are asked in the end.
     """
     held_out = plan.train - held_out_from(plan.train)
+    asked = max(sum(q.end - at.at for at in q.origins) + sum(map(len, q.tests)) for q in questions)
     asking = work.time.pace.asking * asked / (2 * held_out + 3 * plan.horizon)
     time, first = work.time, (AFTER_TRIAL, AFTER_TRIAL)
     until = time.share(BEFORE_REFIT) if plan.refit else time.deadline
@@ -109,6 +102,60 @@ def choose(plan: Plan, work: Work) -> tuple[Trial, SearchResult]:
     with time.phase("on a baseline", basing):
         trial, searched = on_baseline(plan, trial, searched, tried, stage)
     return replace(trial, left_out=frozenset()), searched
+
+
+def on_baseline(
+    plan: Plan, trial: Trial, searched: SearchResult, seeds: Sequence[int], work: Work
+) -> tuple[Trial, SearchResult]:
+    """The trial and the methods, with a network on the best baseline where that pays.
+
+    Parameters
+    ----------
+    plan : The search of its setup says whether this is wanted.
+    trial, searched : What has been found of all other methods; `trial.left_out` are no bases.
+    seeds : Of the network, whose mean is scored.
+    work : Processes, progress and checkpoints.
+    """
+    record, others, setup = plan.training, plan.others, plan.setup
+    networks = {f.name: f.network for f in searched.forecasters if f.network is not None}
+    best = trial.best_network
+    able = [
+        f.name
+        for f in searched.forecasters
+        if f.name in BASES and f.name in trial.scores and f.name not in trial.left_out
+    ]
+    if setup.search is None or not setup.search.bases or best not in networks or not able:
+        return trial, searched
+    base = min(able, key=lambda name: trial.scores[name])
+    if best is None or trial.scores[base] >= trial.scores[best]:
+        return trial, searched
+    (method,) = with_base(["residual-gru-conditioned"], base)
+    network = setup.forecaster(method).network
+    assert network is not None
+    settings = networks[best].settings
+    assert settings is not None
+    if not settings.epochs:  # of a network that begins as a linear model: this one does not
+        settings = setup.settings
+    network = network.trained_as(settings).to(networks[best].device)
+    cost = training_cost(network, record, others)
+    spent = len(seeds) * (1 - HELD_OUT) * cost
+    if network.name in trial.scores or spent + cost > searched.left:
+        return trial, searched
+    if spent > work.time.reckoned(work.deadline):
+        work.time.narrowed(f"{network.name} (not tried)")
+        return trial, searched
+    stage = work.for_stage(ON_BASELINE)
+    found = try_out(record, [network], plan.horizon, seeds, stage, others, need_one=False)
+    score = found.scores.get(network.name)
+    attempt = SearchAttempt(network.name, network.training_in_words(), len(seeds), score)
+    searched = replace(searched, attempts=(*searched.attempts, attempt), left=searched.left - spent)
+    if score is None or score * (1 + WORTH_TRAINING) >= trial.scores[base]:
+        return trial, searched
+    return trial.joined(found), replace(
+        searched,
+        forecasters=[*searched.forecasters, network],
+        costs={**searched.costs, network.name: cost},
+    )
 
 
 def _in_time(
@@ -176,71 +223,3 @@ def last_trainings(
         kept[name] = wanted[name]
         left -= cost
     return kept
-
-
-def without_failed(runs: Runs, training: Record) -> Runs:
-    """Return the runs and the models of the seeds that count."""
-    kept = {name: sound_runs(each, training) for name, each in runs.items()}
-    models = {}
-    for name, of_method in runs.models.items():
-        seeds = {run.seed for run in kept[name]}
-        models[name] = [m for m in of_method if m.require_fitted().report.seed in seeds]
-    return Runs(kept, runs.failures, models)
-
-
-def sound_runs(runs: Sequence[Run], training: Record) -> list[Run]:
-    """Return the runs of a method without the seeds that failed on the training record.
-
-    What counts is the last training loss, of windows, and the error of a free run from the first
-    samples to the end of the training record. The description of the first run says which seeds
-    have been left out.
-    """
-    failed = failed_seeds(
-        {run.seed: run.fit for run in runs}, {run.seed: _from_start(run, training) for run in runs}
-    )
-    kept = [run for run in runs if run.seed not in failed]
-    said = [f"seed {seed} left out: {why}" for seed, why in failed.items()]
-    if not any(run.fit.stable for run in kept):
-        said.append("unstable: a simulation may grow without bound")
-    if not said:
-        return kept
-    first = replace(kept[0], description="; ".join(filter(None, [kept[0].description, *said])))
-    return [first, *kept[1:]]
-
-
-def handed_out(models: Sequence[Forecaster], trial: Trial) -> Forecaster:
-    """The mean of fitted models, of one alone the model, with intervals from the trial."""
-    usual = [model.require_fitted().report.seed for model in models] == [0]
-    model = models[0] if usual or not models[0].random else Ensemble.of(models)
-    model.held_out = trial.held_out.get(model.name)
-    return model
-
-
-def refitted(plan: Plan, model: Forecaster, trial: Trial, work: Work) -> Forecaster:
-    """A method that was handed out, fitted to the whole record as it was fitted to its part."""
-    method, seeds = model.clone(), [0]
-    if isinstance(model, Ensemble):
-        method, seeds = model.one_by_one(), [*model.seeds]
-    samples = len(plan.record)
-    origin = Origin(samples, samples - 1)
-    question = Question(plan.record, [origin], samples, plan.others, keep=True)
-    stage = work.for_stage(REFIT, work.time.deadline, (AFTER_FINAL, 1.0))
-    with work.time.phase("refit"):
-        found, _ = run_all([method], {method.name: question}, seeds, stage)
-    return handed_out(models_of(plan, found)[method.name], trial)
-
-
-def as_trained(forecaster: Forecaster, seeds: Sequence[int]) -> Forecaster:
-    """The forecaster of these seeds, not fitted: what is random is the mean over them."""
-    if not forecaster.random or [*seeds] == [0]:
-        return forecaster.clone()
-    return Ensemble.unfitted([forecaster.for_seed(seed).clone() for seed in seeds], seeds)
-
-
-def _from_start(run: Run, training: Record) -> float:
-    """Return the RMSE of the simulation of the training record, channels scaled; 0 if empty."""
-    begin = len(training) - len(run.from_start.y)
-    begin = max(begin, 0) if run.forecast is None else max(begin + len(run.forecast.y), 0)
-    y = run.from_start.y[: len(training) - begin]
-    scale = spread(training.seen)
-    return rmse(training.seen[begin : begin + len(y)] / scale, y / scale) if len(y) else 0.0

@@ -1,39 +1,29 @@
-"""Comparing with everything decided for the user who does not say otherwise."""
+"""Hold what forecasters did on a record, and which of them is recommended."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from splitband.data import Record
 from splitband.evaluation.budget import TimeBudget
-from splitband.evaluation.choosing import (
-    as_trained,
-    choose,
-    handed_out,
-    last_stages,
-    last_trainings,
-    refitted,
-    timed,
-    without_failed,
-)
-from splitband.evaluation.plan import Plan, plan
-from splitband.evaluation.protocols import Run, Runs, inputs_beyond, mean_run, run_methods
-from splitband.evaluation.runs import Work
-from splitband.evaluation.search import SearchAttempt, SearchResult
+from splitband.evaluation.plan import Plan
+from splitband.evaluation.protocols import Run, Runs, inputs_beyond, mean_run
+from splitband.evaluation.search import SearchAttempt
 from splitband.evaluation.selection import LEVEL, Trial
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.checking import LAGS, ResidualTests, residual_tests
+from splitband.forecasters.ensemble import handed_out, over_seeds
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import Extrapolation
+from splitband.runtime.provided import provided
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -107,7 +97,7 @@ class Comparison:
         name = self.recommended if name is None else name
         if not self.runs.models.get(name):
             raise ValueError(f"name must be one of {', '.join(self.runs.models)}, got {name}")
-        return handed_out(self.runs.models[name], self.require_trial())
+        return handed_out(self.runs.models[name], self.require_trial().held_out.get(name))
 
     def forecaster(self, name: str | None = None) -> Forecaster:
         """A method as it has been trained here, not fitted: to be fitted to a record and saved.
@@ -127,7 +117,7 @@ class Comparison:
         name = self.recommended if name is None else name
         if name not in self.forecasters:
             raise ValueError(f"name must be one of {', '.join(self.forecasters)}, got {name}")
-        return as_trained(self.forecasters[name], [run.seed for run in self.runs[name]])
+        return over_seeds(self.forecasters[name], [run.seed for run in self.runs[name]])
 
     @cached_property
     def means(self) -> dict[str, Run]:
@@ -165,18 +155,8 @@ class Comparison:
         Errors are of the mean of the seeds' predictions, each channel by itself; columns that end
         in "spread" hold the standard deviation of the seeds' errors.
         """
-        # The module of the table imports this one, so that it is imported only here.
-        report = import_module("splitband.report.table")
-        notes = report.remarks(self)
-        columns: dict[str, Mapping[str, object]] = {}
-        for column in report.columns(self):
-            columns[column.title] = column.values
-            if column.spreads:
-                columns[f"{column.title}, spread"] = column.spreads
-        columns["note"] = notes
-        if self.trial is not None:
-            columns["recommended"] = {name: name == self.recommended for name in self.runs}
-        return pd.DataFrame(columns, index=[*notes]).rename_axis("method")
+        table: pd.DataFrame = provided("table")(self)
+        return table
 
     def covers(self, name: str) -> float:
         """The share of the measured samples that a method's interval holds, 0 to 1.
@@ -227,113 +207,23 @@ class Comparison:
 
     def __str__(self) -> str:
         """Return the recommendation and the table, which is at most 100 characters wide."""
-        text: str = import_module("splitband.report.table").as_text(self)
+        text: str = provided("table as text")(self)
         return text
 
     def _repr_html_(self) -> str:
         """Return the recommendation and the table, for notebooks."""
-        html: str = import_module("splitband.report.table").as_html(self)
+        html: str = provided("table as HTML")(self)
         return html
 
     def plot(self) -> Figure:
         """Every method's predictions over the record, with intervals."""
-        # The module of pictures imports this one, so that it is imported only here.
-        return import_module("splitband.report.pictures").rollouts(self)
+        figure: Figure = provided("picture of a comparison")(self)
+        return figure
 
     def save(self, folder: str | Path) -> None:
         """Write all files of `splitband compare`: results, predictions, pictures, the page."""
-        import_module("splitband.report.results").save(self, Path(folder))
+        provided("results")(self, Path(folder))
 
     def report(self, path: str | Path) -> None:
         """Write one HTML file with summary, table, plots to zoom into and settings, to send on."""
-        import_module("splitband.report.page").write(self, path)
-
-
-def compare(
-    record: Record,
-    train: int | None = None,
-    methods: Sequence[Forecaster | str] | str | None = None,
-    *,
-    work: Work | None = None,
-    **options: Any,
-) -> Comparison:
-    """Compare forecasters on a record, as `splitband compare` does: `run(plan(record, ...))`.
-
-    Each is fitted to the first `train` samples, and for the recommendation to three quarters of
-    them.
-
-    Parameters
-    ----------
-    record, train, methods : See `plan`.
-    work : Processes, progress and checkpoints.
-    options : Further arguments of `plan`: others, tests, seeds, setup, horizon.
-
-    Raises
-    ------
-    ValueError
-        For what `plan` finds, before anything is computed; where no method can be fitted.
-
-    Examples
-    --------
-    >>> record = sb.Record(np.sin(0.3 * np.arange(400)), 0.1)
-    >>> result = sb.compare(record, 300, [sb.Mean(), sb.Persistence(), sb.Harmonic()])
-    >>> result.recommended
-    'harmonic'
-    >>> list(result.table["forecast fit %"].round(1))
-    [100.0, -0.3, -77.9]
-    """
-    return run(plan(record, train, methods, **options), work)
-
-
-def run(plan: Plan, work: Work | None = None) -> Comparison:
-    """Compute what has been planned.
-
-    Parameters
-    ----------
-    plan : Of `splitband.plan`.
-    work : Processes, progress and checkpoints.
-
-    Raises
-    ------
-    ValueError
-        Where no method can be fitted.
-    """
-    with timed(work or Work(), plan.setup.search).staffed() as staff:
-        trial, searched = choose(plan, staff)
-        runs = _last_runs(plan, searched, trial, staff)
-        comparison = Comparison(
-            plan,
-            runs,
-            attempts=searched.attempts,
-            forecasters={m.name: m for m in searched.forecasters if m.name in runs},
-            time=staff.time,
-        )
-        trial = replace(trial, left_out=frozenset(comparison.left_out))
-        trial = trial.settled(runs.ahead, staff.time.left_out | runs.failed)
-        comparison = replace(comparison, trial=trial)
-        if plan.refit:
-            model = refitted(plan, comparison.trained(), trial, staff)
-            comparison = replace(comparison, refit=model)
-    return comparison
-
-
-def _last_runs(plan: Plan, searched: SearchResult, trial: Trial, work: Work) -> Runs:
-    """The methods on the whole training part: what needs no training, then networks."""
-    methods = [method for method in searched.forecasters if method.name in trial.errors]
-    asked = plan.horizon + len(plan.record) + sum(map(len, plan.tests))
-    of_quick, of_slow = last_stages(plan, work, asked)
-    with work.time.phase("final trainings"):
-        quick = [f for f in methods if not f.random]
-        runs = run_methods(plan, quick, (0,), of_quick, need_one=len(quick) == len(methods))
-        networks = [f for f in methods if f.random]
-        wanted = last_trainings(plan, networks, searched, trial, of_slow)
-        if not wanted:
-            return runs
-        slow = [next(f for f in methods if f.name == name) for name in wanted]
-        trained = run_methods(plan, slow, wanted, of_slow, need_one=not runs)
-    if plan.seeds is None:
-        trained = without_failed(trained, plan.training)
-    every = {**runs, **trained}
-    ordered = {f.name: every[f.name] for f in methods if f.name in every}
-    models = {**runs.models, **trained.models}
-    return Runs(ordered, (*runs.failures, *trained.failures), models)
+        provided("page of a comparison")(self, path)

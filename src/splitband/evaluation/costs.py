@@ -12,7 +12,6 @@ import torch
 from splitband.data import Record
 from splitband.forecasters.backtest import Question
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.ensemble import Ensemble
 from splitband.forecasters.network import Network
 from splitband.networks import GRU, rollout
 from splitband.runtime.threads import one_thread
@@ -64,20 +63,20 @@ def speed() -> float:
 def job_cost(forecaster: Forecaster, question: Question) -> float:
     """Seconds of a reference core to fit a forecaster and ask it, roughly; see `training_cost`."""
     samples = max(origin.fitted for origin in question.origins)
-    if isinstance(forecaster, Ensemble):
-        return sum(job_cost(template, question) for template in forecaster.templates)
-    if not isinstance(forecaster, Network) or forecaster.settings is None:
+    network = forecaster.of_one_seed.network
+    if network is None or network.settings is None:
         return QUICK * len({origin.fitted for origin in question.origins})
     try:
-        return training_cost(forecaster, question.record[:samples], question.others)
+        each = training_cost(network, question.record[:samples], question.others)
+        return len(forecaster.seeds) * each
     except ValueError:  # it cannot be built for such a record: its fit says why, at no cost
         return 0.0
 
 
 def training_cost(network: Network, record: Record, others: Sequence[Record]) -> float:
     """Seconds of a reference core that a training takes, roughly; with that of a network below."""
-    base = getattr(network, "base", None)
-    below = training_cost(base, record, others) if isinstance(base, Network) else 0.0
+    base = None if network.base is None else network.base.network
+    below = 0.0 if base is None else training_cost(base, record, others)
     assert network.settings is not None
     going_on = next(iter(network.earlier.weights), None)
     settings = network.settings

@@ -14,8 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record
+from splitband.evaluation.job import Failure
+from splitband.evaluation.jobs import failed_seeds, run_all
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.runs import Failure, Work, run_all
+from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import Backtest, Origin, Question, first_origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
@@ -27,6 +29,7 @@ from splitband.metrics import (
     input_range,
     leaves_range,
     rmse,
+    spread,
 )
 
 Array = npt.NDArray[np.float64]
@@ -46,6 +49,27 @@ class Errors:
     total: float
     forecast: float | None
     tests: tuple[float, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        record: Record,
+        train: int,
+        tests: Sequence[Record],
+        from_start: Prediction,
+        forecast: Prediction | None,
+        tested: Sequence[Prediction],
+    ) -> Errors:
+        """Return those of predictions, against the truth where it is known."""
+        truth = record.truth
+        return cls(
+            rmse(truth[-len(from_start) :], from_start.y),
+            None if forecast is None else rmse(truth[train:], forecast.y),
+            tuple(
+                rmse(test.truth[-len(prediction) :], prediction.y)
+                for test, prediction in zip(tests if tested else (), tested, strict=True)
+            ),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,8 +175,18 @@ def run_methods(
     work : How it is computed.
     need_one : Raise ValueError where every method fails.
     """
-    questions = {f.name: _question(plan, f) for f in methods}
-    backtests, failures = run_all(methods, questions, seeds, work or Work(), need_one)
+    questions = {f.name: question_of(plan, f) for f in methods}
+    done, failures = run_all(methods, questions, seeds, work or Work(), need_one)
+    return runs_of(plan, questions, done, failures)
+
+
+def runs_of(
+    plan: Plan,
+    questions: Mapping[str, Question],
+    backtests: Mapping[str, Mapping[int, Backtest]],
+    failures: Sequence[Failure],
+) -> Runs:
+    """Return what methods have said, by name and seed, with its errors."""
     runs = {
         name: [as_run(name, questions[name], plan.train, each) for each in done.values()]
         for name, done in backtests.items()
@@ -180,7 +214,7 @@ def models_of(
     return models
 
 
-def _question(plan: Plan, forecaster: Forecaster) -> Question:
+def question_of(plan: Plan, forecaster: Forecaster) -> Question:
     """Both protocols; there is nothing to forecast where all of the record is trained on."""
     record, train, warmup = plan.record, plan.train, plan.setup.settings.warmup
     first = first_origin(record, train, forecaster.warmup or warmup)
@@ -195,30 +229,15 @@ def as_run(name: str, question: Question, train: int, done: Backtest) -> Run:
     first = next((origin for origin in question.origins if origin != ahead), ahead)
     from_start = done.predictions[first]
     forecast = done.predictions.get(ahead) if train < question.end else None
-    run = Run(
+    said = from_start, forecast, tuple(done.tests)
+    return Run(
         name,
-        Errors(np.nan, None),
-        from_start,
-        forecast,
-        tuple(done.tests),
+        Errors.of(question.record, train, question.tests, *said),
+        *said,
         None if forecast is None else leaves_range(done.y_range, forecast.y),
         done.report,
         done.description,
         done.unfiltered.get(first, {}),
-    )
-    return replace(run, errors=errors_of(run, question.record, train, question.tests))
-
-
-def errors_of(run: Run, record: Record, train: int, tests: Sequence[Record] = ()) -> Errors:
-    """The RMSE of a run's predictions against the truth where it is known."""
-    truth, from_start = record.truth, run.from_start.y
-    return Errors(
-        rmse(truth[-len(from_start) :], from_start),
-        None if run.forecast is None else rmse(truth[train:], run.forecast.y),
-        tuple(
-            rmse(test.truth[-len(prediction) :], prediction.y)
-            for test, prediction in zip(tests if run.tests else (), run.tests, strict=True)
-        ),
     )
 
 
@@ -228,15 +247,13 @@ def mean_run(runs: Sequence[Run], record: Record, train: int, tests: Sequence[Re
     if len(runs) == 1:
         return first
     forecasts = [run.forecast for run in runs if run.forecast is not None]
-    mean = Run(
-        first.method,
-        first.errors,
+    said = (
         mean_of([run.from_start for run in runs]),
         mean_of(forecasts) if forecasts else None,
         tuple(mean_of(of_test) for of_test in zip(*(run.tests for run in runs), strict=True)),
-        fit=replace(first.fit, seconds=sum(run.fit.seconds for run in runs)),
     )
-    return replace(mean, errors=errors_of(mean, record, train, tests))
+    fit = replace(first.fit, seconds=sum(run.fit.seconds for run in runs))
+    return Run(first.method, Errors.of(record, train, tests, *said), *said, fit=fit)
 
 
 def by_channel(record: Record, predicted: Array) -> list[float]:
@@ -261,3 +278,41 @@ def inputs_beyond(training: Sequence[Record], u: Array | None) -> list[Extrapola
     """Which inputs `u` `(time, nu)` ahead go beyond those of the training records."""
     seen = [record.u for record in training if record.u is not None]
     return [] if u is None or not seen else extrapolations(*input_range(seen), u)
+
+
+def without_failed(runs: Runs, training: Record) -> Runs:
+    """Return the runs and the models of the seeds that count."""
+    kept = {name: sound_runs(each, training) for name, each in runs.items()}
+    models = {}
+    for name, of_method in runs.models.items():
+        seeds = {run.seed for run in kept.get(name, [])}
+        models[name] = [m for m in of_method if m.require_fitted().report.seed in seeds]
+    return Runs(kept, runs.failures, models)
+
+
+def sound_runs(runs: Sequence[Run], training: Record) -> list[Run]:
+    """Return the runs of a method without the seeds that failed on the training record.
+
+    What counts is the last training loss, of windows, and the error of a free run from the first
+    samples to the end of the training record. The description of the first run says which seeds
+    have been left out.
+    """
+    errors = {run.seed: _from_start(run, training) for run in runs}
+    failed = failed_seeds({run.seed: run.fit for run in runs}, errors)
+    kept = [run for run in runs if run.seed not in failed]
+    said = [f"seed {seed} left out: {why}" for seed, why in failed.items()]
+    if not any(run.fit.stable for run in kept):
+        said.append("unstable: a simulation may grow without bound")
+    if not said:
+        return kept
+    first = replace(kept[0], description="; ".join(filter(None, [kept[0].description, *said])))
+    return [first, *kept[1:]]
+
+
+def _from_start(run: Run, training: Record) -> float:
+    """Return the RMSE of the simulation of the training record, channels scaled; 0 if empty."""
+    begin = len(training) - len(run.from_start.y)
+    begin = max(begin, 0) if run.forecast is None else max(begin + len(run.forecast.y), 0)
+    y = run.from_start.y[: max(len(training) - begin, 0)]
+    scale = spread(training.seen)
+    return rmse(training.seen[begin : begin + len(y)] / scale, y / scale) if len(y) else 0.0

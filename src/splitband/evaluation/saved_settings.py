@@ -10,11 +10,8 @@ from typing import Any, TypeVar, get_type_hints
 from splitband.data.record import Record, described, same_names
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.ensemble import Ensemble
 from splitband.forecasters.names import TRAINED, Sizes, named
 from splitband.forecasters.network import Network
-from splitband.forecasters.split import Split
-from splitband.networks import EulerMLP
 from splitband.runtime.arguments import did_you_mean
 from splitband.runtime.files import write_json
 from splitband.training import Settings
@@ -60,9 +57,8 @@ class SavedSettings:
 
     def forecaster(self) -> Network:
         """The network, not fitted; a comparison trains it as it is."""
-        network: Forecaster = named(self.method, self.sizes)
-        assert isinstance(network, Network)
-        network = network.with_defaults(self.settings, self.bands)
+        network = named(self.method, self.sizes).with_defaults(self.settings, self.bands).network
+        assert network is not None
         network.tunable = False
         return network
 
@@ -100,10 +96,10 @@ class SavedSettings:
     def of_forecaster(cls, forecaster: Forecaster) -> SavedSettings | None:
         """How a network of a known name is trained; None for everything else.
 
-        Of a mean of several it is that of the first member.
+        Of a mean over seeds it is that of each member.
         """
-        network = forecaster.templates[0] if isinstance(forecaster, Ensemble) else forecaster
-        if not isinstance(network, Network) or network.settings is None:
+        network = forecaster.of_one_seed.network
+        if network is None or network.settings is None:
             return None
         if network.name not in TRAINED:
             return None
@@ -158,11 +154,10 @@ def _sizes(network: Network) -> Sizes:
     """Of its cells; a network of one cell has the sum of what the two of a split model have."""
     cells = [getattr(network, name) for name in network.cells]
     hidden = [getattr(cell, "hidden_size", 0) for cell in cells]
-    if isinstance(cells[0], EulerMLP):
+    if hasattr(cells[0], "step_size"):
         return Sizes(state_size=cells[0].state_size, step_size=cells[0].step_size)
-    low = hidden[0] if isinstance(network, Split) else max(hidden[0] // 3, 1)
-    high = hidden[1] if isinstance(network, Split) else max(hidden[0] - low, 1)
-    return Sizes(hidden_high=high, hidden_low=low)
+    low, high = hidden if len(hidden) > 1 else (max(hidden[0] // 3, 1), 0)
+    return Sizes(hidden_high=high or max(hidden[0] - low, 1), hidden_low=low)
 
 
 def _refused(constant: str) -> float:

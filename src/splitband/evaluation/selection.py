@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record
-from splitband.evaluation.runs import Work, run_all
+from splitband.evaluation.jobs import run_all
+from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import (
     Backtest,
     Question,
@@ -175,10 +176,10 @@ def try_out(
     )
     made = {**done, **fitted}
     forecasts = {f.name: mean_forecasts([*made[f.name].values()]) for f in shorter if made[f.name]}
-    scale = spread(record.seen)
-    scored = {name: held_out_errors(record, y) for name, y in forecasts.items()}
     first = held_out_from(len(record))
+    scored = {name: held_out_errors(record, y) for name, y in forecasts.items()}
     known = {name: held_out(record, y) for name, y in forecasts.items()}
+    scale = spread(record.seen)
     early = {
         name: [y[len(record) - at.at :] for at, y in sorted(of_method.items()) if at.at >= first]
         for name, of_method in forecasts.items()

@@ -10,10 +10,10 @@ from typing import Any
 from splitband.data import Record
 from splitband.evaluation.search import Search
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.base import Forecaster, parts_of
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.configurable import parts_of
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.names import GREY_BOX, NAMES, QUICK, Sizes, named, with_base
-from splitband.forecasters.network import Network
 from splitband.simulators.shooting import Adjustable
 from splitband.training import Settings, default_warmup
 from splitband.training.recipes import Recipe, recipe_settings
@@ -48,8 +48,8 @@ class Setup:
         """The forecaster of a name, with nothing left open but what the bands do."""
         forecaster = named(name, self.sizes).with_defaults(self.settings, self.bands)
         forecaster = forecaster if self.simulator is None else forecaster.given(self.simulator)
-        if isinstance(forecaster, Network):
-            forecaster.resizable = self.search is not None and self.search.sizes
+        if forecaster.network is not None:
+            forecaster.network.resizable = self.search is not None and self.search.sizes
         return forecaster
 
     def decided(

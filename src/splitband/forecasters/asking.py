@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record, check_alike
+from splitband.data.gaps import last_before
 from splitband.data.preparation import seconds
 from splitband.data.timing import same_sampling, zones_differ
 from splitband.forecasters.known import Known, continued
@@ -20,8 +21,27 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
+SHORT = 20_000
+"""Samples of a training record with a simulator that is saved as a whole."""
 OVERFLOWED = 1e100
 """Stands for predicted values that are not finite, so that their errors are finite, and huge."""
+
+
+def first_needed(forecaster: Forecaster) -> int:
+    """Return the first sample of the training record that a forecast from its end needs."""
+    record = forecaster.require_fitted().record
+    if "simulator" in forecaster.needs and len(record) <= SHORT:
+        return 0
+    measured = ~np.isnan(record.seen)
+    first = min(int(np.flatnonzero(channel)[-1]) for channel in measured.T)
+    if forecaster.warmup:
+        start = last_before(record.complete, forecaster.warmup, len(record))
+        first = min(first, (forecaster.warmup if start is None else start) - forecaster.warmup)
+    first -= max(forecaster.delays, default=0)
+    if "simulator" in forecaster.needs:
+        # A calibrated delay or clock uses earlier output, a seventh of it at most.
+        first = min(first, len(record) - len(record) // 5)
+    return max(0, min(first, len(record) - 2))
 
 
 def known_of(

@@ -132,16 +132,12 @@ def backtest(
     last: Forecaster | None = None
     for samples, of_fit in groupby(question.origins, key=lambda origin: origin.fitted):
         try:
-            fitted = (
-                forecaster.for_seed(seed)
-                .clone()
-                .fit(
-                    record[:samples],
-                    *question.others,
-                    seed=seed,
-                    progress=progress,
-                    checkpoint=checkpoint,
-                )
+            fitted = forecaster.clone().fit(
+                record[:samples],
+                *question.others,
+                seed=seed,
+                progress=progress,
+                checkpoint=checkpoint,
             )
         except OverError:
             if last is None:

@@ -5,24 +5,25 @@ from __future__ import annotations
 import contextlib
 import time
 import warnings
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
-from dataclasses import dataclass, replace
-from importlib import import_module
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, Unpack, final
+from typing import TYPE_CHECKING, Any, Literal, Self, TypedDict, Unpack, final
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from torch import Tensor
 
-from splitband.data import Record, check_alike
-from splitband.data.gaps import last_before
-from splitband.forecasters.asking import known_of, predicted, prepared_like, seconds_after
-from splitband.forecasters.bands import Bands
+from splitband.data import Record
+from splitband.forecasters.asking import (
+    first_needed,
+    known_of,
+    predicted,
+    prepared_like,
+    seconds_after,
+)
+from splitband.forecasters.configurable import Configurable
 from splitband.forecasters.fitted import Fitted
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.known import Known
@@ -36,38 +37,17 @@ from splitband.forecasters.stepping import (
 from splitband.forecasters.streaming import Stream, stream_of
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.arguments import whole
-from splitband.runtime.options import Written, attributes, options
+from splitband.runtime.options import attributes
+from splitband.runtime.provided import provided
 from splitband.runtime.threads import one_thread
 from splitband.simulators.calibration import Calibration
-from splitband.training import Checkpoint, Progress, Settings
+from splitband.training import Checkpoint, Progress
 
 if TYPE_CHECKING:
     from splitband.forecasters.checking import ModelCheck
     from splitband.forecasters.responses import Responses
 
 Array = npt.NDArray[np.float64]
-
-SHORT = 20_000
-"""Samples of a training record with a simulator that is saved as a whole."""
-
-
-@dataclass(frozen=True)
-class AsBase:
-    """Tell what a hybrid says of the forecaster that holds its slow part.
-
-    Attributes
-    ----------
-    label : Of the slow part, among the components of a prediction.
-    before, after : What the hybrid's name has before and after the cell's.
-    words : In a sentence, such as "a linear model".
-    described : Whether the hybrid's description has that of its base.
-    """
-
-    label: str
-    before: str = ""
-    after: str = ""
-    words: str = ""
-    described: bool = True
 
 
 class Training(TypedDict):
@@ -78,7 +58,7 @@ class Training(TypedDict):
     checkpoint: Checkpoint | None
 
 
-class Forecaster(Written, ABC):
+class Forecaster(Configurable):
     """Predict what follows a record: a network, a simulator, a baseline, a mean of several.
 
     A forecaster of your own says what it is called (`name`), what it learns (`learn`) and what
@@ -92,50 +72,11 @@ class Forecaster(Written, ABC):
     delays : By how many samples each input acts late, as found in training; empty where that is
         not asked.
     held_out : How well copies of it forecast known samples, once an interval has been asked for.
-    by_seed : What is fitted in its place with some seeds, as networks of other sizes and settings;
-        not saved.
-    cells : Options that hold the templates of its networks' cells; empty without networks.
-    settings : How its networks are trained; None where that is open, or there is nothing to train.
-    words : What it is, where that is the same for all of its class; see `in_words`.
-    slow_part : What it is as a hybrid's slow part, likewise; see `as_base`.
     """
 
     fitted: Fitted | None = None
     delays: tuple[int, ...] = ()
     held_out: HeldOut | None = None
-    by_seed: Mapping[int, Forecaster] = MappingProxyType({})
-    cells: ClassVar[tuple[str, ...]] = ()
-    settings: Settings | None = None
-    words: ClassVar[str] = ""
-    slow_part: ClassVar[str] = ""
-
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """Return what tables and files call it; two of one comparison must differ."""
-
-    @property
-    def needs(self) -> frozenset[str]:
-        """Return what a record must bring: "inputs", "simulator"."""
-        return frozenset().union(*(part.needs for part in parts_of(self).values()))
-
-    @property
-    def random(self) -> bool:
-        """Return whether the result depends on a seed: it is trained then, which takes longer."""
-        return any(part.random for part in parts_of(self).values())
-
-    @property
-    def anchored(self) -> bool:
-        """Return whether a forecast depends on the time since the training record began.
-
-        Such a forecaster cannot be asked about a record that has nothing to do with that time.
-        """
-        return any(part.anchored for part in parts_of(self).values())
-
-    @property
-    def calibrates(self) -> bool:
-        """Return whether a simulator is calibrated first, which may need output beyond the end."""
-        return any(part.calibrates for part in parts_of(self).values())
 
     @property
     def calibration(self) -> Calibration | None:
@@ -148,24 +89,9 @@ class Forecaster(Written, ABC):
         return {}
 
     @property
-    def seeds(self) -> tuple[int, ...]:
-        """Return those of the members of a mean of several, else just the first one."""
-        return (0,)
-
-    @property
-    def shares_bands(self) -> bool:
-        """Return whether it takes the bands that a comparison chooses, see `with_defaults`."""
-        return any(part.shares_bands for part in parts_of(self).values())
-
-    @property
-    def refits(self) -> bool:
-        """Return whether it is fitted again quickly, for each origin of a trial."""
-        return not self.random
-
-    @property
-    def as_base(self) -> AsBase:
-        """Return what a hybrid says of it where it holds the slow part."""
-        return AsBase(self.name, before=f"-{self.name}", words=self.slow_part)
+    def of_one_seed(self) -> Forecaster:
+        """Return what is averaged, of a mean over seeds; else itself."""
+        return self
 
     @property
     def warmup(self) -> int:
@@ -202,50 +128,13 @@ class Forecaster(Written, ABC):
         """Return what filters are fed with, by name; empty for a forecaster without filters."""
         return {}
 
-    def in_words(self) -> str:
-        """Return what it is, in words that follow "is"; empty where nothing is known."""
-        return self.words
-
     def describe(self) -> str:
         """Return what the fit has settled on, in a few words for a table."""
-        return ""
-
-    def training_in_words(self) -> str:
-        """Return sizes, window and steps of its networks, for tables; empty without."""
         return ""
 
     def doubts(self, known: Known) -> list[str]:
         """Return reasons to doubt what it extrapolates, in sentences, beside those for all."""
         return []
-
-    def to(self, device: str | torch.device) -> Self:
-        """Train and run networks on this device from now on, and return the forecaster itself."""
-        for part in parts_of(self).values():
-            part.to(device)
-        return self
-
-    def with_defaults(self, settings: Settings, bands: Bands) -> Self:
-        """Return it with what a comparison shares, where it does not say otherwise."""
-        return self.with_parts(lambda part: part.with_defaults(settings, bands))
-
-    def for_samples(self, samples: int, instead_of: int) -> Self:
-        """Return it for a part of the training record, of so many samples instead of all."""
-        return self.with_parts(lambda part: part.for_samples(samples, instead_of))
-
-    def simulated(self, record: Record, horizon: int, *others: Record) -> Self:
-        """Return it with the output of its own simulator computed, the same in every process.
-
-        That is over the training record and `horizon` samples more, and over other records.
-        """
-        return self.with_parts(lambda part: part.simulated(record, horizon, *others))
-
-    def with_parts(self, changed: Callable[[Forecaster], Forecaster]) -> Self:
-        """Return it with each of its parts changed; itself where it has none."""
-        parts = parts_of(self)
-        if not parts:
-            return self
-        options = {name: _with_parts(value, changed) for name, value in self.get_params().items()}
-        return self.clone().set_params(**options)
 
     def given(self, simulator: Any) -> Forecaster:
         """Return it with this simulator where it fits the parameters of one and has none."""
@@ -255,38 +144,7 @@ class Forecaster(Written, ABC):
         """Return it with its simulator calibrated, if it has one; itself otherwise."""
         return self.with_parts(lambda part: part.calibrated())
 
-    def prepare(
-        self,
-        records: Sequence[Record],
-        workers: int | Executor = 1,
-        folder: Path | None = None,
-    ) -> None:
-        """Compute once what the fits of several forecasters and seeds to records share.
-
-        `workers` may help, and what is cut off may go on from files in the `folder`.
-        """
-        for part in parts_of(self).values():
-            part.prepare(records, workers, folder)
-
-    def check(self, *records: Record) -> None:
-        """Raise ValueError for what is wrong with the training records, before anything runs."""
-        if not records:
-            raise ValueError("records must be one or several, got none")
-        for other in records[1:]:
-            check_alike(other, records[0], other.name or "another record")
-        for record in records:
-            if "inputs" in self.needs and record.u is None:
-                raise ValueError(f"{self.name} needs known inputs, {_named(record)} has none")
-            if "simulator" in self.needs and record.y_sim is None:
-                raise ValueError(f"{self.name} needs a simulator, {_named(record)} has none")
-        for part in parts_of(self).values():
-            part.check(*records)
-
     @final
-    def for_seed(self, seed: int) -> Forecaster:
-        """Return the forecaster that is fitted with a seed."""
-        return self.by_seed.get(seed, self)
-
     def fit(
         self,
         *records: Record,
@@ -415,9 +273,8 @@ class Forecaster(Written, ABC):
         ValueError
             For a forecaster without inputs, and one whose simulator stays outside of it.
         """
-        from splitband.forecasters import responses  # noqa: PLC0415  it asks forecasters
-
-        return responses.respond(self, steps, at, size)
+        found: Responses = provided("step responses")(self, steps, at, size)
+        return found
 
     def check_residuals(self, record: Record) -> ModelCheck:
         """Check the fitted forecaster on a record, best one that it was not fitted to.
@@ -433,9 +290,8 @@ class Forecaster(Written, ABC):
             For a forecaster that has not been fitted, and a record that does not fit it or is too
             short.
         """
-        from splitband.forecasters import checking  # noqa: PLC0415  it asks forecasters
-
-        return checking.check(self, record)
+        found: ModelCheck = provided("check")(self, record)
+        return found
 
     @final
     def stream(self, history: Record | None = None, other_record: bool = False) -> Stream:
@@ -478,9 +334,7 @@ class Forecaster(Written, ABC):
             For another ending, and with the name of what cannot be exported, such as a cell of
             your own.
         """
-        files: list[Path] = import_module("splitband.export.writing").export(
-            self, path, precision, history
-        )
+        files: list[Path] = provided("export")(self, path, precision, history)
         return files
 
     def stepped(self, outside: bool = False) -> Recursion:
@@ -512,9 +366,7 @@ class Forecaster(Written, ABC):
         With it go the end of the training record, on which a forecast warms up, calibration, units,
         ranges of the inputs, and the intervals, if one has been asked for.
         """
-        from splitband.forecasters import saving  # noqa: PLC0415  it names every forecaster
-
-        saving.save(self, folder)
+        provided("saving")(self, folder)
 
     def to_dict(self) -> dict[str, Any]:
         """Return all that makes the forecaster, for `save`: options, and what has been found.
@@ -522,8 +374,7 @@ class Forecaster(Written, ABC):
         Of the training record that is the end, on which a forecast warms up.
         """
         end = None if self.fitted is None else self.fitted.end(self.first_needed())
-        kept = {name: value for name, value in vars(self).items() if name != "by_seed"}
-        return {**kept, "fitted": end}
+        return {**vars(self), "fitted": end}
 
     @classmethod
     def from_dict(cls, found: dict[str, Any]) -> Self:
@@ -534,38 +385,7 @@ class Forecaster(Written, ABC):
 
     def first_needed(self) -> int:
         """Return the first sample of the training record that a forecast from its end needs."""
-        record = self.require_fitted().record
-        if "simulator" in self.needs and len(record) <= SHORT:
-            return 0
-        measured = ~np.isnan(record.seen)
-        first = min(int(np.flatnonzero(channel)[-1]) for channel in measured.T)
-        if self.warmup:
-            start = last_before(record.complete, self.warmup, len(record))
-            first = min(first, (self.warmup if start is None else start) - self.warmup)
-        first -= max(self.delays, default=0)
-        if "simulator" in self.needs:
-            # A calibrated delay or clock uses earlier output, a seventh of it at most.
-            first = min(first, len(record) - len(record) // 5)
-        return max(0, min(first, len(record) - 2))
-
-    def get_params(self) -> dict[str, Any]:
-        """Return the options, which are what the constructor takes, by name.
-
-        Raises TypeError where the constructor does not keep an argument as an attribute.
-        """
-        return options(self)
-
-    def set_params(self, **params: Any) -> Self:
-        """Change some options and return the forecaster itself, which is then not fitted.
-
-        Raises TypeError for an unknown option, and what the constructor raises.
-        """
-        self._become(self._made({**self.get_params(), **params}), {})
-        return self
-
-    def clone(self) -> Self:
-        """Return a new forecaster with the same options, not fitted."""
-        return self._made({name: _cloned(value) for name, value in self.get_params().items()})
+        return first_needed(self)
 
     def state(self) -> dict[str, Tensor]:
         """Return the weights that have been trained, with which another training may begin."""
@@ -577,59 +397,9 @@ class Forecaster(Written, ABC):
             raise ValueError(f"{self.name} must be fitted before it is asked: call fit(record)")
         return self.fitted
 
-    def _made(self, params: dict[str, Any]) -> Self:
-        """Return a forecaster of the same class with these options."""
-        new = type(self)(**params)
-        if self.by_seed:
-            new.by_seed = self.by_seed
-        return new
-
-    def _become(self, other: Self, kept: dict[str, Any]) -> None:
-        """Take over all attributes of another one but those that are kept."""
-        vars(self).clear()
-        vars(self).update({**vars(other), **kept})
-
     def _tried_out(self) -> HeldOut:
         """Return how well it forecasts known samples, which is found out once."""
         if self.held_out is None:
-            from splitband.forecasters.backtest import held_out_by  # noqa: PLC0415  it fits copies
-
-            self.held_out = held_out_by(self)
+            self.held_out = provided("held-out forecasts")(self)
+        assert self.held_out is not None
         return self.held_out
-
-
-def parts_of(forecaster: Forecaster) -> dict[str, Forecaster]:
-    """Return the options of a forecaster that are forecasters themselves, by name.
-
-    Those of a list are numbered.
-    """
-    found: dict[str, Forecaster] = {}
-    for name, option in forecaster.get_params().items():
-        if isinstance(option, Forecaster):
-            found[name] = option
-        elif isinstance(option, list | tuple):
-            parts = {f"{name}.{i}": part for i, part in enumerate(option)}
-            found |= {at: part for at, part in parts.items() if isinstance(part, Forecaster)}
-    return found
-
-
-def _with_parts(option: Any, changed: Callable[[Forecaster], Forecaster]) -> Any:
-    """Return an option with the forecasters in it changed."""
-    if isinstance(option, Forecaster):
-        return changed(option)
-    if type(option) in (list, tuple):
-        return type(option)(_with_parts(part, changed) for part in option)
-    return option
-
-
-def _cloned(option: Any) -> Any:
-    """Return an option of a clone: forecasters are cloned in turn, everything else is shared."""
-    if isinstance(option, Forecaster):
-        return option.clone()
-    if type(option) in (list, tuple):
-        return type(option)(_cloned(part) for part in option)
-    return option
-
-
-def _named(record: Record) -> str:
-    return record.name or "the record"

@@ -1,4 +1,4 @@
-"""Forecast by the mean of several trainings."""
+"""Forecast by the mean of several seeds."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import torch
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.fitted import FitReport
+from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.known import Known
 from splitband.forecasters.stepping import Averaged, Recursion
 from splitband.runtime.arguments import whole
@@ -23,12 +24,11 @@ Array = npt.NDArray[np.float64]
 
 @final
 class Ensemble(Forecaster):
-    """Average several forecasters, each fitted with a seed of its own.
+    """Average several of one kind, each fitted with a seed of its own.
 
     Parameters
     ----------
-    member : What each of them is; or a list of what the first one is, the second one, ..., whose
-        sizes and settings may differ.
+    member : What each of them is.
     count : How many; with the seed s they are fitted with the seeds `s * count`, `s * count + 1`,
         ..., so that the ensembles of two seeds share no member.
     name : By default that of the member.
@@ -45,25 +45,16 @@ class Ensemble(Forecaster):
 
     def __init__(
         self,
-        member: Forecaster | Sequence[Forecaster],
+        member: Forecaster,
         count: int = 3,
         name: str | None = None,
         seeds: Sequence[int] | None = None,
     ) -> None:
-        if not isinstance(member, Forecaster):
-            member = [*member]
-            count = len(member)
-            if not count:
-                raise ValueError("member must be a forecaster or several, got none")
         if seeds is not None:
             seeds = [whole("seeds", seed, None) for seed in seeds]
             count = len(seeds)
             if count < 1 or min(seeds) < 0 or len(set(seeds)) < count:
                 raise ValueError(f"seeds must be different numbers from 0 on, got {[*seeds]}")
-            if isinstance(member, list) and len(member) != count:
-                raise ValueError(
-                    f"seeds must be one for each of {len(member)} members, got {seeds}"
-                )
         count = whole("count", count)
         self.member, self.count, self._name = member, count, name
         self._seeds = None if seeds is None else tuple(seeds)
@@ -71,31 +62,12 @@ class Ensemble(Forecaster):
 
     @classmethod
     def of(cls, members: Sequence[Forecaster]) -> Ensemble:
-        """Return the mean of forecasters that have been fitted to the same records."""
+        """Return the mean of forecasters of one kind that have been fitted to the same records."""
         seeds = [member.require_fitted().report.seed for member in members]
-        ensemble = cls.unfitted([member.clone() for member in members], seeds)
+        usual = seeds == [*range(len(seeds))]
+        ensemble = cls(members[0].clone(), len(members), seeds=None if usual else seeds)
         ensemble._take(members, 0)
         return ensemble
-
-    @classmethod
-    def unfitted(cls, members: Sequence[Forecaster], seeds: Sequence[int]) -> Ensemble:
-        """Return the mean of forecasters that are to be fitted with these seeds."""
-        alike = len({repr(member) for member in members}) == 1
-        usual = [*seeds] == [*range(len(seeds))]
-        of = members[0] if alike else members
-        return cls(of, len(members), seeds=None if usual else seeds)
-
-    @property
-    def templates(self) -> list[Forecaster]:
-        """Return what each member is, not fitted."""
-        return [self.member] * self.count if isinstance(self.member, Forecaster) else [*self.member]
-
-    def one_by_one(self) -> Forecaster:
-        """Return what is fitted, with the seed of a member, as that member is."""
-        templates = self.templates
-        one = templates[0].clone()
-        one.by_seed = dict(zip(self.seeds, templates, strict=True))
-        return one
 
     def _take(self, members: Sequence[Forecaster], seed: int) -> None:
         """Become the mean of fitted members."""
@@ -113,9 +85,14 @@ class Ensemble(Forecaster):
         return tuple(range(self.count)) if self._seeds is None else self._seeds
 
     @property
+    def of_one_seed(self) -> Forecaster:
+        """Return what each member is."""
+        return self.member
+
+    @property
     def name(self) -> str:
         """Return the name that it was given, or the members'."""
-        return self._name or self.templates[0].name
+        return self._name or self.member.name
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -125,7 +102,7 @@ class Ensemble(Forecaster):
     @property
     def warmup(self) -> int:
         """Return that of the members."""
-        return max([m.warmup for m in self.members], default=self.templates[0].warmup)
+        return max([m.warmup for m in self.members], default=self.member.warmup)
 
     def to(self, device: str | torch.device) -> Self:
         """Train and run the members' networks on this device from now on."""
@@ -146,16 +123,16 @@ class Ensemble(Forecaster):
         return min(member.first_needed() for member in self.members)
 
     def in_words(self) -> str:
-        """Return what the first member is."""
-        return self.templates[0].in_words()
+        """Return what the members are."""
+        return self.member.in_words()
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the members, each with a checkpoint of its own beside the one given."""
         seed, progress, checkpoint = how["seed"], how["progress"], how["checkpoint"]
-        for i, (template, of_first) in enumerate(zip(self.templates, self.seeds, strict=True)):
+        for i, of_first in enumerate(self.seeds):
             of_member = None if checkpoint is None else checkpoint.numbered(i)
             watch = None if progress is None else _shifted(progress, i, self.count)
-            member = template.clone()
+            member = self.member.clone()
             own = seed * (max(self.seeds) + 1) + of_first
             member.fit(*records, seed=own, progress=watch, checkpoint=of_member)
             self.members.append(member)
@@ -181,6 +158,22 @@ class Ensemble(Forecaster):
     def describe(self) -> str:
         """Return what the first member has settled on."""
         return self.members[0].describe() if self.members else ""
+
+
+def handed_out(models: Sequence[Forecaster], held_out: HeldOut | None) -> Forecaster:
+    """Return the mean of fitted models, of one alone the model, with what intervals follow from."""
+    usual = [model.require_fitted().report.seed for model in models] == [0]
+    model = models[0] if usual or not models[0].random else Ensemble.of(models)
+    model.held_out = held_out
+    return model
+
+
+def over_seeds(forecaster: Forecaster, seeds: Sequence[int]) -> Forecaster:
+    """Return the forecaster of these seeds, not fitted: what is random is the mean over them."""
+    if not forecaster.random or [*seeds] == [0]:
+        return forecaster.clone()
+    usual = [*seeds] == [*range(len(seeds))]
+    return Ensemble(forecaster.clone(), len(seeds), seeds=None if usual else seeds)
 
 
 def _shifted(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import torch
 
-from splitband.forecasters.base import Forecaster, parts_of
+from splitband.forecasters.base import Forecaster
 from splitband.forecasters.closed_form import (
     Harmonic,
     Linear,
@@ -20,6 +20,7 @@ from splitband.forecasters.closed_form import (
     Persistence,
     SeasonalNaive,
 )
+from splitband.forecasters.configurable import parts_of
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.hybrids import Filtered, Residual
 from splitband.forecasters.simulation import AFFINE, Calibrated, Simulation

@@ -93,6 +93,11 @@ class Network(Forecaster):
     random = True
 
     @property
+    def network(self) -> Network:
+        """Return itself."""
+        return self
+
+    @property
     def warmup(self) -> int:
         """Return the samples of its warm-up; 0 where that is not decided before `fit`."""
         settings = self.trained_by or self.settings

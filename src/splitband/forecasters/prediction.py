@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
-from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +14,7 @@ import pandas as pd
 from splitband.data import Grid
 from splitband.data.preparation import Preparation
 from splitband.data.timing import stamps_at
+from splitband.runtime.provided import provided
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -98,8 +98,8 @@ class Prediction:
 
     def plot(self) -> Figure:
         """Return a picture of it."""
-        # The module of pictures imports this one, so that it is imported only here.
-        return import_module("splitband.report.pictures").prediction(self)
+        figure: Figure = provided("picture of a prediction")(self)
+        return figure
 
 
 def mean_of(predictions: Sequence[Prediction]) -> Prediction:

@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from splitband.data import Aligned, Grid, Record, Stamp, check_alike
 from splitband.data.timing import in_words, stamp_after
-from splitband.forecasters.base import AsBase, Forecaster
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.configurable import AsBase
 from splitband.forecasters.fitted import NEAR_ROW, first_only
 from splitband.forecasters.known import Known
 from splitband.forecasters.remembering import Remembered

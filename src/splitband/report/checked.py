@@ -47,7 +47,7 @@ def save(report: CheckReport, folder: Path) -> None:
         pictures.save(picture(report.check), new / "check.png")
         if report.responses is not None:
             pictures.save(of_responses(report.responses), new / "responses.png")
-        page.write(report, new / page.NAME)
+        page.of_check(report, new / page.NAME)
         write_facts(new, facts(report))
 
 

@@ -74,7 +74,7 @@ def _write(
         pictures.save(pictures.components(comparison), folder / "components.png")
     # It imports this module, and a library that takes its time, so that it is imported only here.
     page = import_module("splitband.report.page")
-    page.write(comparison, folder / page.NAME, usage)
+    page.of_comparison(comparison, folder / page.NAME, usage)
     if comparison.tests:
         tested.save_predictions(comparison, folder)
         pictures.save(tested.picture(comparison), folder / "tests.png")
@@ -173,7 +173,7 @@ def save_forecast(result: Forecast, folder: Path, usage: Usage | None = None) ->
         with replacing(new / "forecast.csv") as temporary:
             result.prediction.to_frame().to_csv(temporary, index=False)
         pictures.save(pictures.forecast(result), new / "forecast.png")
-        page.write(result, new / page.NAME, usage)
+        page.of_forecast(result, new / page.NAME, usage)
         save_found(result.forecaster, result.record, new)
         facts = forecast_facts(result) | {"time": result.time.as_json()}
         write_facts(new, facts)

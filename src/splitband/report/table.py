@@ -194,6 +194,20 @@ def remarks(comparison: Comparison) -> dict[str, str]:
     }
 
 
+def frame(result: Comparison) -> pd.DataFrame:
+    """Return a row for each method, see `Comparison.table`."""
+    notes = remarks(result)
+    table: dict[str, Mapping[str, object]] = {}
+    for column in columns(result):
+        table[column.title] = column.values
+        if column.spreads:
+            table[f"{column.title}, spread"] = column.spreads
+    table["note"] = notes
+    if result.trial is not None:
+        table["recommended"] = {name: name == result.recommended for name in result.runs}
+    return pd.DataFrame(table, index=[*notes]).rename_axis("method")
+
+
 def as_text(comparison: Comparison, width: int = 100) -> str:
     """Return the table with as many columns as fit into `width` characters, fit % first."""
     listed, rows = columns(comparison), remarks(comparison)

@@ -9,40 +9,52 @@ from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.report.benchmark import Row
 from splitband.report.checked import CheckReport
-from splitband.report.page import cases, checked, comparison, forecast, spectrum_report
-from splitband.report.page.document import write as write_page
+from splitband.report.page import (
+    cases,
+    checked,
+    comparison,
+    document,
+    forecast,
+    spectrum_report,
+)
 from splitband.report.page.spectrum_report import SpectrumReport
 from splitband.report.page.usage import Usage
 
-__all__ = ["NAME", "SpectrumReport", "Usage", "write"]
+__all__ = [
+    "NAME",
+    "SpectrumReport",
+    "Usage",
+    "of_check",
+    "of_comparison",
+    "of_forecast",
+    "of_rows",
+    "of_spectrum",
+]
 
 NAME = "report.html"
 """Of the file beside other results."""
 
 
-def write(
-    result: Comparison | Forecast | CheckReport | SpectrumReport | Sequence[Row],
-    path: str | Path,
-    usage: Usage | None = None,
-) -> None:
-    """Write the page of a result, whole or not at all.
+def of_comparison(result: Comparison, path: str | Path, usage: Usage | None = None) -> None:
+    """Write the page of a comparison, whole or not at all; the caller knows the `usage`."""
+    document.write(comparison.page(result, usage or Usage()), path)
 
-    Parameters
-    ----------
-    result : A comparison, a forecast, a check of a model, what is known of a record's
-        spectrum, or the rows of many comparisons.
-    path : Of the file.
-    usage : What only the caller knows of how it was asked for.
-    """
-    usage = usage or Usage()
-    if isinstance(result, Comparison):
-        page = comparison.page(result, usage)
-    elif isinstance(result, Forecast):
-        page = forecast.page(result, usage)
-    elif isinstance(result, CheckReport):
-        page = checked.page(result)
-    elif isinstance(result, SpectrumReport):
-        page = spectrum_report.page(result, usage)
-    else:
-        page = cases.page(result, usage, NAME)
-    write_page(page, path)
+
+def of_forecast(result: Forecast, path: str | Path, usage: Usage | None = None) -> None:
+    """Write the page of a forecast, see `of_comparison`."""
+    document.write(forecast.page(result, usage or Usage()), path)
+
+
+def of_check(report: CheckReport, path: str | Path) -> None:
+    """Write the page of a check of a model, see `of_comparison`."""
+    document.write(checked.page(report), path)
+
+
+def of_spectrum(report: SpectrumReport, path: str | Path, usage: Usage | None = None) -> None:
+    """Write the page of what is known of a record's spectrum, see `of_comparison`."""
+    document.write(spectrum_report.page(report, usage or Usage()), path)
+
+
+def of_rows(rows: Sequence[Row], path: str | Path, usage: Usage | None = None) -> None:
+    """Write the page of the rows of many comparisons, see `of_comparison`."""
+    document.write(cases.page(rows, usage or Usage(), NAME), path)

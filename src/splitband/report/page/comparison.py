@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.selection import Trial
-from splitband.forecasters.base import parts_of
+from splitband.forecasters.configurable import parts_of
 from splitband.report.numbers import number
 from splitband.report.page import horizon, tables, time_plots, usage, words
 from splitband.report.page.about import lead, settings
