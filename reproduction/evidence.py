@@ -51,8 +51,10 @@ def of_table(results: Path, system: str, method: str) -> Runs:
 
 def horizons(results: Path, system: str, method: str) -> dict[str, list[float]]:
     """Return the errors of each free run: of its first samples, its last quarter, all of it."""
-    truth = Job(system, method).record.truth
     runs = of_table(results, system, method)
+    if not runs:
+        return _by_horizon([])
+    truth = Job(system, method).record.truth  # simulated, which takes seconds
     errors = [truth[-len(run["from_start"][0]) :] - np.array(run["from_start"]).T for run in runs]
     return _by_horizon(errors)
 

@@ -134,13 +134,19 @@ def one_core() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def as_users_run_it() -> None:
+    """For tests of the defaults: the search has the budget that it has for users."""
+
+
 @pytest.fixture(autouse=True)
-def nothing_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+def nothing_searched(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """The default budget pays for no search: networks are trained as the default recipe says.
 
     The tests of the search have a budget of their own.
     """
-    monkeypatch.setattr("splitband.evaluation.search.CORE_SECONDS", 1e-6)
+    if "as_users_run_it" not in request.fixturenames:
+        monkeypatch.setattr("splitband.evaluation.search.CORE_SECONDS", 1e-6)
 
 
 @pytest.fixture(autouse=True)
@@ -155,7 +161,8 @@ def few_sinusoids(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatc
 
     What harmonic regression does with all of them is tested in `tests/baselines`.
     """
-    if request.path.parent.name in ("cli", "data", "evaluation", "forecasters"):
+    folders = "cli", "data", "evaluation", "forecasters"
+    if request.path.parent.name in folders and "as_users_run_it" not in request.fixturenames:
         monkeypatch.setattr("splitband.baselines.harmonic.MOST_SINUSOIDS", 2)
 
 

@@ -37,8 +37,7 @@ def oscillators(u: Array, begin: float = 0.0) -> Array:
     return np.asarray(y)
 
 
-@pytest.mark.parametrize("nu", [1, 2])
-@pytest.mark.parametrize("begin", [0.0, 1.0], ids=["at rest", "in motion"])
+@pytest.mark.parametrize(("nu", "begin"), [(1, 0.0), (2, 1.0)], ids=["at rest", "in motion"])
 def test_a_linear_system_is_found_and_goes_on_as_it_does(nu: int, begin: float) -> None:
     u = inputs(nu=nu)
     y = oscillators(u, begin)
@@ -55,7 +54,7 @@ def test_units_and_offsets_do_not_matter() -> None:
     np.testing.assert_allclose(moved, 1e6 + 1e-3 * plain, atol=1e-6)
 
 
-@pytest.mark.parametrize("deviation", [0.1, 0.3])
+@pytest.mark.parametrize("deviation", [0.3])
 def test_noise_is_averaged_out(deviation: float) -> None:
     u, noise = inputs(), np.random.default_rng(1).standard_normal((LENGTH, 2))
     y = oscillators(u, 1.0)
@@ -102,7 +101,7 @@ def test_of_a_long_record_the_end_is_fitted() -> None:
     np.testing.assert_allclose(found[5000:], y[5000:], atol=1e-4)
 
 
-@pytest.mark.parametrize("pole", [0.995, 0.999])
+@pytest.mark.parametrize("pole", [0.999])
 def test_what_has_died_out_before_the_samples_that_are_fitted_is_not_made_up(pole: float) -> None:
     rng = np.random.default_rng(3)
     u = rng.standard_normal((9000, 1))

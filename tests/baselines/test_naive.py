@@ -86,30 +86,31 @@ def test_persistence_holds_the_last_measured_sample_of_each_channel() -> None:
         Persistence().extrapolate(Known(y[2:], 4))
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("period", [3, 4, 7, 41, 160])
+@pytest.mark.parametrize(
+    ("shape", "period"),
+    [("sine", 4), ("overtones", 7), ("sawtooth", 3), ("square", 41), ("random", 160)],
+)
 def test_the_period_of_a_clean_signal_is_found(shape: str, period: int) -> None:
     base = one_period(shape, period)
     for samples in (2 * period + 2, 3 * period - 1, 4 * period - 1):
         assert LastPeriod.fit(repeated(base, 0, samples)).lag == period
 
 
-@pytest.mark.parametrize("shape", ["sine", "sawtooth"])
-@pytest.mark.parametrize("period", [7, 41])
+@pytest.mark.parametrize(("shape", "period"), [("sine", 7), ("sawtooth", 41)])
 def test_the_shortest_period_of_a_long_clean_signal_is_chosen(shape: str, period: int) -> None:
     assert LastPeriod.fit(repeated(one_period(shape, period), 0, 9 * period + 2)).lag == period
 
 
-@pytest.mark.parametrize("period", [5, 7, 41])
-@pytest.mark.parametrize("extra", [0, 1])
+@pytest.mark.parametrize(("period", "extra"), [(5, 0), (41, 1)])
 def test_two_periods_are_enough(period: int, extra: int) -> None:
     y = repeated(one_period("random", period), 0, 2 * period + extra)
     assert LastPeriod.fit(y).lag == period
 
 
-@pytest.mark.parametrize("shape", ["overtones", "sawtooth", "square", "random"])
-@pytest.mark.parametrize("period", [7, 13, 37])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("shape", "period", "seed"),
+    [("overtones", 7, 0), ("sawtooth", 13, 1), ("square", 37, 2), ("random", 13, 0)],
+)
 def test_the_period_of_a_noisy_signal_is_found(shape: str, period: int, seed: int) -> None:
     base = one_period(shape, period)
     level = 0.1 * base.std()
@@ -191,8 +192,7 @@ def test_the_shortest_records_still_give_a_prediction(samples: int) -> None:
         assert np.isfinite(prediction).all()
 
 
-@pytest.mark.parametrize("value", [0.0, 2.5, 1 / 3, -1e6])
-@pytest.mark.parametrize("samples", [5, 100])
+@pytest.mark.parametrize(("value", "samples"), [(0.0, 5), (1 / 3, 100), (-1e6, 100)])
 def test_a_constant_record_stays_constant(value: float, samples: int) -> None:
     y = np.full((samples, 2), value)
     models: list[ByTime] = [LastPeriod.fit(y), HarmonicRegression.fit(y)]
@@ -209,8 +209,7 @@ def test_a_constant_record_has_no_sinusoids(value: float) -> None:
     assert model.channels[0].coefficients == pytest.approx([value])
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 4])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(("count", "seed"), [(1, 0), (2, 5), (3, 1), (4, 3)])
 def test_harmonic_regression_recovers_clean_sinusoids(count: int, seed: int) -> None:
     samples = 150 + 40 * seed
     tones = Tones(count, samples, seed)
@@ -223,21 +222,16 @@ def test_harmonic_regression_recovers_clean_sinusoids(count: int, seed: int) -> 
         np.testing.assert_allclose(model.predict(start, 100), tones(start, 100), atol=1e-6, rtol=0)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_clean_sinusoids_are_continued_when_their_number_is_not_given(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(2))
+def test_clean_sinusoids_are_counted_and_continued(seed: int) -> None:
     tones = Tones(2, 200, seed)
     model = HarmonicRegression.fit(tones(0, 200))
+    assert len(model.channels[0].frequencies) == 2
     np.testing.assert_allclose(model.predict(200, 400), tones(200, 400), atol=1e-6, rtol=0)
 
 
-def test_clean_sinusoids_are_counted() -> None:
-    for seed in range(4):
-        tones = Tones(2, 200, seed)
-        assert len(HarmonicRegression.fit(tones(0, 200)).channels[0].frequencies) == 2
-
-
 @pytest.mark.parametrize(
-    "count", [1, 3, *(pytest.param(count, marks=pytest.mark.soak) for count in (0, 2))]
+    "count", [3, *(pytest.param(count, marks=pytest.mark.soak) for count in (0, 1, 2))]
 )
 def test_sinusoids_in_noise_are_counted(count: int) -> None:
     draws = 5
@@ -259,10 +253,7 @@ def test_a_sinusoid_weaker_than_the_noise_is_still_found() -> None:
 @pytest.mark.parametrize(
     ("unit", "offset"),
     [
-        (1e-3, 0.0),
-        (1e-6, 0.0),
         (1e-12, 0.0),
-        (1e6, 0.0),
         (1.0, 1e6),
     ],
 )
@@ -307,7 +298,7 @@ def test_the_clean_double_mass_spring_is_solved() -> None:
     np.testing.assert_allclose(model.predict(0, 1000), record.y, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_free_frequencies_fit_no_worse_than_the_true_ones(seed: int) -> None:
     y = double_mass_spring(TRAINING, seed=seed).y
     model = HarmonicRegression.fit(y, 2)
@@ -332,7 +323,7 @@ def test_frequencies_in_noise_reach_the_cramer_rao_bound() -> None:
 
 def test_the_noisy_double_mass_spring_scores_as_in_the_notes() -> None:
     scores = []
-    for seed in range(25):
+    for seed in range(11):
         record = double_mass_spring(1000, seed=seed)
         assert record.y_true is not None
         model = HarmonicRegression.fit(record.y[:TRAINING], 2)

@@ -34,12 +34,9 @@ SIMULATED = 0.8 * np.sin(2 * np.pi * SLOW * TIME + 0.2) + 0.3
 QUICK = "--recipe paper --epochs 2 --hidden 4,3 --window 30 --warmup 10"
 
 FUNCTIONS = """
-import sys
 import time as clock
 
 import numpy as np
-
-number = 3
 
 
 def good(time):
@@ -66,10 +63,6 @@ def short(time):
     return time[:10]
 
 
-def wide(time):
-    return np.zeros((len(time), 3))
-
-
 def holed(time):
     return np.where(np.arange(len(time)) == 17, np.nan, time)
 
@@ -77,10 +70,6 @@ def holed(time):
 def hanging(time):
     clock.sleep(1.5)
     return time
-
-
-def leaving(time):
-    sys.exit(0)
 
 
 def interrupted(time):

@@ -2,11 +2,15 @@
 
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
+import splitband as sb
 from splitband.cli.setups import seconds
+from splitband.evaluation.setup import default_names
 from splitband.forecasters.names import BASED, NAMES, named, with_base
 from tests.cli.support import QUICK, assert_fails, call, results
+from tests.support import slowed
 
 pytestmark = pytest.mark.usefixtures("inside", "undrawn")
 
@@ -64,3 +68,20 @@ def test_names_on_a_base_are_those_of_what_they_name() -> None:
     found = with_base(names, "linear")
     assert found == ["gru", "filtered-linear-gru-conditioned", "linear", "mean"]
     assert set(found) <= set(NAMES)
+
+
+@pytest.mark.usefixtures("as_users_run_it")
+def test_the_default_has_a_result_and_a_model_when_its_two_minutes_are_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is limited here but the clock, of which each look takes a second."""
+    record = pd.read_csv("record.csv")[["time", "a"]][:48]
+    record.to_csv(tmp_path / "short.csv", index=False)
+    slowed(monkeypatch, 1.0)
+    call(f"compare {tmp_path}/short.csv --jobs 1", tmp_path / "out")
+    found = results(tmp_path / "out")
+    limits = found["settings"]["search"]
+    assert (limits["core_seconds"], limits["seconds"]) == (240, 120)
+    assert {*found["methods"]} == {*default_names(with_simulator=False)}
+    assert "forecast_rmse" in found["methods"][found["recommended"]]
+    assert sb.load(tmp_path / "out" / "model").predict(5).y.shape == (5, 1)

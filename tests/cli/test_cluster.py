@@ -77,14 +77,6 @@ class Running:
         place = "--local-directory", str(self.folder)
         self.workers[name] = self._begin(*words, *place, **environment)
 
-    def only(self, *names: str) -> None:
-        """Start what does not run, and end all other workers."""
-        for name in self.workers.keys() - {*names}:
-            self.end(name)
-        self.whole(*names)
-        with distributed.Client(self.address, set_as_default=False) as client:
-            eventually(lambda: len(client.nthreads()) == len(names))
-
     def expect(self, workers: int) -> None:
         """Wait until there are so many at least, as the scheduler knows them."""
         with distributed.Client(self.address, set_as_default=False) as client:
@@ -152,14 +144,10 @@ def complaint(capsys: pytest.CaptureFixture[str]) -> str:
 # ---------------------------------------------------------------- results
 
 
-def test_one_worker_and_two_find_the_numbers_of_this_machine(
-    running: Running, tmp_path: Path
-) -> None:
+def test_workers_find_the_numbers_of_this_machine(whole: Running, tmp_path: Path) -> None:
     call(f"{COMPARE} --jobs 1", tmp_path / "here")
-    for names in (("a",), ("a", "b")):
-        running.only(*names)
-        call(f"{COMPARE} --cluster {running.address}", tmp_path / str(len(names)))
-        assert same(results(tmp_path / str(len(names))), results(tmp_path / "here"))
+    call(f"{COMPARE} --cluster {whole.address}", tmp_path / "there")
+    assert same(results(tmp_path / "there"), results(tmp_path / "here"))
 
 
 @pytest.mark.parametrize(

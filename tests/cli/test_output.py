@@ -35,8 +35,14 @@ def beside_records(workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize("history", ["history.csv", "symlink.csv", "hardlink.csv"])
-@pytest.mark.parametrize("out", ["history.csv", "./history.csv"])
+@pytest.mark.parametrize(
+    ("history", "out"),
+    [
+        ("history.csv", "./history.csv"),
+        ("symlink.csv", "history.csv"),
+        ("hardlink.csv", "history.csv"),
+    ],
+)
 def test_a_simulation_never_replaces_its_history(
     model: Path, history: str, out: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

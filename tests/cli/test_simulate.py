@@ -107,7 +107,7 @@ def test_future_inputs_drive_a_model_that_has_inputs(driven_model: Path, tmp_pat
     assert np.abs(plain["a"] - strong["a"])[0] > 1e-3  # an input acts on its own sample already
 
 
-@pytest.mark.parametrize("method", ["harmonic", "linear", "residual-linear-gru"])
+@pytest.mark.parametrize("method", ["harmonic", "residual-linear-gru"])
 def test_what_is_fitted_in_closed_form_goes_on_as_python_says(method: str, tmp_path: Path) -> None:
     out = tmp_path / "model"
     call(f"fit record.csv --columns a --inputs force --method {method} {QUICK}", out)

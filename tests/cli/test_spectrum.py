@@ -88,8 +88,7 @@ def test_spectrum_without_a_simulator_is_about_the_record_alone(tmp_path: Path) 
     assert_pictures(tmp_path, "spectrum.png")
 
 
-@pytest.mark.parametrize("options", ["", "--train 120"])
-def test_spectrum_and_compare_choose_the_same_cutoff(options: str, tmp_path: Path) -> None:
+def test_spectrum_and_compare_choose_the_same_cutoff(tmp_path: Path) -> None:
     """An input is no channel, and what follows the training part does not matter."""
     time = DT * np.arange(400)
     slow = np.sin(2 * np.pi * 0.2 * time) + 0.3 * np.sin(2 * np.pi * 1.1 * time)
@@ -97,22 +96,19 @@ def test_spectrum_and_compare_choose_the_same_cutoff(options: str, tmp_path: Pat
     force = np.sign(np.sin(2 * np.pi * 2.1 * time))
     record = tmp_path / "record.csv"
     pd.DataFrame({"time": time, "y": y, "force": force}).to_csv(record, index=False)
-    call(f"spectrum {record} --inputs force {options}", tmp_path / "spectrum")
-    call(f"compare {record} --inputs force --methods split-gru --epochs 1 --seeds 1 {options}",
+    call(f"spectrum {record} --inputs force", tmp_path / "spectrum")
+    call(f"compare {record} --inputs force --methods split-gru --epochs 1 --seeds 1",
          tmp_path / "compared")  # fmt: skip
     found, settings = results(tmp_path / "spectrum"), results(tmp_path / "compared")["settings"]
     assert [found[name] for name in ("cutoff", "order", "train")] == [
         settings[name] for name in ("cutoff", "order", "train")
     ]
-    call(f"spectrum {record} {options}", tmp_path / "channels")
+    call(f"spectrum {record}", tmp_path / "channels")
     assert results(tmp_path / "channels")["cutoff"] != found["cutoff"]
 
 
-@pytest.mark.parametrize("simulator", ["functions.py:good", "simulated.csv"])
-def test_spectrum_and_compare_choose_the_same_cutoff_with_a_simulator(
-    simulator: str, tmp_path: Path
-) -> None:
-    options = f"record.csv --columns a --simulator {simulator} --train 120"
+def test_spectrum_and_compare_choose_the_same_cutoff_with_a_simulator(tmp_path: Path) -> None:
+    options = "record.csv --columns a --simulator simulated.csv --train 120"
     call(f"spectrum {options}", tmp_path / "spectrum")
     methods = "filtered-gru-calibrated,simulator-calibrated"
     call(f"compare {options} --methods {methods} --seeds 1 --epochs 1 --hidden 2,2 --jobs 1",

@@ -14,9 +14,14 @@ from splitband import GRU, Ensemble, Forecaster, Mean, Single
 from splitband.data import Record
 from splitband.evaluation.saved_settings import SavedSettings
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.names import TRAINED, Sizes
+from splitband.forecasters.names import Sizes
 from splitband.training import Settings
 
+METHODS = (
+    *("gru", "rnn", "state-space", "split-gru", "split-gru-hp-conditioned"),
+    *("filtered-gru-calibrated-conditioned", "residual-linear-gru", "residual-state-space"),
+)
+"""One of each kind, and pairs of the options."""
 SAVED = SavedSettings(
     "split-gru-conditioned",
     Settings(60, 12, 3, 16, 2e-3, milestones=((2, 1e-4),), most_batches=4, quasi_newton=7),
@@ -38,7 +43,7 @@ def written(path: Path, *where: str, value: Any) -> Path:
     return path
 
 
-@pytest.mark.parametrize("method", TRAINED)
+@pytest.mark.parametrize("method", METHODS)
 def test_what_is_read_is_what_was_written(method: str, tmp_path: Path) -> None:
     saved = replace(SAVED, method=method)
     saved.save(tmp_path / "settings.json")
@@ -50,7 +55,7 @@ def test_what_is_read_is_what_was_written(method: str, tmp_path: Path) -> None:
     assert not forecaster.tunable  # a comparison does not search for other settings
 
 
-@pytest.mark.parametrize("method", TRAINED)
+@pytest.mark.parametrize("method", METHODS)
 def test_a_network_says_how_it_is_trained(method: str) -> None:
     """Whatever its cells have come to, as those of a search have."""
     network = replace(SAVED, method=method).forecaster().trained_as(SAVED.settings)

@@ -29,8 +29,9 @@ def linear() -> sb.Linear:
     return sb.Linear().fit(run(0, 0.0, start=0.0))
 
 
-@pytest.mark.parametrize("start", [None, 0.0, 35.0, 1e6])
-@pytest.mark.parametrize("samples", [3, 30, BEGUN])
+@pytest.mark.parametrize(
+    ("start", "samples"), [(None, 3), (0.0, 30), (35.0, BEGUN), (1e6, 3), (None, BEGUN)]
+)
 def test_the_state_of_another_run_is_that_of_its_history(
     linear: sb.Linear, samples: int, start: float | None
 ) -> None:
@@ -48,8 +49,10 @@ def test_so_it_is_for_a_network_on_a_linear_model() -> None:
     assert rmse(slow, other.truth[BEGUN : BEGUN + STEPS]) < 0.02
 
 
-@pytest.mark.parametrize("make", [records.two_masses, records.tanks])
-@pytest.mark.parametrize("at", [3, 10, 600, 1200])
+@pytest.mark.parametrize(
+    ("make", "at"),
+    [(records.two_masses, 3), (records.two_masses, 600), (records.tanks, 10)],
+)
 def test_noise_does_not_move_the_state_of_the_training_record(make: object, at: int) -> None:
     """From any origin in it the forecast is what the fit has found."""
     assert callable(make)

@@ -64,8 +64,7 @@ def from_origin(model: sb.Forecaster, record: sb.Record, **options: Any) -> tupl
     return np.stack(said), wanted.y[: END - SEEN]
 
 
-@pytest.mark.parametrize("kind", MODELS)
-@pytest.mark.parametrize("memory", [0, 30])
+@pytest.mark.parametrize(("kind", "memory"), [*((kind, 30) for kind in MODELS), ("grey box", 0)])
 def test_a_grey_box_is_integrated_sample_by_sample(kind: str, memory: int) -> None:
     record = shaken(start=3.0)
     assert record.u is not None

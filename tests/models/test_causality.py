@@ -35,8 +35,8 @@ def split(k: int, conditioned: bool = False, hp: bool = False) -> Callable[[int]
 LEARNED: dict[str, Callable[[int], Model]] = {
     "gru": lambda nu: Recurrent(gru(nu)),
     "rnn": lambda nu: Recurrent(EulerMLP(NY, 40, 3, 6, 4, 0.3, nu)),
-    **{f"split, k = {k}": split(k) for k in range(1, 11)},
-    **{f"split, k = {k}, conditioned": split(k, conditioned=True) for k in (1, 2, 5, 10)},
+    **{f"split, k = {k}": split(k) for k in (1, 2, 5)},
+    **{f"split, k = {k}, conditioned": split(k, conditioned=True) for k in (1, 3)},
 }
 FILTERED_AFTERWARDS = {"split + HP, k = 3": split(3, hp=True)}
 HYBRID: dict[str, Callable[[int], Model]] = {
@@ -180,7 +180,7 @@ class _Watched(nn.Module):
         return h
 
 
-@pytest.mark.parametrize("k", range(1, 11))
+@pytest.mark.parametrize("k", [1, 2, 3, 7, 10])
 def test_a_slow_band_is_given_the_mean_of_the_inputs_up_to_each_of_its_samples(k: int) -> None:
     """The moving average of SciPy, which stands still before the first sample."""
     for warmup in WARMUPS:

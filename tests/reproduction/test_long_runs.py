@@ -51,16 +51,17 @@ def test_the_nearest_reading_trains_as_a_split_model_on_the_filtered_record() ->
     assert tried("split-gru", SHORT, 3)["total_rmse"] == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.parametrize("name", READINGS)
-def test_every_reading_changes_the_result(name: str) -> None:
-    reading = READINGS[name]
-    changes = reading.training.changes | {"epochs": EPOCHS}
-    if "milestones" in changes:
-        changes["milestones"] = ((0, 1e-4),)
-    short = replace(reading, training=replace(reading.training, changes=changes))
-    same = name in (BASE, "1,000 epochs")
-    ours, base = (tried("split-gru", each, 1)["total_rmse"] for each in (short, SHORT))
-    assert (ours == base) is same
+def test_every_reading_changes_the_result() -> None:
+    """A run of two epochs cannot tell apart those alone that differ in later ones."""
+    found = {}
+    for name, reading in READINGS.items():
+        changes = reading.training.changes | {"epochs": EPOCHS}
+        if "milestones" in changes:
+            changes["milestones"] = ((0, 1e-4),)
+        short = replace(reading, training=replace(reading.training, changes=changes))
+        found[name] = tried("split-gru", short, 1)["total_rmse"]
+    same = {name for name, error in found.items() if error == found[BASE]}
+    assert same == {BASE, "1,000 epochs"}
 
 
 def test_a_run_without_seeds_in_common_keeps_its_weights_or_its_order() -> None:

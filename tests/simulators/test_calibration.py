@@ -17,7 +17,7 @@ from splitband.forecasters.hybrids import Filtered, Residual
 from splitband.forecasters.names import named
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import ExtrapolationWarning, rmse
-from splitband.simulators import Recorded, run
+from splitband.simulators import Recorded
 from splitband.simulators.calibration import (
     TERMS,
     Calibration,
@@ -25,7 +25,6 @@ from splitband.simulators.calibration import (
     calibrate,
     samples_needed,
 )
-from splitband.simulators.named import van_der_pol_simulator
 
 Array = npt.NDArray[np.float64]
 SAMPLES, TRAIN, DT = 800, 400, 0.05
@@ -88,17 +87,9 @@ def test_a_constant_simulator_is_fitted_by_the_mean() -> None:
 # ---------------------------------------------------------------- what is found
 
 
-@pytest.mark.parametrize("ny", [1, 2])
 @pytest.mark.parametrize(
-    ("term", "value"),
-    [
-        ("gain", GAIN),
-        ("offset", OFFSET),
-        ("delay", 0.6),
-        ("delay", -0.6),
-        ("clock", 1.03),
-        ("clock", 0.97),
-    ],
+    ("term", "value", "ny"),
+    [("gain", GAIN, 2), ("offset", OFFSET, 1), ("delay", -0.6, 2), ("clock", 1.03, 1)],
 )
 def test_one_term_is_found_and_the_others_are_left_alone(term: Any, value: Any, ny: int) -> None:
     true = value[:ny] if isinstance(value, tuple) else value
@@ -110,14 +101,9 @@ def test_one_term_is_found_and_the_others_are_left_alone(term: Any, value: Any, 
         assert getattr(found, other) == getattr(Calibration(), other)
 
 
-@pytest.mark.parametrize("ny", [1, 2])
 @pytest.mark.parametrize(
-    ("delay", "clock"),
-    [
-        (0.6, 1.0), (-0.6, 1.0), (0.0, 1.03), (0.0, 0.97),
-        (0.6, 1.03), (-0.6, 0.97), (0.6, 0.97), (-0.6, 1.03),
-    ],
-)  # fmt: skip
+    ("delay", "clock", "ny"), [(0.6, 1.0, 1), (0.0, 0.97, 2), (0.6, 1.03, 1), (-0.6, 0.97, 1)]
+)
 def test_the_terms_that_pay_are_found_together(delay: float, clock: float, ny: int) -> None:
     y = measured(ny, GAIN[:ny], OFFSET[:ny], delay, clock)
     found = calibrate(simulation(ny=ny), y[:TRAIN], DT)
@@ -133,12 +119,12 @@ def test_the_terms_that_pay_are_found_together(delay: float, clock: float, ny: i
 def test_a_perfect_simulator_is_left_as_it_comes() -> None:
     exact = calibrate(simulation(), simulation()[:TRAIN], DT)
     assert str(exact) == "as it comes"
-    for seed in range(4):
+    for seed in range(2):
         noisy = calibrate(simulation(), measured(seed=seed)[:TRAIN], DT)
         assert str(noisy) == "as it comes"
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(3))
 def test_unrelated_noise_gets_no_delay_and_no_clock(seed: int) -> None:
     rng = np.random.default_rng(seed)
     y_sim, y = rng.standard_normal((NEEDED, 1)), rng.standard_normal((TRAIN, 1))
@@ -147,14 +133,6 @@ def test_unrelated_noise_gets_no_delay_and_no_clock(seed: int) -> None:
 
 
 def test_calibration_brings_the_simulator_of_system_v_closer() -> None:
-    r = van_der_pol()
-    y_sim = run(van_der_pol_simulator(), samples_needed(2000, 600), 0.05)
-    found = calibrate(y_sim, r.y[:600], 0.05)
-    assert rmse(r.y, y_sim[:2000]) == pytest.approx(0.405, abs=1e-3)
-    assert rmse(r.y, found.apply(y_sim, 2000, 0.05)) < 0.27
-
-
-def test_so_does_one_that_ends_with_the_record() -> None:
     """The figures of docs/theory/simulators.md and the changelog."""
     r = van_der_pol()
     model = Calibrated().fit(r[:600])
@@ -218,9 +196,10 @@ def test_only_calibrated_methods_see_another_simulator() -> None:
         np.testing.assert_allclose(changed.y_sim, signal(r.time) * found.gain + (found.offset or 0))
 
 
-@pytest.mark.parametrize("spare", [0, 5])
-@pytest.mark.parametrize("recorded", [False, True], ids=["brought", "recorded"])
-@pytest.mark.parametrize(("delay", "clock"), [(-0.6, 1.0), (0.0, 1.03), (-0.3, 1.01), (0.3, 1.01)])
+@pytest.mark.parametrize(
+    ("delay", "clock", "recorded", "spare"),
+    [(-0.6, 1.0, False, 0), (0.0, 1.03, True, 5), (-0.3, 1.01, True, 0), (0.3, 1.01, False, 5)],
+)
 def test_a_simulation_that_ends_with_the_record_is_calibrated_all_the_same(
     delay: float, clock: float, recorded: bool, spare: int
 ) -> None:
@@ -245,7 +224,7 @@ def test_a_simulation_that_ends_with_the_record_is_calibrated_all_the_same(
 
 @pytest.mark.parametrize(
     ("delay", "clock"),
-    [(0.0, 1.0), (0.12, 1.0), (-0.12, 1.0), (0.0, 1.03), (0.0, 0.97), (-0.33, 1.02), (0.4, 1.05)],
+    [(0.0, 1.0), (0.12, 1.0), (-0.33, 1.02), (0.4, 0.97)],
 )
 def test_a_part_of_a_record_is_calibrated_as_in_the_whole(delay: float, clock: float) -> None:
     """Time counts from the origin, wherever the part and its simulation begin."""
@@ -263,8 +242,7 @@ def test_a_part_of_a_record_is_calibrated_as_in_the_whole(delay: float, clock: f
 # ---------------------------------------------------------------- applying
 
 
-@pytest.mark.parametrize("clock", [0.97, 1.0, 1.04])
-@pytest.mark.parametrize("delay", [-0.23, 0.0, 0.5])
+@pytest.mark.parametrize(("delay", "clock"), [(-0.23, 1.0), (0.0, 1.04), (0.5, 0.97)])
 def test_a_calibrated_ramp_is_a_ramp_that_stands_still_at_the_simulations_ends(
     delay: float, clock: float
 ) -> None:

@@ -1,7 +1,6 @@
 """A user's own simulator may hang, crash or end its process, and this one goes on."""
 
 import os
-import time as clock
 from pathlib import Path
 
 import numpy as np
@@ -35,10 +34,6 @@ def exiting(time):
 
 def raising(time):
     raise LookupError("no such\\nparameter")
-
-
-def hanging(time):
-    clock.sleep(600)
 
 
 def holding(time):  # keeps the interpreter to itself
@@ -86,15 +81,11 @@ def test_what_goes_wrong_is_named_with_the_simulator(
     assert "Traceback" not in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("function", ["hanging", "holding"])
-def test_what_hangs_is_ended_not_left_behind(
-    file: str, function: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_hangs_is_ended_not_left_behind(file: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Even what keeps the interpreter to itself."""
     monkeypatch.setattr("splitband.simulators.isolation._START", 3.0)
-    began = clock.monotonic()
     with pytest.raises(ValueError, match=r"simulator torque has not returned within 0\.3 s"):
-        run(Isolated(file, function, timeout=0.3), 7, 0.1, name="torque")
-    assert clock.monotonic() - began < 300
+        run(Isolated(file, "holding", timeout=0.3), 7, 0.1, name="torque")
     assert not any(b"splitband.simulators.isolation" in command for command in children())
 
 
@@ -112,9 +103,7 @@ def children() -> list[bytes]:
 
 
 def test_threads_that_it_leaves_running_keep_nobody_waiting(file: str) -> None:
-    began = clock.monotonic()
     assert len(run(Isolated(file, "leaving_threads"), 5, 0.5)) == 5
-    assert clock.monotonic() - began < 300
 
 
 def test_the_cache_is_of_the_content(file: str, tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -187,11 +186,9 @@ def test_a_simulator_that_does_not_return_is_given_up_on() -> None:
         release.wait(600)
         return grid
 
-    began = time.monotonic()
     try:
         with pytest.raises(ValueError, match=r"Function has not returned within 0\.1 s"):
             run(Function(wait), SAMPLES, DT, timeout=0.1)
-        assert time.monotonic() - began < 300
     finally:
         release.set()
 

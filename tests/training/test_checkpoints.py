@@ -53,7 +53,7 @@ def assert_same(model: Model, other: Model) -> None:
         assert torch.equal(value, other.state_dict()[name]), name
 
 
-@pytest.mark.parametrize("die_after", range(1, 9))
+@pytest.mark.parametrize("die_after", [1, 4, 8])
 def test_a_training_that_was_cut_off_ends_with_the_same_bits(
     die_after: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -102,7 +102,7 @@ def test_a_checkpoint_knows_the_filter_of_a_hybrid_model(tmp_path: Path) -> None
         assert len(seen) == epochs
 
 
-@pytest.mark.parametrize("damage", ["empty", "cut", "noise", "text"])
+@pytest.mark.parametrize("damage", ["empty", "cut", "noise"])
 def test_a_damaged_checkpoint_is_none(damage: str, tmp_path: Path) -> None:
     file = tmp_path / "training.safetensors"
     trained(Checkpoint(file))

@@ -91,7 +91,7 @@ def test_it_gets_further_than_as_many_epochs() -> None:
         assert losses[-1] < 0.9 * by_adam.losses[name][-1]
 
 
-@pytest.mark.parametrize("die_after", [2, 3, 7])
+@pytest.mark.parametrize("die_after", [2, 7])
 def test_a_training_that_was_cut_off_ends_with_the_same_bits(
     die_after: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
