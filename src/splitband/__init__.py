@@ -8,9 +8,9 @@ from splitband.runtime.provided import provide
 if TYPE_CHECKING:
     from splitband.data import Grid, Record, read
     from splitband.evaluation.comparison import Comparison
-    from splitband.evaluation.forecast import Forecast
+    from splitband.evaluation.forecast import Forecast, forecast
     from splitband.evaluation.plan import Plan, plan
-    from splitband.evaluation.run import compare, forecast, run
+    from splitband.evaluation.run import compare, run
     from splitband.evaluation.saved_settings import SavedSettings
     from splitband.evaluation.search import Search
     from splitband.evaluation.setup import Options, Setup
@@ -69,8 +69,8 @@ provide(
 _MODULES = {
     "data": ("Grid", "Record", "read"),
     "evaluation.comparison": ("Comparison",),
-    "evaluation.forecast": ("Forecast",),
-    "evaluation.run": ("compare", "forecast", "run"),
+    "evaluation.forecast": ("Forecast", "forecast"),
+    "evaluation.run": ("compare", "run"),
     "evaluation.search": ("Search",),
     "evaluation.plan": ("Plan", "plan"),
     "evaluation.setup": ("Options", "Setup"),

@@ -10,7 +10,8 @@ import pytest
 from splitband.evaluation import search as searching
 from splitband.evaluation.budget import Pace, TimeBudget
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.run import compare, forecast
+from splitband.evaluation.forecast import forecast
+from splitband.evaluation.run import compare
 from splitband.evaluation.search import Search
 from splitband.evaluation.work import RunProgress, Work
 from splitband.runtime.deadlines import Deadline

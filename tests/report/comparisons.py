@@ -11,9 +11,9 @@ import pandas as pd
 
 from splitband import Record, Settings
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.forecast import Forecast
+from splitband.evaluation.forecast import Forecast, forecast
 from splitband.evaluation.protocols import Runs
-from splitband.evaluation.run import compare, forecast
+from splitband.evaluation.run import compare
 from splitband.evaluation.search import SearchAttempt
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands

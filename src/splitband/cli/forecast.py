@@ -30,8 +30,7 @@ from splitband.cli.options.simulators import SimulatorOrBaseOptions
 from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.usage import usage
 from splitband.cli.worker_pool import worker_pool
-from splitband.evaluation.forecast import Forecast
-from splitband.evaluation.run import run_forecast
+from splitband.evaluation.forecast import Forecast, run_forecast
 from splitband.forecasters.names import NAMES
 from splitband.metrics import leaving
 from splitband.report import page, results

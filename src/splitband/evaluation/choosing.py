@@ -26,37 +26,12 @@ from splitband.forecasters.names import BASES, with_base
 
 ON_BASELINE = "on a baseline"
 """The stage in which a network on top of a baseline is tried."""
-TRIAL, FINAL = "held-out fit", "final fit"
-"""The stages of the work: on how much of the training part the methods are fitted."""
-REFIT = "refit"
-"""The stage in which the recommended method is fitted to the whole record."""
-BEFORE_REFIT = 0.6
-"""Share of the time that is left for final fits which these may take, where a refit follows."""
-AFTER_BASELINES, AFTER_SEARCH, AFTER_TRIAL, AFTER_FINAL = 0.1, 0.6, 0.7, 0.95
+TRIAL = "held-out fit"
+"""The stage in which methods are fitted to three quarters of the training part."""
+AFTER_BASELINES, AFTER_SEARCH, AFTER_TRIAL = 0.1, 0.6, 0.7
 """Shares of a command that are done after these stages, for progress bars."""
 SEEDS = 3
 """Trainings of each network, where nothing else decides how many."""
-
-
-def last_stages(plan: Plan, work: Work, questions: Sequence[Question]) -> tuple[Work, Work]:
-    """The work on the whole training part: of what needs no training, and of networks.
-
-    Parameters
-    ----------
-    plan : A trial of it has forecast three parts of what is held out and what lies ahead.
-    work : Of the whole command.
-    questions : What the methods are asked in the end.
-    """
-    held_out = plan.train - held_out_from(plan.train)
-    asked = max(sum(q.end - at.at for at in q.origins) + sum(map(len, q.tests)) for q in questions)
-    asking = work.time.pace.asking * asked / (2 * held_out + 3 * plan.horizon)
-    time, first = work.time, (AFTER_TRIAL, AFTER_TRIAL)
-    until = time.share(BEFORE_REFIT) if plan.refit else time.deadline
-    quick = work if time.allows_processes(time.deadline) else work.alone()
-    return (
-        quick.for_stage(FINAL, time.deadline, first),
-        work.for_stage(FINAL, until.earlier(asking), (AFTER_TRIAL, AFTER_FINAL)),
-    )
 
 
 def choose(plan: Plan, work: Work) -> tuple[Trial, SearchResult]:
@@ -185,41 +160,4 @@ def _in_time(
             continue
         left -= cost
         kept.append(f)
-    return kept
-
-
-def last_trainings(
-    plan: Plan,
-    networks: Sequence[Forecaster],
-    searched: SearchResult,
-    trial: Trial,
-    work: Work,
-) -> dict[str, range]:
-    """The seeds of the networks that are trained on the whole training part, the best one first.
-
-    Where there is no time for all of them, the worst ones are left out by name.
-    """
-    time, scores, seeds = work.time, {f.name: trial.scores[f.name] for f in networks}, plan.seeds
-    left = time.reckoned(work.deadline)
-    wanted = dict.fromkeys(scores, range(SEEDS if seeds is None else seeds))
-    if seeds is None:
-        wanted |= searched.seeds(scores, left if time.limited else None)
-    ranked = sorted(scores, key=lambda name: scores[name])
-    if seeds is None and wanted != dict.fromkeys(scores, range(SEEDS)) | searched.seeds(scores):
-        time.narrowed("the number of seeds")
-    kept: dict[str, range] = {}
-    needed = not set(trial.scores) - set(scores)
-    for name in ranked:
-        cost = searched.cost(name)
-        alone = cost > time.reckoned_alone(work.deadline)
-        late = work.deadline.left <= 0
-        if (kept and (alone or cost > left)) or (late and (kept or not needed)):
-            takes = cost * time.pace.seconds
-            time.left_out[name] = (
-                f"left out: its last training takes about {takes:.0f} s here, and "
-                f"{max(work.deadline.left, 0):.0f} s were left for it"
-            )
-            continue
-        kept[name] = wanted[name]
-        left -= cost
     return kept

@@ -1,18 +1,27 @@
-"""Hold what comes after the end of a record, by the method that is recommended."""
+"""Forecast what comes after the end of a record, by the method that is recommended."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
+from typing import Any
 
 from splitband.data import Record
 from splitband.evaluation.budget import TimeBudget
-from splitband.evaluation.plan import Plan
-from splitband.evaluation.selection import Trial
+from splitband.evaluation.choosing import choose
+from splitband.evaluation.plan import Plan, plan
+from splitband.evaluation.protocols import inputs_beyond, models_of
+from splitband.evaluation.run import begun, last_fits
+from splitband.evaluation.selection import LEVEL, Trial
+from splitband.evaluation.work import Work
+from splitband.forecasters.backtest import Origin, Question
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.prediction import Prediction
-from splitband.metrics import Extrapolation
+from splitband.forecasters.ensemble import handed_out
+from splitband.forecasters.prediction import Prediction, mean_of
+from splitband.metrics import Extrapolation, leaves_range
+from splitband.runtime.arguments import whole
 from splitband.runtime.provided import provided
 
 
@@ -72,3 +81,74 @@ class Forecast:
     def report(self, path: str | Path) -> None:
         """Write one HTML file with the forecast, what was tried and settings, to send on."""
         provided("page of a forecast")(self, path)
+
+
+def forecast(
+    record: Record,
+    steps: int,
+    methods: Sequence[Forecaster | str] | str | None = None,
+    *,
+    work: Work | None = None,
+    **options: Any,
+) -> Forecast:
+    """What comes after the end of a record, by the method that its own last quarter recommends.
+
+    Parameters
+    ----------
+    record : All of it is trained on. Its known inputs, and its simulator's output, must reach
+        `steps` samples beyond it (`u_beyond`, `beyond`).
+    steps : How many samples.
+    methods, work : See `compare`.
+    options : Further arguments of `plan`: others, seeds, setup.
+
+    Raises
+    ------
+    ValueError
+        As `compare`, and where inputs or simulator do not reach so far.
+
+    Examples
+    --------
+    >>> record = sb.Record(np.sin(0.3 * np.arange(400)), 0.1)
+    >>> found = sb.forecast(record, 50, [sb.Mean(), sb.Harmonic()])
+    >>> found.method, found.prediction.y.shape, found.prediction.lower.shape
+    ('harmonic', (50, 1), (50, 1))
+    """
+    whole("steps", steps)
+    return run_forecast(plan(record, len(record), methods, horizon=steps, **options), work)
+
+
+def run_forecast(plan: Plan, work: Work | None = None) -> Forecast:
+    """Forecast what lies beyond the record of a plan, all of which is trained on."""
+    record, steps = plan.record, plan.horizon
+    origin = Origin(plan.train, plan.train)
+    question = Question(record, [origin], plan.train + steps, plan.others, keep=True)
+    with begun(plan, work).staffed() as staff:
+        trial, searched = choose(plan, staff)
+        # Training is slow: of the networks, only the best one is trained on all of the record.
+        fitted = [m for m in searched.forecasters if m.name in trial.errors]
+        fitted = [m for m in fitted if not m.random or m.name == trial.best_network]
+        questions = {method.name: question for method in fitted}
+        backtests, failures = last_fits(plan, questions, searched, trial, staff)
+    forecasts = {
+        name: [backtest.predictions[origin] for backtest in of_method.values()]
+        for name, of_method in backtests.items()
+        if of_method
+    }
+    failed = {f.method: f.reason for f in failures[::-1] if f.method not in forecasts}
+    final = {name: [each.y for each in of_seeds] for name, of_seeds in forecasts.items()}
+    trial = trial.settled(final, staff.time.left_out | failed)
+    best = trial.recommended
+    mean, done = mean_of(forecasts[best]), [*backtests[best].values()]
+    half = trial.intervals[best].half_widths(steps)
+    left = [leaves_range(each.y_range, each.predictions[origin].y) for each in done]
+    u = record.u_beyond
+    return Forecast(
+        plan,
+        handed_out(models_of(plan, backtests)[best], trial.held_out.get(best)),
+        replace(mean, lower=mean.y - half, upper=mean.y + half, level=LEVEL),
+        trial,
+        done[0].description,
+        min((samples for samples in left if samples is not None), default=None),
+        inputs_beyond([record, *plan.others], None if u is None else u[:steps]),
+        staff.time,
+    )

@@ -1,4 +1,4 @@
-"""Compute what has been planned: a comparison, a forecast, the fit of a single method."""
+"""Compute what has been planned: a comparison, or the fit of a single method."""
 
 from __future__ import annotations
 
@@ -9,36 +9,32 @@ from typing import Any
 
 from splitband.data import Record
 from splitband.evaluation.budget import SEARCH
-from splitband.evaluation.choosing import (
-    AFTER_FINAL,
-    REFIT,
-    choose,
-    last_stages,
-    last_trainings,
-)
+from splitband.evaluation.choosing import AFTER_TRIAL, SEEDS, choose
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.forecast import Forecast
 from splitband.evaluation.job import Failure, file_name
 from splitband.evaluation.jobs import run_all
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.protocols import (
-    inputs_beyond,
     models_of,
     question_of,
     runs_of,
     without_failed,
 )
 from splitband.evaluation.search import SearchResult, search
-from splitband.evaluation.selection import LEVEL, Trial
+from splitband.evaluation.selection import Trial
 from splitband.evaluation.work import RunProgress, Work
-from splitband.forecasters.backtest import Backtest, Origin, Question
+from splitband.forecasters.backtest import Backtest, Origin, Question, held_out_from
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import handed_out
-from splitband.forecasters.prediction import mean_of
-from splitband.metrics import leaves_range
 from splitband.runtime import deadlines
-from splitband.runtime.arguments import whole
 from splitband.training import Checkpoint, Progress
+
+FINAL, REFIT = "final fit", "refit"
+"""The stages in which methods are fitted to the training part, and one to the whole record."""
+BEFORE_REFIT = 0.6
+"""Share of the time that is left for final fits which these may take, where a refit follows."""
+AFTER_FINAL = 0.95
+"""Share of a command that is done after the final fits, for progress bars."""
 
 
 def compare(
@@ -90,11 +86,11 @@ def run(plan: Plan, work: Work | None = None) -> Comparison:
     ValueError
         Where no method can be fitted.
     """
-    with _begun(plan, work).staffed() as staff:
+    with begun(plan, work).staffed() as staff:
         trial, searched = choose(plan, staff)
         methods = [method for method in searched.forecasters if method.name in trial.errors]
         questions = {method.name: question_of(plan, method) for method in methods}
-        done, failures = _last_fits(plan, questions, searched, trial, staff)
+        done, failures = last_fits(plan, questions, searched, trial, staff)
         runs = runs_of(plan, questions, done, failures)
         if plan.seeds is None:
             runs = without_failed(runs, plan.training)
@@ -114,77 +110,6 @@ def run(plan: Plan, work: Work | None = None) -> Comparison:
     return comparison
 
 
-def forecast(
-    record: Record,
-    steps: int,
-    methods: Sequence[Forecaster | str] | str | None = None,
-    *,
-    work: Work | None = None,
-    **options: Any,
-) -> Forecast:
-    """What comes after the end of a record, by the method that its own last quarter recommends.
-
-    Parameters
-    ----------
-    record : All of it is trained on. Its known inputs, and its simulator's output, must reach
-        `steps` samples beyond it (`u_beyond`, `beyond`).
-    steps : How many samples.
-    methods, work : See `compare`.
-    options : Further arguments of `plan`: others, seeds, setup.
-
-    Raises
-    ------
-    ValueError
-        As `compare`, and where inputs or simulator do not reach so far.
-
-    Examples
-    --------
-    >>> record = sb.Record(np.sin(0.3 * np.arange(400)), 0.1)
-    >>> found = sb.forecast(record, 50, [sb.Mean(), sb.Harmonic()])
-    >>> found.method, found.prediction.y.shape, found.prediction.lower.shape
-    ('harmonic', (50, 1), (50, 1))
-    """
-    whole("steps", steps)
-    return run_forecast(plan(record, len(record), methods, horizon=steps, **options), work)
-
-
-def run_forecast(plan: Plan, work: Work | None = None) -> Forecast:
-    """Forecast what lies beyond the record of a plan, all of which is trained on."""
-    record, steps = plan.record, plan.horizon
-    origin = Origin(plan.train, plan.train)
-    question = Question(record, [origin], plan.train + steps, plan.others, keep=True)
-    with _begun(plan, work).staffed() as staff:
-        trial, searched = choose(plan, staff)
-        # Training is slow: of the networks, only the best one is trained on all of the record.
-        fitted = [m for m in searched.forecasters if m.name in trial.errors]
-        fitted = [m for m in fitted if not m.random or m.name == trial.best_network]
-        questions = {method.name: question for method in fitted}
-        backtests, failures = _last_fits(plan, questions, searched, trial, staff)
-    forecasts = {
-        name: [backtest.predictions[origin] for backtest in of_method.values()]
-        for name, of_method in backtests.items()
-        if of_method
-    }
-    failed = {f.method: f.reason for f in failures[::-1] if f.method not in forecasts}
-    final = {name: [each.y for each in of_seeds] for name, of_seeds in forecasts.items()}
-    trial = trial.settled(final, staff.time.left_out | failed)
-    best = trial.recommended
-    mean, done = mean_of(forecasts[best]), [*backtests[best].values()]
-    half = trial.intervals[best].half_widths(steps)
-    left = [leaves_range(each.y_range, each.predictions[origin].y) for each in done]
-    u = record.u_beyond
-    return Forecast(
-        plan,
-        handed_out(models_of(plan, backtests)[best], trial.held_out.get(best)),
-        replace(mean, lower=mean.y - half, upper=mean.y + half, level=LEVEL),
-        trial,
-        done[0].description,
-        min((samples for samples in left if samples is not None), default=None),
-        inputs_beyond([record, *plan.others], None if u is None else u[:steps]),
-        staff.time,
-    )
-
-
 def fit(plan: Plan, seed: int = 0, work: Work | None = None) -> Forecaster:
     """Fit the only method of a plan to its training part, and return it.
 
@@ -202,7 +127,7 @@ def fit(plan: Plan, seed: int = 0, work: Work | None = None) -> Forecaster:
     if len(plan.methods) != 1:
         raise ValueError(f"methods must be one to be fitted, got {', '.join(plan.names)}")
     (forecaster,) = plan.methods
-    work = _begun(plan, work)
+    work = begun(plan, work)
     if plan.setup.search is not None:
         with work.staffed() as staff:
             stage = replace(staff, deadline=work.time.share(SEARCH), span=(0.0, SEARCH))
@@ -225,13 +150,13 @@ def fit(plan: Plan, seed: int = 0, work: Work | None = None) -> Forecaster:
         )
 
 
-def _begun(plan: Plan, work: Work | None) -> Work:
+def begun(plan: Plan, work: Work | None) -> Work:
     """Return the work with a time budget: the caller's, or from now on what the search allows."""
     work, asked = work or Work(), plan.setup.search
     return work if asked is None else work.limited(asked.seconds, asked.core_seconds)
 
 
-def _last_fits(
+def last_fits(
     plan: Plan,
     questions: Mapping[str, Question],
     searched: SearchResult,
@@ -242,16 +167,74 @@ def _last_fits(
     methods = {f.name: f for f in searched.forecasters if f.name in questions}
     quick = [f for f in methods.values() if not f.random]
     networks = [f for f in methods.values() if f.random]
-    of_quick, of_slow = last_stages(plan, work, [*questions.values()])
+    of_quick, of_slow = _last_stages(plan, work, [*questions.values()])
     with work.time.phase("final trainings"):
         done, failures = run_all(quick, questions, (0,), of_quick, need_one=not networks)
-        wanted = last_trainings(plan, networks, searched, trial, of_slow)
+        wanted = _last_trainings(plan, networks, searched, trial, of_slow)
         if wanted:
             trained = [methods[name] for name in wanted]
             need_one = not any(done.values())
             slow, more = run_all(trained, questions, wanted, of_slow, need_one)
             done, failures = done | slow, failures + more
     return {name: done[name] for name in methods if name in done}, failures
+
+
+def _last_stages(plan: Plan, work: Work, questions: Sequence[Question]) -> tuple[Work, Work]:
+    """The work on the whole training part: of what needs no training, and of networks.
+
+    Parameters
+    ----------
+    plan : A trial of it has forecast three parts of what is held out and what lies ahead.
+    work : Of the whole command.
+    questions : What the methods are asked in the end.
+    """
+    held_out = plan.train - held_out_from(plan.train)
+    asked = max(sum(q.end - at.at for at in q.origins) + sum(map(len, q.tests)) for q in questions)
+    asking = work.time.pace.asking * asked / (2 * held_out + 3 * plan.horizon)
+    time, first = work.time, (AFTER_TRIAL, AFTER_TRIAL)
+    until = time.share(BEFORE_REFIT) if plan.refit else time.deadline
+    quick = work if time.allows_processes(time.deadline) else work.alone()
+    return (
+        quick.for_stage(FINAL, time.deadline, first),
+        work.for_stage(FINAL, until.earlier(asking), (AFTER_TRIAL, AFTER_FINAL)),
+    )
+
+
+def _last_trainings(
+    plan: Plan,
+    networks: Sequence[Forecaster],
+    searched: SearchResult,
+    trial: Trial,
+    work: Work,
+) -> dict[str, range]:
+    """The seeds of the networks that are trained on the whole training part, the best one first.
+
+    Where there is no time for all of them, the worst ones are left out by name.
+    """
+    time, scores, seeds = work.time, {f.name: trial.scores[f.name] for f in networks}, plan.seeds
+    left = time.reckoned(work.deadline)
+    wanted = dict.fromkeys(scores, range(SEEDS if seeds is None else seeds))
+    if seeds is None:
+        wanted |= searched.seeds(scores, left if time.limited else None)
+    ranked = sorted(scores, key=lambda name: scores[name])
+    if seeds is None and wanted != dict.fromkeys(scores, range(SEEDS)) | searched.seeds(scores):
+        time.narrowed("the number of seeds")
+    kept: dict[str, range] = {}
+    needed = not set(trial.scores) - set(scores)
+    for name in ranked:
+        cost = searched.cost(name)
+        alone = cost > time.reckoned_alone(work.deadline)
+        late = work.deadline.left <= 0
+        if (kept and (alone or cost > left)) or (late and (kept or not needed)):
+            takes = cost * time.pace.seconds
+            time.left_out[name] = (
+                f"left out: its last training takes about {takes:.0f} s here, and "
+                f"{max(work.deadline.left, 0):.0f} s were left for it"
+            )
+            continue
+        kept[name] = wanted[name]
+        left -= cost
+    return kept
 
 
 def _refitted(plan: Plan, model: Forecaster, trial: Trial, work: Work) -> Forecaster:
