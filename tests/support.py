@@ -35,6 +35,12 @@ def forecasters(names: Sequence[Forecaster | str], setup: Setup) -> list[Forecas
     return [each.with_defaults(setup.settings, setup.bands) for each in made]
 
 
+def simulated(model: Model, y: Array, steps: int, u: Any = None, y_sim: Any = None) -> Array:
+    """What a model says after a warm-up, its components added."""
+    total: Array = np.sum([*model.simulate_components(y, steps, u, y_sim).values()], axis=0)
+    return total
+
+
 def untrained(name: str, record: Record, setup: Setup, seed: int) -> Model:
     """The model of a method, its weights drawn from the seed."""
     network = setup.forecaster(name)

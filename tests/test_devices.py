@@ -12,7 +12,7 @@ from splitband.models import Signals, Task
 from splitband.networks import Backend, rollout
 from splitband.training import fit
 from splitband.training.windows import targets
-from tests.support import untrained
+from tests.support import simulated, untrained
 
 SETTINGS = Settings(30, 10, 2, 16)
 SETUP = Setup(80, SETTINGS, bands=Bands(0.6, 1, 2), sizes=Sizes(hidden_high=4, hidden_low=3))
@@ -58,5 +58,5 @@ def test_a_model_on_a_gpu_is_trained_and_takes_and_gives_arrays(method: str, gap
         model = untrained(method, r, SETUP, seed=0).to(device)
         fit(model, r[:80], SETTINGS)
         y_sim = r.y_sim[70:] if "filtered" in method and r.y_sim is not None else None
-        found.append(model.simulate(r.y[70:80], 40, y_sim=y_sim))
+        found.append(simulated(model, r.y[70:80], 40, y_sim=y_sim))
     np.testing.assert_allclose(found[0], found[1], rtol=1e-2, atol=1e-2)

@@ -12,6 +12,7 @@ from splitband.cli import main
 from tests.cli.support import FIT, QUICK, SAMPLES, WARMUP, A, B, call, files, results
 from tests.records import rms
 from tests.support import load_model as load
+from tests.support import simulated
 
 pytestmark = [
     pytest.mark.usefixtures("inside", "undrawn"),
@@ -26,7 +27,7 @@ def test_fit_writes_a_model_and_what_it_reached(model: Path) -> None:
     assert found["setup"]["train"] == SAMPLES
     loaded, _ = load(model)
     y = np.stack([A, B], axis=1)
-    error = loaded.simulate(y[:WARMUP], SAMPLES - WARMUP) - y[WARMUP:]
+    error = simulated(loaded, y[:WARMUP], SAMPLES - WARMUP) - y[WARMUP:]
     assert found["training_rmse"] == pytest.approx(rms(*error.T))
 
 

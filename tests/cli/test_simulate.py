@@ -13,6 +13,7 @@ from splitband.models import Filtered
 from splitband.simulators.calibration import Calibration
 from tests.cli.support import DT, FORCE, QUICK, SIMULATED, SLOW, TIME, WARMUP, A, call, written
 from tests.support import load_model as load
+from tests.support import simulated
 
 pytestmark = [
     pytest.mark.usefixtures("inside", "undrawn"),
@@ -25,7 +26,7 @@ def test_simulate_writes_time_and_columns_of_the_loaded_model(model: Path, tmp_p
     assert list(table) == ["time", "a", "b"]
     np.testing.assert_allclose(table["time"], DT * np.arange(50, 75))
     history = read("history.csv", columns=["a", "b"]).y
-    expected = load(model)[0].simulate(history[-WARMUP:], 25)
+    expected = simulated(load(model)[0], history[-WARMUP:], 25)
     np.testing.assert_array_equal(table[["a", "b"]], expected)
 
 
@@ -52,7 +53,7 @@ def test_a_hybrid_model_simulates_on_with_any_simulator(hybrid_model: Path, tmp_
              tmp_path / "ahead.csv")  # fmt: skip
         table = written(tmp_path / "ahead.csv")
         assert table.shape == (25, 2)
-        np.testing.assert_allclose(table[["a"]], loaded.simulate(y, 25, y_sim=y_sim), atol=1e-5)
+        np.testing.assert_allclose(table[["a"]], simulated(loaded, y, 25, y_sim=y_sim), atol=1e-5)
 
 
 def test_the_simulator_makes_the_low_band_of_a_hybrid_model(
@@ -83,8 +84,8 @@ def test_a_fitted_calibration_and_conditioning_are_simulated_with(tmp_path: Path
     late = 0.8 * np.sin(2 * np.pi * SLOW * 0.97 * time + 0.2) + 0.3
     y_sim = (gain * late + offset)[40:, None]
     found = written(tmp_path / "ahead.csv")[["a"]].to_numpy()
-    np.testing.assert_allclose(found, model.simulate(A[40:50, None], 150, y_sim=y_sim), atol=1e-3)
-    raw = model.simulate(A[40:50, None], 150, y_sim=late[40:, None])
+    np.testing.assert_allclose(found, simulated(model, A[40:50, None], 150, y_sim=y_sim), atol=1e-3)
+    raw = simulated(model, A[40:50, None], 150, y_sim=late[40:, None])
     assert np.abs(found - raw).max() > 0.05
 
 
@@ -102,7 +103,7 @@ def test_future_inputs_drive_a_model_that_has_inputs(driven_model: Path, tmp_pat
         call(f"simulate {driven_model} --history history.csv --steps 20 --future-inputs {name}",
              tmp_path / f"to-{Path(name).stem}.csv")  # fmt: skip
     plain, strong = (written(tmp_path / f"to-{name}.csv") for name in ("future", "strong"))
-    expected = load(driven_model)[0].simulate(A[40:50, None], 20, FORCE[40:70, None])
+    expected = simulated(load(driven_model)[0], A[40:50, None], 20, FORCE[40:70, None])
     np.testing.assert_allclose(plain[["a"]], expected, atol=1e-6)
     assert np.abs(plain["a"] - strong["a"])[0] > 1e-3  # an input acts on its own sample already
 

@@ -26,6 +26,7 @@ from splitband.data.timing import seconds_between
 from splitband.metrics import rmse
 from splitband.simulators import Function, Recorded, run
 from tests.support import load_model as load
+from tests.support import simulated
 
 Array = npt.NDArray[np.float64]
 DT, SAMPLES = 0.1, 240
@@ -636,7 +637,7 @@ def test_a_model_of_a_file_of_one_nameless_column_simulates_such_a_file() -> Non
     call("simulate out --history one.txt --steps 5 --out ahead.csv")
     found = pd.read_csv("ahead.csv")
     assert list(found) == ["time", "y"]
-    expected = load(Path("out"))[0].simulate(signal(times())[-10:, None], 5)
+    expected = simulated(load(Path("out"))[0], signal(times())[-10:, None], 5)
     np.testing.assert_allclose(found[["y"]], expected, atol=1e-6)
     assert read("one.txt", columns="y", sampling_time=DT).columns == ("y",)
     assert read("one.txt", columns=0, sampling_time=DT).columns == ("y",)

@@ -15,8 +15,8 @@ from hypothesis.extra import numpy as hnp
 from splitband.data import (
     read,
 )
-from splitband.data.gaps import FloatArray
 from splitband.data.reading import ReadingWarning
+from splitband.runtime.arrays import Array
 from tests.data.support import STEP, WRITERS, U, Y, message, text_file
 
 
@@ -205,7 +205,7 @@ def test_warnings_of_the_readers_do_not_escape(tmp_path: Path) -> None:
     header=st.booleans(),
 )
 def test_text_round_trip_is_exact(
-    tmp_path_factory: pytest.TempPathFactory, values: FloatArray, separator: str, header: bool
+    tmp_path_factory: pytest.TempPathFactory, values: Array, separator: str, header: bool
 ) -> None:
     if not header and values.shape[1] > len(values):
         values = values.T

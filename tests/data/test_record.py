@@ -9,7 +9,7 @@ import pytest
 from splitband.data import (
     Record,
 )
-from splitband.data.gaps import FloatArray
+from splitband.runtime.arrays import Array
 from tests.data.support import RNG, STEP, U, Y
 
 
@@ -101,7 +101,7 @@ def test_other_indices_are_refused(key: Any, error: type[Exception], words: str)
         Record(Y, STEP)[key]
 
 
-def with_bad(*cells: tuple[int, int], value: float = np.nan) -> FloatArray:
+def with_bad(*cells: tuple[int, int], value: float = np.nan) -> Array:
     y = Y.copy()
     for cell in cells:
         y[cell] = value

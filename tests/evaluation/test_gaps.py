@@ -21,7 +21,7 @@ from tests.records import (
     record,
     with_gaps,
 )
-from tests.support import asked, compare, settled, try_out, untrained
+from tests.support import asked, compare, settled, simulated, try_out, untrained
 
 Array = npt.NDArray[np.float64]
 
@@ -71,7 +71,7 @@ def test_simulations_warm_up_before_a_gap_or_after_it() -> None:
 
     def ahead(start: int) -> Array:
         assert np.isfinite(y[start - WARMUP : start]).all()
-        return model.simulate(y[start - WARMUP : start], LENGTH - start)
+        return simulated(model, y[start - WARMUP : start], LENGTH - start)
 
     for start, at in (
         (5 + WARMUP, 5 + WARMUP),

@@ -597,9 +597,13 @@ def test_a_leading_zero_coefficient_is_named() -> None:
 def test_first_of_a_wrong_length_is_named(given: int) -> None:
     pair = ComplementaryPair.butterworth(CUTOFF, RATE, 3, zero_phase=False)
     x = noise(30, 2)
-    with pytest.raises(ValueError, match=f"first must hold the first 3 outputs, got {given}"):
+    with pytest.raises(
+        ValueError, match=rf"first must hold the first 3 outputs, .* got \({given}, 2\)"
+    ):
         lfilter(pair.b_low, pair.a, x, first=x[:given])
-    with pytest.raises(ValueError, match=f"first must hold the first 3 outputs, got {given}"):
+    with pytest.raises(
+        ValueError, match=rf"first must hold the first 3 outputs, .* got \({given}, 2\)"
+    ):
         pair.highpass_from(x, x[:given])
 
 
@@ -607,7 +611,9 @@ def test_first_of_a_wrong_length_is_named(given: int) -> None:
 def test_combine_names_a_first_of_a_wrong_length(given: int) -> None:
     pair = ComplementaryPair.butterworth(CUTOFF, RATE, 3, zero_phase=False)
     x = noise(30, 2)
-    with pytest.raises(ValueError, match=f"first must hold the first 3 outputs, got {given}"):
+    with pytest.raises(
+        ValueError, match=rf"first must hold the first 3 outputs, .* got \({given}, 2\)"
+    ):
         pair.combine(low=x, high=x, first=x[:given])
 
 

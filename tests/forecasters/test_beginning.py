@@ -9,6 +9,7 @@ import scipy
 
 import splitband as sb
 from splitband.forecasters.beginning import begin_as_linear
+from tests.support import simulated
 
 Array = npt.NDArray[np.float64]
 SAMPLES, TRAINED, AHEAD = 900, 600, 200
@@ -40,7 +41,7 @@ def test_before_training_it_forecasts_as_the_linear_model_does(
     linear = sb.Linear().fit(training).predict(AHEAD, history, other_record=True)
     inputs = record.u
     assert inputs is not None
-    found = model.simulate(history.y, AHEAD, inputs[TRAINED : TRAINED + warmup + AHEAD])
+    found = simulated(model, history.y, AHEAD, inputs[TRAINED : TRAINED + warmup + AHEAD])
     scale = training.y.std(axis=0)
     assert np.sqrt(np.mean(((found - linear.y) / scale) ** 2)) < 0.05
 
@@ -55,7 +56,7 @@ def test_more_poles_than_states_are_reduced_to_those_that_matter() -> None:
     training = sb.Record(y, 0.1, u=u)[:TRAINED]
     model = sb.Single(sb.StateSpace(2, 0)).build(training, sb.Settings(window=100, warmup=20))
     begin_as_linear(model, [training], True, seed=0)
-    found = model.simulate(y[:20, None], SAMPLES - 20, u[:, None])
+    found = simulated(model, y[:20, None], SAMPLES - 20, u[:, None])
     assert np.std(found[:, 0] - y[20:]) < 0.1 * y.std()
 
 
@@ -69,5 +70,5 @@ def test_gaps_and_further_records_are_taken_account_of() -> None:
     begin_as_linear(model, [holed, second], True, seed=0)
     inputs = second.u
     assert inputs is not None
-    found = model.simulate(second.y[:10], AHEAD, inputs)
+    found = simulated(model, second.y[:10], AHEAD, inputs)
     assert np.std(found - second.truth[10 : 10 + AHEAD]) < 0.05 * y[~np.isnan(y)].std()

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from splitband import GRU, ComplementaryPair, EulerMLP
 from splitband.filters import butterworth
 from splitband.models import Filtered, Model, Recurrent, Residual, Signals, Split
+from tests.support import simulated as summed
 
 Array = npt.NDArray[np.float64]
 
@@ -76,7 +77,7 @@ def simulated(
     model: Model, warmup: int, u: Array | None, y_sim: Array = Y_SIM, steps: int = STEPS
 ) -> Array:
     hybrid = isinstance(model, Filtered | Residual)
-    return model.simulate(Y[0, :warmup], steps, u, y_sim if hybrid else None)
+    return summed(model, Y[0, :warmup], steps, u, y_sim if hybrid else None)
 
 
 @pytest.mark.parametrize("name", ALL)

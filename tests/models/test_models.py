@@ -17,7 +17,7 @@ from splitband.forecasters.backtest import Origin, first_origin
 from splitband.models import Filtered, Model, Recurrent, Residual, Signals, Split
 from splitband.training import fit
 from tests.records import DT, LENGTH, SETUP, TRAIN, WARMUP, record
-from tests.support import asked, untrained, with_other_samples
+from tests.support import asked, simulated, untrained, with_other_samples
 
 
 def y_sim_of(trajectory: Record) -> npt.NDArray[np.float64]:
@@ -108,10 +108,10 @@ def test_the_parts_of_a_simulation_add_up_in_the_units_of_the_record(kind: str) 
     model = model.double()
     model.y_mean.fill_(3.0)
     model.y_std.fill_(2.0)
-    warm, steps, simulated = y[:WARMUP].numpy(), LENGTH - WARMUP, y_sim.numpy()
-    found = model.simulate(warm, steps, y_sim=simulated)
+    warm, steps = y[:WARMUP].numpy(), LENGTH - WARMUP
+    found = simulated(model, warm, steps, y_sim=y_sim.numpy())
     np.testing.assert_allclose(found, y[WARMUP:].numpy(), rtol=0, atol=1e-12)
-    first, other = model.simulate_components(warm, steps, y_sim=simulated).values()
+    first, other = model.simulate_components(warm, steps, y_sim=y_sim.numpy()).values()
     np.testing.assert_allclose(first + other, found, rtol=0, atol=1e-12)
     if kind != "filtered":
         np.testing.assert_allclose(first, (3.0 + 2.0 * ahead[0]).numpy(), rtol=0, atol=1e-12)
@@ -125,20 +125,25 @@ def test_channels_and_inputs_of_any_number(method: Any, ny: Any, nu: Any) -> Non
     r = record(ny, nu)
     model = untrained(method, r, SETUP, seed=0)
     u = None if r.u is None else r.u
-    y = model.simulate(r.y[:WARMUP], 30, u, y_sim_of(r))
+    y = simulated(model, r.y[:WARMUP], 30, u, y_sim_of(r))
     assert y.shape == (30, ny)
     assert np.isfinite(y).all()
 
 
 @pytest.mark.parametrize("method", NAMES)
 def test_a_batch_is_simulated_like_each_of_its_members(method: Any) -> None:
-    members = [record(seed=s) for s in range(3)]
-    y = np.stack([r.y[:WARMUP] for r in members])
-    y_sim = np.stack([y_sim_of(r) for r in members])
-    together = model_of(method).simulate(y, 40, y_sim=y_sim)
-    for r, found in zip(members, together, strict=True):
-        alone = model_of(method).simulate(r.y[:WARMUP], 40, y_sim=y_sim_of(r))
-        np.testing.assert_allclose(found, alone, atol=1e-5)
+    model = model_of(method)
+    members = [model.normalised(record(seed=s)) for s in range(3)]
+
+    def of(chosen: Any) -> Tensor:
+        y = torch.stack([each.y[:WARMUP] for each in chosen])
+        y_sim = torch.stack([each.y_sim for each in chosen])
+        with torch.no_grad():
+            parts = model.components(Signals(y, y_sim=y_sim), 40)
+        return torch.stack([*parts.values()]).sum(dim=0)
+
+    for each, found in zip(members, of(members), strict=True):
+        torch.testing.assert_close(found, of([each])[0], atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize(
@@ -158,17 +163,6 @@ def test_units_do_not_matter(method: Any, unit: float, offset: float) -> None:
     for i, (name, part) in enumerate(expected.items()):
         shift = 0.0 if i else offset  # the first part carries the mean
         np.testing.assert_allclose((found[name] - shift) / unit, part, atol=2e-3)
-
-
-def test_one_dimensional_and_torch_signals_come_back_as_they_went_in() -> None:
-    model = model_of("split-gru")
-    y = record().y[:WARMUP]
-    flat = model.simulate(y[:, 0], 9)
-    assert flat.shape == (9,)
-    tensor = model.simulate(torch.tensor(y)[None], 9)
-    assert tensor.shape == (1, 9, 1)
-    assert tensor.dtype == torch.float64
-    np.testing.assert_array_equal(tensor.detach().numpy()[0, :, 0], flat)
 
 
 def test_the_bands_of_the_split_model_add_up_to_the_record_at_its_ends_too() -> None:
@@ -355,22 +349,16 @@ def test_the_residual_model_adds_its_network_to_the_simulator() -> None:
     r = record()
     script = torch.linspace(-1, 1, 60, dtype=torch.float64)[:, None]
     model = Residual(_Scripted(script, 0)).double()
-    y = model.simulate(r.y[:WARMUP], 60, y_sim=y_sim_of(r))
+    y = simulated(model, r.y[:WARMUP], 60, y_sim=y_sim_of(r))
     np.testing.assert_allclose(y, y_sim_of(r)[WARMUP : WARMUP + 60] + script.numpy(), atol=1e-12)
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: Recurrent(GRU(4, 1)).simulate(np.zeros((5, 2)), 3), "y_warmup must have 1"),
-        (lambda: Recurrent(GRU(4, 1)).simulate(np.zeros(5), 0), "steps must be at least 1, got 0"),
-        (lambda: Recurrent(GRU(4, 1)).simulate(np.zeros((0, 1)), 3), "at least 1 sample"),
-        (lambda: Recurrent(GRU(4, 1, 1)).simulate(np.zeros(5), 3), "u must be given"),
-        (
-            lambda: Recurrent(GRU(4, 1, 1)).simulate(np.zeros(5), 3, u=np.zeros((7, 1))),
-            "u must have 1 channel",
-        ),
-        (lambda: Residual(GRU(4, 1)).simulate(np.zeros(5), 3), "y_sim must be given"),
+        (lambda: simulated(Recurrent(GRU(4, 1)), np.zeros((5, 2)), 3), "y_warmup must be"),
+        (lambda: simulated(Recurrent(GRU(4, 1, 1)), np.zeros((5, 1)), 3), "u must be given"),
+        (lambda: simulated(Residual(GRU(4, 1)), np.zeros((5, 1)), 3), "y_sim must be given"),
         (
             lambda: Split([GRU(4, 1), GRU(4, 2)], ComplementaryPair.butterworth(1, 10)),
             r"\(ny, nu\) must be \[\(1, 0\), \(1, 0\)\], got \[\(1, 0\), \(2, 0\)\]",
@@ -395,12 +383,6 @@ def test_the_residual_model_adds_its_network_to_the_simulator() -> None:
         (
             lambda: Residual(GRU(4, 2, 3), conditioned=True),
             "at least 2 ny = 4 inputs.*got nu = 3",
-        ),
-        (
-            lambda: Residual(GRU(4, 1, 3), conditioned=True).simulate(
-                np.zeros(5), 3, y_sim=np.zeros(8)
-            ),
-            "u must be given exactly where the model has inputs, nu = 1",
         ),
         (lambda: Split([GRU(4, 1)] * 2, BANDS[0], 17), "downsampling by 17 .* of 0.3 Hz"),
         (lambda: EulerMLP(ny=3, state_size=2), "state_size must be at least ny = 3, got 2"),

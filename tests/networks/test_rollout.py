@@ -14,6 +14,7 @@ from splitband.filters import ComplementaryPair
 from splitband.models import Model, Recurrent, Split
 from splitband.networks import GRU, Backend, Cell, EulerMLP, StateSpace, free_run, rollout
 from splitband.training import Settings, fit
+from tests.support import simulated
 
 Array = npt.NDArray[Any]
 
@@ -378,9 +379,9 @@ def test_a_user_s_cell_is_trained_in_any_model(
     for losses in history.losses.values():
         assert len(losses) == 30
         assert losses[-1] < 0.9 * losses[0]
-    simulated = model.simulate(y[:16], 30, None if u is None else u[:46])
-    assert simulated.shape == (30, NY)
-    assert np.isfinite(simulated).all()
+    found = simulated(model, y[:16], 30, None if u is None else u[:46])
+    assert found.shape == (30, NY)
+    assert np.isfinite(found).all()
 
 
 @pytest.mark.parametrize("shape", [(WARMUP, NY), (BATCH, WARMUP, NY + 1), (BATCH, 0, NY)])

@@ -16,7 +16,7 @@ from splitband.training import History, fit
 from splitband.training.windows import windows
 from tests.models.test_models import _Scripted
 from tests.records import LENGTH, QUICK, SETUP, TRAIN, record
-from tests.support import untrained
+from tests.support import simulated, untrained
 from tests.training.support import parameters, seen_by_adam
 
 
@@ -175,7 +175,7 @@ def test_a_constant_channel_trains_without_nan() -> None:
     model = Recurrent(GRU(4, 1))
     history = fit(model, flat, Settings(window=20, warmup=5, epochs=3))
     assert np.isfinite(history.losses["network"]).all()
-    assert np.isfinite(model.simulate(flat.y[:5], 10)).all()
+    assert np.isfinite(simulated(model, flat.y[:5], 10)).all()
 
 
 def test_diverging_training_says_so() -> None:

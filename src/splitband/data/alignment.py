@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from splitband.data.gaps import FloatArray
 from splitband.data.record import Record
 from splitband.data.timing import Grid, same_sampling, seconds_between
+from splitband.runtime.arrays import Array
 
 NEAR = 0.01
 """Fraction of a step within which times count as equal, as stamps are rounded."""
@@ -25,15 +25,18 @@ class Aligned:
     note : How it was resampled, in words; empty if its rows were used unchanged.
     """
 
-    values: FloatArray
+    values: Array
     note: str = ""
 
 
-def aligned(what: str, values: FloatArray, own: Grid, onto: Grid, smooth: bool = True) -> Aligned:
+def aligned(what: str, values: Array, own: Grid, onto: Grid, smooth: bool = True) -> Aligned:
     """Return the values of a signal at other times, by the time stamps of both.
 
     Where just one of them has time stamps, or none has, both begin together. Between its samples
     the signal is interpolated. It may end half a sample short of the times, and is held there.
+
+    Raises ValueError where the signal does not cover the times; the message has the time stamps of
+    both.
 
     Parameters
     ----------
@@ -42,11 +45,6 @@ def aligned(what: str, values: FloatArray, own: Grid, onto: Grid, smooth: bool =
     own, onto : The times of the signal, and those to align it to.
     smooth : Interpolate by a cubic spline, as between the samples of a simulator; by straight
         lines otherwise, as between inputs, which may jump.
-
-    Raises
-    ------
-    ValueError
-        Where the signal does not cover the times; the message has the time stamps of both.
     """
     try:
         rows = _rows(own, onto)
@@ -103,7 +101,7 @@ def resampled(record: Record, sampling_time: float) -> Record:
     )
 
 
-def interpolated(values: FloatArray, rows: FloatArray, smooth: bool = True) -> FloatArray:
+def interpolated(values: Array, rows: Array, smooth: bool = True) -> Array:
     """Interpolate `values` `(time, n)` at fractional rows; beyond the ends they are held."""
     index = np.arange(len(values))
     rows = np.clip(rows, 0, len(values) - 1)
@@ -112,7 +110,7 @@ def interpolated(values: FloatArray, rows: FloatArray, smooth: bool = True) -> F
     return np.column_stack([np.interp(rows, index, channel) for channel in values.T])
 
 
-def _rows(own: Grid, onto: Grid) -> FloatArray:
+def _rows(own: Grid, onto: Grid) -> Array:
     """Return the times `onto` as fractional rows of a signal at the times `own`."""
     offset = 0.0
     if own.start is not None and onto.start is not None:

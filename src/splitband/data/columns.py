@@ -13,7 +13,7 @@ from pandas.api.types import (
     is_string_dtype,
 )
 
-from splitband.data.gaps import FloatArray
+from splitband.runtime.arrays import Array
 
 Column: TypeAlias = "pd.Series[Any]"
 
@@ -25,7 +25,7 @@ def has_number(column: Column) -> bool:
     return is_numeric_dtype(column) and bool(column.notna().any())
 
 
-def numbers(what: str, column: Column) -> FloatArray:
+def numbers(what: str, column: Column) -> Array:
     """Return a column as float64 numbers, (time,)."""
     if not is_numeric_dtype(column):
         cells = column.astype(object)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.integrate import cumulative_trapezoid, solve_ivp
 
 from splitband.data.record import Record
-
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 STEP = 0.1
 """Sampling time, s."""

@@ -7,21 +7,18 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from splitband.runtime.arrays import Array, Flags
+
 Gaps = Literal["refuse", "mask"]
 
 
-def filled(what: str, values: FloatArray) -> tuple[FloatArray, BoolArray]:
+def filled(what: str, values: Array) -> tuple[Array, Flags]:
     """Fill values that are not finite by straight lines; return them and where they were finite.
 
     Both have the shape of `values`, `(time, n)`. Before the first and after the last finite value
     of a channel that value is held.
 
-    Raises
-    ------
-    ValueError
-        For a channel without finite values.
+    Raises ValueError for a channel without finite values.
     """
     known = np.isfinite(values)
     index = np.arange(len(values))
@@ -33,13 +30,13 @@ def filled(what: str, values: FloatArray) -> tuple[FloatArray, BoolArray]:
     return whole, known
 
 
-def stretches(rows: BoolArray) -> list[tuple[int, int]]:
+def stretches(rows: Flags) -> list[tuple[int, int]]:
     """Return the first and last index of each stretch of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(np.int8), [0]])))
     return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
 
 
-def places(rows: BoolArray, most: int = 6) -> str:
+def places(rows: Flags, most: int = 6) -> str:
     """Describe the stretches of true values for a message: "rows 3, 7 to 9"."""
     gaps = stretches(rows)
     named = ", ".join(str(a) if a == b else f"{a} to {b}" for a, b in gaps[:most])
@@ -47,18 +44,18 @@ def places(rows: BoolArray, most: int = 6) -> str:
     return f"row{'s' if len(gaps) > 1 or gaps[0][0] != gaps[0][1] else ''} {named}{more}"
 
 
-def last_before(complete: BoolArray, length: int, at: int) -> int | None:
+def last_before(complete: Flags, length: int, at: int) -> int | None:
     """Return the last index up to `at` with `length` complete samples right before it, or None."""
     ends = _ends(complete[:at], length)
     return int(ends[-1]) if len(ends) else None
 
 
-def first_after(complete: BoolArray, length: int) -> int | None:
+def first_after(complete: Flags, length: int) -> int | None:
     """Return the first index with `length` complete samples right before it, or None."""
     ends = _ends(complete, length)
     return int(ends[0]) if len(ends) else None
 
 
-def _ends(complete: BoolArray, length: int) -> NDArray[Any]:
+def _ends(complete: Flags, length: int) -> NDArray[Any]:
     count = np.concatenate([[0], np.cumsum(complete)])
     return np.flatnonzero(count[length:] - count[:-length] == length) + length

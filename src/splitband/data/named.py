@@ -6,14 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
 from splitband.data.crane import overhead_crane
 from splitband.data.public import double_torsion, drill_string
 from splitband.data.record import Record
-
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 
 def double_mass_spring(samples: int = 1000, noise_variance: float = 0.1, seed: int = 0) -> Record:

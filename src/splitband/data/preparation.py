@@ -7,16 +7,15 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from splitband.data.timing import seconds_of, stamp_after
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
 if TYPE_CHECKING:
     from splitband.data.record import Record
 
-FloatArray = npt.NDArray[np.float64]
 Numbers = tuple[float, ...]
 
 
@@ -27,23 +26,23 @@ class Preparation(ABC):
     def apply(self, record: Record) -> Record:
         """Return the record with it done."""
 
-    def measured(self, y: FloatArray, time: FloatArray) -> FloatArray:
+    def measured(self, y: Array, time: Array) -> Array:
         """Return measured samples `(time, ny)` at `time`, in seconds, with it done."""
         return y
 
-    def inputs(self, u: FloatArray, time: FloatArray) -> FloatArray:
+    def inputs(self, u: Array, time: Array) -> Array:
         """Return inputs `(time, nu)` with it done."""
         return u
 
-    def inputs_restored(self, u: FloatArray, time: FloatArray) -> FloatArray:
+    def inputs_restored(self, u: Array, time: Array) -> Array:
         """Return inputs `(time, nu)` with it undone."""
         return u
 
-    def outputs(self, y: FloatArray, time: FloatArray) -> FloatArray:
+    def outputs(self, y: Array, time: Array) -> Array:
         """Return a simulator's output `(time, ny)` with it done."""
         return y
 
-    def restored(self, y: FloatArray, time: FloatArray) -> FloatArray:
+    def restored(self, y: Array, time: Array) -> Array:
         """Return predictions `(time, ny)` with it undone."""
         return y
 
@@ -89,36 +88,31 @@ class Detrended(Preparation):
     def apply(self, record: Record) -> Record:
         """Return the record less the trend; a simulator's output loses that of the outputs."""
         time = seconds(record)
-        later = time[-1] + record.sampling_time * (1 + np.arange(_most(record)))
-        changed: dict[str, Any] = {"y": self.measured(record.y, time)}
-        for field in ("y_true", "y_sim"):
+        changed: dict[str, Any] = {}
+        for field in ("y", "y_true", "y_sim", "u", "beyond", "u_beyond"):
             if (signal := getattr(record, field)) is not None:
-                changed[field] = self.outputs(signal, time)
-        if record.beyond is not None:
-            changed["beyond"] = self.outputs(record.beyond, later[: len(record.beyond)])
-        if record.u is not None:
-            changed["u"] = self.inputs(record.u, time)
-        if record.u_beyond is not None:
-            changed["u_beyond"] = self.inputs(record.u_beyond, later[: len(record.u_beyond)])
+                later = time[-1] + record.sampling_time * (1 + np.arange(len(signal)))
+                done = self.inputs if field in ("u", "u_beyond") else self.outputs
+                changed[field] = done(signal, later if field in ("beyond", "u_beyond") else time)
         return replace(record, **changed)
 
-    def measured(self, y: FloatArray, time: FloatArray) -> FloatArray:
+    def measured(self, y: Array, time: Array) -> Array:
         """Return measured samples less the trend."""
         return y - self._trend(time)
 
-    def inputs(self, u: FloatArray, time: FloatArray) -> FloatArray:
+    def inputs(self, u: Array, time: Array) -> Array:
         """Return inputs less their trend."""
         return u - np.array(self.input_levels) - self._risen(time, self.input_slopes)
 
-    def inputs_restored(self, u: FloatArray, time: FloatArray) -> FloatArray:
+    def inputs_restored(self, u: Array, time: Array) -> Array:
         """Return inputs with their trend."""
         return u + np.array(self.input_levels) + self._risen(time, self.input_slopes)
 
-    def outputs(self, y: FloatArray, time: FloatArray) -> FloatArray:
+    def outputs(self, y: Array, time: Array) -> Array:
         """Return a simulator's output less the trend of the outputs."""
-        return y - self._trend(time)
+        return self.measured(y, time)
 
-    def restored(self, y: FloatArray, time: FloatArray) -> FloatArray:
+    def restored(self, y: Array, time: Array) -> Array:
         """Return predictions with the trend."""
         return y + self._trend(time)
 
@@ -126,10 +120,10 @@ class Detrended(Preparation):
         """Return the same trend for times that count from `begin`."""
         return replace(self, begin=self.begin - begin)
 
-    def _trend(self, time: FloatArray) -> FloatArray:
+    def _trend(self, time: Array) -> Array:
         return np.array(self.levels) + self._risen(time, self.slopes)
 
-    def _risen(self, time: FloatArray, slopes: Numbers) -> FloatArray:
+    def _risen(self, time: Array, slopes: Numbers) -> Array:
         """Return by how much straight lines have risen, `(time, channels)`."""
         if not any(slopes):
             return np.zeros((1, len(slopes)))
@@ -142,9 +136,7 @@ class Detrended(Preparation):
 class Clipped(Preparation):
     """Limit the outputs to a range each.
 
-    Attributes
-    ----------
-    low, high : Of each output.
+    `low` and `high`: of each output.
     """
 
     low: Numbers
@@ -164,7 +156,7 @@ class Clipped(Preparation):
         """Return the record with its outputs in range."""
         return replace(record, y=self.measured(record.y, seconds(record)))
 
-    def measured(self, y: FloatArray, time: FloatArray) -> FloatArray:
+    def measured(self, y: Array, time: Array) -> Array:
         """Return measured samples in range; what is NaN stays so."""
         clipped = np.clip(y, np.array(self.low), np.array(self.high))
         return np.where(np.isnan(y), y, clipped)
@@ -180,9 +172,7 @@ class Resampled(Preparation):
     The time stamp of a mean is that of its last sample. A prediction has the new step; so have
     the inputs that are given for it.
 
-    Attributes
-    ----------
-    factor : Samples of a mean.
+    `factor`: samples of a mean.
     """
 
     factor: int
@@ -207,27 +197,22 @@ class Resampled(Preparation):
             start = stamp_after(start, (first + k - 1) * step)
         return replace(record, sampling_time=k * step, start=start, measured=measured, **changed)
 
-    def _means(self, signal: FloatArray) -> FloatArray:
+    def _means(self, signal: Array) -> Array:
         means = signal.reshape(-1, self.factor, signal.shape[1]).mean(axis=1)
         return np.asarray(means, dtype=np.float64)
 
 
-def seconds(record: Record) -> FloatArray:
+def seconds(record: Record) -> Array:
     """Return the times of a record in seconds, `(time,)`; dates since 1970."""
     start = record.start
     begin = start.timestamp() if isinstance(start, pd.Timestamp) else seconds_of(start)
     return np.asarray(begin + record.sampling_time * np.arange(float(len(record))))
 
 
-def _line(time: FloatArray, signal: FloatArray, order: int) -> tuple[float, float]:
+def _line(time: Array, signal: Array, order: int) -> tuple[float, float]:
     """Return level and slope of what was measured."""
     known = ~np.isnan(signal)
     if not order:
         return float(signal[known].mean()), 0.0
     slope, level = np.polyfit(time[known], signal[known], 1)
     return float(level), float(slope)
-
-
-def _most(record: Record) -> int:
-    ahead = (record.beyond, record.u_beyond)
-    return max((len(signal) for signal in ahead if signal is not None), default=0)

@@ -88,14 +88,9 @@ def fetch(name: str, data_dir: str | os.PathLike[str] | None = None) -> Path:
     once into the user's cache from a pinned commit of github.com/boschresearch/hybrid-observer,
     with the licence and citation that `PUBLIC[name]` states.
 
-    Raises
-    ------
-    ValueError
-        If the name is unknown, or the content is not the published one (the file is left alone).
-    FileNotFoundError
-        If the folder lacks the file.
-    OSError
-        If it cannot be downloaded.
+    Raises ValueError if the name is unknown, or the content is not the published one (the file is
+    left alone). Raises FileNotFoundError if the folder lacks the file. Raises OSError if it cannot
+    be downloaded.
     """
     if name not in PUBLIC:
         raise ValueError(f"public record {name!r} is unknown: there are {', '.join(PUBLIC)}")

@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 from pandas.api.types import is_numeric_dtype
 
 from splitband.data.columns import Column, has_number, numbers
-from splitband.data.gaps import FloatArray, Gaps
+from splitband.data.gaps import Gaps
 from splitband.data.record import Record, one_line, require_finite
 from splitband.data.stamps import TIME_NAMES, Spacing, also_time, spacing, time_name
 from splitband.data.text import check_different, read_table
 from splitband.data.timing import same_sampling
+from splitband.runtime.arrays import Array
 
 MOST_BYTES = 2**31
 """Limit of the size of a file's numbers in memory, in bytes."""
@@ -320,7 +321,7 @@ def _assemble(table: _Table, picked: _Picked, spaced: Spacing, gaps: Gaps, *, na
 
 def _matrix(
     table: _Table, names: Sequence[str], gaps: Gaps, places: NDArray[np.int_] | None
-) -> FloatArray:
+) -> Array:
     """Return the columns as a matrix, with NaN in rows that are missing."""
     matrix = np.column_stack([numbers(f"column {name!r}", table[name]) for name in names])
     if gaps == "refuse":

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from splitband.data.gaps import BoolArray, FloatArray, filled, places
+from splitband.data.gaps import filled, places
 from splitband.data.preparation import Clipped, Detrended, Preparation, Resampled
 from splitband.data.timing import (
     Grid,
@@ -21,6 +21,7 @@ from splitband.data.timing import (
     stamp_after,
     stamps_at,
 )
+from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.options import saved
 
 LARGEST, SMALLEST = 1e120, 1e-120
@@ -78,17 +79,17 @@ class Record:
     array([[0.]])
     """
 
-    y: FloatArray
+    y: Array
     sampling_time: float
-    u: FloatArray | None = None
-    y_true: FloatArray | None = None
-    y_sim: FloatArray | None = None
-    beyond: FloatArray | None = None
-    u_beyond: FloatArray | None = None
+    u: Array | None = None
+    y_true: Array | None = None
+    y_sim: Array | None = None
+    beyond: Array | None = None
+    u_beyond: Array | None = None
     name: str = ""
     columns: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
-    measured: BoolArray | None = None
+    measured: Flags | None = None
     start: Stamp | None = None
     prepared: tuple[Preparation, ...] = ()
 
@@ -277,17 +278,17 @@ class Record:
         return f"<Record {self.name or 'without a name'}: {'; '.join(parts)}>"
 
     @property
-    def seen(self) -> FloatArray:
+    def seen(self) -> Array:
         """Return the measured samples, (time, ny), with NaN in gaps."""
         return self.y if self.measured is None else np.where(self.measured, self.y, np.nan)
 
     @property
-    def truth(self) -> FloatArray:
+    def truth(self) -> Array:
         """Return the reference for predictions, (time, ny): `y_true` if known, else `seen`."""
         return self.seen if self.y_true is None else self.y_true
 
     @property
-    def complete(self) -> BoolArray:
+    def complete(self) -> Flags:
         """Return where every channel was measured, (time,)."""
         if self.measured is None:
             return np.ones(len(self), dtype=np.bool_)
@@ -314,13 +315,13 @@ class Record:
         return 1.0 / self.sampling_time
 
     @property
-    def time(self) -> FloatArray:
+    def time(self) -> Array:
         """Return the time stamps in s, (time,); dates count from the first sample."""
         since_first = np.arange(len(self), dtype=np.float64) * self.sampling_time
         return seconds_of(self.start) + since_first
 
     @property
-    def stamps(self) -> FloatArray | pd.DatetimeIndex:
+    def stamps(self) -> Array | pd.DatetimeIndex:
         """Return the time stamps for tables and pictures, (time,): seconds or dates."""
         start = 0.0 if self.start is None else self.start
         return stamps_at(start, self.sampling_time, np.arange(len(self)))
@@ -338,7 +339,7 @@ _OTHER_SIGNALS = {
 }
 
 
-def _after(signal: FloatArray | None, beyond: FloatArray | None, end: int) -> FloatArray | None:
+def _after(signal: Array | None, beyond: Array | None, end: int) -> Array | None:
     """Return the known samples from row `end` of a signal on, (any time, channels), or None."""
     later = [
         part for part in (None if signal is None else signal[end:], beyond) if part is not None
@@ -360,7 +361,7 @@ def _positive_seconds(value: Any) -> float:
     return seconds
 
 
-def _signal(what: str, value: Any) -> FloatArray:
+def _signal(what: str, value: Any) -> Array:
     """Copy `value` into a read-only float64 array (time, channels)."""
     try:
         is_complex = np.iscomplexobj(value)
@@ -376,7 +377,7 @@ def _signal(what: str, value: Any) -> FloatArray:
     return array
 
 
-def require_finite(what: str, values: FloatArray, columns: Sequence[str] = ()) -> None:
+def require_finite(what: str, values: Array, columns: Sequence[str] = ()) -> None:
     """Raise a ValueError that says where values are not finite, or out of all proportion."""
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):

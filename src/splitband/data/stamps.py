@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from pandas.api.types import is_timedelta64_dtype
 
 from splitband.data.columns import Column, has_number, numbers
-from splitband.data.gaps import FloatArray, Gaps
+from splitband.data.gaps import Gaps
 from splitband.data.record import require_finite
 from splitband.data.timing import Stamp, stamp_after
+from splitband.runtime.arrays import Array
 
 MOST_MISSING = 0.9
 """Share of a record's rows that may be missing between its time stamps."""
@@ -67,10 +68,8 @@ def also_time(name: str, column: Column) -> bool:
 def spacing(what: str, name: str, column: Column, gaps: Gaps) -> Spacing:
     """Return the even grid of time stamps.
 
-    Raises
-    ------
-    ValueError
-        For what is no stamp, or comes out of turn; see `reading.read` for the tolerance.
+    Raises ValueError for what is no stamp, or comes out of turn; see `reading.read` for the
+    tolerance.
     """
     days = _serial_days(what, name, column)
     stamps, grain, date = _seconds(what, name, column) if days is None else _seconds_of_days(days)
@@ -85,7 +84,7 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps) -> Spacing:
     )
 
 
-def _serial_days(what: str, name: str, column: Column) -> FloatArray | None:
+def _serial_days(what: str, name: str, column: Column) -> Array | None:
     """Return Excel's days since 1899-12-30 of a column called date or datetime; None for others.
 
     They are numbers from 20,000 to 80,000, which is 1954 to 2119. Raises ValueError for smaller
@@ -105,7 +104,7 @@ def _serial_days(what: str, name: str, column: Column) -> FloatArray | None:
     )
 
 
-def _seconds_of_days(days: FloatArray) -> tuple[FloatArray, float, pd.Timestamp]:
+def _seconds_of_days(days: Array) -> tuple[Array, float, pd.Timestamp]:
     """Return serial days as `_seconds` returns stamps."""
     # Excel itself holds milliseconds.
     first = pd.Timestamp("1899-12-30") + pd.Timedelta(round(8.64e7 * days[0]), unit="ms")
@@ -113,7 +112,7 @@ def _seconds_of_days(days: FloatArray) -> tuple[FloatArray, float, pd.Timestamp]
     return (days - days[0]) * 86400, grain * 86400, first
 
 
-def _seconds(what: str, name: str, column: Column) -> tuple[FloatArray, float, pd.Timestamp | None]:
+def _seconds(what: str, name: str, column: Column) -> tuple[Array, float, pd.Timestamp | None]:
     """Return stamps in s, (time,), the resolution of their number type, and the date of 0 s."""
     if is_timedelta64_dtype(column):
         column = column.dt.total_seconds()
@@ -186,7 +185,7 @@ def _in_its_zone(date: pd.Timestamp, column: Column) -> pd.Timestamp:
     return date.tz_convert(zone) if zone is not None else date.tz_localize(None)
 
 
-def _even_grid(what: str, stamps: FloatArray, unit: float, masked: bool) -> tuple[float, float]:
+def _even_grid(what: str, stamps: Array, unit: float, masked: bool) -> tuple[float, float]:
     """Return the step and the first stamp of an even grid, in s; see `reading.read` for tolerances.
 
     `unit` is that of their last place.
@@ -231,17 +230,14 @@ def _even_grid(what: str, stamps: FloatArray, unit: float, masked: bool) -> tupl
     return step, float(np.rint((stamps[0] + first) / digits) * digits)
 
 
-def _on_grid(what: str, stamps: FloatArray) -> tuple[NDArray[np.int_], FloatArray]:
+def _on_grid(what: str, stamps: Array) -> tuple[NDArray[np.int_], Array]:
     """Return each stamp's row on the grid without gaps, `(time,)`, and the stamps of all rows.
 
     Where stamps rise evenly, the rows are 0, 1, 2... A logger that starts again after a gap does so
     at any moment: its stamps go to the closest rows of the grid of those before it, so that the
     rows do not drift away from the stamps over many gaps.
 
-    Raises
-    ------
-    ValueError
-        When nearly all are missing, which is a wrong stamp rather.
+    Raises ValueError when nearly all are missing, which is a wrong stamp rather.
     """
     steps = np.diff(stamps)
     if not len(steps) or steps.min() <= 0:  # `spacing` refuses it and names the row
@@ -269,7 +265,7 @@ def _on_grid(what: str, stamps: FloatArray) -> tuple[NDArray[np.int_], FloatArra
     return rows, np.asarray(np.interp(np.arange(rows[-1] + 1), rows, joined))
 
 
-def _last_place(stamps: FloatArray) -> float:
+def _last_place(stamps: Array) -> float:
     """Return the unit of the last printed decimal place; 0 if it is beyond 1e-9."""
     for places in range(10):
         scaled = stamps * 10.0**places

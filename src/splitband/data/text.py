@@ -7,12 +7,12 @@ import re
 import warnings
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, TypeAlias
+from typing import Any
 
 import pandas as pd
 from pandas.api.types import is_object_dtype, is_string_dtype
 
-_Column: TypeAlias = "pd.Series[Any]"
+from splitband.data.columns import Column
 
 _SIGNS = {".": ",", ",": "."}
 """Decimal signs, and the thousands separator that goes with each."""
@@ -25,11 +25,8 @@ def read_table(raw: bytes, suffix: str) -> pd.DataFrame:
     Numbers have a decimal point or a decimal comma, the same in the whole file, and may have
     thousands separators.
 
-    Raises
-    ------
-    ValueError
-        For a file without data, for columns of one name, and where the decimal sign cannot be
-        told; pandas raises its own errors for what is no table.
+    Raises ValueError for a file without data, for columns of one name, and where the decimal sign
+    cannot be told; pandas raises its own errors for what is no table.
     """
     lines = _lines(raw, mark_inside=suffix not in (".csv", ".tsv"))
     body = [line for line in lines if line]
@@ -136,10 +133,8 @@ def _decimal(cells: pd.DataFrame, sep: str) -> str:
     of the file tells, the sign is taken for the decimal sign, as long as it neither separates the
     columns nor is missing in whole numbers of the same column (999 before 1.006).
 
-    Raises
-    ------
-    ValueError
-        Where cells contradict each other, or none tells; the message names columns and cells.
+    Raises ValueError where cells contradict each other, or none tells; the message names columns
+    and cells.
     """
     found: dict[str, str] = {}
     open_signs: dict[str, str] = {}
@@ -172,13 +167,13 @@ def _decimal(cells: pd.DataFrame, sep: str) -> str:
     return next(iter(found or open_signs), ".")
 
 
-def _cell(name: Any, column: _Column, where: pd.Series[bool]) -> str:
+def _cell(name: Any, column: Column, where: pd.Series[bool]) -> str:
     """Name the first such cell for a message."""
     row = int(where.to_numpy().argmax())
     return f"column {str(name)!r} holds {column.iloc[row]!r} at row {row}"
 
 
-def _without_separators(column: _Column, decimal: str) -> _Column:
+def _without_separators(column: Column, decimal: str) -> Column:
     """Return the numbers of a column; where a cell is no number, text as `float` reads it."""
     is_number = column.str.fullmatch(_number(decimal), na=False)
     plain = column.str.replace(_SIGNS[decimal], "", regex=False)

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from splitband.data.gaps import FloatArray
+from splitband.runtime.arrays import Array
 
 Stamp: TypeAlias = float | pd.Timestamp
 """Seconds on the clock of a record, or a date, with a time zone or without."""
@@ -33,13 +33,6 @@ def as_stamp(value: Any) -> Stamp:
 def as_json(stamp: Stamp | None) -> float | str | None:
     """Return the time stamp for JSON: a date in ISO 8601."""
     return stamp.isoformat() if isinstance(stamp, pd.Timestamp) else stamp
-
-
-def from_json(value: Any) -> Stamp | None:
-    """Return the time stamp that `as_json` encoded; raises ValueError for anything else."""
-    if value is None:
-        return None
-    return as_stamp(pd.Timestamp(value) if isinstance(value, str) else value)
 
 
 def stamp_after(stamp: Stamp, seconds: float) -> Stamp:
@@ -85,7 +78,7 @@ def in_words(stamp: Stamp) -> str:
     return str(stamp) if isinstance(stamp, pd.Timestamp) else f"{stamp:.10g} s"
 
 
-def stamps_at(start: Stamp, step: float, rows: NDArray[np.int_]) -> FloatArray | pd.DatetimeIndex:
+def stamps_at(start: Stamp, step: float, rows: NDArray[np.int_]) -> Array | pd.DatetimeIndex:
     """Return the time stamps of rows, counted from `start`, for tables and pictures.
 
     Seconds are rounded to a millionth of the step: 0.3, not 0.30000000000000004.

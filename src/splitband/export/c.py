@@ -23,18 +23,13 @@ def render(program: Program, precision: Precision = "double") -> tuple[str, str]
     renderer = Renderer(precision, names)
     renderer.block(program.block)
     *state, predicted, ready = renderer.stored_outputs(program.block)
-    renderer.write(f"if (!observed && !{ready}) {{")
-    renderer.write("    return 1;")
-    renderer.write("}")
+    with renderer.braces(f"if (!observed && !{ready})"):
+        renderer.write("return 1;")
     for leaf, new in zip(program.leaves, state, strict=True):
         if new:
             renderer.copy(leaf.begun.shape, f"s->{leaf.name}", new)
-    ny = program.record.ny
-    renderer.write("if (!observed) {")
-    renderer.indent += 1
-    renderer.copy((ny,), "predicted", predicted)
-    renderer.indent -= 1
-    renderer.write("}")
+    with renderer.braces("if (!observed)"):
+        renderer.copy((program.record.ny,), "predicted", predicted)
     renderer.write("return 0;")
     return _header(program, precision), _source(program, renderer)
 

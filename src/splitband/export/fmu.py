@@ -44,6 +44,13 @@ class Variable:
     unit: str = ""
 
 
+FLAGS = (
+    Variable("observe", "input", "take the measured samples in place of predicting", False),
+    Variable("begin_empty", "parameter", "begin with nothing measured, and not at the end of the "
+             "training record", False),
+)  # fmt: skip
+
+
 def write(program: Program, path: Path) -> None:
     """Write the FMU: a binary for this platform, and the sources for others."""
     try:
@@ -51,7 +58,7 @@ def write(program: Program, path: Path) -> None:
     except ImportError:
         raise ValueError("an FMU needs FMPy: pip install 'splitband[fmu]'") from None
     headers = Path(fmpy.__file__).parent / "c-code"
-    numbers, flags = _numbers(program), _flags()
+    numbers = _numbers(program)
     header, source = render(program, "double")
     guid = hashlib.sha256((header + source).encode()).hexdigest()[:32]
     wrapper = files("splitband.export").joinpath("fmu2.c.in").read_text(encoding="ascii")
@@ -74,7 +81,7 @@ def write(program: Program, path: Path) -> None:
         (sources / f"{program.name}.h").write_text(header, encoding="ascii")
         (sources / f"{program.name}.c").write_text(source, encoding="ascii")
         (sources / "fmu.c").write_text(wrapper, encoding="ascii")
-        described = _description(program, numbers, flags, guid)
+        described = _description(program, numbers, guid)
         described.write(folder / "modelDescription.xml", encoding="utf-8", xml_declaration=True)
         binary = folder / "binaries" / fmpy.platform
         binary.mkdir(parents=True)
@@ -123,16 +130,8 @@ def _numbers(program: Program) -> list[Variable]:
     return _unique([*found, *channels("_measured", "what is observed")])
 
 
-def _flags() -> list[Variable]:
-    return [
-        Variable("observe", "input", "take the measured samples in place of predicting", False),
-        Variable("begin_empty", "parameter", "begin with nothing measured, and not at the end of "
-                 "the training record", False),
-    ]  # fmt: skip
-
-
 def _unique(variables: Sequence[Variable]) -> list[Variable]:
-    taken = {"observe", "begin_empty"}
+    taken = {flag.name for flag in FLAGS}
     unique = []
     for variable in variables:
         name = variable.name
@@ -154,7 +153,7 @@ def _given(program: Program) -> str:
 
 
 def _description(
-    program: Program, numbers: Sequence[Variable], flags: Sequence[Variable], guid: str
+    program: Program, numbers: Sequence[Variable], guid: str
 ) -> ElementTree.ElementTree[Any]:
     record, add = program.record, ElementTree.SubElement
     root = ElementTree.Element(
@@ -176,7 +175,7 @@ def _description(
             add(defined, "Unit", name=unit)
     add(root, "DefaultExperiment", stepSize=repr(record.sampling_time))
     variables = add(root, "ModelVariables")
-    for kind, listed in (("Real", numbers), ("Boolean", flags)):
+    for kind, listed in (("Real", numbers), ("Boolean", FLAGS)):
         for reference, variable in enumerate(listed):
             scalar = add(
                 variables, "ScalarVariable", name=variable.name, valueReference=str(reference),

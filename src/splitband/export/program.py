@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from itertools import compress
 
 import numpy as np
-import numpy.typing as npt
 
 from splitband.data import Record
 from splitband.data.preparation import seconds
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.streaming import program_of
+from splitband.runtime.arrays import Array
 from splitband.runtime.tracing import Block, Node, Symbol, named_leaves, trace
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

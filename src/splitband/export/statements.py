@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from itertools import zip_longest
 from typing import Literal
 
@@ -15,6 +16,7 @@ from splitband.runtime.tracing import Block, Node, Symbol
 
 Precision = Literal["double", "float"]
 Index = Sequence[str | int]
+Value = Callable[[Index], str]
 
 _OPERATORS = {
     "add": "({} + {})", "sub": "({} - {})", "mul": "({} * {})", "div": "({} / {})", "neg": "(-{})",
@@ -32,13 +34,7 @@ _REUSED = ("matmul", "scan", "cond", "view", "reshape")
 
 
 class Renderer:
-    """Write the operations of a block as statements.
-
-    Parameters
-    ----------
-    precision : Of all numbers.
-    names : What the inputs of the program are called.
-    """
+    """Write the operations of a block as statements; `names` are those of the inputs."""
 
     def __init__(self, precision: Precision, names: dict[Symbol, str]) -> None:
         self.precision, self.names = precision, names
@@ -77,8 +73,8 @@ class Renderer:
             name, source = self._declared(node.outputs[0]), node.inputs[0]
             self.loops(source.shape, lambda i: f"{name}[{_flat(source.shape, i)}] = "
                                                 f"{self.element(source, i)};")  # fmt: skip
-        elif node.op != "view" and node.outputs[0] not in self.inlined:
-            self._stored(node.outputs[0])
+        elif node.op != "view" and (out := node.outputs[0]) not in self.inlined:
+            self.names[out] = self._kept(out.shape, out.flag, lambda i: self._expression(node, i))
 
     def element(self, symbol: Symbol, index: Index) -> str:
         """Return an expression for an element."""
@@ -180,53 +176,44 @@ class Renderer:
         self.write(f"{kind} {name}{f'[{size(symbol)}]' if symbol.shape else ''};")
         return name
 
-    def _stored(self, symbol: Symbol) -> str:
-        """Write an element-wise operation to a variable."""
-        node = symbol.node
-        assert node is not None
-        if not symbol.shape:
-            value, name = self._expression(node, ()), self._new()
-            self.write(f"const {'int' if symbol.flag else 'real'} {name} = {value};")
-            self.names[symbol] = name
-            return name
-        name = self._declared(symbol)
-        self.loops(
-            symbol.shape,
-            lambda i: f"{name}[{_flat(symbol.shape, i)}] = {self._expression(node, i)};",
-        )
+    def _kept(self, shape: tuple[int, ...], flag: bool, value: Value) -> str:
+        """Write values to a new variable, which is constant where it is a number."""
+        name, kind = self._new(), "int" if flag else "real"
+        if not shape:
+            self.write(f"const {kind} {name} = {value(())};")
+        else:
+            self.write(f"{kind} {name}[{int(np.prod(shape))}];")
+            self._put(name, shape, value)
         return name
+
+    def _put(self, target: str, shape: tuple[int, ...], value: Value) -> None:
+        """Write a value for each index to the elements of a variable, or to a number."""
+        if not shape:
+            self.write(f"{target} = {value(())};")
+        else:
+            self.loops(shape, lambda i: f"{target}[{_flat(shape, i)}] = {value(i)};")
 
     def _copied(self, symbol: Symbol) -> str:
         """Write a copy of a symbol, which may be an input, a constant or a view."""
-        name = self._new()
-        kind = "int" if symbol.flag else "real"
-        if not symbol.shape:
-            self.write(f"const {kind} {name} = {self.element(symbol, ())};")
-            return name
-        self.write(f"{kind} {name}[{size(symbol)}];")
-        self.loops(
-            symbol.shape,
-            lambda i: f"{name}[{_flat(symbol.shape, i)}] = {self.element(symbol, i)};",
-        )
-        return name
+        return self._kept(symbol.shape, symbol.flag, lambda i: self.element(symbol, i))
+
+    @contextmanager
+    def braces(self, opening: str) -> Iterator[None]:
+        """Write what is written in here between braces."""
+        self.write(f"{opening} {{")
+        self.indent += 1
+        yield
+        self.indent -= 1
+        self.write("}")
 
     def loops(self, shape: tuple[int, ...], statement: Callable[[list[str | int]], str]) -> None:
         """Write loops over all elements of a shape."""
-        index: list[str | int] = []
-        deep = 0
-        for axis, length in enumerate(shape):
-            if length == 1:
-                index.append(0)
-                continue
-            i = f"i{axis}"
-            self.write(f"for (int {i} = 0; {i} < {length}; {i}++) {{")
-            index.append(i)
-            self.indent += 1
-            deep += 1
-        self.write(statement(index))
-        for _ in range(deep):
-            self.indent -= 1
-            self.write("}")
+        index = [0 if length == 1 else f"i{axis}" for axis, length in enumerate(shape)]
+        with ExitStack() as inside:
+            for i, length in zip(index, shape, strict=True):
+                if i:
+                    inside.enter_context(self.braces(f"for (int {i} = 0; {i} < {length}; {i}++)"))
+            self.write(statement(index))
 
     def _matmul(self, node: Node) -> None:
         (a, b), out = node.inputs, node.outputs[0]
@@ -236,13 +223,10 @@ class Renderer:
             rows, columns = a.shape
             weights = self.array(a.value.T)
             self.loops((rows,), lambda i: f"{name}[{i[0]}] = 0;")
-            self.write(f"for (int j = 0; j < {columns}; j++) {{")
-            self.indent += 1
-            self.write(f"const real x = {self.element(b, ['j'])};")
             at = f"j * {rows} + " if columns > 1 else ""
-            self.loops((rows,), lambda i: f"{name}[{i[0]}] += {weights}[{at}{i[0]}] * x;")
-            self.indent -= 1
-            self.write("}")
+            with self.braces(f"for (int j = 0; j < {columns}; j++)"):
+                self.write(f"const real x = {self.element(b, ['j'])};")
+                self.loops((rows,), lambda i: f"{name}[{i[0]}] += {weights}[{at}{i[0]}] * x;")
             return
         inner = a.shape[-1]
 
@@ -314,49 +298,32 @@ class Renderer:
                 self._declared(out)
         self.count += 1
         n = f"n{self.count}"
-        self.write(f"for (int {n} = 0; {n} < {length}; {n}++) {{")
-        self.indent += 1
-        for x, inner in zip(xs, block.inputs[carried:], strict=True):
-            if size(inner):
-                name = self.names[inner] = self._new()
-                self._row(x, inner.shape, n, name)
-        self.block(block)
-        for symbol, out in zip(block.outputs[carried:], node.outputs[carried:], strict=True):
-            if size(out):
-                target = self.names[out]
-                rest = out.shape[1:]
-                self.loops(rest, lambda i, s=symbol, t=target, o=out: (  # type: ignore[misc]
-                    f"{t}[{_flat(o.shape, [n, *i])}] = {self.element(s, i)};"
-                ))  # fmt: skip
-        after = [
-            self._copied(symbol) if size(symbol) and symbol is not inner else ""
-            for symbol, inner in zip(block.outputs[:carried], block.inputs, strict=False)
-        ]
-        for out, new in zip(node.outputs, after, strict=False):
-            if new:
-                self.copy(out.shape, self.names[out], new)
-        self.indent -= 1
-        self.write("}")
+        with self.braces(f"for (int {n} = 0; {n} < {length}; {n}++)"):
+            for x, inner in zip(xs, block.inputs[carried:], strict=True):
+                if size(inner):
+                    self.names[inner] = self._row(x, inner.shape, n)
+            self.block(block)
+            for symbol, out in zip(block.outputs[carried:], node.outputs[carried:], strict=True):
+                if size(out):
+                    self.loops(out.shape[1:], lambda i, s=symbol, o=out: (  # type: ignore[misc]
+                        f"{self.names[o]}[{_flat(o.shape, [n, *i])}] = {self.element(s, i)};"
+                    ))  # fmt: skip
+            after = [
+                self._copied(symbol) if size(symbol) and symbol is not inner else ""
+                for symbol, inner in zip(block.outputs[:carried], block.inputs, strict=False)
+            ]
+            for out, new in zip(node.outputs, after, strict=False):
+                if new:
+                    self.copy(out.shape, self.names[out], new)
 
-    def _row(self, x: Symbol, shape: tuple[int, ...], n: str, name: str) -> None:
-        """Write the n-th row of an array to a variable."""
-        if not shape:
-            self.write(f"const real {name} = {self.element(x, [n])};")
-            return
-        self.write(f"real {name}[{int(np.prod(shape))}];")
-        self.loops(shape, lambda i: f"{name}[{_flat(shape, i)}] = {self.element(x, [n, *i])};")
+    def _row(self, x: Symbol, shape: tuple[int, ...], n: str) -> str:
+        """Write the n-th row of an array to a variable; return its name."""
+        return self._kept(shape, False, lambda i: self.element(x, [n, *i]))
 
     def _assign(self, symbol: Symbol, target: str) -> None:
         """Write the elements of a symbol to a variable."""
-        if not target:
-            return
-        if not symbol.shape:
-            self.write(f"{target} = {self.element(symbol, ())};")
-            return
-        self.loops(
-            symbol.shape,
-            lambda i: f"{target}[{_flat(symbol.shape, i)}] = {self.element(symbol, i)};",
-        )
+        if target:
+            self._put(target, symbol.shape, lambda i: self.element(symbol, i))
 
 
 def _reads_once(node: Node, symbol: Symbol) -> bool:

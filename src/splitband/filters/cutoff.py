@@ -17,9 +17,8 @@ from splitband.filters import ComplementaryPair, butterworth
 from splitband.filters.resampling import check_downsampling
 from splitband.filters.spectrum import periodogram
 from splitband.metrics import spread
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
-
-Array = npt.NDArray[np.float64]
 
 ORDERS = (1, 2)
 """The second only where the first does not do: on held-out samples it is no better, on the
@@ -102,18 +101,15 @@ def choose(
     to both bands (2 |L H|, which neither network sees as it is) and to the ends of filtered
     warm-ups lost: the lower it is, the fewer samples the low-band network has to look ahead by.
 
+    Raises ValueError for constant samples, where the cut-off is not decided, and for a decision
+    that breaks the Nyquist condition.
+
     Parameters
     ----------
     y : The training samples, `(time, ny)`; constant channels do not count.
     sampling_rate : In Hz.
     warmup : R, in samples.
     cutoff, order, downsampling : Values that are given; None to choose them.
-
-    Raises
-    ------
-    ValueError
-        For constant samples, where the cut-off is not decided, and for a decision that breaks the
-        Nyquist condition.
     """
     y = y[:, _varying(y)]
     spectrum = periodogram(y, sampling_rate)
@@ -131,17 +127,14 @@ def choose(
     able = [c for c in candidates if c.passed >= LEAST_PASSED]
     good = [c for c in able if c.loss <= MOST_LOST]
     if good:
-        best, rule = min(good, key=lambda c: (c.order, c.cutoff)), "lowest acceptable cut-off"
+        best = min(good, key=lambda c: (c.order, c.cutoff))
+        rule = "lowest acceptable cut-off"
     elif able:
-        best, rule = (
-            min(able, key=lambda c: c.loss),
-            "every cut-off loses much power, this one the least",
-        )
+        best = min(able, key=lambda c: c.loss)
+        rule = "every cut-off loses much power, this one the least"
     else:
-        best, rule = (
-            max(candidates, key=lambda c: c.passed),
-            "no cut-off leaves half of the power in the low band",
-        )
+        best = max(candidates, key=lambda c: c.passed)
+        rule = "no cut-off leaves half of the power in the low band"
 
     def why_not(candidate: Candidate) -> str:
         if candidate.passed < LEAST_PASSED:

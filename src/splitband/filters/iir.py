@@ -20,8 +20,8 @@ import torch
 from torch import Tensor
 
 from splitband.kernels import recurrence
+from splitband.runtime.arrays import Array
 
-Array = npt.NDArray[np.float64]
 Signal = TypeVar("Signal", npt.NDArray[Any], Tensor)
 Start = Literal["odd", "steady", "zeros"]
 
@@ -39,6 +39,9 @@ def lfilter(
 
     The sign of the feedback is SciPy's, not the paper's (docs/deviations.md).
 
+    Raises ValueError for `start="odd"`, which needs both directions, or a `first` of another length
+    than P.
+
     Parameters
     ----------
     b, a : Coefficients; the longer one has P + 1.
@@ -47,11 +50,6 @@ def lfilter(
     first : The first P outputs, in place of `start`; the paper starts its hybrid model with the
         training signal.
     dim : The time axis; by default 0 for a 1-D signal and -2 otherwise.
-
-    Raises
-    ------
-    ValueError
-        For `start="odd"`, which needs both directions, or a `first` of another length than P.
     """
     b, a = normalised(b, a)
     _check_start(start)
@@ -78,6 +76,8 @@ def filtfilt(
 ) -> Signal:
     """Filter forwards and backwards, so with no phase shift and the response squared.
 
+    Raises ValueError for a signal that is too short for the extension.
+
     Parameters
     ----------
     b, a : Coefficients; the longer one has P + 1.
@@ -85,11 +85,6 @@ def filtfilt(
     start : At both ends: `"odd"` extends the signal by 3 (P + 1) samples, point-reflected, as
         `scipy.signal.filtfilt` does; `"steady"` and `"zeros"` extend nothing.
     dim : The time axis; by default 0 for a 1-D signal and -2 otherwise.
-
-    Raises
-    ------
-    ValueError
-        For a signal that is too short for the extension.
     """
     b, a = normalised(b, a)
     _check_start(start)
@@ -251,17 +246,13 @@ def _check_start(start: Start) -> None:
 
 def check_first(first: tuple[int, ...], signal: tuple[int, ...], order: int, axis: int) -> None:
     """Check that `first` has the signal's shape but `order` samples, and the signal that many."""
-    given = first[axis] if len(first) == len(signal) else len(first)
-    if len(first) != len(signal) or given != order:
-        raise ValueError(
-            f"first must hold the first {order} outputs, got {given} in shape {tuple(first)}"
-        )
     if signal[axis] < order:
         raise ValueError(f"the signal must have at least {order} samples, got {signal[axis]}")
-    others = [n for n, of in enumerate(signal) if n != axis % len(signal) and first[n] != of]
-    if others:
+    wanted = [*signal]
+    wanted[axis] = order
+    if tuple(first) != tuple(wanted):
         raise ValueError(
-            f"first must be shaped like the signal {tuple(signal)}, got {tuple(first)}"
+            f"first must hold the first {order} outputs, shape {tuple(wanted)}, got {tuple(first)}"
         )
 
 

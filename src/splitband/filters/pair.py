@@ -10,7 +10,6 @@ import numpy.typing as npt
 import scipy
 
 from splitband.filters.iir import (
-    Array,
     Signal,
     Start,
     check_first,
@@ -19,6 +18,7 @@ from splitband.filters.iir import (
     normalised,
     time_axis,
 )
+from splitband.runtime.arrays import Array
 
 Band = Literal["low", "high"]
 
@@ -28,18 +28,15 @@ def butterworth(
 ) -> tuple[Array, Array]:
     """Design a Butterworth filter; return its coefficients `(b, a)`, each `(order + 1,)`.
 
+    Raises ValueError for a cut-off outside the Nyquist range, or an order so high for the cut-off
+    that the coefficients no longer describe the filter in double precision.
+
     Parameters
     ----------
     cutoff : Frequency of half power in Hz, inside (0, sampling_rate / 2).
     sampling_rate : In Hz.
     order : At least 1.
     band : `"low"` or `"high"`, the pass band.
-
-    Raises
-    ------
-    ValueError
-        For a cut-off outside the Nyquist range, or an order so high for the cut-off that the
-        coefficients no longer describe the filter in double precision.
     """
     nyquist = sampling_rate / 2
     if not sampling_rate > 0:
@@ -108,7 +105,11 @@ class ComplementaryPair:
             raise ValueError(f"b_low, b_high and a must have one length, got {sorted(lengths)}")
         if self.start == "odd" and not self.zero_phase:
             raise ValueError('start="odd" needs zero_phase=True; use "steady" or "zeros"')
-        _check_stable(self.a)
+        if (largest := _largest_pole(self.a)) >= 1:
+            raise ValueError(
+                f"the filter must be stable, its poles inside the unit circle, "
+                f"got one at |z| = {largest:.6g}"
+            )
 
     @classmethod
     def butterworth(
@@ -195,8 +196,8 @@ class ComplementaryPair:
         low = self.lowpass(low, dim)
         if first is None:
             return low + self.highpass(high, dim)
-        rest = first - self._head(low, dim)
-        return low + self.highpass_from(high, rest, dim)
+        head = (slice(None),) * (time_axis(low.ndim, dim) % low.ndim) + (slice(self.order),)
+        return low + self.highpass_from(high, first - low[head], dim)
 
     def highpass_from(self, y: Signal, first: Signal, dim: int | None = None) -> Signal:
         """Return H(y) one way, with its first P outputs given."""
@@ -221,19 +222,6 @@ class ComplementaryPair:
     def _filter(self, b: Array, y: Signal, dim: int | None) -> Signal:
         run = filtfilt if self.zero_phase else lfilter
         return run(b, self.a, y, start=self.start, dim=dim)
-
-    def _head(self, y: Signal, dim: int | None) -> Signal:
-        axis = time_axis(y.ndim, dim)
-        return y[(slice(None),) * (axis % y.ndim) + (slice(self.order),)]
-
-
-def _check_stable(a: Array) -> None:
-    largest = _largest_pole(a)
-    if largest >= 1:
-        raise ValueError(
-            f"the filter must be stable, its poles inside the unit circle, "
-            f"got one at |z| = {largest:.6g}"
-        )
 
 
 def _largest_pole(a: Array) -> float:

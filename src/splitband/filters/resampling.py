@@ -20,10 +20,8 @@ Alignment = Literal["time", "paper"]
 def check_downsampling(downsampling: int, cutoff: float, sampling_rate: float) -> None:
     """Check that a signal of band limit `cutoff` survives: 2 cutoff < sampling_rate / k.
 
-    Raises
-    ------
-    ValueError
-        For k < 1, and for a cut-off at or above the Nyquist frequency after down-sampling (Hz).
+    Raises ValueError for k < 1, and for a cut-off at or above the Nyquist frequency after down-
+    sampling (Hz).
     """
     if downsampling < 1:
         raise ValueError(f"downsampling must be at least 1, got {downsampling}")

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from splitband.filters import ComplementaryPair, butterworth
 from splitband.metrics import rmse
+from splitband.runtime.arrays import Array
 
-Array = npt.NDArray[np.float64]
 LOBE = 2
 """Half the width of the Hann window's main lobe, in bins."""
 

@@ -15,11 +15,11 @@ from splitband.data.timing import same_sampling, zones_differ
 from splitband.forecasters.known import Known, continued
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import leaves_range
+from splitband.runtime.arrays import Array
 
 if TYPE_CHECKING:
     from splitband.forecasters.base import Forecaster
 
-Array = npt.NDArray[np.float64]
 
 SHORT = 20_000
 """Samples of a training record with a simulator that is saved as a whole."""

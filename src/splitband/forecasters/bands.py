@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-import numpy.typing as npt
-
 from splitband.filters import ComplementaryPair, butterworth
 from splitband.filters.cutoff import Choice, choose, choose_with_simulator
 from splitband.runtime.arguments import LARGEST_SIZE, whole
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import Written, saved
-
-Array = npt.NDArray[np.float64]
 
 
 @saved

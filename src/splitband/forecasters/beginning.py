@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
@@ -21,10 +20,8 @@ from splitband.data import Record
 from splitband.forecasters.remembering import Remembered
 from splitband.models import Model
 from splitband.models.base import with_next_input
+from splitband.runtime.arrays import Array
 from splitband.training import Settings
-
-Array = npt.NDArray[np.float64]
-
 
 NONLINEAR = 0.1
 """Share of their initial weights that the units keep: without any they would all begin alike."""

@@ -15,7 +15,6 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from splitband.data import Record
@@ -28,8 +27,7 @@ from splitband.metrics import (
     fit_percent,
     leaves_range,
 )
-
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 LEVEL = 0.99
 """Of the bands; a test is rejected where chance alone exceeds it in fewer than 1 of 100 records."""
@@ -98,17 +96,12 @@ class ResidualTests:
                 f"{self.output}: rejected at {100 * LEVEL:.0f} %: the residuals depend on "
                 f"{', '.join(self.dependent)}, whose effect it does not describe in full."
             )
-        said = f"{self.output}: accepted" + (
-            ": the residuals do not depend on the inputs" if self.inputs else ""
-        )
-        if self.white:
-            return (
-                f"{said}, and they are white noise."
-                if self.inputs
-                else (f"{said}: the residuals are white noise.")
-            )
         if self.inputs:
-            return f"{said}. They are not white: a disturbance acts, too."
+            noise = ", and they are white noise." if self.white else (
+                ". They are not white: a disturbance acts, too.")  # fmt: skip
+            return f"{self.output}: accepted: the residuals do not depend on the inputs{noise}"
+        if self.white:
+            return f"{self.output}: accepted: the residuals are white noise."
         return f"{self.output}: the residuals are not white: a better model may exist."
 
 
@@ -227,12 +220,9 @@ def residual_tests(
     """Test the residuals `(time, ny)`, NaN in gaps, of each output, with inputs `(time, nu)`."""
     found = []
     for column, e in zip(columns, residuals.T, strict=True):
-        driven = (
-            []
-            if u is None
-            else [_dependence(name, e, x) for name, x in zip(inputs, u.T, strict=True)]
-        )
-        found.append(ResidualTests(column, _whiteness(e), tuple(driven)))
+        pairs = [] if u is None else zip(inputs, u.T, strict=True)
+        driven = tuple(_dependence(name, e, x) for name, x in pairs)
+        found.append(ResidualTests(column, _whiteness(e), driven))
     return tuple(found)
 
 

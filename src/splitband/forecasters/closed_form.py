@@ -23,8 +23,7 @@ from splitband.forecasters.known import Known
 from splitband.forecasters.stepping import Part
 from splitband.forecasters.stepping_baselines import Constant, Held, InTime, Repeated
 from splitband.forecasters.stepping_linear import Driven
-
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 SEVERAL = 3.0
 """Multiple of its error in training from which on a function of time disagrees with a history."""

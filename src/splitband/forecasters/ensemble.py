@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any, Self, Unpack, final
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from splitband.data import Record
@@ -17,9 +16,8 @@ from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.known import Known
 from splitband.forecasters.stepping import Averaged, Recursion
 from splitband.runtime.arguments import whole
+from splitband.runtime.arrays import Array
 from splitband.training import Progress
-
-Array = npt.NDArray[np.float64]
 
 
 @final

@@ -7,15 +7,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from splitband.data import Record
 from splitband.data.timing import Stamp, as_stamp, in_words, seconds_between
 from splitband.metrics import Extrapolation, extrapolations, input_range
 from splitband.runtime.arguments import whole
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
-
-Array = npt.NDArray[np.float64]
 
 NEAR_ROW = 1e-3
 """Of a sample: a history that begins so close to a sample of the training record begins there."""

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Unpack, final
 
 import numpy as np
-import numpy.typing as npt
 
 from splitband.data import Record
 from splitband.data.timing import seconds_of
@@ -20,13 +19,12 @@ from splitband.forecasters.remembering import Remembered
 from splitband.forecasters.stepping import NotSteppedError, Part, Recursion
 from splitband.forecasters.stepping_simulators import Clock, FromMemory, Given, Integrated
 from splitband.metrics import rmse
+from splitband.runtime.arrays import Array
 from splitband.simulators.absent import Absent
 from splitband.simulators.adjusted import Adjusted
 from splitband.simulators.estimate import Estimate
 from splitband.simulators.identification import Effort, identify
 from splitband.simulators.shooting import Adjustable, Experiment
-
-Array = npt.NDArray[np.float64]
 
 STARTS = 0.5, 2 / 3, 5 / 6
 """Shares of the training record, from which on forecasts are compared to choose the `memory`."""
@@ -168,8 +166,7 @@ class GreyBox(Forecaster):
         memory = min(self.memory or len(known.y), len(known.y))
         if memory == len(known.y):
             return self.trajectory(known)[len(known.y) :]
-        whole = self._experiment(known)
-        return self._ahead(whole, len(known.y), memory)
+        return self._ahead(self._experiment(known), len(known.y), memory)
 
     def trajectory(self, known: Known) -> Array:
         """Return the simulation over the history, too, `(time + steps, ny)`.

@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Grid
-
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

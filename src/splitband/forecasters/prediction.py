@@ -8,18 +8,16 @@ from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from splitband.data import Grid
 from splitband.data.preparation import Preparation
 from splitband.data.timing import stamps_at
+from splitband.runtime.arrays import Array
 from splitband.runtime.provided import provided
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

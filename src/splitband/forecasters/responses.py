@@ -11,8 +11,7 @@ import numpy.typing as npt
 from splitband.forecasters.base import Forecaster
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.arguments import whole
-
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 STEPS = 500
 """Samples of a response, and of the settling before it, where nothing else is asked for."""

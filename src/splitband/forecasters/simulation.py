@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Self, final
 
 import numpy as np
-import numpy.typing as npt
 
 from splitband.data import Aligned, Grid, Record, Stamp, check_alike
 from splitband.data.timing import in_words, stamp_after
@@ -20,11 +19,10 @@ from splitband.forecasters.remembering import Remembered
 from splitband.forecasters.stepping import NotSteppedError, Part
 from splitband.forecasters.stepping_simulators import Given, RunAhead
 from splitband.models.hybrid import SLOW
+from splitband.runtime.arrays import Array
 from splitband.simulators import Simulator, run
 from splitband.simulators.absent import Absent
 from splitband.simulators.calibration import Calibration, Term, calibrate, samples_needed
-
-Array = npt.NDArray[np.float64]
 
 CALIBRATIONS = Remembered(calibrate)
 """Several forecasters, seeds and trials ask for the same calibration, which takes seconds."""
@@ -39,9 +37,7 @@ AFFINE: tuple[Term, ...] = ("gain", "offset")
 class _Runs:
     """Keep what a simulator has said, once for all processes.
 
-    Attributes
-    ----------
-    outputs : `(time, ny)`, by the time stamp of the first sample and the time between two in s.
+    `outputs`: `(time, ny)`, by the time stamp of the first sample and the time between two in s.
     """
 
     outputs: Mapping[tuple[Stamp | None, float], Array]
@@ -68,17 +64,11 @@ class _Runs:
             np.empty((0, 0)),
         )
 
-    def simulate(self, time: Array) -> npt.ArrayLike:
-        """Raise NotImplementedError: `on` is asked, which knows dates, too."""
-        raise NotImplementedError
-
 
 class SimulatorForecaster(Forecaster):
     """Forecast what a simulator says.
 
-    Parameters
-    ----------
-    simulator : What to run; by default a record brings its output (`y_sim`, `beyond`).
+    `simulator`: what to run; by default a record brings its output (`y_sim`, `beyond`).
     """
 
     applied = Calibration()

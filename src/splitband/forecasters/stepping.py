@@ -14,15 +14,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from splitband.data.gaps import last_before
 from splitband.data.preparation import Preparation
 from splitband.forecasters.known import Known
 from splitband.models.stepping import Stepped
+from splitband.runtime.arrays import Array
 from splitband.runtime.tracing import cond
 
-Array = npt.NDArray[np.float64]
 State = dict[str, Any]
 """All that is remembered, by name; it is never changed in place."""
 
@@ -300,13 +299,9 @@ class Averaged(Recursion):
 
 
 class InUnits(Recursion):
-    """Another recursion in the units of signals that were prepared for it, such as detrended.
+    """Run a recursion, which is in the units of prepared signals, in those of before.
 
-    Parameters
-    ----------
-    inner : In the units of the prepared signals.
-    prepared : What is done to signals; its times count from the first sample of the history.
-    step : Seconds between two samples.
+    The times of what is `prepared` count from the history's first sample; `step` is in seconds.
     """
 
     def __init__(self, inner: Recursion, prepared: Sequence[Preparation], step: float) -> None:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from splitband.forecasters.known import Known
 from splitband.forecasters.stepping import Part, State
+from splitband.runtime.arrays import Array
 
-Array = npt.NDArray[np.float64]
 ByTime = Callable[[float, int], Array]
 """Maps the time of the first sample and a number of samples to them, `(steps, ny)`."""
 
@@ -71,14 +70,7 @@ class InTime(Part):
 
 
 class Repeated(Part):
-    """A period that repeats itself, on top of a function of time.
-
-    Parameters
-    ----------
-    period : `(lag, ny)`.
-    end : Time after its last sample.
-    trend : A function of time.
-    """
+    """Repeat a period `(lag, ny)`, which ended before the time `end`, on top of a trend."""
 
     def __init__(self, period: Array, end: int, trend: ByTime) -> None:
         self.period, self.end, self.trend = period, end, trend

@@ -9,28 +9,23 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from splitband.baselines.linear import OutputError
 from splitband.baselines.states import EXACT, FACTORS, SURPRISING
 from splitband.forecasters.known import Known
 from splitband.forecasters.stepping import DelayLine, Part, State
+from splitband.runtime.arrays import Array
 from splitband.runtime.tracing import cond
-
-Array = npt.NDArray[np.float64]
 
 _SMALLEST = 1e-200
 """Of a variance."""
 
 
 class Driven(Part):
-    """A linear output-error model.
+    """Simulate a linear output-error model.
 
-    Parameters
-    ----------
-    model : Which one.
-    u : Inputs of the training record from its first sample on, `(time, nu)`.
+    `u`: inputs of the training record from its first sample on, `(time, nu)`.
     """
 
     def __init__(self, model: OutputError, u: Array) -> None:

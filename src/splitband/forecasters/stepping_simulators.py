@@ -7,24 +7,19 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from splitband.data.timing import seconds_of
 from splitband.forecasters.known import Known
 from splitband.forecasters.stepping import NotSteppedError, Part, Recursion, State
+from splitband.runtime.arrays import Array
 from splitband.simulators.adjusted import Adjusted
 from splitband.simulators.shooting import Experiment
 
-Array = npt.NDArray[np.float64]
-
 
 class Given(Part):
-    """A simulator's output, which comes with each sample.
+    """Take a simulator's output, which comes with each sample, with its calibration, `(ny,)` each.
 
-    Parameters
-    ----------
-    gain, offset : Of its calibration, `(ny,)`.
-    trajectory : The calibrated output over what is known, see `Forecaster.trajectory`.
+    `trajectory`: the calibrated output over what is known, see `Forecaster.trajectory`.
     """
 
     simulated = True
@@ -58,9 +53,7 @@ class RunAhead(Part):
 
     Recorded output, which ends somewhere, is read as far as it is asked for.
 
-    Parameters
-    ----------
-    trajectory : Its output over what is known, see `Forecaster.trajectory`.
+    `trajectory`: its output over what is known, see `Forecaster.trajectory`.
     """
 
     def __init__(self, trajectory: Callable[[Known], Array]) -> None:
@@ -121,13 +114,9 @@ class Clock:
 
 
 class Integrated(Part):
-    """A fitted simulator that goes on from its state, from the training record's first one on.
+    """Run a fitted simulator on from its state, from the training record's first one on.
 
-    Parameters
-    ----------
-    name : Of the forecaster, for messages.
-    adjusted : The simulator, which has a method `advance` as `Ode` has it.
-    clock : When its samples are.
+    It has a method `advance` as `Ode` has it.
     """
 
     def __init__(self, name: str, adjusted: Adjusted, clock: Clock) -> None:
@@ -183,23 +172,16 @@ class Integrated(Part):
 
 
 class FromMemory(Recursion):
-    """A fitted simulator by itself: a forecast begins in the state that the last samples tell.
+    """Run a fitted simulator by itself: a forecast begins in the state that the last samples tell.
 
-    Parameters
-    ----------
-    simulator : What it says from the training record's first state on.
-    memory : How many samples tell the state; 0 for none, as the inputs do.
-    ny, nu : Channels and inputs.
+    `memory`: how many samples tell the state; 0 for none, as the inputs do.
     """
 
     def __init__(self, simulator: Integrated, memory: int, ny: int, nu: int) -> None:
         self.simulator, self.memory, self.ny, self.nu = simulator, memory, ny, nu
 
     def initial(self, known: Known | None = None) -> State:
-        """Return the state before the first sample of a history.
-
-        Raises NotSteppedError where all samples tell the state.
-        """
+        """Return the state before a history; raises NotSteppedError where all samples tell it."""
         if known is None or not (self.memory or self.simulator.clock.reaches(known)):
             raise NotSteppedError(f"{self.simulator.name} asks for all samples of its history")
         anchored = self.simulator.clock.reaches(known)

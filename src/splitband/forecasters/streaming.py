@@ -14,11 +14,10 @@ from splitband.forecasters.asking import known_of
 from splitband.forecasters.known import Known
 from splitband.forecasters.stepping import InUnits, NotSteppedError, Recursion, State
 from splitband.metrics import ExtrapolationWarning
+from splitband.runtime.arrays import Array
 
 if TYPE_CHECKING:
     from splitband.forecasters.base import Forecaster
-
-Array = npt.NDArray[np.float64]
 
 
 @final
@@ -182,14 +181,7 @@ def _in_units(forecaster: Forecaster, recursion: Recursion, history: Record | No
 
 
 class Asked(Recursion):
-    """A forecaster that is asked anew for each sample; slower the longer the history is.
-
-    Parameters
-    ----------
-    forecaster : Any that is fitted.
-    history : Of which the record goes on.
-    other_record : See `Forecaster.predict`.
-    """
+    """Ask a fitted forecaster anew for each sample; slower the longer the history is."""
 
     def __init__(self, forecaster: Forecaster, history: Record, other_record: bool) -> None:
         self.forecaster, self.history, self.other_record = forecaster, history, other_record

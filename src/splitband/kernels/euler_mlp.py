@@ -31,10 +31,10 @@ from splitband.kernels.common import (
     part,
     run_rows,
     split_rows,
-    tanh,
     zeros,
 )
 from splitband.kernels.matmul import matmul
+from splitband.kernels.state_space_lanes import tanh_back, tanh_of
 
 _GRADIENT_ROWS = 64  # rows of gradients worth a product with them
 
@@ -57,6 +57,8 @@ def euler_rollout(
     Differentiable once, with respect to every tensor. Without gradients the memory does not grow
     with the steps, apart from the result.
 
+    Returns the samples R..R+steps-1, shape `(batch, steps, ny)`.
+
     Parameters
     ----------
     h0 : The state h_R of the first sample `(batch, S)`, float32 or float64.
@@ -67,11 +69,6 @@ def euler_rollout(
     weight_1, bias_1 : `(M, S + nu)` and `(M,)`.
     weight_2, bias_2 : `(N, M)` and `(N,)`.
     weight_3, bias_3 : `(S, N)` and `(S,)`.
-
-    Returns
-    -------
-    Tensor
-        The samples R..R+steps-1, shape `(batch, steps, ny)`.
     """
     batch, size = h0.shape
     last = max(steps - 1, 0)
@@ -196,9 +193,9 @@ def _forward(
         x[:, one] = 1
         b = bs[t % len(bs)]
         matmul(a, x, w1, False)
-        _tanh_of(a.reshape(-1))
+        tanh_of(a.reshape(-1))
         _layer(b, a, x[:, one:], w2)
-        _tanh_of(b.reshape(-1))
+        tanh_of(b.reshape(-1))
         _layer(change, b, x[:, one:], w3)
         for i in range(rows):
             for j in range(size):
@@ -209,12 +206,6 @@ def _forward(
 def _layer(out: Array, values: Array, ones: Array, w: Array) -> None:
     matmul(out, ones, w[-1:], False)
     matmul(out, values[:, : len(w) - 1], w[:-1], True)
-
-
-@part
-def _tanh_of(x: Array) -> None:
-    for i in range(x.size):
-        x[i] = tanh(x[i])
 
 
 @kernel
@@ -255,11 +246,11 @@ def _backward(
                 dc[i, j] = dt * dh[i, j]
                 db3[j] += dc[i, j]
         matmul(db, dc[:, :size], w3, False)
-        _tanh_back(bs[s].reshape(-1), db.reshape(-1))
+        tanh_back(bs[s].reshape(-1), db.reshape(-1))
         matmul(da, db[:, : len(w2)], w2, False)
         matmul(a, xs[s], first, False)
-        _tanh_of(a.reshape(-1))
-        _tanh_back(a.reshape(-1), da.reshape(-1))
+        tanh_of(a.reshape(-1))
+        tanh_back(a.reshape(-1), da.reshape(-1))
         matmul(dx, da[:, : len(w1)], w1, False)
         _add(dh, dx[:, :size])
         copy(du[:, s], dx[:, size:one])
@@ -284,10 +275,3 @@ def _add(out: Array, values: Array) -> None:
 @part
 def _flat(x: Array, n: int) -> Array:
     return x.reshape(-1, x.shape[2])[:n]
-
-
-@part
-def _tanh_back(a: Array, da: Array) -> None:
-    one = a.dtype.type(1)
-    for i in range(a.size):
-        da[i] *= one - a[i] * a[i]

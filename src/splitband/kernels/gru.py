@@ -56,6 +56,8 @@ def gru_rollout(
     Differentiable once, with respect to every tensor. Without gradients the memory does not grow
     with the steps, apart from the result.
 
+    Returns the samples R..R+steps-1, shape `(batch, steps, ny)`.
+
     Parameters
     ----------
     y_warmup : Measured samples `(batch, R, ny)`, float32 or float64.
@@ -64,11 +66,6 @@ def gru_rollout(
     weight_ih, weight_hh : `(3 H, ny + nu)` and `(3 H, H)`, gates r, z, n as in `torch.nn.GRUCell`.
     bias_ih, bias_hh : `(3 H,)` each.
     weight_out, bias_out : C `(ny, H)` and c `(ny,)`.
-
-    Returns
-    -------
-    Tensor
-        The samples R..R+steps-1, shape `(batch, steps, ny)`.
     """
     batch, warmup, ny = y_warmup.shape
     size, last = weight_hh.shape[-1], warmup + steps - 1

@@ -15,7 +15,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from splitband.runtime.arrays import Array
+
 Rhs = Callable[..., Any]
 
 MOST_STEPS = 512

@@ -5,10 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
@@ -16,9 +15,7 @@ from splitband.data import Record
 from splitband.metrics import spread
 from splitband.models.stepping import Stepped
 from splitband.networks import Cell
-from splitband.runtime.arguments import whole
-
-Signal = TypeVar("Signal", npt.NDArray[Any], Tensor)
+from splitband.runtime.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +53,7 @@ class Task:
 class Model(nn.Module, ABC):
     """Simulate what was learned from a record; subclasses say what the components are.
 
-    Parameters
-    ----------
-    ny, nu : Measured channels and known inputs.
+    `ny` and `nu`: measured channels and known inputs.
     """
 
     y_mean: Tensor
@@ -83,64 +78,38 @@ class Model(nn.Module, ABC):
     def tasks(self, record: Signals) -> list[Task]:
         """Return what each network has to learn from a normalised record."""
 
-    def simulate(
-        self,
-        y_warmup: Signal,
-        steps: int,
-        u: Signal | None = None,
-        y_sim: Signal | None = None,
-    ) -> Signal:
-        """Run free for `steps` samples after a measured warm-up.
+    def simulate_components(
+        self, y_warmup: Array, steps: int, u: Array | None = None, y_sim: Array | None = None
+    ) -> dict[str, Array]:
+        """Run free after a measured warm-up; return the parts to add up, each `(steps, ny)`.
+
+        The first one carries the record's mean.
 
         Parameters
         ----------
-        y_warmup : Measured samples `(R,)`, `(R, ny)` or `(batch, R, ny)`, NumPy or torch.
+        y_warmup : Measured samples `(R, ny)`.
         steps : How many samples to simulate.
-        u : Known inputs over warm-up and simulation, `(R + steps, nu)`, with a batch if y has one.
-        y_sim : A simulator's output over warm-up and simulation, shaped like y, where one is used.
-
-        Returns
-        -------
-        Signal
-            Shaped like `y_warmup`, with `steps` samples; in its units, dtype and device.
+        u : Known inputs over warm-up and simulation, `(R + steps, nu)`.
+        y_sim : A simulator's output over both, `(R + steps, ny)`, where one is used.
         """
-        parts = list(self.simulate_components(y_warmup, steps, u, y_sim).values())
-        total = parts[0]
-        for part in parts[1:]:
-            total = total + part
-        return total
-
-    def simulate_components(
-        self,
-        y_warmup: Signal,
-        steps: int,
-        u: Signal | None = None,
-        y_sim: Signal | None = None,
-    ) -> dict[str, Signal]:
-        """Return the parts that `simulate` adds up; the first one carries the record's mean."""
-        known = self._normalised(y_warmup, steps, u, y_sim)
-        if isinstance(y_warmup, Tensor):
-            parts = self.components(known, steps)
-        else:
-            with torch.no_grad():
-                parts = self.components(known, steps)
-        scaled = {name: part.double() * self.y_std for name, part in parts.items()}
+        with torch.no_grad():
+            parts = self.components(self._batch_of_one(y_warmup, u, y_sim), steps)
+        scaled = {name: part[0].double() * self.y_std for name, part in parts.items()}
         first = next(iter(scaled))
         scaled[first] = scaled[first] + self.y_mean
-        return {name: self._shaped(part, y_warmup) for name, part in scaled.items()}
+        return {name: part.cpu().numpy() for name, part in scaled.items()}
 
     def simulate_unfiltered(
-        self, y_warmup: Signal, steps: int, u: Signal | None = None, y_sim: Signal | None = None
-    ) -> dict[str, Signal]:
+        self, y_warmup: Array, steps: int, u: Array | None = None, y_sim: Array | None = None
+    ) -> dict[str, Array]:
         """Return what the filters of a model are fed with, by name; empty for a model without.
 
-        As for `simulate`, but each part is of the whole signal: they do not add up to it.
+        As for `simulate_components`, but each part is of the whole signal: they do not add up.
         """
-        known = self._normalised(y_warmup, steps, u, y_sim)
         with torch.no_grad():
-            parts = self.unfiltered(known, steps)
+            parts = self.unfiltered(self._batch_of_one(y_warmup, u, y_sim), steps)
         return {
-            name: self._shaped(part.double() * self.y_std + self.y_mean, y_warmup)
+            name: (part[0].double() * self.y_std + self.y_mean).cpu().numpy()
             for name, part in parts.items()
         }
 
@@ -151,12 +120,6 @@ class Model(nn.Module, ABC):
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """Return what is filtered after the warm-up; nothing, unless a subclass filters."""
         return {}
-
-    def _shaped(self, values: Tensor, like: Signal) -> Signal:
-        """Return `(batch, steps, ny)` as the caller's kind of array."""
-        values = values.reshape(*like.shape[:-2], values.shape[1], self.ny)
-        values = values[:, 0] if like.ndim == 1 else values
-        return values.to(like) if isinstance(like, Tensor) else values.cpu().numpy()
 
     def adapt_to(self, records: Sequence[Record], normalize: bool = True) -> None:
         """Take from the training records what is not learned by gradient: here, the units.
@@ -172,45 +135,26 @@ class Model(nn.Module, ABC):
                 getattr(self, f"{name}_mean").copy_(torch.from_numpy(np.nanmean(values, axis=0)))
                 getattr(self, f"{name}_std").copy_(torch.from_numpy(spread(values)))
 
-    def normalised(self, trajectory: Record) -> Signals:
+    def normalised(self, record: Record) -> Signals:
         """Return the signals of a record as the networks see them, each `(time, n)`."""
-        u, y_sim = trajectory.u, trajectory.y_sim
+        return self._signals(record.y, record.u if self.nu else None, record.y_sim)
+
+    def _signals(self, y: Array, u: Array | None, y_sim: Array | None) -> Signals:
         return Signals(
-            self._to_network(trajectory.y, "y"),
-            self._to_network(u, "u") if self.nu and u is not None else None,
+            self._to_network(y, "y"),
+            None if u is None else self._to_network(u, "u"),
             None if y_sim is None else self._to_network(y_sim, "y"),
         )
 
-    def _normalised(
-        self, y_warmup: Signal, steps: int, u: Signal | None, y_sim: Signal | None
-    ) -> Signals:
-        steps = whole("steps", steps)
-        total = (y_warmup.shape[0] if y_warmup.ndim == 1 else y_warmup.shape[-2]) + steps
-        if bool(self.nu) != (u is not None):
-            raise ValueError(f"u must be given exactly where the model has inputs, nu = {self.nu}")
-        return Signals(
-            self._batch(y_warmup, "y_warmup", self.ny, 1),
-            None if u is None else self._batch(u, "u", self.nu, total),
-            None if y_sim is None else self._batch(y_sim, "y_sim", self.ny, total),
-        )
+    def _batch_of_one(self, y: Array, u: Array | None, y_sim: Array | None) -> Signals:
+        known = self._signals(y, u, y_sim)
+        others = (None if s is None else s[None] for s in (known.u, known.y_sim))
+        return Signals(known.y[None], *others)
 
-    def _batch(self, x: Signal, name: str, channels: int, samples: int) -> Tensor:
-        """Bring `(time,)`, `(time, n)` or `(batch, time, n)` to a normalised batch."""
-        shape = tuple(x.shape)
-        x = x[:, None] if x.ndim == 1 else x
-        x = x[None] if x.ndim == 2 else x
-        if x.ndim != 3 or x.shape[-1] != channels or x.shape[1] < samples:
-            raise ValueError(
-                f"{name} must have {channels} channel(s) and at least {samples} sample(s), shape "
-                f"(time, {channels}) or (batch, time, {channels}), got {shape}"
-            )
-        return self._to_network(x, "u" if name == "u" else "y")
-
-    def _to_network(self, x: npt.NDArray[Any] | Tensor, kind: str) -> Tensor:
+    def _to_network(self, x: Array, kind: str) -> Tensor:
         # Subtract in float64: beside a large offset float32 has too few digits for the signal.
         mean, std = getattr(self, f"{kind}_mean"), getattr(self, f"{kind}_std")
-        x = x if isinstance(x, Tensor) else torch.from_numpy(np.array(x, dtype=np.float64))
-        values = x.to(mean)
+        values = torch.from_numpy(np.array(x, dtype=np.float64)).to(mean)
         return ((values - mean) / std).to(next(self.parameters()).dtype)
 
 
@@ -221,16 +165,13 @@ def conditioning(slow: Tensor, scale: Tensor, driven: bool = False) -> Tensor:
     is that between the neighbours on both sides; with known inputs, on which the slow signal may
     depend, that to the sample before, as it would know inputs to come otherwise.
 
+    Returns `(..., time, 2 ny)`; the last row acts on no step.
+
     Parameters
     ----------
     slow : `(..., time, ny)`.
     scale : Of each channel's slope, `(ny,)`, see `slope_scale`.
     driven : Whether the slow signal may depend on known inputs.
-
-    Returns
-    -------
-    Tensor
-        `(..., time, 2 ny)`; the last row acts on no step.
     """
     values = torch.cat([slow, _slope(slow, driven) / scale.to(slow)], dim=-1)[..., 1:, :]
     return torch.cat([values, values[..., -1:, :]], dim=-2)

@@ -11,32 +11,23 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from splitband.filters import ComplementaryPair
 from splitband.networks import Cell
 from splitband.networks.plain import in_numpy, values
+from splitband.runtime.arrays import Array
 from splitband.runtime.tracing import cond, scan
 
-Array = npt.NDArray[np.float64]
 Run = dict[str, Any]
 """The state of a free run, by name."""
 
 
 class Stepped(ABC):
-    """A model that runs sample by sample.
-
-    Parameters
-    ----------
-    units : Mean and standard deviation of y, and of u, as the `Model` has them.
-
-    Attributes
-    ----------
-    ahead : How many samples beyond the one to predict of the slow signal are looked at, 0 or 1.
-    """
+    """Run a trained model sample by sample."""
 
     ahead = 0
+    """How many samples beyond the one to predict of the slow signal are looked at, 0 or 1."""
 
     def __init__(self, model: Any) -> None:
         self.y_mean, self.y_std = values(model.y_mean), values(model.y_std)

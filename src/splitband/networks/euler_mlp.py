@@ -42,13 +42,9 @@ class EulerMLP(Written, nn.Module):
     ) -> None:
         super().__init__()
         nu, ny, warmup, state_size, hidden_size, recognition_size = check_sizes(
-            nu,
-            ny=ny,
-            warmup=warmup,
-            state_size=state_size,
-            hidden_size=hidden_size,
+            nu, ny=ny, warmup=warmup, state_size=state_size, hidden_size=hidden_size,
             recognition_size=recognition_size,
-        )
+        )  # fmt: skip
         if state_size < ny:
             raise ValueError(f"state_size must be at least ny = {ny}, got {state_size}")
         self.ny, self.nu, self.warmup = ny, nu, warmup
@@ -72,15 +68,8 @@ class EulerMLP(Written, nn.Module):
 
     def sized(self, ny: int, nu: int, warmup: int) -> EulerMLP:
         """Return a new cell with the same state, widths and step."""
-        return EulerMLP(
-            ny,
-            warmup,
-            self.state_size,
-            self.hidden_size,
-            self.recognition_size,
-            self.step_size,
-            nu,
-        )
+        sizes = self.state_size, self.hidden_size, self.recognition_size
+        return EulerMLP(ny, warmup, *sizes, self.step_size, nu)
 
     def size_in_words(self) -> str:
         """Describe its size, for tables."""

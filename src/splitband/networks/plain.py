@@ -6,35 +6,21 @@ Each has the methods of `networks.Cell`, for `y` `(time, ny)` or `(ny,)` and `u`
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
 from splitband.networks.cell import Cell, are_plain
+from splitband.runtime.arrays import Array
 from splitband.runtime.tracing import Symbol, expit, scan
 
-Array = npt.NDArray[np.float64]
 Dense = tuple[tuple[Array, Array], ...]
 """Weights and biases of layers with tanh behind them."""
 
 
-class PlainCell(Protocol):
-    """Define a cell in NumPy."""
-
-    def initial_state(self, y: Array, u: Array) -> Any:
-        """Return the state after measured samples."""
-
-    def step(self, h: Any, y: Array, u: Array) -> Any:
-        """Return the state one sample later."""
-
-    def observe(self, h: Any) -> Array:
-        """Return the output, `(ny,)`."""
-
-
-def in_numpy(cell: Cell) -> PlainCell:
+def in_numpy(cell: Cell) -> PlainGRU | PlainEulerMLP | PlainStateSpace | TorchCell:
     """Return a cell in NumPy; one of the user's own is called as it is, and cannot be exported."""
     # A subclass may step differently. Therefore only the class that declares it is trusted.
     plain = cell.in_numpy() if "in_numpy" in vars(type(cell)) else None  # type: ignore[attr-defined]

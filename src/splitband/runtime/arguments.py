@@ -14,11 +14,8 @@ LARGEST_SIZE = 10_000
 def whole(name: str, value: Any, least: int | None = 1, most: int | None = None) -> int:
     """Return a whole number as an `int`, also one of NumPy's.
 
-    Raises
-    ------
-    ValueError
-        For what is no whole number, is below `least`, or is not between `least` and `most`. It
-        names the argument.
+    Raises ValueError for what is no whole number, is below `least`, or is not between `least` and
+    `most`. It names the argument.
     """
     try:
         number = operator.index(value)

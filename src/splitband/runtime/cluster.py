@@ -180,23 +180,15 @@ def silence() -> None:
 
 def _difference(here: Mapping[str, str | None], there: Mapping[str, str | None]) -> str:
     """Describe how a worker's versions differ from those of this process; empty if they do not."""
-    missing = [package for package in COMPARED if there.get(package) is None]
-    if missing:
+    if missing := [package for package in COMPARED if there.get(package) is None]:
         return f"has no {' and no '.join(missing)}"
     for package in COMPARED:
-        versions = [_counted(package, str(each[package])) for each in (there, here)]
-        if versions[0] != versions[1]:
-            return f"has {package} {versions[0]} and not {versions[1]}"
+        # Without a build suffix such as "+cpu".
+        parts = [str(each[package]).partition("+")[0].split(".") for each in (there, here)]
+        found, wanted = (".".join(p[:2] if package == "python" else p) for p in parts)
+        if found != wanted:
+            return f"has {package} {found} and not {wanted}"
     return ""
-
-
-def _counted(package: str, version: str) -> str:
-    """Return the part of a version that must agree, without a build suffix such as "+cpu"."""
-    return (
-        ".".join(version.split(".")[:2])
-        if package == "python"
-        else version.split("+", maxsplit=1)[0]
-    )
 
 
 def _carry_out(

@@ -42,9 +42,7 @@ def process_began() -> float:
 class Deadline:
     """A time at which work has to end with what there is; by default never.
 
-    Attributes
-    ----------
-    at : By the clock of `now`, in s.
+    `at`: by the clock of `now`, in s.
     """
 
     at: float = math.inf

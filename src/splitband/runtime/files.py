@@ -18,10 +18,7 @@ CHECKPOINTS = ".splitband-checkpoints"
 def replacing(path: str | Path) -> Iterator[Path]:
     """Give a temporary path beside `path`; rename it to `path` when the block ends well.
 
-    Raises
-    ------
-    OSError
-        Where it cannot be written, as the disk is full; the error names `path`.
+    Raises OSError where it cannot be written, as the disk is full; the error names `path`.
     """
     path = Path(path)
     with _naming(path):
@@ -80,10 +77,7 @@ def to_json(value: Any) -> str:
 def output_folder(path: str | Path, argument: str = "folder") -> Path:
     """Create the folder `path`, which errors call `argument`, and check that it can be written to.
 
-    Raises
-    ------
-    ValueError
-        Where they cannot, before anything has been computed.
+    Raises ValueError where they cannot, before anything has been computed.
     """
     path = Path(path)
     try:

@@ -39,10 +39,7 @@ class Written:
 def options(value: object) -> dict[str, Any]:
     """Return what the constructor of `value` was given, by name.
 
-    Raises
-    ------
-    TypeError
-        Where an argument is not kept as an attribute, or arguments have no names.
+    Raises TypeError where an argument is not kept as an attribute, or arguments have no names.
     """
     return {name: getattr(value, attribute) for name, attribute in attributes(value).items()}
 

@@ -42,10 +42,8 @@ def staged(folder: str | Path) -> Iterator[Path]:
     Nothing is replaced before all of them are on the disk. Files of the earlier result that the new
     one does not have are removed. While files are moved, the folder has no results.json.
 
-    Raises
-    ------
-    OSError
-        Where a file cannot be written, with its name in `folder`, which is as it was then.
+    Raises OSError where a file cannot be written, with its name in `folder`, which is as it was
+    then.
     """
     folder = output_folder(folder)
     new = folder / _NEW
@@ -111,10 +109,8 @@ def locked(folder: str | Path, argument: str = "folder") -> Iterator[None]:
     The operating system releases the lock when the process ends, however it does. There is no
     lock where it has none (Windows, some network file systems).
 
-    Raises
-    ------
-    ValueError
-        Where the folder cannot be written, or is in use; the message calls it `argument`.
+    Raises ValueError where the folder cannot be written, or is in use; the message calls it
+    `argument`.
     """
     folder = Path(folder)
     # Unlike those of pathlib, this call has no errors, not even for names that are too long.

@@ -39,6 +39,8 @@ def over(
 ) -> Iterator[Result]:
     """Yield `work(job, report)` for each job as it is done, each on one thread.
 
+    Raises OSError when a process is ended from outside, or an executor loses a job.
+
     Parameters
     ----------
     work : A function of a module, as other processes have to find it.
@@ -46,11 +48,6 @@ def over(
     workers : Processes of this machine, of which 1 is this one; or any executor.
     progress : Called in this process with whatever the work reports.
     patience : Jobs of other processes that are not done then are given up, without a result.
-
-    Raises
-    ------
-    OSError
-        When a process is ended from outside, or an executor loses a job.
     """
     progress = progress or _ignore
     if isinstance(workers, Executor):
@@ -75,9 +72,7 @@ class Processes(Workers):
 
     Their temporary files are in a folder that is removed at the end, however a process ends.
 
-    Parameters
-    ----------
-    count : Largest number of processes.
+    `count`: largest number of processes.
     """
 
     def __init__(self, count: int) -> None:

@@ -294,9 +294,9 @@ def trace(function: Callable[..., Tree], *examples: Tree) -> tuple[Block, Tree]:
     return block, result
 
 
-def leaves(tree: Tree, path: str = "") -> list[Any]:
+def leaves(tree: Tree) -> list[Any]:
     """Return the arrays of a tree in their order."""
-    return [leaf for _, leaf in named_leaves(tree, path)]
+    return [leaf for _, leaf in named_leaves(tree)]
 
 
 def named_leaves(tree: Tree, path: str = "") -> list[tuple[str, Any]]:

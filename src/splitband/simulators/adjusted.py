@@ -7,19 +7,16 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 from splitband.simulators.estimate import Estimate
 from splitband.simulators.shooting import BAD, STATE_STEP, Adjustable, Experiment
 
-Array = npt.NDArray[np.float64]
-
 MOST_STATES = 500
 """States of the training records that are kept, for what is usual and to begin searches with."""
 _TRIED = 3
-_COMPARED = 10
 _LEAST_NOISE = 1e-3
 
 
@@ -50,11 +47,11 @@ class Adjusted:
         values = {
             name: estimate.values.get(name, x) for name, x in simulator.known.middle().items()
         }
-        scale = np.maximum(_deviation(experiments), 1e-300)
+        deviation = np.nanstd(np.concatenate([each.y for each in experiments]), axis=0)
+        scale = np.maximum(deviation, 1e-300)
         noise = np.maximum(np.array(estimate.rmse), _LEAST_NOISE * scale)
         usual = cls(simulator, values, noise)
-        found = [usual.response(each) for each in experiments[:1]]
-        outputs, states = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        outputs, states = usual.response(experiments[0])
         rows = np.linspace(0, len(states) - 1, min(len(states), MOST_STATES)).round().astype(int)
         rows = rows[np.isfinite(states[rows]).all(axis=1)]
         return replace(usual, states=states[rows], outputs=outputs[rows])
@@ -153,7 +150,3 @@ def _finite(y: Array, time: Array) -> Array:
             f"the simulator must return finite values, got others from {time[bad]:g} s on"
         )
     return y
-
-
-def _deviation(experiments: Sequence[Experiment]) -> Array:
-    return np.asarray(np.nanstd(np.concatenate([each.y for each in experiments]), axis=0))

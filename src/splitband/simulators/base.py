@@ -17,10 +17,9 @@ import numpy.typing as npt
 
 from splitband.data import Grid, Stamp
 from splitband.data.timing import seconds_of
+from splitband.runtime.arrays import Array
 from splitband.runtime.files import replacing
 from splitband.simulators.recorded import Recorded
-
-Array = npt.NDArray[np.float64]
 
 
 class SimulatorError(RuntimeError):

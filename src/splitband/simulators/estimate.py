@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 from splitband.simulators.parameters import Parameters
 
-Array = npt.NDArray[np.float64]
 Name = tuple[str, int]
 """A parameter, and the number of the record whose it is; -1 for all."""
 
@@ -140,19 +140,18 @@ class Curvature:
         _, s, vt = np.linalg.svd(j, full_matrices=False)
         s = np.concatenate([s, np.zeros(len(vt) - len(s))])
         noise = np.maximum(self._noise(), QUIETEST * np.sqrt(np.mean(self.residuals.shape[1:])))
-        weights = self._per_residual(noise)
-        level = float(np.sqrt(np.mean(weights**2)))
+        level = float(np.sqrt(np.mean(np.tile(noise, len(self.residuals)) ** 2)))
         weak = level / np.maximum(s, 1e-300) > UNKNOWN
         lost: list[int] = []
         said: list[str] = []
         for direction in vt[weak]:
             involved = np.flatnonzero(np.abs(direction) > INVOLVED)
             lost += [int(free[i]) for i in involved]
-            at = free[involved]
-            said.append(_told([names[i] for i in at], direction[involved] * self._relative(
-                [names[i] for i in at], self.places[at], known)))  # fmt: skip
+            at = [names[i] for i in free[involved]]
+            relative = self._relative(at, self.places[free[involved]], known)
+            said.append(_told(at, direction[involved] * relative))
         kept = vt[~weak].T / s[~weak]
-        told = (j @ kept) * self._per_residual(self._noise())[:, None]
+        told = (j @ kept) * np.tile(self._noise(), len(self.residuals))[:, None]
         # (J'J)^-1 J' W J (J'J)^-1, with the error of each channel as W
         return kept @ (told.T @ told) @ kept.T * self._correlated(), lost, said
 
@@ -168,9 +167,6 @@ class Curvature:
         lost = len(self.places) / self.residuals.shape[1]
         power = np.nansum(self.residuals**2, axis=0) / np.maximum(measured - lost, 1)
         return np.asarray(np.sqrt(power))
-
-    def _per_residual(self, noise: Array) -> Array:
-        return np.tile(noise, len(self.residuals))
 
     def _correlated(self) -> float:
         """Return how many samples of the residuals say as much as an independent one, 1 or more."""

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import Written
 from splitband.simulators.parameters import Given, Parameters
-
-Array = npt.NDArray[np.float64]
 
 
 class Fmu(Written):

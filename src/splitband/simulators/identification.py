@@ -18,17 +18,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from splitband.data import Record
 from splitband.metrics import spread
+from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import Deadline, OverError, current, within
 from splitband.runtime.files import write_json
 from splitband.simulators.estimate import Curvature, Estimate, labelled
 from splitband.simulators.shooting import BAD, Adjustable, Experiment, Shooting
-
-Array = npt.NDArray[np.float64]
 
 STARTS = 32
 """Starting points at most."""
@@ -111,7 +109,8 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     scale = spread(np.concatenate([e.y for e in experiments]))
     shooting = Shooting(simulator, experiments, scale)
     if not shooting.names:
-        return _without_parameters(shooting)
+        shooting.divide(10**9, np.empty(0))
+        return _told(shooting, np.empty(0), 0)
     longest = max(len(e.y) for e in experiments)
     deadline = min(current(), Deadline.after(effort.seconds))
     outcomes = _tried(simulator, experiments, scale, effort, deadline)
@@ -138,11 +137,6 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
             f"simulated in windows of {window} samples, as a simulation of the whole record is lost"
         )
     return replace(estimate, remarks=tuple(remarks), starts=(len(agreeing), len(ranked)))
-
-
-def _without_parameters(shooting: Shooting) -> Estimate:
-    shooting.divide(10**9, np.empty(0))
-    return _told(shooting, np.empty(0), 0)
 
 
 def starting_points(count: int, dimensions: int) -> Array:

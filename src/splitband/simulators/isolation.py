@@ -26,11 +26,10 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data.record import one_line
+from splitband.runtime.arrays import Array
 from splitband.simulators.base import SimulatorError, SimulatorTimeoutError, within
 from splitband.simulators.fmu import Fmu
 from splitband.simulators.sources import digest, source_files
-
-Array = npt.NDArray[np.float64]
 
 _START = 20.0
 """Seconds in which such a process must have begun, beside the simulator's own."""
@@ -68,12 +67,8 @@ class Isolated:
     def simulate(self, time: Array) -> npt.ArrayLike:
         """See `Simulator`.
 
-        Raises
-        ------
-        SimulatorTimeoutError
-            When it has not returned in time; it has been ended.
-        SimulatorError
-            When it failed, in its own words, or ended its process.
+        Raises SimulatorTimeoutError when it has not returned in time; it has been ended. Raises
+        SimulatorError when it failed, in its own words, or ended its process.
         """
         with tempfile.TemporaryDirectory(prefix="splitband-") as name:
             folder = Path(name)

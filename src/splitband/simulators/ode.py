@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from splitband.runtime.arrays import Array
+from splitband.simulators.function import UserCode
 from splitband.simulators.parameters import INITIAL, Given, parameters_class
 from splitband.simulators.sources import code_digest, count_arguments
-from splitband.simulators.user_code import UserCode
 
-Array = npt.NDArray[np.float64]
 Response = tuple[Array, Array]
 """Measured channels `(time, ny)` and states `(time, nx)`."""
 
@@ -101,8 +101,7 @@ class Ode(UserCode):
         With few steps a solution may be right within its tolerance and still depend on a parameter
         many times as strongly as the equation does, as where a tank reaches its rim.
         """
-        pairs = zip(self.tolerances, PRECISE, strict=True)
-        relative, absolute = (min(given, needed) for given, needed in pairs)
+        relative, absolute = map(min, self.tolerances, PRECISE)
         made = replace(self, tolerances=(relative, absolute))
         return made.opened_by(vars(self).get("_opened_by"))
 
@@ -162,9 +161,7 @@ class Ode(UserCode):
 
     def fingerprint(self) -> str | None:
         """Return the cache key: the key, the parameters and the solver's settings."""
-        if self.key is None:
-            return None
-        return f"{self.key} {self._settings}"
+        return None if self.key is None else f"{self.key} {self._settings}"
 
     def digest(self) -> str:
         """Return what its response depends on besides the parameters' values: code and settings."""

@@ -22,6 +22,8 @@ def opened(
 ) -> Adjustable:
     """Return a simulator with these parameters.
 
+    Raises ValueError for a file that cannot be run, has no such name, or names something else.
+
     Parameters
     ----------
     file : An .fmu, or a Python file, which is run.
@@ -30,11 +32,6 @@ def opened(
         takes it, or of an `Ode` or a `Function` in it.
     given : The parameters, in place of those that the simulator has by itself.
     outputs : Of an FMU.
-
-    Raises
-    ------
-    ValueError
-        For a file that cannot be run, has no such name, or names something else.
     """
     if not name:
         return Fmu(file, outputs or None, dict(given))

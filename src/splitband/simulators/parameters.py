@@ -10,9 +10,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
 Given = Mapping[str, float | tuple[float, float]]
 
 INITIAL = "x0_"
@@ -31,10 +29,8 @@ def parameters_class(names: tuple[str, ...]) -> Any:
 class Parameters:
     """Keep the parameters of a simulator in their order.
 
-    Attributes
-    ----------
-    given : By name a number, or the lower and upper end of a range. A range of positive numbers of
-        more than a decade is searched on a logarithmic scale.
+    `given`: by name a number, or the lower and upper end of a range. A range of positive numbers of
+    more than a decade is searched on a logarithmic scale.
     """
 
     given: Given = field(default_factory=dict)
@@ -81,13 +77,6 @@ class Parameters:
         if self.logarithmic(name):
             return float(low * (high / low) ** place)
         return float(low + place * (high - low))
-
-    def place(self, name: str, value: float) -> float:
-        """Return where in its range a value lies, 0 to 1."""
-        low, high = self.range(name)
-        if self.logarithmic(name):
-            return math.log(value / low) / math.log(high / low)
-        return (value - low) / (high - low)
 
     def slope(self, name: str, place: float) -> float:
         """Return the derivative of the value with respect to its place."""

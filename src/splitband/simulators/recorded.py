@@ -10,9 +10,8 @@ import numpy.typing as npt
 
 from splitband.data import Aligned, Grid, Record, Stamp, aligned
 from splitband.data.alignment import reach
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import Written, saved
-
-Array = npt.NDArray[np.float64]
 
 
 @saved

@@ -14,14 +14,12 @@ from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from splitband.data import Record
-from splitband.data.timing import seconds_of
 from splitband.runtime import deadlines
+from splitband.runtime.arrays import Array
 from splitband.simulators.parameters import Parameters
 
-Array = npt.NDArray[np.float64]
 Point = tuple[Mapping[str, float], Any]
 
 BAD = 1e3
@@ -84,9 +82,7 @@ class Experiment:
     @classmethod
     def of(cls, record: Record) -> Experiment:
         """Return that of a record."""
-        begin = seconds_of(record.start)
-        time = begin + np.arange(len(record), dtype=np.float64) * record.sampling_time
-        return cls(time, record.seen, record.u)
+        return cls(record.time, record.seen, record.u)
 
     def part(self, begin: int, end: int) -> Experiment:
         """Return some of its samples."""
@@ -128,8 +124,7 @@ class Shooting:
 
     Parameters
     ----------
-    simulator : Whose parameters are looked for.
-    experiments : Of the records.
+    simulator, experiments : Whose parameters are looked for, and what of the records.
     scale : Deviation of each channel, `(ny,)`, in which residuals are counted.
 
     Attributes

@@ -27,9 +27,7 @@ State = dict[str, Tensor]
 class Checkpoint:
     """Store the state of one training in a file.
 
-    Parameters
-    ----------
-    path : Of the file, in a folder that exists.
+    `path`: of the file, in a folder that exists.
     """
 
     def __init__(self, path: str | Path) -> None:

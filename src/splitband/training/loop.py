@@ -80,6 +80,10 @@ def fit(
     job (`runtime.deadlines`) comes first, the training ends with the weights that it has then; of
     several networks each gets an equal part of the time that is left.
 
+    Raises ValueError for records of other channels than the model's, or in which no window has its
+    place. Raises FloatingPointError when one network's loss diverges for the fourth time
+    (`MOST_RESTARTS`).
+
     Parameters
     ----------
     model : What to train; its initial parameters are the caller's.
@@ -90,13 +94,6 @@ def fit(
     progress : Called after each epoch.
     checkpoint : Where the same training goes on if it was cut off, with the same numbers to the
         bit; nothing is trained again if it was not.
-
-    Raises
-    ------
-    ValueError
-        For records of other channels than the model's, or in which no window has its place.
-    FloatingPointError
-        When one network's loss diverges for the fourth time (`MOST_RESTARTS`).
     """
     records = [trajectory] if isinstance(trajectory, Record) else [*trajectory]
     if not records:
@@ -124,8 +121,7 @@ def fit(
         training = _Training(task, places, settings, seed, deadline)
         prefix = f"{done}."
         if f"{prefix}losses" in saved:
-            training.restore({k.removeprefix(prefix): v for k, v in saved.items()
-                              if k.startswith(prefix)})  # fmt: skip
+            training.restore(_below(saved, prefix))
         losses = history.losses[task.name] = training.losses
         epochs = settings.epochs + settings.rounds
         with freed_memory_kept():
@@ -160,6 +156,10 @@ def _share_of(deadline: Deadline, trainings: int) -> Deadline:
     return (
         Deadline(deadline.at - deadline.left * (1 - 1 / trainings)) if trainings > 1 else deadline
     )
+
+
+def _below(state: State, prefix: str) -> State:
+    return {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
 
 
 def _prefixed(before: State, prefix: str, training: _Training) -> State:
@@ -264,13 +264,11 @@ class _Training:
 
     def restore(self, state: State) -> None:
         """Go on where `state` was taken."""
-        network = {k.removeprefix("network."): v for k, v in state.items() if k[:8] == "network."}
-        self.task.network.load_state_dict(network)
+        self.task.network.load_state_dict(_below(state, "network."))
         moments: dict[int, dict[str, Tensor]] = {}
-        for name, value in state.items():
-            if name.startswith("adam."):
-                _, i, moment = name.split(".")
-                moments.setdefault(int(i), {})[moment] = value.clone()
+        for name, value in _below(state, "adam.").items():
+            i, moment = name.split(".")
+            moments.setdefault(int(i), {})[moment] = value.clone()
         groups = self.optimizer.state_dict()["param_groups"]
         self.optimizer.load_state_dict({"state": moments, "param_groups": groups})
         self.generator.set_state(state["generator"])
@@ -278,9 +276,7 @@ class _Training:
         self.restarts[:] = state["restarts"].tolist()
         self.first_loss = float(state["first_loss"])
         if self.finish is not None:
-            self.finish.restore(
-                {k.removeprefix("finish."): v for k, v in state.items() if k[:7] == "finish."}
-            )
+            self.finish.restore(_below(state, "finish."))
 
     def epoch(self) -> None:
         """Train an epoch; repeat it with a smaller learning rate where it diverges."""

@@ -72,13 +72,10 @@ class _OverError(Exception):
 
 
 class QuasiNewton:
-    """L-BFGS with a line search for the strong Wolfe conditions, round by round.
+    """Run L-BFGS with a line search for the strong Wolfe conditions, round by round.
 
-    Parameters
-    ----------
-    parameters : What is changed.
-    mean_square : The mean squared error of all windows, as a function of them.
-    deadline : A round that it ends keeps the best weights that it has come to.
+    It lowers `mean_square`, the mean squared error of all windows. A round that the `deadline` ends
+    keeps the best weights that it has come to.
     """
 
     def __init__(

@@ -31,10 +31,7 @@ class WindowSet:
 def windows_in(records: Sequence[Record], window: int, warmup: int) -> WindowSet:
     """Every place within a record whose warm-up was measured, and something after it.
 
-    Raises
-    ------
-    ValueError
-        For a record shorter than a window, and where gaps leave no place at all.
+    Raises ValueError for a record shorter than a window, and where gaps leave no place at all.
     """
     shortest = min(records, key=len)
     if len(shortest) < window:
