@@ -1,21 +1,34 @@
-"""Error against training time on the public benchmarks: tsfast's default GRU and ours.
+"""Error against CPU time on the public benchmarks: other packages and ours.
 
-    python -m benchmarks.against [--sets silverbox] [--minutes 0.5,1,2,5,10] [--seeds 1]
+    python -m benchmarks.against [--sets silverbox,tanks] [--minutes 0.5,1,2,5,10] [--seeds 3]
+        [--curves "splitband,splitband state space,splitband search,tsfast,jax-sysid"]
+        [--jax-sysid PYTHON]
 
-Side by side on this machine, one process of one thread. Both train on the whole training file and
+Side by side on this machine, one process of one thread. All train on the whole training file and
 simulate the test files, whose first 50 samples are left out; nothing is chosen by a test file.
-Minutes are CPU time of the training alone, so that other work on the machine matters little.
-tsfast lets its rate fall at the end, and is trained anew for each time. L-BFGS has no such plan:
-ours is one training, looked at on its way.
+Minutes are CPU time, so that other work on the machine matters little: of the training alone, and
+for "splitband search" of `compare` in whole, which is given so much work.
 
-Needs the extra `bench`. What is there already is not computed again, and a library that is not
-installed is left out; `python -m benchmarks.public --no-run` puts the results into its page.
+tsfast lets its rate fall at the end, and is trained anew for each time; so is the search. L-BFGS
+has no such plan: our networks and jax-sysid's are one training each, looked at on its way.
+
+tsfast comes with the extra `bench`. jax-sysid needs older versions of jax and SciPy, and so an
+environment of its own, whose Python is an option here:
+
+    python -m venv peer && peer/bin/pip install jax-sysid==1.1.0
+    python -m benchmarks.against --curves jax-sysid --jax-sysid peer/bin/python
+
+Its settings stand in `benchmarks/jax_peer.py`. What is there already is not computed again, and
+what is not installed is left out; `python -m benchmarks.public --no-run` puts the results into its
+page.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
+import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -34,14 +47,29 @@ from splitband import Record
 from splitband.report.results import environment
 from splitband.runtime.files import write_json
 from splitband.runtime.threads import use_one_thread
+from splitband.training import Settings
 from splitband.training.quasi_newton import ROUND
 
-OURS, TSFAST = "splitband", "tsfast"
+GRU, STATE_SPACE, SEARCHED = "splitband", "splitband state space", "splitband search"
+TSFAST, JAX_SYSID = "tsfast", "jax-sysid"
+CURVES = {
+    TSFAST: "tsfast's GRU",
+    JAX_SYSID: "jax-sysid",
+    GRU: "our GRU",
+    STATE_SPACE: "our state-space network",
+    SEARCHED: "splitband compare, one core",
+}
+"""What each is called in the picture."""
+PEER = Path(__file__).with_name("jax_peer.py")
 ENDLESS = 100_000
 """Iterations of L-BFGS that no training gets to."""
 FOUND = {"silverbox": (32, 100, 3, ENDLESS), "tanks": (16, 400, 12, 100)}
 """Hidden units, window, epochs and the most iterations of L-BFGS after them, as `splitband compare`
 finds them on the last quarter of the training file: on Silverbox the more the better."""
+STATES = {"silverbox": (4, 10, 200, 0.0), "tanks": (4, 8, 200, 1e-4)}
+"""States, tanh units, window and penalty of our state-space network, which begins as the linear
+model and is trained by L-BFGS alone: the first that the search tries, on the tanks with its
+penalty."""
 LEFT_OUT = 50
 """Samples at the beginning of a test file that do not count; ours warms up on them."""
 TABLE = {"silverbox": "BenchmarkSilverbox_Simulation", "tanks": "BenchmarkCascadedTanks_Simulation"}
@@ -50,7 +78,7 @@ STEPS, TIMED_STEPS = 300, 40
 """Of tsfast: of an epoch, its default, and by which it is reckoned how many fit into a time."""
 
 Point = dict[str, Any]
-"""One training after some time: library, seed, minutes, CPU seconds and errors on the tests."""
+"""One curve after some time: its name (`library`), seed, minutes, CPU seconds, errors on tests."""
 
 
 class _OverError(Exception):
@@ -75,15 +103,39 @@ class _Watch:
         self._began += time.process_time() - at
 
 
-def ours(name: str, seed: int, minutes: list[float], keep: Callable[[Point], None]) -> None:
-    """Train our GRU once, and `keep` its errors as it passes each of the times."""
-    benchmark, (units, window, epochs, iterations) = SETS[name], FOUND[name]
-    record, tests = load(benchmark.training), [load(test) for test in benchmark.tests]
-    usual = sb.Settings.of(len(record))
+def _gru(name: str) -> tuple[sb.Single, Settings]:
+    """Return our GRU, not fitted, and how it is trained."""
+    (units, window, epochs, iterations) = FOUND[name]
+    usual = sb.Settings.of(len(load(SETS[name].training)))
     settings = replace(usual, window=window, epochs=epochs, quasi_newton=iterations)
+    return sb.Single(sb.GRU(units), settings), settings
+
+
+def _state_space(name: str) -> tuple[sb.Single, Settings]:
+    """Return our state-space network, not fitted, and how it is trained."""
+    states, units, window, penalty = STATES[name]
+    usual = sb.Settings.of(len(load(SETS[name].training)))
+    settings = replace(usual, window=window, epochs=0, quasi_newton=ENDLESS, penalty=penalty)
+    return sb.Single(sb.StateSpace(states, units), settings), settings
+
+
+TRAINED: dict[str, Callable[[str], tuple[sb.Single, Settings]]] = {
+    GRU: _gru,
+    STATE_SPACE: _state_space,
+}
+"""Our networks that are trained once, and looked at on their way."""
+
+
+def ours(
+    library: str, name: str, seed: int, minutes: list[float], keep: Callable[[Point], None]
+) -> None:
+    """Train a network of ours once, and `keep` its errors as it passes each of the times."""
+    benchmark = SETS[name]
+    record, tests = load(benchmark.training), [load(test) for test in benchmark.tests]
+    network, settings = TRAINED[library](name)
     compiling = replace(settings, epochs=1, most_batches=1, quasi_newton=1)
-    sb.Single(sb.GRU(units), compiling).fit(record[: 3 * window], seed=0)
-    network, left, watch = sb.Single(sb.GRU(units), settings), sorted(minutes), _Watch()
+    network.trained_as(compiling).fit(record[: 3 * settings.window], seed=0)
+    left, watch = sorted(minutes), _Watch()
 
     def look(progress: sb.Progress) -> None:
         while left and watch.seconds >= 60 * left[0]:
@@ -91,7 +143,7 @@ def ours(name: str, seed: int, minutes: list[float], keep: Callable[[Point], Non
             with watch.stopped():
                 errors = [_free_run(network, test) for test in tests]
                 done = ROUND * max(0, progress.epoch - settings.epochs)
-                keep(_point(OURS, seed, left.pop(0), seconds, errors, iterations=done))
+                keep(_point(library, seed, left.pop(0), seconds, errors, iterations=done))
         if not left:
             raise _OverError
 
@@ -103,7 +155,36 @@ def ours(name: str, seed: int, minutes: list[float], keep: Callable[[Point], Non
     errors = [_free_run(network, test) for test in tests]
     done = ROUND * (len(network.require_fitted().report.losses["network"]) - settings.epochs)
     for each in left:
-        keep(_point(OURS, seed, each, seconds, errors, iterations=done))
+        keep(_point(library, seed, each, seconds, errors, iterations=done))
+
+
+def searched(name: str, minutes: float) -> Point:
+    """Let `compare` find and train its networks with so much work; nothing in it is drawn anew."""
+    benchmark = SETS[name]
+    record, tests = load(benchmark.training), [load(test) for test in benchmark.tests]
+    watch = _Watch()
+    setup = sb.Options(search=sb.Search(60 * minutes))
+    result = sb.compare(record, tests=tests, setup=setup)
+    seconds, best = watch.seconds, result.means[result.recommended]
+    errors = [float(error) for error in best.errors.tests]
+    return _point(SEARCHED, 0, minutes, seconds, errors, recommended=result.recommended)
+
+
+def jax_sysids(
+    name: str, seed: int, minutes: list[float], python: str, keep: Callable[[Point], None]
+) -> None:
+    """Train jax-sysid's model once, in its own environment, looked at on its way."""
+    data = Path(os.environ["SPLITBAND_DATA_DIR"]) / "benchmarks"
+    options = ["--data", str(data), "--seed", str(seed), "--minutes", ",".join(map(str, minutes))]
+    clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    command = [python, str(PEER), name, *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=clean) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.startswith("{"):  # it prints other things, too
+                keep(json.loads(line))
+    if process.returncode:
+        raise RuntimeError(f"{PEER.name} ended with status {process.returncode}")
 
 
 def _free_run(network: sb.Forecaster, test: Record) -> float:
@@ -161,13 +242,21 @@ def _write(record: Record, path: Path) -> None:
 
 
 def _point(
-    library: str, seed: int, minutes: float, seconds: float, errors: list[float], **facts: int
+    library: str,
+    seed: int,
+    minutes: float,
+    seconds: float,
+    errors: list[float],
+    **facts: int | str,
 ) -> Point:
-    return {"library": library, "version": version(library), "seed": seed, "minutes": minutes,
+    of = version(TSFAST if library == TSFAST else "splitband")
+    return {"library": library, "version": of, "seed": seed, "minutes": minutes,
             "cpu_seconds": round(seconds, 1), **facts, "test_rmse": errors}  # fmt: skip
 
 
-def complete(name: str, libraries: list[str], seeds: int, minutes: list[float], path: Path) -> None:
+def complete(
+    name: str, libraries: list[str], seeds: int, minutes: list[float], path: Path, peer: str | None
+) -> None:
     """Measure what the file lacks, the shorter trainings first, and write each to it."""
 
     def keep(point: Point) -> None:
@@ -183,8 +272,13 @@ def complete(name: str, libraries: list[str], seeds: int, minutes: list[float], 
         }
         for each in left.get(TSFAST, ()):
             keep(tsfasts(name, seed, each))
-        if left.get(OURS):
-            ours(name, seed, left[OURS], keep)
+        for each in left.get(SEARCHED, ()) if seed == 0 else ():
+            keep(searched(name, each))
+        if left.get(JAX_SYSID) and peer is not None:
+            jax_sysids(name, seed, left[JAX_SYSID], peer, keep)
+        for library in TRAINED:
+            if left.get(library):
+                ours(library, name, seed, left[library], keep)
 
 
 def _key(point: Point) -> tuple[str, int, float]:
@@ -205,16 +299,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--sets", default="silverbox", help="of silverbox, tanks")
     parser.add_argument("--minutes", default="0.5,1,2,5,10", help="of CPU time")
-    parser.add_argument("--libraries", default=f"{TSFAST},{OURS}")
-    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--curves", default=",".join(CURVES), help=f"of {', '.join(CURVES)}")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--jax-sysid", metavar="PYTHON", help="of an environment that has it")
     parser.add_argument("--out", type=Path, default=Path("docs/results/benchmarks"))
     arguments = parser.parse_args()
-    libraries = [each for each in arguments.libraries.split(",") if installed(each)]
+    curves = [each for each in arguments.curves.split(",") if each != TSFAST or installed(TSFAST)]
     use_one_thread()
     arguments.out.mkdir(parents=True, exist_ok=True)
     minutes = [float(each) for each in arguments.minutes.split(",")]
     for name in arguments.sets.split(","):
-        complete(name, libraries, arguments.seeds, minutes, path_of(arguments.out, name))
+        path = path_of(arguments.out, name)
+        complete(name, curves, arguments.seeds, minutes, path, arguments.jax_sysid)
 
 
 if __name__ == "__main__":

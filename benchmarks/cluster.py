@@ -1,11 +1,15 @@
 """What a job of a cluster costs: overhead, what travels, and two workers against one.
 
-python -m benchmarks.cluster [--out FILE.json] [--trainings 24] [--epochs 150]
+python -m benchmarks.cluster [--out FILE.json] [--trainings 24] [--epochs 150] [--command]
+
+With --command only what `splitband benchmark` itself computes for a record is measured again, and
+put into the file.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import pickle
 import time
 from collections.abc import Callable
@@ -19,12 +23,18 @@ import numpy as np
 
 from benchmarks.timing import circumstances, write
 from splitband import Cluster, Options, Record, Work
+from splitband.cli import showing
+from splitband.cli.comparing import Request, carried_out, planned, save
+from splitband.cli.options.models import ModelOptions
+from splitband.cli.worker_pool import WorkerPool
 from splitband.evaluation.jobs import run_all
 from splitband.forecasters.backtest import Origin, Question, first_origin
 from splitband.runtime.processes import over
 
 SAMPLES, TRAIN, STEP = 4000, 2000, 0.1
 """Of the record, about as long as the drill string's."""
+SHORT = 1000
+"""Samples of the record by which the command itself is measured."""
 EMPTY = 500
 """Jobs that do nothing, for what a job costs besides its work."""
 
@@ -51,12 +61,41 @@ def nothing(job: int, _: Callable[[Any], None]) -> int:
     return job
 
 
-def trained(executor: Executor, seeds: int, epochs: int) -> None:
-    """A network with each seed, and both protocols."""
+def commanding() -> float:
+    """Processor seconds that a process of `splitband benchmark` itself computes for a record.
+
+    That is reading, planning and writing results, pictures and the page; fits, which are jobs, do
+    not count, nor does the first record, with which everything is loaded.
+    """
+    seconds = 0.0
+    showing.say(quiet=True, json=False)
+    with TemporaryDirectory() as scratch:
+        path, out = Path(scratch) / "record.csv", Path(scratch) / "out"
+        y = signal()[:SHORT]
+        columns = np.column_stack([STEP * np.arange(len(y)), y])
+        np.savetxt(path, columns, delimiter=",", header="time,y", comments="")
+        request = Request(str(path), model=ModelOptions(epochs=1, window=100), seeds=1)
+        for _ in range(2):
+            began = time.process_time()
+            plan = planned(request, 1)
+            before = time.process_time()
+            result = carried_out(plan, WorkerPool(1), out)
+            after = time.process_time()
+            save(result, out, {"command": "compare", "arguments": {"record": str(path)}})
+            seconds = before - began + time.process_time() - after
+    return seconds
+
+
+def signal() -> Any:
+    """Return the samples of the record."""
     t = STEP * np.arange(SAMPLES)
     noise = 0.05 * np.random.default_rng(0).standard_normal(SAMPLES)
-    y = np.sin(2 * np.pi * 0.05 * t) + 0.4 * np.sin(2 * np.pi * 1.1 * t) + noise
-    record = Record(y[:, None], STEP)
+    return np.sin(2 * np.pi * 0.05 * t) + 0.4 * np.sin(2 * np.pi * 1.1 * t) + noise
+
+
+def trained(executor: Executor, seeds: int, epochs: int) -> None:
+    """A network with each seed, and both protocols."""
+    record = Record(signal()[:, None], STEP)
     setup = Options().decided(record, TRAIN)
     settings = replace(setup.settings, epochs=epochs, window=100, warmup=20, most_batches=4)
     network = replace(setup, settings=settings).forecaster("split-gru")
@@ -106,7 +145,14 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="JSON file for the figures")
     parser.add_argument("--trainings", type=int, default=24)
     parser.add_argument("--epochs", type=int, default=150)
+    parser.add_argument("--command", action="store_true", help="measure only that")
     arguments = parser.parse_args()
+    if arguments.command:
+        known = json.loads(arguments.out.read_text(encoding="utf-8")) if arguments.out else {}
+        figures = known | {"command, s a record": commanding()}
+        print(figures)
+        write(figures, arguments.out)
+        return
     weighed = Weighed()
     trained(weighed, 1, 1)
     figures = circumstances("torch", "numpy", "distributed")
@@ -115,6 +161,7 @@ def main() -> None:
     figures |= {"one worker": one, "two workers": two}
     figures["two workers / half of one"] = two["trainings, s"] / (one["trainings, s"] / 2)
     figures["processor seconds, two / one"] = two["processor seconds"] / one["processor seconds"]
+    figures["command, s a record"] = commanding()
     print(figures)
     write(figures, arguments.out)
 

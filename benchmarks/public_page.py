@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import statistics
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from benchmarks import against, pendulum
+from benchmarks.jax_settings import SETTINGS
 from benchmarks.sets import SETS, Benchmark
 from benchmarks.study import table
 from splitband.runtime.files import replacing
@@ -111,11 +112,12 @@ def _side_by_side(points: Points, out: Path) -> list[str]:
     if not points:
         return []
     said = {point["library"]: point["version"] for of in points.values() for point in of}
+    peers = [peer for peer in ("tsfast", "jax-sysid") if peer in said]
     parts = [
-        "## Training time, beside tsfast",
+        f"## Training time, beside {' and '.join(peers)}",
         "Error on the test files against CPU time of the training alone, measured side by side on "
         "one machine that did other work too, one process of one thread each; `python -m "
-        "benchmarks.against` with the extra `bench`. Both train on the whole training file, "
+        "benchmarks.against` with the extra `bench`. All train on the whole training file, "
         "the first 50 samples of a test file do not count, and nothing is chosen by it.",
         f"- tsfast {said.get('tsfast', '')}: `RNNLearner(dls, n_skip=50).fit_flat_cos(epochs)` "
         "with its own defaults, which are a GRU of 100 units that is told the input alone, and "
@@ -125,6 +127,7 @@ def _side_by_side(points: Points, out: Path) -> list[str]:
         "quarter of the training file, warmed up on the first 50 samples: "
         + "; ".join(_network(name) for name in points)
         + ". One training, looked at on its way.",
+        *_further(said),
         "What finding our network costs is not in these times, nor is what finding tsfast's "
         "defaults did. With all of it, the dotted lines of the picture are `splitband compare "
         f"--budget` from above, its minutes times {CORES} cores.",
@@ -134,6 +137,39 @@ def _side_by_side(points: Points, out: Path) -> list[str]:
         parts += [f"{SETS[name].title}:", _trainings(SETS[name], of_set)]
         parts += _with_search(SETS[name], found.get(name, {}), of_set)
     return [*parts, f"![Error over CPU time of the training]({out.name}/{AGAINST})"]
+
+
+def _further(said: Mapping[str, str]) -> list[str]:
+    """Describe the settings of the curves that are there beside the GRUs."""
+    listed = []
+    if "jax-sysid" in said:
+        sizes = "; ".join(
+            f"on {SETS[name].title} {s.states} states, {s.units} + {s.units} tanh units, `rho_th` "
+            f"{s.penalty:g}, {s.adam:,} iterations of Adam, then L-BFGS"
+            for name, s in SETTINGS.items()
+        )
+        listed.append(
+            f"- jax-sysid {said['jax-sysid']}: a state-space network that begins as its own linear "
+            f"model, trained on the whole record in one piece in float64: {sizes}. The state at "
+            "the beginning of a test file is estimated from its first samples by `learn_x0`. One "
+            "training, looked at on its way; time includes the linear model and compilation."
+        )
+    if against.STATE_SPACE in said:
+        sizes = "; ".join(
+            f"on {SETS[name].title} {states} states, {units} + {units} tanh units, windows of "
+            f"{window} samples, penalty {penalty:g}"
+            for name, (states, units, window, penalty) in against.STATES.items()
+        )
+        listed.append(
+            f"- {against.STATE_SPACE} {said[against.STATE_SPACE]}: `sb.StateSpace`, which begins "
+            f"as the linear model, trained by L-BFGS alone: {sizes}."
+        )
+    if against.SEARCHED in said:
+        listed.append(
+            f"- {against.SEARCHED} {said[against.SEARCHED]}: `compare` with its default methods "
+            "and so much work, on one core; time is that of the whole call."
+        )
+    return ["\n".join(listed)] if listed else []
 
 
 def _with_search(
@@ -192,6 +228,16 @@ def _trainings(benchmark: Benchmark, points: Iterable[against.Point]) -> str:
         for point in points
         for what, words in (("steps", "of Adam"), ("iterations", "of L-BFGS"))
         if what in point
+    ] + [
+        [
+            point["library"],
+            f"{point['cpu_seconds'] / 60:.2g}",
+            *_in_unit(benchmark, point["test_rmse"]),
+            str(point["seeds"]),
+            point["recommended"],
+        ]
+        for point in points
+        if "recommended" in point
     ]
     return _lines(["", "CPU minutes", *_heads(benchmark), "seeds", "steps"], rows)
 
@@ -280,8 +326,10 @@ def _over_time(points: Points, found: Found) -> Figure:
     )
     for axis, (name, i) in zip(axes[0], panels, strict=True):
         benchmark = SETS[name]
-        for library, label in (("tsfast", "tsfast's GRU"), ("splitband", "our GRU")):
+        for library, label in against.CURVES.items():
             of = [point for point in points[name] if point["library"] == library]
+            if not of:
+                continue
             errors = [benchmark.scale * point["test_rmse"][i] for point in of]
             axis.loglog([point["cpu_seconds"] / 60 for point in of], errors, "o-", label=label)
         budgets = sorted(minutes for minutes in found.get(name, {}) if minutes)
@@ -297,7 +345,7 @@ def _over_time(points: Points, found: Found) -> Figure:
         axis.xaxis.set_minor_formatter(NullFormatter())
         _for_errors(axis, benchmark)
     figure.tight_layout(rect=(0, 0.08, 1, 1))
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="lower center", ncols=3)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="lower center", ncols=6)
     return figure
 
 

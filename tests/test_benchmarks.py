@@ -105,8 +105,10 @@ def test_the_page_of_scaling_is_made_of_measured_costs(monkeypatch: pytest.Monke
     assert not [c for c in before + after if c.isdigit()]
     again = scaling.simulated(*scaling.costs())
     assert again["overhead, s"] == pytest.approx(facts["overhead, s"])
-    for commands, hours in again["hours, by commands and workers"].items():
-        assert facts["hours, by commands and workers"][commands] == pytest.approx(hours)
+    for what in ("hours", "idle"):
+        key = f"{what}, by records at once and workers"
+        for at_once, of_workers in again[key].items():
+            assert facts[key][at_once] == pytest.approx(of_workers)
 
 
 def test_the_model_of_a_queue_has_the_times_that_follow(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,14 +117,19 @@ def test_the_model_of_a_queue_has_the_times_that_follow(monkeypatch: pytest.Monk
     records = scaling.RECORDS // scaling._FEWER
     rounds = records * scaling.STAGES
     # One worker does one job after the other, whatever the order; the scheduler adds its part.
-    assert scaling.finished([3.0, 1.0], 0.0, 1, 1) == pytest.approx(4 * rounds)
-    assert scaling.finished([3.0, 1.0], 0.5, 1, 1) == pytest.approx(5 * rounds)
+    assert scaling.finished([3.0, 1.0], 0.0, 0.0, 1, 1) == pytest.approx((4 * rounds, 0))
+    assert scaling.finished([3.0, 1.0], 0.5, 0.0, 1, 1) == pytest.approx((5 * rounds, 0.2))
+    # The command reads a record before its jobs, and draws pictures after them.
+    assert scaling.finished([4.0], 0.0, 2.0, 1, 1)[0] == pytest.approx(4 * rounds + 2 * records)
     # With as many as there are jobs, a stage takes as long as its longest one.
-    assert scaling.finished([3.0, 1.0], 0.0, 2, 1) == pytest.approx(3 * rounds)
-    # Two commands keep two workers busy.
-    assert scaling.finished([3.0], 0.0, 2, 2) == pytest.approx(3 * rounds / 2)
-    # The scheduler alone: jobs that take no time.
-    assert scaling.finished([0.0] * 10, 0.01, 1000, 100) == pytest.approx(0.1 * rounds)
+    assert scaling.finished([3.0, 1.0], 0.0, 0.0, 2, 1) == pytest.approx((3 * rounds, 1 / 3))
+    # Two records at once keep two workers busy.
+    assert scaling.finished([3.0], 0.0, 0.0, 2, 2) == pytest.approx((3 * rounds / 2, 0))
+    # The scheduler alone, and the machine of the command alone: jobs that take no time.
+    alone = scaling.finished([0.0] * 10, 0.01, 0.0, 1000, 100)
+    assert alone[0] == pytest.approx(0.1 * rounds)
+    of_command = scaling.finished([0.0], 0.0, 4.0, 1000, 1000)
+    assert of_command[0] == pytest.approx(4 * records / scaling.COMMANDING, rel=0.1)
 
 
 def test_the_page_of_public_benchmarks_is_made_of_their_files(

@@ -65,6 +65,7 @@ SETTINGS = [
     bad(GRU + "--order 0", "order", "got 0"),
     bad(SPLIT + "--warmup 30", "warm-up", "30", "window"),
     bad(SPLIT + "--warmup 0", "warmup", "got 0"),
+    bad(SPLIT + "--warmup many", "--warmup", "a whole number of samples or auto", "got many"),
     bad(SPLIT + "--window 1", "window", "got 1"),
     bad(SPLIT + "--lr-milestones 20", "--lr-milestones", "EPOCH:RATE", "got 20"),
     bad(SPLIT + "--lr-milestones 20:fast", "--lr-milestones", "20:fast"),

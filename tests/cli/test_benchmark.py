@@ -11,6 +11,7 @@ import pytest
 
 from splitband.cli import cases, main
 from splitband.cli.comparing import Request
+from splitband.cli.worker_pool import cases_at_once
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.run import run
 from splitband.evaluation.work import Work
@@ -156,6 +157,41 @@ def test_given_again_it_computes_nothing_and_ends_with_the_same_table(
     for row in table(Path("out")).itertuples():
         line = next(line for line in said.splitlines() if line.startswith(f"│ {row.Index} "))
         assert ("failed" in line) if row.Index == "wrong" else (f"{row.error:.3g}" in line)
+
+
+def test_cases_at_once_have_the_numbers_of_one_after_the_other(
+    again: list[int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("list.csv").write_text("\n".join([*LIST.splitlines()[:2], LIST.splitlines()[3]]))
+    call(f"benchmark list.csv {OPTIONS.replace('--jobs 1', '--jobs 2')} --at-once 2", Path("side"))
+    said = capsys.readouterr().out
+    assert "2 cases at once, each on 1 of 2 cores" in said
+    assert "2 of 2" in said
+    assert again == []  # in other processes
+    found = table(Path("side"))
+    assert_same_tables(table(Path("out")).loc[["free", "wrong"]], found, "failed", "seconds")
+    assert "column 'absent' is unknown" in found.loc["wrong", "failed"]
+    predictions = Path("free") / "predictions.csv"
+    assert (Path("out") / predictions).read_bytes() == (Path("side") / predictions).read_bytes()
+    assert not [*Path("side").rglob(CHECKPOINTS)]
+
+
+@pytest.mark.parametrize(
+    ("cases", "cores", "asked", "commanding", "expected"),
+    [
+        (10, 2, None, None, 1),
+        (10, 16, None, None, 8),
+        (3, 16, None, None, 3),
+        (10, 2, 4, None, 4),
+        (3, 2, 4, None, 3),
+        (1000, 1000, None, 8, 32),
+        (1000, 4, None, 8, 2),
+    ],
+)
+def test_a_case_has_two_cores_unless_the_user_says_otherwise(
+    cases: int, cores: int, asked: int | None, commanding: int | None, expected: int
+) -> None:
+    assert cases_at_once(cases, cores, asked, commanding) == expected
 
 
 def test_what_decides_the_numbers_of_a_case_makes_it_anew(again: list[int]) -> None:

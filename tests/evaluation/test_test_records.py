@@ -45,6 +45,17 @@ def test_a_linear_system_is_known_from_another_record_and_its_first_samples() ->
     assert max(errors) < 1e-3 * float(np.std(TESTS[0].y))
 
 
+@pytest.mark.parametrize(
+    ("samples", "asked", "warmup"), [(500, {}, 50), (60, {}, 20), (60, {"warmup": 5}, 5)]
+)
+def test_a_warm_up_that_is_left_open_leaves_most_of_a_short_test_record(
+    samples: int, asked: dict[str, int], warmup: int
+) -> None:
+    setup = sb.Options(changes=asked)
+    found = sb.plan(driven(400, 0), methods=[sb.Mean()], tests=[driven(samples, 1)], setup=setup)
+    assert found.setup.settings.warmup == warmup
+
+
 def test_what_a_network_says_is_its_free_run_from_the_first_samples(usual: sb.Comparison) -> None:
     model = sb.Single(sb.GRU(4), settings=QUICK).fit(driven(TRAIN, 0), seed=1)
     for test, said in zip(TESTS, usual.runs["gru"][1].tests, strict=True):

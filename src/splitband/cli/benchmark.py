@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.table import Table
 
-from splitband.cli import in_words, naming, setups, showing
+from splitband.cli import clock, in_words, naming, setups, showing
 from splitband.cli.cases import COLUMNS, OVERALL, Case, read_cases
 from splitband.cli.comparing import Request, arguments, carried_out, planned, save
 from splitband.cli.options.groups import with_groups
@@ -20,12 +23,14 @@ from splitband.cli.options.simulators import Calibrate
 from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.output import refuse_inputs, replaced
 from splitband.cli.usage import usage
-from splitband.cli.worker_pool import WorkerPool, worker_pool
+from splitband.cli.worker_pool import WorkerPool, cases_at_once, worker_pool
 from splitband.report import benchmark as report
 from splitband.report import page, pictures, results
 from splitband.runtime.deadlines import now
 from splitband.runtime.files import CHECKPOINTS, replacing
 from splitband.runtime.outputs import staged, write_facts
+from splitband.runtime.processes import over
+from splitband.runtime.threads import available_cores
 
 
 @with_groups
@@ -56,6 +61,16 @@ def benchmark(
     calibrate: Calibrate = False,
     conditioned: Conditioned = False,
     cluster: Cluster = None,
+    at_once: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Cases at once, which share the cores.",
+            rich_help_panel="Time",
+            show_default="one for every two cores",
+        ),
+    ] = None,
 ) -> None:
     """Compare models of many records, and put them into one table.
 
@@ -82,12 +97,11 @@ def benchmark(
         naming.method_names(methods)
     setups.check_model_options(model)
     _check_out(out, listed, cases)
-    rows = []
     with worker_pool(jobs, cluster) as workers:
-        for number, case in enumerate(cases, 1):
-            row = _row(case, out / case.name, workers)
-            showing.console.print(f"{number} of {len(cases)}, {case.name}: {_in_short(row)}")
-            rows.append(row)
+        cores = workers.cores
+    commanding = None if cluster is None else available_cores()
+    side_by_side = cases_at_once(len(cases), cores, at_once, commanding)
+    rows = _rows(cases, out, side_by_side, _Workers(cores, cluster))
     _save(rows, out, {"command": context.info_name, "arguments": arguments(context.params)})
     _say(rows, out)
 
@@ -97,6 +111,61 @@ def _check_out(out: Path, listed: Path, cases: Sequence[Case]) -> None:
     inputs = {path: f"{listed}, case {case.name}" for case in cases for path in case.files.values()}
     targets = [path for case in cases for path in replaced("compare", out / case.name)]
     refuse_inputs(out, [*replaced("benchmark", out), *targets], inputs | {listed: "LIST"})
+
+
+@dataclass(frozen=True)
+class _Workers:
+    """The workers that all cases share.
+
+    Attributes
+    ----------
+    cores : Trainings at once, of all cases together.
+    cluster : Address of the scheduler whose workers they are; None for this machine.
+    """
+
+    cores: int
+    cluster: str | None
+
+
+def _rows(cases: Sequence[Case], out: Path, at_once: int, workers: _Workers) -> list[report.Row]:
+    """Compare all cases, so many at once; return their rows in the order of the list."""
+    share = replace(workers, cores=-(-workers.cores // at_once))
+    starting = None
+    if at_once > 1:
+        starting = clock.starting()
+        _silence_tracker()
+        showing.console.print(
+            f"{at_once} cases at once, each on {share.cores} of {workers.cores} cores"
+        )
+    rows: dict[str, report.Row] = {}
+    for row in over(partial(_compared, out, share, starting), cases, at_once):
+        rows[row.name] = row
+        showing.console.print(f"{len(rows)} of {len(cases)}, {row.name}: {_in_short(row)}")
+    return [rows[case.name] for case in cases]
+
+
+def _silence_tracker() -> None:
+    """Keep Python from warning on Ctrl-C of semaphores that ended processes have left.
+
+    Its resource tracker, which removes them, is a process that begins with this environment.
+    """
+    before = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [before, "ignore:resource_tracker"]))
+
+
+def _compared(
+    out: Path, share: _Workers, starting: float | None, case: Case, _: Callable[[Any], None]
+) -> report.Row:
+    """Compare one case, in this process or in one of those for cases (where `starting` is given).
+
+    `starting` is how many seconds the command took to load.
+    """
+    if starting is not None:
+        clock.begin_again(starting)
+        showing.say(quiet=True, json=False)
+    # A scheduler that is gone ends the command, not the case.
+    with worker_pool(None if share.cluster else share.cores, share.cluster) as workers:
+        return _row(case, out / case.name, replace(workers, cores=share.cores))
 
 
 def _row(case: Case, folder: Path, workers: WorkerPool) -> report.Row:

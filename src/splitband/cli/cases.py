@@ -176,6 +176,8 @@ def _value(column: str, cell: str) -> Any:
     if column in _SEVERAL:
         return [part.strip() for part in cell.split(";") if part.strip()]
     if column in ("train", "warmup"):
+        if (column, cell) == ("warmup", "auto"):
+            return None
         try:
             return int(cell)
         except ValueError:

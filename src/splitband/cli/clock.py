@@ -28,6 +28,12 @@ def loaded() -> None:
     _clock.loaded = now()
 
 
+def begin_again(starting: float) -> None:
+    """A part of a command begins in another process; the command took `starting` s to load."""
+    _clock.loaded = now()
+    _clock.began = _clock.loaded - starting
+
+
 def began() -> float:
     """Return when the command began."""
     return _clock.began or now()

@@ -32,6 +32,26 @@ class WorkerPool:
         return Work(self.cores, progress, checkpoints, executor=self.executor, time=time)
 
 
+CORES_OF_A_CASE = 2
+"""Cores that the work of a comparison is planned for by default (`evaluation.search`)."""
+PROCESSES_OF_A_CORE = 4
+"""Cases of a cluster for each core of this machine, which reads records and draws pictures."""
+
+
+def cases_at_once(cases: int, cores: int, asked: int | None, commanding: int | None = None) -> int:
+    """Return how many cases are compared side by side; each has a process, and its record in it.
+
+    Parameters
+    ----------
+    cases : There are so many.
+    cores : That carry out the trainings of all of them.
+    asked : By the user; None where nobody has.
+    commanding : Cores of the machine on which the processes are, where that is not the same one.
+    """
+    most = cores if commanding is None else PROCESSES_OF_A_CORE * commanding
+    return max(1, min(cases, asked or min(cores // CORES_OF_A_CASE, most)))
+
+
 @contextmanager
 def worker_pool(jobs: int | None, cluster: str | None) -> Iterator[WorkerPool]:
     """What --jobs and --cluster ask for."""

@@ -123,7 +123,7 @@ def plan(
     if train is None:
         train = len(record) if tests else int(TRAINING_SHARE * len(record))
     record, horizon = _reaching(record, train, horizon, bool(tests))
-    decided = (setup or Options()).decided(record, train, methods)
+    decided = (setup or Options()).decided(record, train, methods, tests)
     if seeds is not None:
         whole("seeds", seeds)
     if methods is None:

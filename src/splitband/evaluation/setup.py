@@ -53,7 +53,11 @@ class Setup:
         return forecaster
 
     def decided(
-        self, record: Record, train: int, methods: Sequence[Forecaster | str] | None = None
+        self,
+        record: Record,
+        train: int,
+        methods: Sequence[Forecaster | str] | None = None,
+        tests: Sequence[Record] = (),
     ) -> Setup:
         """Return this setup; raises ValueError where it is for another training part."""
         if train != self.train:
@@ -138,7 +142,11 @@ class Options:
     simulator: Adjustable | None = None
 
     def decided(
-        self, record: Record, train: int, methods: Sequence[Forecaster | str] | None = None
+        self,
+        record: Record,
+        train: int,
+        methods: Sequence[Forecaster | str] | None = None,
+        tests: Sequence[Record] = (),
     ) -> Setup:
         """Return the setup for a record of which only the first `train` samples are looked at.
 
@@ -146,22 +154,28 @@ class Options:
         ----------
         record, train : No measured sample after the first `train` is looked at.
         methods : What the setup is for, or names of it; by default `default_names`.
+        tests : Records to be simulated; a warm-up that is left open takes a third of the shortest
+            at most. Only their lengths are looked at.
         """
-        settings = self._settings(record[:train])
+        settings = self._settings(record[:train], tests)
         if methods is None:
             methods = default_names(record.y_sim is not None)
         bands = self._bands(record, train, settings, methods)
         sizes = Sizes() if self.recipe == "paper" else Sizes(hidden_high=32, hidden_low=16)
         return Setup(train, settings, bands, self.sizes or sizes, self._search(), self.simulator)
 
-    def _settings(self, training: Record) -> Settings:
+    def _settings(self, training: Record, tests: Sequence[Record]) -> Settings:
         """How networks are trained to begin with."""
         settings, said = self.settings or recipe_settings(self.recipe, training), {**self.changes}
         if "window" in said:
             said.setdefault("warmup", default_warmup(said["window"], settings.warmup))
         if "milestones" in said:
             said.setdefault("one_cycle", False)
-        return replace(settings, **said)
+        settings = replace(settings, **said)
+        if tests and self.settings is None and "warmup" not in self.changes:
+            shortest = default_warmup(min(map(len, tests)))
+            settings = replace(settings, warmup=min(settings.warmup, shortest))
+        return settings
 
     def _search(self) -> Search | None:
         decided = [*self.changes.keys() - {"warmup"}]

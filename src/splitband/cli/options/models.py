@@ -30,6 +30,16 @@ def _hertz(value: str) -> float:
     return hertz
 
 
+def _samples(value: str) -> int | None:
+    """A number of samples; None is auto."""
+    if value == "auto":
+        return None
+    try:
+        return int(value)
+    except ValueError:
+        raise typer.BadParameter("must be a whole number of samples or auto") from None
+
+
 Cutoff = Annotated[
     float | None,
     typer.Option(
@@ -69,10 +79,11 @@ Conditioned = Annotated[
 Warmup = Annotated[
     int | None,
     typer.Option(
+        parser=_samples,
         help="Measured samples that start a simulation.",
-        metavar="R",
+        metavar="R|auto",
         rich_help_panel=_TRAINING,
-        show_default="up to 50",
+        show_default="auto, up to 50",
     ),
 ]
 Window = Annotated[
