@@ -3,10 +3,11 @@
     python -m benchmarks.public [--sets tanks,silverbox] [--budgets 0,1,2,5,10] [--jobs 2]
     python -m benchmarks.public --no-run
 
-Everything is fitted and chosen on the training file alone; each test file is warmed up on its first
-50 samples and simulated to its end. A budget of 0 is that of `splitband compare` without --budget,
-the others are minutes of two cores. Results that are there already are not computed again, and what
-was cut off goes on; the page docs/results/benchmarks.md is made of them.
+Everything is fitted and chosen on the training file alone; of each test file the first samples are
+known, 50 unless a set says otherwise, and the rest is simulated. A budget of 0 is that of
+`splitband compare` without --budget, the others are minutes of two cores. Results that are there
+already are not computed again, and what was cut off goes on; the page docs/results/benchmarks.md is
+made of them.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ def measure(benchmark: Benchmark, minutes: float, jobs: int, checkpoints: Path) 
     """What one budget comes to: the command's results, and how long it took."""
     record = load(benchmark.training)
     tests = [load(test) for test in benchmark.tests]
-    setup = Options().decided(record, len(record))
+    setup = Options(changes={"warmup": benchmark.warmup}).decided(record, len(record))
     if minutes:
         setup = replace(setup, search=Search(FOR_TRAINING * 60 * minutes * CORES))
     began = time.perf_counter()

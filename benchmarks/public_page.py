@@ -57,9 +57,9 @@ def made(out: Path) -> str:
     parts = [
         "# Public benchmarks",
         "Free runs over test files that nothing was fitted to or chosen by: fitted and chosen on "
-        "the training file, warmed up on the first 50 samples of each test file, simulated to its "
-        "end; RMSE of the mean over seeds. `python -m benchmarks.public` makes this page. Other "
-        "scores are those that their authors published.",
+        "the training file, warmed up on the first samples of each test file (50 unless said "
+        "otherwise), simulated to its end; RMSE of the mean of all trainings. `python -m "
+        "benchmarks.public` makes this page. Other scores are those that their authors published.",
         "A budget is reckoned in seconds of a reference core: "
         f"{', '.join(_reckoned(found))}. In minutes, of two cores, a fifth is kept for other work "
         f"than networks{_default_in_minutes(found)}. The command times a gradient first, and "

@@ -76,7 +76,7 @@ WITH_INPUTS: dict[str, Callable[[], sb.Forecaster]] = {
     "residual of linear": lambda: sb.Residual(
         sb.Linear(), sb.GRU(5), conditioned=True, settings=SHORT
     ),
-    "ensemble": lambda: sb.Ensemble(sb.Single(sb.GRU(4), SHORT), 2),
+    "ensemble": lambda: sb.Ensemble([sb.Single(sb.GRU(4), SHORT), sb.Single(sb.GRU(3), SHORT)]),
 }
 WITHOUT: dict[str, Callable[[], sb.Forecaster]] = {
     "seasonal-naive": sb.SeasonalNaive,

@@ -84,11 +84,11 @@ def test_it_is_trained_as_the_search_has_found() -> None:
     setup = replace(Options().decided(record(), TRAIN), settings=SETTINGS, search=sb.Search(8.0))
     result = sb.compare(record(), methods=[sb.Single(GRU(4))], setup=setup)
     model = result.forecaster()
-    member = model.member if isinstance(model, sb.Ensemble) else model
-    assert isinstance(member, sb.Single)
+    members = model.templates if isinstance(model, sb.Ensemble) else [model]
     # The last training may be longer than any trial.
     said = [each.training.rpartition(", ")[0] for each in result.attempts]
-    assert member.training_in_words().rpartition(", ")[0] in said
+    assert {each.training_in_words().rpartition(", ")[0] for each in members} <= {*said}
+    assert len(members) == len(result.runs["gru"])
 
 
 def test_what_was_not_compared_is_not_handed_out() -> None:

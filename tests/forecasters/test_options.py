@@ -34,6 +34,7 @@ MADE: dict[str, Forecaster] = {
     ),
     "some seeds": sb.Ensemble(sb.Single(sb.GRU(5), SETTINGS), seeds=(0, 2)),
     "several": sb.Ensemble(sb.Single(sb.GRU(5), SETTINGS), 4),
+    "several kinds": sb.Ensemble([sb.Single(sb.GRU(5), SETTINGS), sb.Single(sb.GRU(7))]),
 }
 
 

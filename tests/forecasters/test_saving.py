@@ -40,6 +40,9 @@ MADE: dict[str, Callable[[], sb.Forecaster]] = {
     "rnn": lambda: sb.Single(sb.EulerMLP(hidden_size=4, recognition_size=3, step_size=0.1), SHORT),
     "split": lambda: sb.Split(sb.GRU(2), sb.GRU(3), filter_output=True, settings=SHORT),
     "filtered": lambda: sb.Filtered(sb.Linear(), sb.GRU(2), conditioned=True, settings=SHORT),
+    "networks of different sizes": lambda: sb.Ensemble(
+        [sb.Single(sb.GRU(2), SHORT), sb.Single(sb.GRU(3), SHORT)]
+    ),
     "seeds of a residual of a network": lambda: sb.Ensemble(
         sb.Residual(sb.Single(sb.GRU(2), SHORT), sb.GRU(3), settings=SHORT), 2
     ),

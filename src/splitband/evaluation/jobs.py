@@ -201,18 +201,19 @@ def failed_seeds(
     Parameters
     ----------
     reports : Of their fits, by seed.
-    errors : Of their simulations of the training record.
+    errors : Of their simulations of the training record; by default their last training losses,
+        which can be compared where all are trained alike.
     """
     stable = [seed for seed, report in reports.items() if report.stable]
     failed = dict.fromkeys(reports.keys() - stable, "it is unstable, and may grow without bound")
     if not stable:
         failed, stable = {}, [*reports]
-    losses = {seed: training_loss(report) for seed, report in reports.items()}
-    for kind in (losses, errors or {}):
-        least = min((kind[seed] for seed in stable if seed in kind), default=0.0)
-        for seed in stable:
-            if least and seed not in failed and kind.get(seed, 0.0) > FAILED * least:
-                failed[seed] = f"training error {kind[seed] / least:.3g} times the lowest"
+    if errors is None:
+        errors = {seed: training_loss(report) for seed, report in reports.items()}
+    least = min((errors[seed] for seed in stable), default=0.0)
+    for seed in stable:
+        if least and errors[seed] > FAILED * least:
+            failed[seed] = f"training error {errors[seed] / least:.3g} times the lowest"
     return failed if len(failed) < len(reports) else {}
 
 

@@ -96,7 +96,7 @@ class SavedSettings:
     def of_forecaster(cls, forecaster: Forecaster) -> SavedSettings | None:
         """How a network of a known name is trained; None for everything else.
 
-        Of a mean over seeds it is that of each member.
+        Of a mean of several it is that of the first member.
         """
         network = forecaster.of_one_seed.network
         if network is None or network.settings is None:

@@ -70,7 +70,8 @@ KEPT = 0.5
 WORSE = 1.1
 """A candidate whose error is above this multiple of what it was a round before does not go on."""
 MAX_ERROR_RATIO = 2.0
-"""A candidate does not go on if its error is above this multiple of the lowest of all."""
+"""A candidate does not go on, and a training is not in the mean that is handed out, if its error is
+above this multiple of the lowest one."""
 GOOD = 1.5
 """A method whose error is at most this multiple of the lowest one gets more than one seed, as far
 as the budget allows."""
@@ -207,6 +208,7 @@ class TrainingCandidate:
     score : RMSE of the mean of its seeds on the held-out samples; None where it failed or has not
         been tried.
     done : Forecasts of the held-out samples, by seed.
+    began_as : Label of the candidate that it goes on from.
     """
 
     method: str
@@ -214,6 +216,7 @@ class TrainingCandidate:
     rung: int = -1
     score: float | None = None
     done: Mapping[int, Backtest] = field(default_factory=dict)
+    began_as: str = ""
 
     @property
     def label(self) -> str:
@@ -231,13 +234,38 @@ class TrainingCandidate:
         if not 0 <= self.rung < len(LADDER) - 1:
             return None
         settings = replace(self.settings, quasi_newton=LADDER[self.rung + 1])
-        return TrainingCandidate(self.method, self.going_on(settings), self.rung + 1, self.score)
-
-    def going_on(self, settings: Settings) -> Network:
-        """Return the network with other settings, which goes on from where it is."""
         weights = {seed: done.weights for seed, done in self.done.items()}
         earlier = Earlier(self.settings.quasi_newton or 0, weights)
-        return self.network.trained_as(settings).going_on(earlier)
+        network = self.network.trained_as(settings).going_on(earlier)
+        began_as = self.began_as or self.label
+        return replace(self, network=network, rung=self.rung + 1, done={}, began_as=began_as)
+
+
+@dataclass(frozen=True, eq=False)
+class TrialRun:
+    """One seed of a candidate that has been trained.
+
+    Attributes
+    ----------
+    candidate : Whose it is.
+    done : Its forecasts of the held-out samples.
+    score : Their RMSE.
+    key : What it has in common with the same training after other rounds.
+    """
+
+    candidate: TrainingCandidate
+    done: Backtest
+    score: float
+    key: tuple[str, int]
+
+    def going_on(self, iterations: int, seed: int) -> Network:
+        """Return the network, trained for more iterations, with these weights for a seed."""
+        settings = self.candidate.settings
+        trained = settings.quasi_newton or 0
+        network = self.candidate.network.trained_as(
+            replace(settings, quasi_newton=trained + iterations)
+        )
+        return network.going_on(Earlier(trained, {seed: self.done.weights}))
 
 
 def search(
@@ -276,23 +304,27 @@ def search(
     ladder += trials.run(others_first, FIRST_ROUND + OF_OTHERS)
     while ladder:
         ladder = trials.run([c for each in trials.promoted(ladder) if (c := each.longer())], 1.0)
-    chosen = {f.name: trials.best(f.name) for f in tunable}
+    most = max(MOST_SEEDS, round(MOST_SEEDS * budget.core_seconds / SEEDS_GROW_FROM))
+    best = {f.name: runs for f in tunable if (runs := trials.best(f.name, most))}
+    left = budget.core_seconds - trials.spent
+    last = {name: trials.last(runs, left) for name, runs in best.items()}
+    chosen = {name: networks[0] for name, networks in last.items()}
+    for name, networks in last.items():
+        chosen[name].by_seed = dict(enumerate(networks[1:], 1))
     if work.time.cut and not trials.tried:  # there is no time to try anything: what is done soonest
         soonest = [min(each, key=trials.cost) for each in (first, *rest)]
-        chosen = {each.method: each for each in soonest}
-    left = budget.core_seconds - trials.spent
-    last = {name: trials.last(c, left) for name, c in chosen.items() if c is not None}
+        chosen = {each.method: each.network for each in soonest}
     return SearchResult(
-        [last.get(f.name, f) for f in forecasters],
+        [chosen.get(f.name, f) for f in forecasters],
         tuple(trials.attempts),
-        {name: c.done for name, c in chosen.items() if c is not None},
-        {name: training_cost(f.going_on(Earlier()), record, others) for name, f in last.items()},
+        {name: {i: run.done for i, run in enumerate(runs)} for name, runs in best.items()},
+        {name: training_cost(f.going_on(Earlier()), record, others) for name, f in chosen.items()},
         {
-            name: (len(f.earlier.weights), training_cost(f, record, others))
-            for name, f in last.items()
+            name: (len(each), sum(training_cost(f, record, others) for f in each) / len(each))
+            for name, each in last.items()
         },
         left,
-        max(MOST_SEEDS, round(MOST_SEEDS * budget.core_seconds / SEEDS_GROW_FROM)),
+        most,
     )
 
 
@@ -354,6 +386,8 @@ class _Trials:
         self.attempts: list[SearchAttempt] = []
         self.tried: list[TrainingCandidate] = []
         """Those that could be trained."""
+        self.runs: list[TrialRun] = []
+        """All of their seeds."""
         self.spent = 0.0
         self._rounds = 0
 
@@ -406,6 +440,10 @@ class _Trials:
         before, scored = candidate.score, replace(candidate, score=score, done=done)
         if score is not None:
             self.tried.append(scored)
+        began_as = candidate.began_as or candidate.label
+        for seed, each in done.items():
+            own = held_out_score(self._record, [each])
+            self.runs.append(TrialRun(scored, each, own, (began_as, seed)))
         worse = score is None or (before is not None and score > WORSE * before)
         return replace(scored, rung=-1) if worse else scored
 
@@ -416,27 +454,40 @@ class _Trials:
         able = able[: math.ceil(KEPT * len(able))]
         return [c for c in able if c.rung >= 0 and (c.score or 0.0) <= MAX_ERROR_RATIO * lowest]
 
-    def best(self, method: str) -> TrainingCandidate | None:
-        """Return the candidate of a method with the lowest error."""
-        of_method = [c for c in self.tried if c.method == method]
-        return min(of_method, key=lambda c: c.score or 0.0, default=None)
+    def best(self, method: str, most: int) -> list[TrialRun]:
+        """Return the trainings of a method whose mean is handed out, the best one first.
 
-    def last(self, candidate: TrainingCandidate, left: float) -> Network:
-        """Return the network for the last training, which goes on from the trial.
-
-        Where longer trials were better, and the budget alone has ended them, it is longer.
+        Of the same training after several rounds it is the better one.
         """
-        settings, trained = candidate.settings, candidate.settings.quasi_newton
-        if not trained or not candidate.done:
-            return candidate.network
-        more = max(round(SETTLING * trained), 1)
+        distinct: dict[tuple[str, int], TrialRun] = {}
+        for run in sorted(self.runs, key=lambda run: run.score):
+            if run.candidate.method == method:
+                distinct.setdefault(run.key, run)
+        lowest = min((run.score for run in distinct.values()), default=0.0)
+        good = [run for run in distinct.values() if run.score <= MAX_ERROR_RATIO * lowest]
+        return good[:most]
+
+    def last(self, runs: Sequence[TrialRun], left: float) -> list[Network]:
+        """Return a network for each last training, which goes on from the trial.
+
+        Where longer trials were better, and the budget alone has ended them, those of the best
+        candidate are longer.
+        """
         newest = max(self.tried, key=lambda c: c.settings.quasi_newton or 0)
-        if candidate.label == newest.label and candidate.rung >= 0:
-            one = candidate.going_on(replace(settings, quasi_newton=trained + 1))
-            each = training_cost(one, self._record, self._others)
-            pays = int(LAST * left / (len(candidate.done) * max(each, 1e-9)))
-            more = max(more, min((LONGER - 1) * trained, pays))
-        return candidate.going_on(replace(settings, quasi_newton=trained + more))
+        networks = []
+        for seed, run in enumerate(runs):
+            candidate, trained = run.candidate, run.candidate.settings.quasi_newton
+            if not trained:
+                networks.append(candidate.network)
+                continue
+            more = max(round(SETTLING * trained), 1)
+            if candidate.label == runs[0].candidate.label == newest.label and candidate.rung >= 0:
+                each = training_cost(run.going_on(1, seed), self._record, self._others)
+                alike = sum(other.candidate.label == candidate.label for other in runs)
+                pays = int(LAST * left / (alike * max(each, 1e-9)))
+                more = max(more, min((LONGER - 1) * trained, pays))
+            networks.append(run.going_on(more, seed))
+        return networks
 
     def _span(self, spent: float) -> tuple[float, float]:
         """The shares of the command that are done before and after the next trials."""

@@ -125,14 +125,14 @@ def backtest(
 
     `seed`, `progress` and `checkpoint` are those of `Forecaster.fit`.
     """
-    record, end = question.record, question.end
+    record, end, one = question.record, question.end, forecaster.for_seed(seed)
     predictions: dict[Origin, Prediction] = {}
     unfiltered: dict[Origin, Mapping[str, Array]] = {}
     cut = False
     last: Forecaster | None = None
     for samples, of_fit in groupby(question.origins, key=lambda origin: origin.fitted):
         try:
-            fitted = forecaster.clone().fit(
+            fitted = one.clone().fit(
                 record[:samples],
                 *question.others,
                 seed=seed,

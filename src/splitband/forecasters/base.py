@@ -88,6 +88,10 @@ class Forecaster(Configurable):
         """Return what is known of the fitted parameters of its simulator, as JSON can hold it."""
         return {}
 
+    def for_seed(self, seed: int) -> Forecaster:
+        """Return the forecaster that is fitted with a seed."""
+        return self.by_seed.get(seed, self)
+
     @property
     def of_one_seed(self) -> Forecaster:
         """Return what is averaged, of a mean over seeds; else itself."""
@@ -374,7 +378,8 @@ class Forecaster(Configurable):
         Of the training record that is the end, on which a forecast warms up.
         """
         end = None if self.fitted is None else self.fitted.end(self.first_needed())
-        return {**vars(self), "fitted": end}
+        kept = {name: value for name, value in vars(self).items() if name != "by_seed"}
+        return {**kept, "fitted": end}
 
     @classmethod
     def from_dict(cls, found: dict[str, Any]) -> Self:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeGuard
 
 import torch
@@ -51,12 +52,15 @@ class Configurable(Written, ABC):
     settings : How its networks are trained; None where that is open, or there is nothing to train.
     words : What it is, where that is the same for all of its class; see `in_words`.
     slow_part : What it is as a hybrid's slow part, likewise; see `as_base`.
+    by_seed : What is fitted in its place with some seeds, as networks of other sizes and settings;
+        not saved.
     """
 
     cells: ClassVar[tuple[str, ...]] = ()
     settings: Settings | None = None
     words: ClassVar[str] = ""
     slow_part: ClassVar[str] = ""
+    by_seed: Mapping[int, Forecaster] = MappingProxyType({})
 
     @property
     @abstractmethod
@@ -142,8 +146,10 @@ class Configurable(Written, ABC):
 
     def with_parts(self, changed: Callable[[Forecaster], Forecaster]) -> Self:
         """Return it with each of its parts changed; itself where it has none."""
-        parts = {name: changed(part) for name, part in parts_of(self).items()}
-        return self.clone().set_params(**parts) if parts else self
+        if not parts_of(self):
+            return self
+        options = {name: _with_parts(value, changed) for name, value in self.get_params().items()}
+        return self.clone().set_params(**options)
 
     def prepare(
         self,
@@ -189,11 +195,19 @@ class Configurable(Written, ABC):
 
     def clone(self) -> Self:
         """Return a new forecaster with the same options, not fitted."""
-        return self._made({name: _cloned(value) for name, value in self.get_params().items()})
+        return self._made(
+            {
+                name: _with_parts(value, lambda part: part.clone())
+                for name, value in self.get_params().items()
+            }
+        )
 
     def _made(self, params: dict[str, Any]) -> Self:
         """Return a forecaster of the same class with these options."""
-        return type(self)(**params)
+        new = type(self)(**params)
+        if self.by_seed:
+            new.by_seed = self.by_seed
+        return new
 
     def _become(self, other: Self, kept: dict[str, Any]) -> None:
         """Take over all attributes of another one but those that are kept."""
@@ -202,17 +216,26 @@ class Configurable(Written, ABC):
 
 
 def parts_of(forecaster: Configurable) -> dict[str, Forecaster]:
-    """Return the options of a forecaster that are forecasters themselves, by name."""
-    options = forecaster.get_params()
-    return {name: value for name, value in options.items() if _is_forecaster(value)}
+    """Return the options of a forecaster that are forecasters themselves, by name.
+
+    Those of a list are numbered.
+    """
+    found: dict[str, Forecaster] = {}
+    for name, option in forecaster.get_params().items():
+        several = isinstance(option, list | tuple)
+        parts = (
+            {f"{name}.{i}": part for i, part in enumerate(option)} if several else {name: option}
+        )
+        found |= {at: part for at, part in parts.items() if _is_forecaster(part)}
+    return found
 
 
-def _cloned(option: Any) -> Any:
-    """Return an option of a clone: forecasters are cloned in turn, everything else is shared."""
+def _with_parts(option: Any, changed: Callable[[Forecaster], Forecaster]) -> Any:
+    """Return an option with the forecasters in it changed; everything else is shared."""
     if _is_forecaster(option):
-        return option.clone()
+        return changed(option)
     if type(option) in (list, tuple):
-        return type(option)(_cloned(part) for part in option)
+        return type(option)(_with_parts(part, changed) for part in option)
     return option
 
 

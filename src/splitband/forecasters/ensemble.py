@@ -1,4 +1,4 @@
-"""Forecast by the mean of several seeds."""
+"""Forecast by the mean of several trainings."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ from splitband.training import Progress
 
 @final
 class Ensemble(Forecaster):
-    """Average several of one kind, each fitted with a seed of its own.
+    """Average several forecasters, each fitted with a seed of its own.
 
     Parameters
     ----------
-    member : What each of them is.
+    member : What each of them is; or a list of what the first one is, the second one, ..., whose
+        sizes and settings may differ.
     count : How many; with the seed s they are fitted with the seeds `s * count`, `s * count + 1`,
         ..., so that the ensembles of two seeds share no member.
     name : By default that of the member.
@@ -43,16 +44,25 @@ class Ensemble(Forecaster):
 
     def __init__(
         self,
-        member: Forecaster,
+        member: Forecaster | Sequence[Forecaster],
         count: int = 3,
         name: str | None = None,
         seeds: Sequence[int] | None = None,
     ) -> None:
+        if not isinstance(member, Forecaster):
+            member = [*member]
+            count = len(member)
+            if not count:
+                raise ValueError("member must be a forecaster or several, got none")
         if seeds is not None:
             seeds = [whole("seeds", seed, None) for seed in seeds]
             count = len(seeds)
             if count < 1 or min(seeds) < 0 or len(set(seeds)) < count:
                 raise ValueError(f"seeds must be different numbers from 0 on, got {[*seeds]}")
+            if isinstance(member, list) and len(member) != count:
+                raise ValueError(
+                    f"seeds must be one for each of {len(member)} members, got {seeds}"
+                )
         count = whole("count", count)
         self.member, self.count, self._name = member, count, name
         self._seeds = None if seeds is None else tuple(seeds)
@@ -60,12 +70,24 @@ class Ensemble(Forecaster):
 
     @classmethod
     def of(cls, members: Sequence[Forecaster]) -> Ensemble:
-        """Return the mean of forecasters of one kind that have been fitted to the same records."""
+        """Return the mean of forecasters that have been fitted to the same records."""
         seeds = [member.require_fitted().report.seed for member in members]
-        usual = seeds == [*range(len(seeds))]
-        ensemble = cls(members[0].clone(), len(members), seeds=None if usual else seeds)
+        ensemble = cls.unfitted([member.clone() for member in members], seeds)
         ensemble._take(members, 0)
         return ensemble
+
+    @classmethod
+    def unfitted(cls, members: Sequence[Forecaster], seeds: Sequence[int]) -> Ensemble:
+        """Return the mean of forecasters that are to be fitted with these seeds."""
+        alike = len({repr(member) for member in members}) == 1
+        usual = [*seeds] == [*range(len(seeds))]
+        of = members[0] if alike else members
+        return cls(of, len(members), seeds=None if usual else seeds)
+
+    @property
+    def templates(self) -> list[Forecaster]:
+        """Return what each member is, not fitted."""
+        return [self.member] * self.count if isinstance(self.member, Forecaster) else [*self.member]
 
     def _take(self, members: Sequence[Forecaster], seed: int) -> None:
         """Become the mean of fitted members."""
@@ -84,13 +106,15 @@ class Ensemble(Forecaster):
 
     @property
     def of_one_seed(self) -> Forecaster:
-        """Return what each member is."""
-        return self.member
+        """Return what is fitted, with the seed of a member, as that member is."""
+        one = self.templates[0].clone()
+        one.by_seed = dict(zip(self.seeds, self.templates, strict=True))
+        return one
 
     @property
     def name(self) -> str:
         """Return the name that it was given, or the members'."""
-        return self._name or self.member.name
+        return self._name or self.templates[0].name
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -100,7 +124,7 @@ class Ensemble(Forecaster):
     @property
     def warmup(self) -> int:
         """Return that of the members."""
-        return max([m.warmup for m in self.members], default=self.member.warmup)
+        return max([m.warmup for m in self.members], default=self.templates[0].warmup)
 
     def to(self, device: str | torch.device) -> Self:
         """Train and run the members' networks on this device from now on."""
@@ -121,16 +145,16 @@ class Ensemble(Forecaster):
         return min(member.first_needed() for member in self.members)
 
     def in_words(self) -> str:
-        """Return what the members are."""
-        return self.member.in_words()
+        """Return what the first member is."""
+        return self.templates[0].in_words()
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the members, each with a checkpoint of its own beside the one given."""
         seed, progress, checkpoint = how["seed"], how["progress"], how["checkpoint"]
-        for i, of_first in enumerate(self.seeds):
+        for i, (template, of_first) in enumerate(zip(self.templates, self.seeds, strict=True)):
             of_member = None if checkpoint is None else checkpoint.numbered(i)
             watch = None if progress is None else _shifted(progress, i, self.count)
-            member = self.member.clone()
+            member = template.clone()
             own = seed * (max(self.seeds) + 1) + of_first
             member.fit(*records, seed=own, progress=watch, checkpoint=of_member)
             self.members.append(member)
@@ -170,8 +194,7 @@ def over_seeds(forecaster: Forecaster, seeds: Sequence[int]) -> Forecaster:
     """Return the forecaster of these seeds, not fitted: what is random is the mean over them."""
     if not forecaster.random or [*seeds] == [0]:
         return forecaster.clone()
-    usual = [*seeds] == [*range(len(seeds))]
-    return Ensemble(forecaster.clone(), len(seeds), seeds=None if usual else seeds)
+    return Ensemble.unfitted([forecaster.for_seed(seed).clone() for seed in seeds], seeds)
 
 
 def _shifted(
