@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import shutil
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,9 +33,10 @@ def measure(benchmark: Benchmark, minutes: float, jobs: int, checkpoints: Path) 
     """What one budget comes to: the command's results, and how long it took."""
     record = load(benchmark.training)
     tests = [load(test) for test in benchmark.tests]
-    setup = Options(changes={"warmup": benchmark.warmup}).decided(record, len(record))
-    if minutes:
-        setup = replace(setup, search=Search(FOR_TRAINING * 60 * minutes * CORES))
+    # As work, and not as time: the errors do not depend on what else the machine does.
+    effort = Search(FOR_TRAINING * 60 * minutes * CORES) if minutes else Search()
+    options = Options(changes={"warmup": benchmark.warmup}, search=effort)
+    setup = options.decided(record, len(record))
     began = time.perf_counter()
     comparison = sb.compare(
         record, tests=tests, setup=setup, train=len(record), work=Work(jobs, None, checkpoints)

@@ -78,7 +78,7 @@ def seen(value: object) -> Any:
         return type(value), [getattr(value, name, None) for name in sizes]
     if isinstance(value, Forecaster):
         return type(value), {k: seen(v) for k, v in vars(value).items()}
-    return list(value) if isinstance(value, tuple) else value
+    return [seen(part) for part in value] if isinstance(value, list | tuple) else value
 
 
 @pytest.mark.parametrize("name", MADE)
