@@ -1,0 +1,139 @@
+"""Whose mean is handed out: the seeds of the best setting, or the best trainings of all settings.
+
+    python -m benchmarks.members [--systems ...] [--seeds 100 101] [--parts FOLDER]
+
+State-space networks of eight settings, two seeds each, are trained on three quarters of a short
+driven record (`benchmarks.driven`) and scored on the rest, as the search does; all go on on the
+whole of it and simulate the test record. Writes docs/benchmarks/members.json: errors there as
+shares of its deviation, by what the mean is made of. Trainings are kept in FOLDER.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+import splitband as sb
+from benchmarks.driven import SYSTEMS, drawn
+from splitband.forecasters.beginning import Earlier
+from splitband.runtime.files import write_json
+from splitband.training import Settings
+
+Array = npt.NDArray[np.float64]
+SAMPLES, SEEDS, WARMUP = 400, 2, 50
+TRIED, LAST = 400, 500
+"""Iterations of L-BFGS in the trial, and after the training that goes on from it."""
+
+
+def ways(samples: int) -> dict[str, tuple[sb.StateSpace, Settings]]:
+    """Return the settings, by what they are called."""
+    usual = Settings.of(samples)
+    window = min(usual.warmup + 150, usual.window)
+    base = replace(usual, window=window, epochs=0, quasi_newton=TRIED, penalty=1e-4)
+    adam = max(1, round(300 / base.batches_of(samples)))
+    small = sb.StateSpace(4, 10)
+    return {
+        "no penalty": (small, replace(base, penalty=0.0)),
+        "penalty 1e-4": (small, base),
+        "penalty 1e-3": (small, replace(base, penalty=1e-3)),
+        "whole record": (small, replace(base, window=3 * samples // 4)),
+        "2 states": (sb.StateSpace(2, 10), base),
+        "6 states": (sb.StateSpace(6, 15), base),
+        "20 units": (sb.StateSpace(4, 20), base),
+        "random weights": (small, replace(base, epochs=adam, linear_start=False)),
+    }
+
+
+def trained(name: str, seed: int) -> dict[str, Array]:
+    """Train every way with every seed; return forecasts of the held-out and of the test samples."""
+    record, test = drawn(name, seed, SAMPLES)
+    fitted = 3 * SAMPLES // 4
+    origins = [fitted + i * (SAMPLES - fitted) // 3 for i in range(3)]
+    assert record.u is not None
+    assert test.u is not None
+    found = {
+        "held": np.concatenate([record.seen[o:].ravel() for o in origins]),
+        "test": test.y.ravel()[WARMUP:],
+        "scale": np.array([record.seen.std(), test.y.std()]),
+    }
+    for way, (cell, settings) in ways(SAMPLES).items():
+        for s in range(SEEDS):
+            tried = sb.Single(cell, settings=settings).fit(record[:fitted], seed=s)
+            ahead = [
+                tried.predict(SAMPLES - o, history=record[:o], u=record.u[o:]).y for o in origins
+            ]
+            window = SAMPLES if way == "whole record" else settings.window
+            more = replace(settings, quasi_newton=LAST, window=window)
+            last = sb.Single(cell, settings=more).going_on(Earlier(TRIED, {s: tried.state()}))
+            last.fit(record, seed=s)
+            stable = last.require_fitted().report.stable
+            y = last.predict(
+                len(test) - WARMUP, history=test[:WARMUP], u=test.u[WARMUP:], other_record=True
+            ).y
+            found[f"held|{way}|{s}"] = np.concatenate([each.ravel() for each in ahead])
+            found[f"test|{way}|{s}"] = y.ravel() if stable else np.full(len(y), np.nan)
+    return found
+
+
+def errors(found: dict[str, Array]) -> dict[str, float]:
+    """Return the test errors of means of several kinds."""
+    every = [
+        tuple(key.split("|")[1:])
+        for key in found
+        if key.startswith("test|") and np.isfinite(found[key]).all()
+    ]
+
+    def error(part: str, runs: list[tuple[str, ...]]) -> float:
+        mean = np.mean([found["|".join([part, *run])] for run in runs], axis=0)
+        scale = found["scale"][0 if part == "held" else 1]
+        return float(np.sqrt(np.mean((mean - found[part]) ** 2)) / scale)
+
+    by_way = {way: [run for run in every if run[0] == way] for way, _ in every}
+    ranked = sorted(every, key=lambda run: error("held", [run]))
+    lowest = error("held", ranked[:1])
+    said = {"seeds of the best setting": error("test", min(
+        by_way.values(), key=lambda runs: error("held", runs)
+    ))}  # fmt: skip
+    for most in (4, 8, 16):
+        for ratio in (1.5, 2.0, 3.0):
+            good = [run for run in ranked if error("held", [run]) <= ratio * lowest]
+            said[f"best {most} within {ratio:g} times the lowest"] = error("test", good[:most])
+    return said
+
+
+def main() -> None:
+    """Train what is not there yet, and print the geometric means over the records."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--systems", nargs="*", default=[*SYSTEMS], choices=[*SYSTEMS])
+    parser.add_argument("--seeds", nargs="*", type=int, default=[100, 101])
+    parser.add_argument("--parts", type=Path, default=Path("/tmp/members"))
+    parser.add_argument("--out", type=Path, default=Path("docs/benchmarks/members.json"))
+    given = parser.parse_args()
+    given.parts.mkdir(parents=True, exist_ok=True)
+    warnings.simplefilter("ignore", sb.ExtrapolationWarning)
+    records = {}
+    for seed in given.seeds:
+        for name in given.systems:
+            path = given.parts / f"{name}-{seed}.npz"
+            if not path.exists():
+                np.savez(path, **trained(name, seed))  # type: ignore[arg-type]
+            with np.load(path) as file:
+                records[f"{name}, seed {seed}"] = errors(dict(file))
+            print(path.stem, records[f"{name}, seed {seed}"], flush=True)
+    means = {
+        kind: statistics.geometric_mean(of[kind] for of in records.values())
+        for kind in next(iter(records.values()))
+    }
+    write_json(given.out, {"samples": SAMPLES, "means": means, "records": records})
+    for kind, mean in means.items():
+        print(f"{kind}: {mean:.4f}")
+
+
+if __name__ == "__main__":
+    main()
