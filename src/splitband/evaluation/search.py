@@ -59,8 +59,8 @@ FREE_RUN, FREE_RUNS = 150, (100, 50)
 the longest windows are the recipe's."""
 SHORT = 3000
 """Samples of a record up to which windows of all of it are tried, too."""
-PENALTY = 1e-4
-"""The penalty that is tried."""
+PENALTIES = 1e-4, 1e-3
+"""The penalties that are tried, the second one on records of up to `SHORT` samples."""
 TRIAL_SEEDS = 0, 1
 """Seeds of each candidate, whose mean is scored."""
 LADDER = 100, 400, 1600, 6400
@@ -346,9 +346,10 @@ def ways(forecaster: Network, record: Record) -> list[TrainingCandidate]:
         window = min(usual.warmup + FREE_RUN, usual.window)
         rung = int(samples > SHORT)
         base = replace(finished, window=window, epochs=0, quasi_newton=LADDER[rung])
-        settings = [base, replace(base, window=usual.window), replace(base, penalty=PENALTY)]
+        settings = [base, replace(base, window=usual.window), replace(base, penalty=PENALTIES[0])]
         if samples <= SHORT:
-            settings.append(replace(base, window=samples, penalty=PENALTY))
+            settings.append(replace(base, penalty=PENALTIES[1]))
+            settings.append(replace(base, window=samples, penalty=PENALTIES[0]))
         settings.append(replace(base, epochs=steps, linear_start=False))
         every = [(size, each) for each in settings] + [(other, base) for other in sizes]
     else:
@@ -357,7 +358,7 @@ def ways(forecaster: Network, record: Record) -> list[TrainingCandidate]:
         windows = {min(usual.warmup + free, usual.window) for free in free_runs}
         settings = [replace(finished, window=window) for window in sorted(windows)]
         every = [(other, each) for each in settings for other in (sizes or [size])]
-        every += [(other, replace(settings[0], penalty=PENALTY)) for other in sizes[-1:]]
+        every += [(other, replace(settings[0], penalty=PENALTIES[0])) for other in sizes[-1:]]
     found = [TrainingCandidate(forecaster.name, n.trained_as(how), rung) for n, how in every]
     if not forecaster.starts_linear(record):
         found.insert(0, TrainingCandidate(forecaster.name, size.trained_as(usual)))
