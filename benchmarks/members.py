@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 import splitband as sb
 from benchmarks.driven import SYSTEMS, drawn
+from splitband.evaluation.search import MOST_MEMBERS
 from splitband.forecasters.beginning import Earlier
 from splitband.runtime.files import write_json
 from splitband.training import Settings
@@ -97,14 +98,17 @@ def errors(found: dict[str, Array]) -> dict[str, float]:
     by_way = {way: [run for run in every if run[0] == way] for way, _ in every}
     ranked = sorted(every, key=lambda run: error("held", [run]))
     lowest = error("held", ranked[:1])
-    said = {"seeds of the best setting": error("test", min(
-        by_way.values(), key=lambda runs: error("held", runs)
-    ))}  # fmt: skip
-    for most in (4, 8, 16):
-        for ratio in (1.5, 2.0, 3.0):
-            good = [run for run in ranked if error("held", [run]) <= ratio * lowest]
-            said[f"best {most} within {ratio:g} times the lowest"] = error("test", good[:most])
-    return said
+    firsts = [ranked[: i + 1] for i in range(min(MOST_MEMBERS, len(ranked)))]
+    means = {
+        "the best training": ranked[:1],
+        "the seeds of the best setting": min(by_way.values(), key=lambda of: error("held", of)),
+        "the best eight": ranked[:8],
+        "the best eight within twice the lowest error": [
+            run for run in ranked if error("held", [run]) <= 2 * lowest
+        ][:8],
+        "as many of the best as have the best mean": min(firsts, key=lambda of: error("held", of)),
+    }
+    return {kind: error("test", runs) for kind, runs in means.items()}
 
 
 def main() -> None:

@@ -19,7 +19,6 @@ from splitband.evaluation.costs import reference_seconds, training_cost
 from splitband.evaluation.jobs import failed_seeds
 from splitband.evaluation.protocols import Errors, Run, sound_runs
 from splitband.evaluation.search import (
-    MAX_ERROR_RATIO,
     Search,
     SearchResult,
     held_out_score,
@@ -74,7 +73,7 @@ def settings_of(forecaster: Forecaster) -> Settings:
 
 
 def test_the_trainings_with_the_lowest_held_out_errors_are_chosen() -> None:
-    """Of whatever settings, the best one first; what is far from it is left out."""
+    """Of whatever settings, the best one first; as many as have the best mean."""
     training = record()[:TRAIN]
     searched = searched_by(training, ["gru", "mean"])
     chosen, mean = searched.forecasters
@@ -82,9 +81,9 @@ def test_the_trainings_with_the_lowest_held_out_errors_are_chosen() -> None:
     assert mean.name == "mean"
     scores = [held_out_score(training, [each]) for each in searched.done["gru"].values()]
     assert scores == sorted(scores)
-    assert scores[-1] <= MAX_ERROR_RATIO * scores[0]
+    of_mean = held_out_score(training, [*searched.done["gru"].values()])
+    assert of_mean <= min([scores[0], *(a.score or np.inf for a in searched.attempts)])
     ways = {chosen.for_seed(seed).training_in_words() for seed in searched.done["gru"]}
-    assert len(ways) > 1
     assert {way.partition(",")[0] for way in ways} <= {
         a.training.partition(",")[0] for a in searched.attempts
     }
@@ -226,28 +225,26 @@ def test_what_cannot_be_trained_is_an_attempt_without_a_score(
 
 
 def test_good_methods_get_more_seeds_as_long_as_the_budget_lasts() -> None:
+    """All members that the search has begun, or three of what it has not trained."""
     costs = {"good": 10.0, "near": 10.0, "far": 10.0}
     scores = {"good": 1.0, "near": 1.4, "far": 2.0}
-    assert SearchResult([], costs=costs, left=1000).seeds(scores) == {
-        "good": range(8), "near": range(3), "far": range(1)
+    members = {"good": 5, "far": 2}
+    assert SearchResult([], costs=costs, members=members, left=1000).seeds(scores) == {
+        "good": range(5), "near": range(3), "far": range(1)
     }  # fmt: skip
-    more = SearchResult([], costs=costs, left=1000, most_seeds=16)
-    assert more.seeds(scores)["good"] == range(16)
-    assert SearchResult([], costs=costs, left=45).seeds(scores) == {
+    assert SearchResult([], costs=costs, members=members, left=45).seeds(scores) == {
         "good": range(2), "near": range(1), "far": range(1)
     }  # fmt: skip
     assert SearchResult([], costs=costs, left=-1).seeds(scores) == dict.fromkeys(costs, range(1))
 
 
-@pytest.mark.parametrize(("budget", "most"), [(2.0, 8), (240.0, 8), (480.0, 16), (960.0, 32)])
-def test_a_larger_budget_allows_for_more_seeds(
-    budget: float, most: int, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("budget", "seeds"), [(240.0, 2), (480.0, 4)])
+def test_a_larger_budget_tries_more_seeds_on_short_records(
+    budget: float, seeds: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def diverge(*_: object, **__: object) -> None:
-        raise FloatingPointError("diverged")
-
-    monkeypatch.setattr("splitband.forecasters.network.fit", diverge)
-    assert searched_by(record()[:TRAIN], ["gru"], Search(budget)).most_seeds == most
+    monkeypatch.setattr("splitband.evaluation.search.LADDER", (1,))
+    searched = searched_by(record()[:TRAIN], ["gru"], Search(budget))
+    assert max(attempt.seeds for attempt in searched.attempts) == seeds
 
 
 def test_compare_searches_by_default_and_says_what_it_has_tried(

@@ -17,7 +17,7 @@ from splitband.evaluation.budget import BASE, BASELINES, SEARCH
 from splitband.evaluation.budget import TRIAL as TRIAL_OVER
 from splitband.evaluation.costs import job_cost, training_cost
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.search import SearchAttempt, SearchResult, search
+from splitband.evaluation.search import SEEDS, SearchAttempt, SearchResult, search
 from splitband.evaluation.selection import MOST_TRIAL_SEEDS, WORTH_TRAINING, Trial, try_out
 from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import HELD_OUT, Origin, Question, held_out_from
@@ -30,8 +30,6 @@ TRIAL = "held-out fit"
 """The stage in which methods are fitted to three quarters of the training part."""
 AFTER_BASELINES, AFTER_SEARCH, AFTER_TRIAL = 0.1, 0.6, 0.7
 """Shares of a command that are done after these stages, for progress bars."""
-SEEDS = 3
-"""Trainings of each network, where nothing else decides how many."""
 
 
 def choose(plan: Plan, work: Work) -> tuple[Trial, SearchResult]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from splitband.data import Record
 from splitband.evaluation.budget import SEARCH
-from splitband.evaluation.choosing import AFTER_TRIAL, SEEDS, choose
+from splitband.evaluation.choosing import AFTER_TRIAL, choose
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.job import Failure, file_name
 from splitband.evaluation.jobs import run_all
@@ -20,7 +20,7 @@ from splitband.evaluation.protocols import (
     runs_of,
     without_failed,
 )
-from splitband.evaluation.search import SearchResult, search
+from splitband.evaluation.search import SEEDS, SearchResult, search
 from splitband.evaluation.selection import Trial
 from splitband.evaluation.work import RunProgress, Work
 from splitband.forecasters.backtest import Backtest, Origin, Question, held_out_from

@@ -44,8 +44,6 @@ from splitband.training import Settings
 
 SEARCHING = "search"
 """Name of the stage of the work, followed by the number of the round."""
-SEEDS_GROW_FROM = 240.0
-"""Core seconds of a search above which networks may have more than `MOST_SEEDS` seeds."""
 CORE_SECONDS, SECONDS = 240.0, 120.0
 """The default: work that two cores of any recent machine do in less than these two minutes."""
 SEARCHED, TRAINED = 0.55, 0.3
@@ -61,8 +59,9 @@ SHORT = 3000
 """Samples of a record up to which windows of all of it are tried, too."""
 PENALTIES = 1e-4, 1e-3
 """The penalties that are tried, the second one on records of up to `SHORT` samples."""
-TRIAL_SEEDS = 0, 1
-"""Seeds of each candidate, whose mean is scored."""
+TRIAL_SEEDS, CORE_SECONDS_A_SEED = 2, 120.0
+"""Seeds of each candidate, whose mean is scored; on records of up to `SHORT` samples one for so
+much of the budget, where that is more, and at most `MOST_MEMBERS`."""
 LADDER = 100, 400, 1600, 6400
 """Iterations of L-BFGS that a candidate has had after each round."""
 KEPT = 0.5
@@ -70,14 +69,14 @@ KEPT = 0.5
 WORSE = 1.1
 """A candidate whose error is above this multiple of what it was a round before does not go on."""
 MAX_ERROR_RATIO = 2.0
-"""A candidate does not go on, and a training is not in the mean that is handed out, if its error is
-above this multiple of the lowest one."""
+"""A candidate does not go on if its error is above this multiple of the lowest of all."""
 GOOD = 1.5
 """A method whose error is at most this multiple of the lowest one gets more than one seed, as far
 as the budget allows."""
-USUAL_SEEDS, MOST_SEEDS = 3, 8
-"""Seeds of a good method, and of the best one with the default budget; a larger one allows for as
-many more."""
+MOST_MEMBERS = 8
+"""Trainings whose mean is handed out, at most."""
+SEEDS = 3
+"""Trainings of each network, where nothing else decides how many."""
 LONGER = 4
 """By how much the best candidate's last training may be longer than any trial was, where longer
 trials were better and only the budget ended them."""
@@ -157,42 +156,39 @@ class SearchResult:
     forecasters : Those that were given, each network as it is to be trained.
     attempts : All that has been tried, in that order.
     done : Of the chosen networks, the forecasts of held-out samples, by name and seed.
-    costs : Of the chosen networks, seconds of a reference core for one more training, from its
-        beginning.
-    going_on : The same of those that the search has begun, by name: how many, and the cost of each.
+    costs : Of the chosen networks, seconds of a reference core for each last training.
+    members : How many trainings the search has begun whose mean is to be handed out.
     left : Of the budget.
-    most_seeds : Of the best network.
     """
 
     forecasters: list[Forecaster]
     attempts: tuple[SearchAttempt, ...] = ()
     done: Mapping[str, Mapping[int, Backtest]] = field(default_factory=dict)
     costs: Mapping[str, float] = field(default_factory=dict)
-    going_on: Mapping[str, tuple[int, float]] = field(default_factory=dict)
+    members: Mapping[str, int] = field(default_factory=dict)
     left: float = 0.0
-    most_seeds: int = MOST_SEEDS
 
-    def cost(self, name: str, seed: int = 0) -> float:
-        """Return the cost of the last training of a seed, 0 where nothing was searched."""
-        begun, each = self.going_on.get(name, (0, 0.0))
-        return each if seed < begun else self.costs.get(name, 0.0)
+    def cost(self, name: str) -> float:
+        """Return the cost of a last training, 0 where nothing was searched."""
+        return self.costs.get(name, 0.0)
 
     def seeds(self, scores: Mapping[str, float], left: float | None = None) -> dict[str, range]:
-        """How many seeds of each method are worth their training, by held-out `scores`.
+        """Return the seeds of each method that are worth their training, by held-out `scores`.
 
-        One of each; of the good ones more, as the mean of several is better than one, as long as
-        what is `left` lasts, by default of the work.
+        One of each; of the good ones all members, the best method first, as long as what is `left`
+        lasts, by default of the work.
         """
         ranked = sorted([name for name in self.costs if name in scores], key=lambda n: scores[n])
         counts = dict.fromkeys(ranked, 1)
         left = self.left if left is None else min(left, self.left)
         left -= sum(self.cost(name) for name in ranked)
-        good = [name for name in ranked if scores[name] <= GOOD * scores[ranked[0]]]
-        for names, most in ((good, USUAL_SEEDS), (ranked[:1], self.most_seeds)):
-            for name in names:
-                while counts[name] < most and self.cost(name, counts[name]) <= left:
-                    left -= self.cost(name, counts[name])
-                    counts[name] += 1
+        for name in ranked:
+            wanted = self.members.get(name, SEEDS)
+            if scores[name] > GOOD * scores[ranked[0]]:
+                break
+            while counts[name] < wanted and self.cost(name) <= left:
+                left -= self.cost(name)
+                counts[name] += 1
         return {name: range(count) for name, count in counts.items()}
 
 
@@ -304,27 +300,25 @@ def search(
     ladder += trials.run(others_first, FIRST_ROUND + OF_OTHERS)
     while ladder:
         ladder = trials.run([c for each in trials.promoted(ladder) if (c := each.longer())], 1.0)
-    most = max(MOST_SEEDS, round(MOST_SEEDS * budget.core_seconds / SEEDS_GROW_FROM))
-    best = {f.name: runs for f in tunable if (runs := trials.best(f.name, most))}
+    best = {f.name: runs for f in tunable if (runs := trials.best(f.name))}
     left = budget.core_seconds - trials.spent
     last = {name: trials.last(runs, left) for name, runs in best.items()}
+    if work.time.cut and not trials.tried:  # there is no time to try anything: what is done soonest
+        soonest = [min(each, key=trials.cost) for each in (first, *rest)]
+        last = {each.method: [each.network] for each in soonest}
     chosen = {name: networks[0] for name, networks in last.items()}
     for name, networks in last.items():
         chosen[name].by_seed = dict(enumerate(networks[1:], 1))
-    if work.time.cut and not trials.tried:  # there is no time to try anything: what is done soonest
-        soonest = [min(each, key=trials.cost) for each in (first, *rest)]
-        chosen = {each.method: each.network for each in soonest}
     return SearchResult(
         [chosen.get(f.name, f) for f in forecasters],
         tuple(trials.attempts),
         {name: {i: run.done for i, run in enumerate(runs)} for name, runs in best.items()},
-        {name: training_cost(f.going_on(Earlier()), record, others) for name, f in chosen.items()},
         {
-            name: (len(each), sum(training_cost(f, record, others) for f in each) / len(each))
-            for name, each in last.items()
+            name: sum(training_cost(each, record, others) for each in networks) / len(networks)
+            for name, networks in last.items()
         },
+        {name: len(networks) for name, networks in last.items()},
         left,
-        most,
     )
 
 
@@ -391,11 +385,13 @@ class _Trials:
         """All of their seeds."""
         self.spent = 0.0
         self._rounds = 0
+        paid = round(most / SEARCHED / CORE_SECONDS_A_SEED) if len(record) <= SHORT else 0
+        self._seeds = range(min(max(TRIAL_SEEDS, paid), MOST_MEMBERS))
 
     def cost(self, candidate: TrainingCandidate) -> float:
         """Return the seconds of a reference core for all seeds of a trial."""
         whole = training_cost(candidate.network, self._record, self._others)
-        return len(TRIAL_SEEDS) * (1 - HELD_OUT) * whole
+        return len(self._seeds) * (1 - HELD_OUT) * whole
 
     def run(self, candidates: Sequence[TrainingCandidate], share: float) -> list[TrainingCandidate]:
         """Train those that this share of the budget pays for, in their order; return them scored.
@@ -411,7 +407,7 @@ class _Trials:
         affordable, costs = [], []
         for candidate in candidates:
             cost = self.cost(candidate)
-            if cost <= left and cost / len(TRIAL_SEEDS) <= self._longest:
+            if cost <= left and cost / len(self._seeds) <= self._longest:
                 affordable.append(candidate)
                 costs.append(cost)
                 left -= cost
@@ -428,7 +424,7 @@ class _Trials:
         after = self.spent + sum(costs)
         self._rounds += 1
         work = self._work.for_stage(f"{SEARCHING} {self._rounds}", span=self._span(after))
-        results, _ = run_all([*networks.values()], questions, TRIAL_SEEDS, work, need_one=False)
+        results, _ = run_all([*networks.values()], questions, self._seeds, work, need_one=False)
         self.spent = after
         return [self._scored(c, results[c.label]) for c in affordable]
 
@@ -455,18 +451,23 @@ class _Trials:
         able = able[: math.ceil(KEPT * len(able))]
         return [c for c in able if c.rung >= 0 and (c.score or 0.0) <= MAX_ERROR_RATIO * lowest]
 
-    def best(self, method: str, most: int) -> list[TrialRun]:
+    def best(self, method: str) -> list[TrialRun]:
         """Return the trainings of a method whose mean is handed out, the best one first.
 
-        Of the same training after several rounds it is the better one.
+        They are as many of the best ones, whatever their settings, as have the mean with the lowest
+        held-out error (`benchmarks.members`). Of the same training after several rounds it is the
+        better one.
         """
         distinct: dict[tuple[str, int], TrialRun] = {}
         for run in sorted(self.runs, key=lambda run: run.score):
             if run.candidate.method == method:
                 distinct.setdefault(run.key, run)
-        lowest = min((run.score for run in distinct.values()), default=0.0)
-        good = [run for run in distinct.values() if run.score <= MAX_ERROR_RATIO * lowest]
-        return good[:most]
+        ranked = [*distinct.values()][:MOST_MEMBERS]
+        firsts = [ranked[: i + 1] for i in range(len(ranked))]
+        return min(firsts, key=self._error_of_mean, default=[])
+
+    def _error_of_mean(self, runs: Sequence[TrialRun]) -> float:
+        return held_out_score(self._record, [run.done for run in runs])
 
     def last(self, runs: Sequence[TrialRun], left: float) -> list[Network]:
         """Return a network for each last training, which goes on from the trial.

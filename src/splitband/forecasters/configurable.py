@@ -222,10 +222,8 @@ def parts_of(forecaster: Configurable) -> dict[str, Forecaster]:
     """
     found: dict[str, Forecaster] = {}
     for name, option in forecaster.get_params().items():
-        several = isinstance(option, list | tuple)
-        parts = (
-            {f"{name}.{i}": part for i, part in enumerate(option)} if several else {name: option}
-        )
+        several = [*enumerate(option)] if isinstance(option, list | tuple) else []
+        parts = {f"{name}.{i}": part for i, part in several} or {name: option}
         found |= {at: part for at, part in parts.items() if _is_forecaster(part)}
     return found
 
