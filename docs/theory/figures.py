@@ -143,20 +143,14 @@ def trap() -> Figure:
 
 
 def growth() -> Figure:
-    """The laws by which a forecast's errors may grow, each doubling its variance at one horizon."""
+    """Half-widths of intervals by the exponent of the horizon."""
     figure, (axes,) = _panels(1)
-    horizon, onset, saturation = np.linspace(0, 1, 300), 0.1, 0.125
-    settled = 1 + saturation / onset * (1 - np.exp(-horizon / saturation))
-    for name, variance in {
-        "constant": np.ones_like(horizon),
-        "saturating": settled,
-        "random walk": 1 + horizon / onset,
-        "drift": 1 + (horizon / onset) ** 2,
-    }.items():
-        axes.plot(horizon, np.sqrt(variance), label=name)
-    axes.set(xlabel="horizon (in training records)", ylabel="deviation, over the first one")
-    axes.set(ylim=(0, 6))
-    axes.legend()
+    horizon = np.arange(1, 301)
+    for exponent, name in ((0.0, "0: no growth"), (0.5, "0.5: a random walk"), (1.0, "1: a drift")):
+        axes.plot(horizon, horizon**exponent, label=name)
+    axes.set(xlabel="horizon (samples)", ylabel="half-width, over the first one")
+    axes.set(ylim=(0, 40))
+    axes.legend(title="exponent")
     return figure
 
 

@@ -64,7 +64,7 @@ def test_compare_gives_finite_numbers_around_gaps_and_counts_them(compared: Path
     for facts in found["methods"].values():
         numbers = [facts["held_out_rmse"], facts["interval"]["covers"]]
         numbers += [*facts["total_rmse"], *facts["forecast_rmse"]]
-        numbers += [half for row in facts["interval"]["half_width"] for half in row]
+        numbers += facts["interval"]["first"] + facts["interval"]["exponent"]
         assert np.isfinite(numbers).all()
     assert found["arguments"]["gaps"] == "mask"
 

@@ -137,18 +137,14 @@ def test_a_network_has_to_be_a_tenth_better_than_what_needs_no_training(
     network: float, chosen: str
 ) -> None:
     scores = {"gru": network, "harmonic": 1.0, "mean": 1.2}
-    trial = Trial(
-        {n: (s,) for n, s in scores.items()}, scores, {}, {}, np.ones(1), frozenset({"gru"})
-    )
+    trial = Trial({n: (s,) for n, s in scores.items()}, scores, frozenset({"gru"}))
     assert trial.recommended == chosen
     assert trial.best_network == "gru"
 
 
 def test_what_is_not_fitted_in_the_end_cannot_be_recommended() -> None:
     scores = {"harmonic": 0.1, "mean": 1.0}
-    trial = Trial(
-        {n: (s,) for n, s in scores.items()}, scores, {}, {}, np.full(1, 2.0), frozenset()
-    )
+    trial = Trial({n: (s,) for n, s in scores.items()}, scores, frozenset())
     assert trial.recommended == "harmonic"
     assert replace(trial, final={"mean": np.zeros((5, 1))}).recommended == "mean"
 

@@ -13,7 +13,7 @@ import scipy
 from splitband.data import Record
 from splitband.evaluation.selection import Trial
 from splitband.evaluation.setup import Options
-from splitband.forecasters.intervals import FARTHEST, HeldOut, Interval
+from splitband.forecasters.intervals import HeldOut, Interval
 from tests.support import compare, settled, try_out
 
 Array = npt.NDArray[np.float64]
@@ -79,7 +79,8 @@ SEASON = np.sin(2 * np.pi * N / 25)
 RECORDS: dict[str, tuple[Callable[[np.random.Generator], Array], Any, float, float]] = {
     "white noise": (lambda rng: rng.standard_normal(1000), averaged, 0.87, 0.93),
     "sine": (lambda rng: SEASON + 0.2 * rng.standard_normal(1000), repeated(25), 0.87, 0.95),
-    "random walk": (lambda rng: rng.standard_normal(1000).cumsum(), held, 0.85, 0.95),
+    # Of a single one, nearly all or hardly anything lies inside.
+    "random walk": (lambda rng: rng.standard_normal(1000).cumsum(), held, 0.8, 0.95),
     # Four correlation times are too few to tell it from a random walk.
     "AR(0.99)": (autoregressive, held, 0.85, 0.99),
     # All that is left of these errors is a drift, which an interval holds or does not.
@@ -125,14 +126,6 @@ def test_errors_that_are_all_alike_say_less_than_as_many_different_ones() -> Non
     assert different == pytest.approx(NORMAL, rel=0.08)
 
 
-def test_a_tone_says_little_of_how_large_the_next_one_is() -> None:
-    """Its sign changes soon, its size never does: a third of its samples count as one."""
-    tone = np.sin(2 * np.pi * np.arange(200) / 10)[:, None]
-    expected = np.quantile(abs(tone), 0.9) * scipy.stats.t.ppf(0.95, 3) / NORMAL
-    found = of_errors([tone], RECORD).half_widths(1)[0, 0]
-    assert found == pytest.approx(expected, rel=0.1)
-
-
 def test_only_what_is_bounded_limits_it() -> None:
     rng = np.random.default_rng(2)
     noise, steps = rng.standard_normal((2, 400))
@@ -147,16 +140,6 @@ def test_only_what_is_bounded_limits_it() -> None:
     assert (np.diff(widths, axis=0) >= 0).all()
     assert widths[-1, 0] == growing.most[0]
     assert (widths[-1, 1:] > 100 * apart * y.std(axis=0)[1:]).all()
-
-
-def test_beyond_the_horizons_it_was_computed_for_it_goes_straight_on() -> None:
-    y = np.cumsum(RECORD[:100], axis=0)
-    interval = of_errors([errors(50, 0.1, 4)], y)
-    assert interval.horizon[-1] == FARTHEST * 100 - 1
-    widths = interval.half_widths(FARTHEST * 200)[:, 0]
-    slopes = np.diff(widths)[interval.horizon[-2] :]
-    assert slopes.min() > 0
-    np.testing.assert_allclose(slopes, slopes[0], rtol=1e-6)
 
 
 def test_it_scales_with_the_unit_of_each_channel() -> None:
@@ -196,34 +179,21 @@ def test_no_errors_are_named(none: list[Array]) -> None:
         of_errors(none, RECORD)
 
 
-def test_a_forecast_that_changed_by_more_than_its_errors_has_a_wider_interval() -> None:
-    interval = Interval((0, 100), ((1.0, 2.0), (30.0, 2.0)), (None, None))
-    change = np.concatenate([np.full((10, 2), [1.0, 3.0]), np.full((30, 2), [1.0, 4.0])])
-    wider = interval.widened(change)
-    # By the root of the mean squared change so far; after the last one known, of all.
-    of_all = np.sqrt((10 * 9 + 30 * 16) / 40)
-    expected = [[NORMAL, NORMAL * 3], [30.0, NORMAL * of_all]]
-    np.testing.assert_allclose(wider.half_width, expected)
-    assert interval.widened(np.zeros((0, 2))) == interval
-
-
-@pytest.mark.parametrize(("networks", "counts"), [({"gru"}, 1.0), (set(), 0.5)])
-def test_change_and_disagreement_of_seeds_add_up_in_the_interval(
-    networks: set[str], counts: float
-) -> None:
-    interval = Interval((0, 100), ((0.1,), (0.1,)), (None,))
+def test_change_and_disagreement_of_seeds_add_up_in_the_interval_of_a_network() -> None:
+    held_out = HeldOut.of([0.1 * errors(200, 0.0, 1)], RECORD)
+    names = frozenset({"gru"})
     early = {"gru": [np.zeros((20, 1))]}
-    trial = Trial(
-        {"gru": (1.0,)}, {"gru": 1.0}, {"gru": interval}, early, np.ones(1), frozenset(networks)
-    )
+    trial = Trial({"gru": (1.0,)}, {"gru": 1.0}, names, held_out={"gru": held_out}, early=early)
     seeds = [np.full((20, 1), 3.0), np.full((20, 1), 5.0)]
-    for of_seeds, variance in ((seeds[:1], counts * 9), (seeds, counts * 16 + 2)):
+    for of_seeds, variance in ((seeds[:1], 9), (seeds, 16 + 2)):
         found = trial.settled({"gru": of_seeds}, {}).intervals["gru"]
-        np.testing.assert_allclose(found.half_width, NORMAL * np.sqrt(variance))
+        mean = found.half_widths(20).mean()
+        assert mean == pytest.approx(NORMAL * np.sqrt(variance))
+    assert trial.settled({"gru": [0.01 * seeds[0]]}, {}).intervals == trial.intervals
 
 
 def test_noise_that_a_forecast_repeats_is_counted_once() -> None:
-    """Seasonal-naive's error holds the noise twice, and so does its change with the last period."""
+    """Seasonal-naive's error holds the noise twice."""
     inside, widths = [], []
     for seed in range(4):
         y = SEASON + 0.2 * np.random.default_rng(seed).standard_normal(1000)

@@ -44,11 +44,11 @@ def test_an_interval_is_fitted_to_the_errors_that_are_known() -> None:
 
 
 def test_the_coverage_is_a_share_of_the_errors_that_are_known() -> None:
-    interval = Interval((0, 100), ((1.0, 2.0), (1.5, 2.0)), (None, 9.0))
+    interval = Interval((1.0, 2.0), (0.5, 0.0), (None, 9.0))
     errors = holed(holed(forecast_errors(80, 2, 5), slice(20, 33)), 60, channel=1)
     known = inside = 0
     for n, row in enumerate(errors):
-        for error, half in zip(row, (1 + 0.005 * n, 2.0), strict=True):
+        for error, half in zip(row, (np.sqrt(n + 1), 2.0), strict=True):
             known += not np.isnan(error)
             inside += abs(error) <= half
     assert 0 < inside < known

@@ -17,6 +17,7 @@ import scipy
 
 from splitband.baselines.delays import candidates, delayed
 from splitband.baselines.naive import LONGEST, known, recent, units
+from splitband.baselines.origins import origins, pays
 from splitband.baselines.states import States
 from splitband.metrics import spread
 from splitband.runtime.deadlines import check
@@ -26,17 +27,12 @@ Array = npt.NDArray[np.float64]
 
 ORDERS = (1, 2, 3, 4, 6, 8)
 """Numbers of poles that are tried."""
-WORTH_POLES = 0.1
-"""By how much the held-out error of more poles must be lower: what a few samples prefer by less
-is chance, and more poles than a system has may drift far away beyond the record."""
 ROUNDS = 20
 """Iterations that look for a denominator, at most; the search goes on from the best one."""
 CONVERGED = 1e-9
 """The iteration ends where no coefficient changes by more than this."""
 FARTHEST_POLE = 0.9999
 """Largest absolute value of a pole: a record hardly tells a slower decay from growth."""
-_CUTS = (0.6, 0.7, 0.8, 0.9)
-"""Shares of the samples that are fitted, to see how well the model forecasts the others."""
 _RANK = 1e-10
 """Singular values below this share of the largest one are cut."""
 _DECAYED_SHARE = 0.1
@@ -73,8 +69,8 @@ class OutputError:
     ) -> OutputError:
         """Fit to the first samples of a record, by least squares of the simulation error.
 
-        Each channel has a model of its own. Its poles are stable, and as few as forecast held-out
-        samples about as well as any number of them, over several cuts of `y`. Of a long record the
+        Each channel has a model of its own. Its poles are stable, and more of them have to pay for
+        themselves on held-out samples (`baselines.origins`). Of a long record the
         last samples are fitted, see `naive.recent`. Where an input acts late, a model with that
         delay is fitted, too, and the one with the lower Bayesian information criterion is taken.
 
@@ -269,36 +265,37 @@ def _joined(parts: Sequence[_Part]) -> Array:
 
 
 def _denominator(parts: Sequence[_Part], most: int | None) -> Array:
-    """Return the denominator A of the lowest order that forecasts held-out samples well."""
+    """Return the denominator A, of a higher order where that pays on held-out samples."""
     nu = parts[0].u.shape[1]
     enough_samples = max((len(known(_joined(parts))) // 3 - nu - 1) // (2 + nu), 1)
     most = enough_samples if most is None else min(most, enough_samples)
     errors = {order: _held_out(parts, order) for order in ORDERS if order <= most}
-    enough = (1 + WORTH_POLES) ** 2 * min(errors.values())
-    order = next(order for order, error in errors.items() if error <= enough)
-    return _refined(_of_order(parts, order), parts)
+    best = ORDERS[0]
+    for order, found in errors.items():
+        if pays(found, errors[best]):
+            best = order
+    return _refined(_of_order(parts, best), parts)
 
 
-def _held_out(parts: Sequence[_Part], order: int) -> float:
-    """Return the mean squared forecast error on held-out samples, over several cuts."""
-    errors = []
-    for share in _CUTS:
-        ends = [_end(part.y, share) for part in parts]
+def _held_out(parts: Sequence[_Part], order: int) -> Array:
+    """Return the RMSE of the forecasts of held-out samples, from each origin."""
+    y, errors = _joined(parts), []
+    for ends in zip(*map(_ends, parts), strict=True):
         begun = [part._replace(y=np.where(np.arange(len(part.y)) < end, part.y, np.nan))
                  for part, end in zip(parts, ends, strict=True)]  # fmt: skip
-        later = np.isnan(_joined(begun)) & ~np.isnan(_joined(parts))
+        later = np.isnan(_joined(begun)) & ~np.isnan(y)
         if later.any():
             cut = [_Part(part.y[:end], part.u[:end])
                    for part, end in zip(parts, ends, strict=True)]  # fmt: skip
             simulated = _solved(_of_order(cut, order), begun)[1]
-            errors.append((_joined(parts) - simulated)[later] ** 2)
-    return float(np.mean(np.concatenate(errors))) if errors else 0.0
+            errors.append(np.sqrt(np.mean((y - simulated)[later] ** 2)))
+    return np.array(errors)
 
 
-def _end(y: Array, share: float) -> int:
-    """Return the index of the first measured sample after this share of them, or `len(y)`."""
-    later = known(y)[max(int(share * len(known(y))), 1) :]
-    return int(later[0]) if len(later) else len(y)
+def _ends(part: _Part) -> list[int]:
+    """Return the index of the first held-out sample from each origin; `len(y)` without one."""
+    rows = np.append(known(part.y), len(part.y))
+    return [int(rows[min(origin, len(rows) - 1)]) for origin in origins(len(rows) - 1)]
 
 
 def _of_order(parts: Sequence[_Part], order: int) -> Array:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.modes import Modes
 from splitband.baselines.naive import known, recent, units
+from splitband.baselines.origins import origins, pays
 from splitband.baselines.seasonal import all_around, last_period, seasons, self_similar_lags
 from splitband.baselines.trend import Shape, described, find
 from splitband.runtime.options import saved
@@ -28,12 +29,6 @@ VIBRATIONS = 4
 """Largest number of decaying sinusoids."""
 LAGS = 4
 """At which a record resembles itself, that are tried as periods."""
-_WORTH = 0.5
-"""A candidate with more freedom must have less than this share of the held-out error of one with
-less: a slightly wrong period and needless vibrations cost the more, the longer the forecast."""
-_CUTS = (0.75, 0.8, 0.85, 0.9)
-"""Shares of the samples that are fitted, to see how well the rest is forecast. They are near 1, so
-that nearly as many periods are seen as by the final fit."""
 
 
 @saved
@@ -58,9 +53,9 @@ class PeriodicRegression:
 
         A trend is kept where it pays on held-out samples (`trend.find`). The period is a lag at
         which the channel resembles itself, or a whole fraction of it, with as many harmonics as the
-        Bayesian information criterion selects. The period may then move, and vibrations that die
-        out may be added, where that halves the error on held-out samples. Of a long record the
-        last `naive.LONGEST` samples are used.
+        Bayesian information criterion selects. The series is kept, its period may move, and
+        vibrations that die out may be added, each where that pays on held-out samples
+        (`baselines.origins`). Of a long record the last `naive.LONGEST` samples are used.
         """
         begin, y = recent(y)
         channels = [_fit_channel(channel) for channel in y.T]
@@ -91,45 +86,32 @@ class PeriodicRegression:
 def _fit_channel(y: Array) -> Modes:
     """Fit one channel, scaled to its range.
 
-    The result has no period if a Fourier series forecasts held-out samples no better than a
-    constant. That is seen before the period is refined, which takes most of the time. A channel
-    that resembled itself used to keep its period all the same; on fresh signals that found no
-    period more and made two to four times as many false alarms (`benchmarks.periods`).
+    The result has no period if a Fourier series does not pay on held-out samples. That is seen
+    before the period is refined, which takes most of the time.
     """
     offset, scale = units(y)
-    scaled = (y - offset) / scale
+    scaled, index = (y - offset) / scale, known(y)
     trend = find(scaled)
     shape = trend.shape if trend else None
-    series = _best_series(scaled, shape)
-    parts = _parts(scaled)
-    beginnings = [_best_series(fitted, shape) for fitted, _ in parts]
-    levels = [Modes.none(fitted, shape) for fitted, _ in parts]
-    if _error(scaled, parts, beginnings) >= _error(scaled, parts, levels):
-        return Modes.none(scaled, shape).in_units(offset, scale)
-    choices = [
-        _candidates(of, y) for of, y in zip([series, *beginnings], [scaled, *(f for f, _ in parts)],
-                                            strict=True)
-    ]  # fmt: skip
-    whole, *on_parts = choices
-    errors = [_error(scaled, parts, fits) for fits in zip(*on_parts, strict=True)]
-    best, least = whole[0], errors[0]
-    for candidate, error in zip(whole[1:], errors[1:], strict=True):
-        if error < _WORTH * least:
-            best, least = candidate, error
+    best = Modes.none(scaled, shape)
+    if len(index) < 2:
+        return best.in_units(offset, scale)
+    held = [index[origin:] for origin in origins(len(index))]
+    parts = [scaled[: later[0]] for later in held]
+
+    def errors(fits: Sequence[Modes]) -> Array:
+        """Return the RMSE on held-out samples of fits to each of the parts."""
+        left = (scaled[at] - fit.predict(at) for at, fit in zip(held, fits, strict=True))
+        return np.array([np.sqrt(np.mean(error**2)) for error in left])
+
+    least = errors([Modes.none(part, shape) for part in parts])
+    series = [_best_series(part, shape) for part in (scaled, *parts)]
+    if pays(errors(series[1:]), least):
+        choices = [_candidates(of, part) for of, part in zip(series, (scaled, *parts), strict=True)]
+        for whole, *on_parts in zip(*choices, strict=True):
+            if pays(found := errors(on_parts), least):
+                best, least = whole, found
     return best.in_units(offset, scale)
-
-
-def _parts(y: Array) -> list[tuple[Array, Index]]:
-    """Return for each cut the samples to fit and the indices of the held-out samples."""
-    index = known(y)
-    later = [index[int(share * len(index)) :] for share in _CUTS]
-    return [(y[: max(held[0], index[0] + 1)], held) for held in later]
-
-
-def _error(y: Array, parts: Sequence[tuple[Array, Index]], fits: Sequence[Modes]) -> float:
-    """Return the mean RMSE on held-out samples of fits to each of the parts."""
-    left = [y[held] - fit.predict(held) for (_, held), fit in zip(parts, fits, strict=True)]
-    return float(np.mean([np.sqrt(np.mean(error**2)) for error in left]))
 
 
 def _candidates(series: Modes, y: Array) -> tuple[Modes, Modes, Modes]:

@@ -1,7 +1,7 @@
 """Find the trend of a channel: a straight line, or an exponential that settles at a limit.
 
-A trend is kept only if forecasts with it are clearly better on held-out samples than forecasts of
-a constant and of the last value. Oscillations are fitted along with it, so that neither is taken
+A trend is kept only if it pays on held-out samples (`baselines.origins`) against a constant and
+against the last value. Oscillations are fitted along with it, so that neither is taken
 for the other.
 """
 
@@ -15,18 +15,11 @@ import numpy.typing as npt
 import scipy
 
 from splitband.baselines.naive import known, recent, units
+from splitband.baselines.origins import origins, pays
 from splitband.runtime.options import saved
 
 Array = npt.NDArray[np.float64]
 
-CUTS = (0.4, 0.5, 0.6, 0.7, 0.8)
-"""Shares of the record after which forecasts of the rest of it are tried. The first one looks
-ahead one and a half times as far as it has seen: what is straight for a short time only, as a part
-of a slow wave is, is found out there."""
-WORTH = 0.8
-"""The held-out error of a line must be below this share of that of a constant and of the last
-value, and that of an exponential below this share of the line's as well: what is needless costs
-the more, the longer the forecast."""
 SLOWEST, FASTEST = 0.5, 20.0
 """E-foldings of an exponential within the record. A slower one is as good as a straight line, a
 faster one is over before there is much to fit."""
@@ -105,11 +98,11 @@ class Trend(NamedTuple):
 def find(y: Array) -> Trend | None:
     """Return the trend of a channel `(time,)`, NaN in gaps, or None if none lowers the error.
 
-    The record is cut at several places, and what follows each cut is forecast from what comes
-    before it: by the last value; by a constant, by a line and by an exponential, to each of which
-    the strongest sinusoids are added. A trend is kept if it is clearly better than both the last
-    value and the constant over all cuts, and better than the constant at every one; and if in the
-    fit to all of the record it stands out of what that leaves.
+    What follows each origin is forecast from what comes before it: by the last value; by a
+    constant, by a line and by an exponential, to each of which the strongest sinusoids are added.
+    A line has to pay for itself against both the last value and the constant, and an exponential
+    against the line, where there is one. In the fit to all of the record the trend must stand out
+    of what that leaves.
     """
     begin, end = recent(y[:, None])
     offset, scale = units(end[:, 0])
@@ -120,15 +113,14 @@ def find(y: Array) -> Trend | None:
     line = [Shape(0.0, begin, len(end))]
     folds = np.geomspace(SLOWEST, FASTEST, 25)
     exponentials = [Shape(float(rate), begin, len(end)) for rate in folds / len(end)]
-    cuts = [int(rows[int(share * len(rows))]) for share in CUTS]
+    cuts = [int(rows[origin]) for origin in origins(len(rows))]
     without = _held_out(at, blocks, cuts, [])
-    last = np.array([np.nanmean((blocks[cut:] - _last(blocks[:cut])) ** 2) for cut in cuts])
-    least = WORTH**2 * min(without.mean(), last.mean())
-    best = None
+    last = np.array([_rms(blocks[cut:] - _last(blocks[:cut])) for cut in cuts])
+    best, simpler = None, [without, last]
     for shapes in (line, exponentials):  # the simpler one first
         errors = _held_out(at, blocks, cuts, shapes)
-        if errors.mean() < least and (errors < without).all():
-            best, least = shapes, WORTH**2 * errors.mean()
+        if all(pays(errors, other) for other in simpler):
+            best, simpler = shapes, [errors]
     if best is None:
         return None
     fitted = _Sketch.fit(at, blocks, best)
@@ -162,12 +154,16 @@ def _last(blocks: Array) -> float:
     return float(blocks[known(blocks)[-1]])
 
 
+def _rms(errors: Array) -> float:
+    return float(np.sqrt(np.nanmean(errors**2)))
+
+
 def _held_out(at: Array, blocks: Array, cuts: list[int], shapes: list[Shape]) -> Array:
-    """Return the mean squared forecast error after each cut, fitted before it."""
+    """Return the RMSE of the forecast after each cut, fitted before it."""
     errors = []
     for cut in cuts:
         fitted = _Sketch.fit(at[:cut], blocks[:cut], shapes)
-        errors.append(np.nanmean((blocks[cut:] - fitted.predict(at[cut:])) ** 2))
+        errors.append(_rms(blocks[cut:] - fitted.predict(at[cut:])))
     return np.array(errors)
 
 

@@ -21,7 +21,6 @@ from splitband.forecasters.backtest import (
     for_trial,
     held_out,
     held_out_errors,
-    held_out_from,
     held_out_origins,
     mean_forecasts,
     root_mean_square,
@@ -38,10 +37,6 @@ MOST_TRIAL_SEEDS = 2
 """Seeds of each network that are tried out, where more are asked for in the end."""
 WORTH_TRAINING = 0.1
 """By how much a network's score must be lower than that of what needs no training."""
-CHANGE_COUNTS, NETWORK_CHANGE_COUNTS = 0.5, 1.0
-"""How much of a forecast's mean squared change widens its interval: two forecasts that have
-independent errors of the same size differ by twice the mean square of either. Errors of networks
-are not independent: what the first one misses, the second one partly misses, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,53 +50,45 @@ class Trial:
     errors : RMSE of each channel by method, fitted on the rest of the training part: of its
         forecasts to the end of the part, together. See `backtest.held_out_origins`.
     scores : RMSE of all channels together, each scaled to a deviation of 1.
-    intervals : Around each method's forecast of the record; from those forecasts and, for what
-        needs no training, longer ones.
-    early : What each method forecast of the samples after the training part, `(time, ny)` from
-        each beginning that counts in its score, fitted on what comes before.
-    scale : By which the channels are scaled, `(ny,)`.
     trained : Which methods are.
     final : What they forecast fitted on the whole training part, the mean of the seeds; see
         `settled`.
     failed : Why methods could not be fitted, now or, after `settled`, on the whole training part.
     left_out : Methods that are not recommended if there is another one: they have nothing to say
         about the test records.
-    held_out : What the intervals of any level follow from, by method.
+    held_out : Errors of those forecasts and, of what needs no training, of longer ones, by method:
+        intervals of any level follow from them.
+    early : What each network forecast of the samples after the training part, `(time, ny)` from
+        each beginning, fitted on what comes before.
+    doubt : After `settled`, by network: the size of its forecast's change since, `(time, ny)`,
+        together with the deviation of its seeds.
     """
 
     errors: Mapping[str, tuple[float, ...]]
     scores: Mapping[str, float]
-    intervals: Mapping[str, Interval]
-    early: Mapping[str, Sequence[Array]]
-    scale: Array
     trained: frozenset[str]
     final: Mapping[str, Array] = field(default_factory=dict)
     failed: Mapping[str, str] = field(default_factory=dict)
     left_out: frozenset[str] = frozenset()
     held_out: Mapping[str, HeldOut] = field(default_factory=dict)
+    early: Mapping[str, Sequence[Array]] = field(default_factory=dict)
+    doubt: Mapping[str, Array] = field(default_factory=dict)
 
     def settled(self, final: Mapping[str, Sequence[Array]], failed: Mapping[str, str]) -> Trial:
         """With what the methods forecast after all, out of which one is recommended.
-
-        The held-out part is short: a method may forecast it well and still be wrong much later.
-        Then its forecast changes by more than its held-out errors explain once it is fitted to all
-        of the training part, or its seeds disagree by more, and its interval is widened. What is
-        smaller is explained by those errors and does not widen the interval.
 
         Parameters
         ----------
         final : The forecast `(time, ny)` of each seed of each method.
         failed : Why methods could not be fitted.
         """
-        final = {name: of_seeds for name, of_seeds in final.items() if name in self.early}
-        means = {name: np.mean(of_seeds, axis=0) for name, of_seeds in final.items()}
-        intervals = {}
-        for name, of_seeds in final.items():
+        means = {name: np.mean(y, axis=0) for name, y in final.items() if name in self.errors}
+        doubt = {}
+        for name in self.early.keys() & means:
             change = np.mean([(means[name] - y) ** 2 for y in self.early[name]], axis=0)
-            apart = np.var(of_seeds, axis=0, ddof=1) if len(of_seeds) > 1 else 0.0
-            doubt = np.sqrt(self._counts(name) * change + apart)
-            intervals[name] = self.intervals[name].widened(doubt)
-        return replace(self, final=means, intervals=intervals, failed={**self.failed, **failed})
+            apart = np.var(final[name], axis=0, ddof=1) if len(final[name]) > 1 else 0.0
+            doubt[name] = np.sqrt(change + apart)
+        return replace(self, final=means, doubt=doubt, failed={**self.failed, **failed})
 
     def joined(self, other: Trial) -> Trial:
         """With the methods of another trial of the same record."""
@@ -109,12 +96,21 @@ class Trial:
             self,
             errors={**self.errors, **other.errors},
             scores={**self.scores, **other.scores},
-            intervals={**self.intervals, **other.intervals},
-            early={**self.early, **other.early},
             trained=self.trained | other.trained,
             failed={**self.failed, **other.failed},
             held_out={**self.held_out, **other.held_out},
+            early={**self.early, **other.early},
         )
+
+    @property
+    def intervals(self) -> dict[str, Interval]:
+        """Return the interval around each method's forecast of the record, for `LEVEL`.
+
+        A network is tried out from one training only, which may have been a lucky one. Its interval
+        is at least as wide as its `doubt` calls for.
+        """
+        found = {name: held_out.interval(LEVEL) for name, held_out in self.held_out.items()}
+        return found | {name: found[name].widened(doubt) for name, doubt in self.doubt.items()}
 
     @property
     def recommended(self) -> str:
@@ -138,10 +134,6 @@ class Trial:
     def worth(self, method: str) -> float:
         """Return what methods are compared by, see `recommended`: the lower the better."""
         return self.scores[method] * (1 + WORTH_TRAINING if method in self.trained else 1.0)
-
-    def _counts(self, method: str) -> float:
-        """How much of a method's mean squared change widens its interval."""
-        return NETWORK_CHANGE_COUNTS if method in self.trained else CHANGE_COUNTS
 
 
 def try_out(
@@ -176,21 +168,18 @@ def try_out(
     )
     made = {**done, **fitted}
     forecasts = {f.name: mean_forecasts([*made[f.name].values()]) for f in shorter if made[f.name]}
-    first = held_out_from(len(record))
+    scale = spread(record.seen)
     scored = {name: held_out_errors(record, y) for name, y in forecasts.items()}
     known = {name: held_out(record, y) for name, y in forecasts.items()}
-    scale = spread(record.seen)
-    early = {
-        name: [y[len(record) - at.at :] for at, y in sorted(of_method.items()) if at.at >= first]
-        for name, of_method in forecasts.items()
-    }
+    trained = frozenset(f.name for f in shorter if f.random)
     return Trial(
         {name: channel_errors(e) for name, e in scored.items()},
         {name: root_mean_square([error / scale for error in e]) for name, e in scored.items()},
-        {name: of_method.interval(LEVEL) for name, of_method in known.items()},
-        early,
-        scale,
-        frozenset(f.name for f in shorter if f.random),
-        failed={f.method: f.reason for f in failures[::-1] if f.method not in early},
+        trained,
+        failed={f.method: f.reason for f in failures[::-1] if f.method not in forecasts},
         held_out=known,
+        early={
+            name: [y[len(record) - at.at :] for at, y in sorted(forecasts[name].items())]
+            for name in trained & forecasts.keys()
+        },
     )

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from splitband.baselines.origins import origins
 from splitband.data import Record
 from splitband.data.gaps import first_after
 from splitband.forecasters.base import Forecaster
@@ -31,10 +32,6 @@ AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
 
 HELD_OUT = 0.25
 """Share of the training part that is forecast, for a trial, by what is fitted to the rest."""
-REFITS = (0.25, 0.2, 0.15, 0.1)
-"""Held-out fractions for baselines, which are refitted at each origin; the first as above."""
-LONGER_REFITS = (0.5, 0.375)
-"""More of them for the intervals alone: how errors grow shows over long horizons."""
 FEWEST_FITTED = 20
 """Measured samples of each channel that a baseline is fitted to for the intervals."""
 FAILED_FIT_RATIO = 5.0
@@ -239,13 +236,10 @@ def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
     if not forecaster.refits:
         held = samples - fitted
         return sorted({Origin(fitted, fitted + i * held // 3) for i in range(3)})
-    ends = [samples - max(1, round(share * samples)) for share in REFITS]
-    measured = ~np.isnan(record.seen)
-    for share in LONGER_REFITS:
-        end = samples - round(share * samples)
-        if (measured[:end].sum(axis=0) >= FEWEST_FITTED).all():
-            ends.append(end)
-    return [Origin(end, end) for end in dict.fromkeys(ends)]
+    measured = np.cumsum(~np.isnan(record.seen), axis=0)
+    ends = dict.fromkeys(origins(samples))
+    early = [end for end in ends if end < fitted and (measured[end - 1] >= FEWEST_FITTED).all()]
+    return [Origin(end, end) for end in (*(end for end in ends if end >= fitted), *early)]
 
 
 def held_out_errors(record: Record, forecasts: Mapping[Origin, Array]) -> list[Array]:

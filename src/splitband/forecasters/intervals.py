@@ -1,10 +1,10 @@
 """Say how sure a forecast is: an interval around it for each horizon.
 
-Not in the paper. Forecasts of known samples show how large a method's errors are and how they grow
-with the horizon. The horizon of the forecast is usually longer than theirs, and errors of
-neighbouring samples are correlated, so that the law of growth is seldom certain. Therefore the
-interval averages over several laws, each weighted by how well it explains the errors (Bayesian
-model averaging).
+Not in the paper. The method is split conformal prediction (J. Lei et al., 2018): the half-width is
+a quantile of the errors of forecasts of known samples. Errors grow with the horizon, so that they
+are divided by a power of it first (V. Vovk et al., 2005, call that a normalised score), and errors
+of neighbouring samples are alike, so that Student's quantile for the number of independent ones
+makes up for what so few cannot tell.
 """
 
 from __future__ import annotations
@@ -20,16 +20,10 @@ from splitband.runtime.options import saved
 
 Array = npt.NDArray[np.float64]
 
-PRIOR = {"constant": 0.25, "random walk": 0.35, "drift": 0.2, "saturating": 0.2}
-"""How probable each growth law is before an error has been seen."""
-ONSETS = 2.0 ** np.arange(-10, 3)
-"""Horizons at which an error has grown to twice its first variance, in training records."""
-SATURATIONS = 2.0 ** np.arange(-5, 0)
-"""Horizons over which the growth of a bounded error dies out, in training records."""
+EXPONENTS = np.linspace(0, 1, 11)
+"""Powers of the horizon that errors may grow by: from not at all to as a drift does."""
 FEWEST = 2.0
-"""Independent errors that are assumed at least: Student's quantile for one is four times that."""
-FARTHEST = 16
-"""Of the horizons whose intervals are computed, in training records; straight on from there."""
+"""Independent errors that are assumed at least: Student's quantile for one is twice that."""
 PARTS, BOUNDED = 4, 1.1
 """A channel is bounded where its variance is at most `BOUNDED` times the mean of `PARTS` parts'
 own: what wanders or drifts varies more in the whole than in a part."""
@@ -37,44 +31,37 @@ own: what wanders or drifts varies more in the whole than in a part."""
 
 @dataclass(frozen=True)
 class Interval:
-    """Give the half-widths of the interval around a forecast, by horizon.
+    """Give the half-widths of the interval around a forecast: `first * horizon ** exponent`.
 
     Attributes
     ----------
-    horizon : For which they are given, samples after the forecast's first, from 0 on; straight
-        lines in between and on from the last two.
-    half_width : By horizon and channel, in the record's unit.
+    first : By channel, that of the first sample forecast, in the record's unit.
+    exponent : By channel.
     most : By channel: what they cannot exceed where the record is bounded, else None.
     share : Of the samples that should lie inside, 0 to 1.
     """
 
-    horizon: tuple[int, ...]
-    half_width: tuple[tuple[float, ...], ...]
+    first: tuple[float, ...]
+    exponent: tuple[float, ...]
     most: tuple[float | None, ...]
     share: float = 0.9
 
-    def widened(self, change: Array) -> Interval:
-        """Return it at least as wide as errors of the size of `change` `(time, ny)` call for.
-
-        Their deviation at a horizon is the root of their mean square up to it.
-        """
-        if not len(change):
+    def widened(self, size: Array) -> Interval:
+        """Return it scaled to hold errors of this size `(time, ny)` from the first sample on."""
+        if not len(size):
             return self
-        deviation = np.sqrt(np.cumsum(change**2, axis=0) / np.arange(1, len(change) + 1)[:, None])
-        least = _quantile(self.share) * deviation[np.minimum(self.horizon, len(change) - 1)]
-        widths = np.maximum(self.half_width, least)
-        return replace(self, half_width=tuple(tuple(map(float, row)) for row in widths))
+        needed = _quantile(self.share) * np.sqrt(np.mean(size**2, axis=0))
+        first = np.maximum(self.first, needed / self._growth(len(size)).mean(axis=0))
+        return replace(self, first=tuple(map(float, first)))
 
     def half_widths(self, steps: int) -> Array:
         """Return the half-widths of the first `steps` samples of a horizon, `(steps, ny)`."""
-        wanted = np.arange(steps)
-        beyond = np.maximum(wanted - self.horizon[-1], 0)
-        rows = []
-        for widths, most in zip(np.transpose(self.half_width), self.most, strict=True):
-            slope = (widths[-1] - widths[-2]) / (self.horizon[-1] - self.horizon[-2])
-            half = np.interp(wanted, self.horizon, widths) + max(slope, 0.0) * beyond
-            rows.append(half if most is None else np.minimum(half, most))
-        return np.transpose(rows)
+        most = [np.inf if most is None else most for most in self.most]
+        return np.minimum(self._growth(steps) * self.first, most)
+
+    def _growth(self, steps: int) -> Array:
+        """Return the half-widths over the first one, `(steps, ny)`, without a bound."""
+        return np.asarray(np.arange(1.0, steps + 1)[:, None] ** np.array(self.exponent))
 
     def coverage(self, errors: Array) -> float:
         """Return the share of errors `(time, ny)` by horizon that lie inside, 0 to 1.
@@ -107,13 +94,11 @@ class HeldOut:
     ----------
     errors : Of forecasts from different samples on, `(time, ny)` each, by horizon; NaN where
         nothing was measured.
-    samples : Of the training record.
     largest, deviation, bounded : Of its channels, `(ny,)` each: the largest absolute value, the
         standard deviation, and whether they keep to one level and one spread.
     """
 
     errors: tuple[Array, ...]
-    samples: int
     largest: Array
     deviation: Array
     bounded: npt.NDArray[np.bool_]
@@ -123,7 +108,7 @@ class HeldOut:
         """Check what may come from a file."""
         channels = {np.shape(each)[1:] for each in self.errors}
         channels |= {np.shape(each) for each in (self.largest, self.deviation, self.bounded)}
-        if len(channels) != 1 or not isinstance(self.samples, int) or self.samples < 1:
+        if len(channels) != 1:
             raise ValueError("held-out errors must be those of one record's channels")
 
     @classmethod
@@ -139,7 +124,7 @@ class HeldOut:
         if not known.any(axis=0).all():
             raise ValueError("errors must have a sample at least, in every channel")
         bounded = np.array([_is_bounded(channel) for channel in y.T])
-        return cls(tuple(errors), len(y), np.nanmax(abs(y), axis=0), np.nanstd(y, axis=0), bounded)
+        return cls(tuple(errors), np.nanmax(abs(y), axis=0), np.nanstd(y, axis=0), bounded)
 
     def interval(self, share: float) -> Interval:
         """Return the interval that should hold `share` of the samples, 0 to 1; found once."""
@@ -150,26 +135,17 @@ class HeldOut:
     def _interval(self, share: float) -> Interval:
         if not 0 < share < 1:
             raise ValueError(f"share must lie between 0 and 1, got {share}")
-        points = 12 * int(np.ceil(np.log10(self.samples))) + 16
-        horizon = np.unique(np.round(np.geomspace(1, FARTHEST * self.samples, points))) - 1
         # Rounding errors remain even where a forecast is exact.
-        floor = 16 * np.finfo(np.float64).eps * self.largest
-        of_channels = [
-            np.maximum(
-                _half_widths([e[:, i] for e in self.errors], self.samples, horizon, share), least
-            )
-            for i, least in enumerate(floor)
-        ]
+        least = 16 * np.finfo(np.float64).eps * self.largest
+        laws = [_law([e[:, i] for e in self.errors], share) for i in range(len(least))]
+        first = [max(size, float(floor)) for (size, _), floor in zip(laws, least, strict=True)]
         # The difference of two independent signals of the same deviation is this much wider.
-        apart = float(np.sqrt(2)) * _quantile(share)
+        apart = np.sqrt(2) * _quantile(share) * self.deviation
         most = tuple(
-            max(apart * float(deviation), widths[0]) if bounded else None
-            for deviation, bounded, widths in zip(
-                self.deviation, self.bounded, of_channels, strict=True
-            )
+            max(float(limit), size) if bounded else None
+            for limit, size, bounded in zip(apart, first, self.bounded, strict=True)
         )
-        half_width = tuple(tuple(map(float, row)) for row in np.transpose(of_channels))
-        return Interval(tuple(map(int, horizon)), half_width, most, share)
+        return Interval(tuple(first), tuple(exponent for _, exponent in laws), most, share)
 
 
 def _quantile(share: float) -> float:
@@ -184,105 +160,39 @@ def _is_bounded(channel: Array) -> bool:
     return float(np.nanvar(channel)) <= BOUNDED * float(np.mean(within))
 
 
-def _growth(horizon: Array) -> tuple[Array, Array]:
-    """Return how large errors are at a horizon (in training records), over their first size.
+def _law(errors: Sequence[Array], share: float) -> tuple[float, float]:
+    """Return the first half-width of one channel, and the exponent, from its errors `(time,)`.
 
-    One row for each law, and the logarithm of its prior probability. A random walk's variance
-    grows by the horizon, a drift's by its square, a saturating one's by
-    1 - exp(-horizon / saturation), as that of an autoregressive process does.
+    The exponent is the likeliest one of errors of Laplace's distribution, so that a few large
+    errors do not decide.
     """
-    onset = ONSETS[:, None]
-    variances = {
-        "constant": np.ones((1, len(horizon))),
-        "random walk": 1 + horizon / onset,
-        "drift": 1 + (horizon / onset) ** 2,
-        "saturating": np.concatenate(
-            [1 + t / onset * (1 - np.exp(-horizon / t)) for t in SATURATIONS]
-        ),
-    }
-    prior = [np.full(len(rows), PRIOR[law] / len(rows)) for law, rows in variances.items()]
-    return np.sqrt(np.concatenate([*variances.values()])), np.log(np.concatenate(prior))
-
-
-def _half_widths(errors: Sequence[Array], train: int, horizon: Array, share: float) -> Array:
-    """Return the half-widths of one channel at each `horizon` `(n,)`, from its errors `(time,)`."""
     known = [np.flatnonzero(~np.isnan(of_one)) for of_one in errors]
     sizes = abs(np.concatenate([e[at] for e, at in zip(errors, known, strict=True)]))
     if not sizes.any():
-        return np.zeros(len(horizon))
-    at = np.concatenate(known)
-    weights, independent = _information(errors)
-    growth, log_prior = _growth((at + 1) / train)
-    scaled = sizes / growth
-    # Laplace's distribution, so that a few large errors do not decide; its scale is the most likely
-    # one for each law.
-    enough = weights.sum()
-    log_likelihood = -np.log(growth) @ weights - enough * np.log(scaled @ weights / enough)
-    posterior = scipy.special.softmax(log_prior + log_likelihood)
-    # A few errors may all be small by chance. Student's quantile allows for that, the normal one
-    # does not.
-    normal = _quantile(share)
-    student = scipy.special.stdtrit(max(independent, FEWEST), 0.5 + share / 2)
-    deviation = np.quantile(scaled, share, axis=1) / normal * float(student) / normal
-    ahead = deviation[:, None] * _growth((horizon + 1) / train)[0]
-    return _mixture_quantile(posterior, ahead, share)
-
-
-def _information(errors: Sequence[Array]) -> tuple[Array, float]:
-    """Return what each known error is worth, and how many independent ones there are in all.
-
-    Forecasts from different samples on overlap and share what they have in common, and errors of
-    neighbouring samples are alike: `independent` is the number of distinct samples over the
-    autocorrelation time. A growth law is told by errors at horizons far apart, which add something
-    even so: those of one forecast between a horizon and twice that are worth one independent error
-    at least.
-    """
-    octaves = [np.log2(np.arange(len(e)) + 1).astype(int) for e in errors]
-    known = [~np.isnan(e) for e in errors]
-    octave = np.concatenate(octaves)
-    filled = np.nan_to_num(np.concatenate(errors))
-    count = np.bincount(octave, np.concatenate(known))
-    mean_square = np.bincount(octave, filled**2) / np.maximum(count, 1)
-    size = np.sqrt(np.where(mean_square > 0, mean_square, 1.0))
-    time = _autocorrelation_time(
-        [np.nan_to_num(e) / size[o] for e, o in zip(errors, octaves, strict=True)]
-    )
-    distinct = max(k.sum() for k in known) / sum(k.sum() for k in known)
-    worth = [
-        np.maximum(1 / time, 1 / np.maximum(np.bincount(o, k), 1)[o])[k]
-        for k, o in zip(known, octaves, strict=True)
+        return 0.0, 0.0
+    horizon = np.log(np.concatenate(known) + 1.0)
+    unlikely = [
+        a * horizon.mean() + np.log(np.mean(sizes * np.exp(-a * horizon))) for a in EXPONENTS
     ]
-    return distinct * np.concatenate(worth), max(k.sum() for k in known) / time
+    exponent = float(EXPONENTS[np.argmin(unlikely)])
+    # Forecasts from different samples on overlap: distinct samples count once.
+    independent = max(map(len, known)) / _autocorrelation_time(errors)
+    # Few errors may all be small by chance. Student's quantile allows for that.
+    student = float(scipy.special.stdtrit(max(independent, FEWEST), 0.5 + share / 2))
+    score = float(np.quantile(sizes * np.exp(-exponent * horizon), share))
+    return score * student / _quantile(share), exponent
 
 
 def _autocorrelation_time(errors: Sequence[Array]) -> float:
-    """Return samples that count as one: 1 + twice the sum of the autocorrelation, or of its square.
+    """Return how many samples count as one: 1 + twice the sum of the autocorrelation.
 
-    The first, up to its first zero, is for errors that keep their sign. The second is for those
-    that keep their size while the sign changes, as where a phase is off: the squares of Gaussian
-    errors, which tell their size, have that autocorrelation. The larger one counts. About zero,
-    not about the mean: an offset is one error, however many samples show it.
+    The sum goes up to its first zero. About zero, not about the mean: an offset is one error,
+    however many samples show it.
     """
-    most = max(map(len, errors))
-    products = np.zeros(most)
-    for of_one in errors:
+    products = np.zeros(max(map(len, errors)))
+    for of_one in map(np.nan_to_num, errors):
         correlated = scipy.signal.correlate(of_one, of_one, mode="full", method="fft")
         products[: len(of_one)] += correlated[len(of_one) - 1 :]
     correlation = products / products[0]
     until = int(np.argmax(np.append(correlation, -1.0) < 0))
-    return float(1 + 2 * max(correlation[1:until].sum(), (correlation[1:] ** 2).sum()))
-
-
-def _mixture_quantile(posterior: Array, deviation: Array, share: float) -> Array:
-    """Return what holds `share` of normal errors of deviations `(law, n)`, by bisection, `(n,)`.
-
-    Laws of a probability below 1e-6 are left out.
-    """
-    probable = posterior > 1e-6
-    posterior, deviation = posterior[probable], deviation[probable]
-    low, high = np.zeros(deviation.shape[1]), 2 * _quantile(share) * deviation.max(axis=0)
-    for _ in range(50):
-        middle = (low + high) / 2
-        inside = posterior @ (2 * scipy.special.ndtr(middle / deviation) - 1)
-        low, high = np.where(inside < share, middle, low), np.where(inside < share, high, middle)
-    return high
+    return float(1 + 2 * correlation[1:until].sum())
