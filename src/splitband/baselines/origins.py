@@ -1,8 +1,7 @@
 """Say from where known samples are forecast, and what has to pay for itself there.
 
 A fit to the beginning of a record forecasts the rest of it, from several origins. The same ones
-decide on trends, periods, poles and the terms of a calibration, give a method its held-out error
-and an interval its width.
+decide on trends, periods and poles, give a method its held-out error and an interval its width.
 """
 
 from __future__ import annotations
