@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import doctest
 import io
+import json
 import os
 import re
 import subprocess
@@ -132,3 +133,38 @@ def test_a_block_that_fails_ends_the_build(tmp_path: Path) -> None:
     failed = built("1 / 0")
     assert failed.returncode
     assert "ZeroDivisionError" in failed.stderr
+
+
+def test_a_page_with_blocks_is_a_notebook_too(tmp_path: Path) -> None:
+    (tmp_path / "conf.py").write_text(
+        f"import sys\nsys.path.insert(0, {str(DOCS / '_ext')!r})\n"
+        'extensions = ["myst_parser", "executed"]\n'
+    )
+    (tmp_path / "index.md").write_text(
+        "# Page\n\nSee [there](https://example.org) or [here](index.md).\n\n"
+        "```{run} python\nimport pandas as pd\nprint(2 * 3)\npd.Series([7]).to_frame()\n```\n\n"
+        "```{run} console\n:figure: dot.png\n:alt: A dot\n\nprintf dots > dot.png\necho done\n"
+        "```\n"
+    )
+    done = _built(tmp_path, tmp_path / "out")
+    assert (done.returncode, done.stderr) == (0, "")
+    page = (tmp_path / "out/index.html").read_text(encoding="utf-8")
+    (path,) = (tmp_path / "out/_downloads").rglob("index.ipynb")
+    assert str(path.relative_to(tmp_path / "out")) in page
+    assert "<td>7</td>" in page
+
+    read = json.loads(path.read_text(encoding="utf-8"))
+    assert (read["nbformat"], read["nbformat_minor"]) == (4, 5)
+    prose, table, shell, picture = read["cells"]
+    assert prose["source"] == "# Page\n\nSee [there](https://example.org) or here."
+    assert len({cell["id"] for cell in read["cells"]}) == 4
+    printed, shown = table["outputs"]
+    assert printed == {"output_type": "stream", "name": "stdout", "text": "6\n"}
+    assert "<td>7</td>" in shown["data"]["text/html"]
+    assert shell["source"] == "%%bash\nprintf dots > dot.png\necho done"
+    assert picture["source"].endswith('Image("dot.png")')
+    assert picture["outputs"][0]["data"] == {"image/png": "ZG90cw=="}
+    for cell in (table, shell, picture):
+        assert cell.keys() == {
+            "cell_type", "execution_count", "id", "metadata", "outputs", "source",
+        }  # fmt: skip

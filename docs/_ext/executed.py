@@ -2,7 +2,8 @@
 
 A page's blocks run in their order, in a process and a new folder of their own; blocks of Python
 share their variables. What they give is kept by the content of the blocks and of the package, so
-that a second build of the same runs nothing. A block that fails ends the build.
+that a second build of the same runs nothing. A block that fails ends the build. A link below the
+title downloads the page as a notebook.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from typing import Any, ClassVar
 
 from docutils import nodes
 from docutils.parsers.rst import directives
+from notebooks import notebook
+from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
 from sphinx.transforms import SphinxTransform
@@ -75,12 +78,27 @@ class Execute(SphinxTransform):
         blocks = [*self.document.findall(Block)]
         if not blocks:
             return
-        kept = Path(self.env.srcdir) / KEPT
         results: list[dict[str, str]] = [{} for _ in blocks]
         if self.config.run_blocks:
-            results = _results(self.env.docname, blocks, kept)
+            kept = Path(self.env.srcdir) / KEPT
+            asked = [
+                {name: block.get(name, "") for name in ("kind", "code", "figure")}
+                for block in blocks
+            ]
+            results = _results(self.env.docname, asked, kept)
+            page = Path(self.env.doc2path(self.env.docname)).read_text(encoding="utf-8")
+            name = f"{self.env.docname.replace('/', '-')}.ipynb"
+            (kept / name).write_text(notebook(page, asked, results, kept), encoding="utf-8")
+            self._link(f"/{KEPT}/{name}")
         for block, result in zip(blocks, results, strict=True):
             block.replace_self(_shown(block, result))
+
+    def _link(self, path: str) -> None:
+        """Put a link to the notebook of the page below its title."""
+        title = next(iter(self.document.findall(nodes.title)))
+        link = addnodes.download_reference("", "this page as a notebook", reftarget=path)
+        place = title.parent.index(title) + 1
+        title.parent.insert(place, nodes.paragraph("", "", nodes.Text("Download "), link))
 
 
 def _shown(block: Block, result: dict[str, str]) -> list[nodes.Node]:
@@ -92,6 +110,8 @@ def _shown(block: Block, result: dict[str, str]) -> list[nodes.Node]:
         output = nodes.literal_block(text, text, language="text")
         output["classes"].append("output")
         shown.append(output)
+    if result.get("html") and "quiet" not in block:
+        shown.append(nodes.raw("", result["html"], format="html"))
     if "figure" in result:
         image = nodes.image(uri=f"/{KEPT}/{result['figure']}", alt=block["alt"])
         shown.append(nodes.figure("", image))
@@ -105,9 +125,8 @@ def _wrapped(line: str) -> str:
     return textwrap.fill(line, WIDTH, subsequent_indent="  ", break_long_words=False)
 
 
-def _results(page: str, blocks: Sequence[Block], kept: Path) -> list[dict[str, str]]:
+def _results(page: str, asked: Sequence[dict[str, str]], kept: Path) -> list[dict[str, str]]:
     """What each block gave, from an earlier build where nothing has changed since."""
-    asked = [{name: block.get(name, "") for name in ("kind", "code", "figure")} for block in blocks]
     key = _key(page, asked)
     stored = kept / f"{key}.json"
     if not stored.is_file():
@@ -144,7 +163,7 @@ def _executed(
         )  # fmt: skip
         if done.returncode:
             raise ExtensionError(f"{page}: a block failed:\n{done.stderr}\n{done.stdout}")
-        results: list[dict[str, str]] = [{"output": output} for output in json.loads(done.stdout)]
+        results: list[dict[str, str]] = json.loads(done.stdout)
         for i, (block, result) in enumerate(zip(asked, results, strict=True)):
             if block["figure"]:
                 written = Path(folder, block["figure"])

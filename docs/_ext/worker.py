@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import io
 import json
@@ -29,12 +30,23 @@ def main() -> None:
             )
             if done.returncode:
                 sys.exit(f"{block['code']}\n{done.stdout}{done.stderr}")
-            outputs.append(done.stdout)
+            outputs.append({"output": done.stdout.strip("\n"), "html": ""})
         else:
             with contextlib.redirect_stdout(io.StringIO()) as printed:
-                exec(compile(block["code"], f"<block {number}>", "exec"), variables)
-            outputs.append(printed.getvalue())
-    json.dump([output.strip("\n") for output in outputs], sys.stdout)
+                value = _executed(block["code"], f"<block {number}>", variables)
+            html = value._repr_html_() if hasattr(value, "_repr_html_") else ""
+            outputs.append({"output": printed.getvalue().strip("\n"), "html": html})
+    json.dump(outputs, sys.stdout)
+
+
+def _executed(code: str, name: str, variables: dict[str, Any]) -> Any:
+    """Run a block; return the value of its last line if that is an expression, as notebooks do."""
+    tree = ast.parse(code, name)
+    last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
+    exec(compile(tree, name, "exec"), variables)
+    if not isinstance(last, ast.Expr):
+        return None
+    return eval(compile(ast.Expression(last.value), name, "eval"), variables)
 
 
 if __name__ == "__main__":
