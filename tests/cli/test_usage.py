@@ -28,7 +28,8 @@ def planned(nu: int = 0, start: float | None = 0.0, name: str = "rig") -> Plan:
 
 def test_the_trained_model_is_simulated_with_what_was_given() -> None:
     found = usage("compare", GIVEN, OUT, planned(1), sb.named("gru"))
-    (_, simulate), (_, fit), (_, checked) = found.commands
+    (_, simulate), (_, fit), (_, export), (_, checked) = found.commands
+    assert export == "splitband export out/model model.fmu"
     assert checked == "splitband check out/model --record later.csv"
     assert shlex.split(simulate.replace("\\\n", "")) == shlex.split(
         "splitband simulate out/model --future-inputs 'my rig.csv' --steps 50 --out ahead.csv"
@@ -51,7 +52,7 @@ def test_a_network_is_trained_again_as_it_was_found() -> None:
     """What decides how to train is in the file; the record and the device are not."""
     given = GIVEN | {"budget": "1m", "hidden": 8, "device": "cuda"}
     model = sb.Single(sb.GRU(8), sb.Settings())
-    _, (_, fit), _ = usage("compare", given, OUT, planned(1), model).commands
+    _, (_, fit), *_ = usage("compare", given, OUT, planned(1), model).commands
     assert shlex.split(fit.replace("\\\n", "")) == shlex.split(
         "splitband fit 'my rig.csv' --inputs force --gaps mask --more a.csv --more b.csv "
         "--settings out/recommended.json --device cuda --method gru --out out/model-of-all"
@@ -68,14 +69,14 @@ def test_a_simulator_is_forecast_with() -> None:
 def test_only_a_model_that_asks_for_a_simulator_is_simulated_with_one() -> None:
     given = {"record": "rig.csv", "simulator": "sim.csv", "simulator_columns": "y"}
     for method, asked in (("filtered-gru", True), ("gru", False), ("linear", False)):
-        (_, simulate), _ = usage("compare", given, OUT, planned(), sb.named(method)).commands
+        (_, simulate), *_ = usage("compare", given, OUT, planned(), sb.named(method)).commands
         assert ("--simulator sim.csv --simulator-columns y" in simulate) == asked
 
 
 def test_a_record_that_the_command_made_has_a_name_for_the_others() -> None:
     made = planned(1, name="overhead-crane")
     found = usage("demo", {"out": "demo"}, OUT, made, sb.named("harmonic"))
-    (_, simulate), (_, command) = found.commands
+    (_, simulate), (_, command), _ = found.commands
     assert "--future-inputs overhead-crane" in simulate
     assert command.startswith("splitband fit overhead-crane --method harmonic")
     assert found.asked == "splitband demo --out demo"

@@ -12,7 +12,7 @@ from splitband.cli.options.simulators import PATIENCE
 from splitband.data.named import RECORDS
 from splitband.evaluation.plan import Plan
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.names import NAMES
+from splitband.forecasters.names import NAMES, TRAINED
 from splitband.report.page.usage import Usage
 from splitband.report.results import MODEL, found_in
 
@@ -74,6 +74,9 @@ def usage(
         end = [f"--method {model.name}", f"--out {shlex.quote(str(out / 'model-of-all'))}"]
         fit = _line("splitband fit", given, ["record", *_FIT], end)
         commands.append(("Fit it to the whole record", fit))
+        if model.name in TRAINED or not model.parameters:  # a user's equation runs in Python alone
+            export = f"splitband export {shlex.quote(str(out / MODEL))} model.fmu"
+            commands.append(("Export it: .fmu for Simulink, .c for a controller, .onnx", export))
     elif model.name in NAMES:
         end = [f"--method {model.name}", f"--steps {STEPS}"]
         end += ["--future-inputs FILE"] if plan.record.nu else []

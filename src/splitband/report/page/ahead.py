@@ -69,6 +69,7 @@ class Ahead:
             axis.dates, x_range=x_range, y_range=figures.between(low, high),
         )  # fmt: skip
         key = [("measured", "measured"), (f"c{self.method.color}", "predicted")]
+        caption = f"{column}: {self.says}"
         size = bin_size(len(y), MOST)
         at = axis.values[self.start :][places(len(y), size)]
         data = figures.source(at, {"y": thinned(figures.clipped(y, low, high), size)})
@@ -80,8 +81,9 @@ class Ahead:
             data.data["lower"], data.data["upper"] = envelope(lower, upper, size)
             figures.method_band(shown, data, "lower", "upper", self.method)
             assert predicted.level is not None
-            key.append((f"c{self.method.color}", f"{percent(predicted.level)} interval, shaded"))
-        figures.method_line(shown, data, "y", self.method)
+            caption += f"; shaded: {percent(predicted.level)} interval"
+        # Wide enough to be seen on both sides of a measurement that it agrees with.
+        figures.method_line(shown, data, "y", self.method, line_width=3.5)
         size = bin_size(len(seen), MOST * max(len(seen) // len(y), 1))
         at = axis.values[places(len(seen), size)]
         measured = figures.source(at, {"y": thinned(seen, size)})
@@ -93,7 +95,7 @@ class Ahead:
             f"Line plot of {column} over {axis.label}: {self.says}, in colour, and what was "
             "measured, in black on top. The dashed line is where the prediction begins."
         )
-        return Plot(shown, f"{column}: {self.says}", says, key=key)
+        return Plot(shown, caption, says, key=key)
 
     def _input(self, channel: int, axis: TimeAxis, x_range: Range1d) -> Plot:
         record, name = self.record, self.record.inputs[channel]
