@@ -235,7 +235,7 @@ def test_the_recommendation_says_what_it_was_chosen_by(capsys: pytest.CaptureFix
     facts = results(Path("said"))["methods"][best]
     scores = {name: of["score"] for name, of in results(Path("said"))["methods"].items()}
     assert best == min(scores, key=lambda name: scores[name])
-    assert f"recommended: {best}. Lowest score, {number(facts['score'])}" in said
+    assert f"({best}). Lowest score, {number(facts['score'])}" in said
     assert "10 % are added" not in said.replace("\N{NO-BREAK SPACE}", " ")
 
 

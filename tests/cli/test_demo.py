@@ -30,4 +30,4 @@ def test_the_demo_tells_its_story_with_the_errors_of_its_run(
         errors = table[f"load [m], {name}, forecast"].to_numpy()[400:] - truth[400:, 0]
         first, last = (np.sqrt(np.mean(part**2)) for part in (errors[:300], errors[-300:]))
         assert f"{name}: {first:.2f} m, then {last:.2f} m" in said
-    assert f"all of it: {found['recommended']}" in said
+    assert f"whole forecast: {found['recommended']}" in said

@@ -247,10 +247,3 @@ def test_predictions_of_test_records_and_errors_by_channel_are_written() -> None
                 assert errors["values"][method] == pytest.approx(rmse)
     level = pd.read_csv("out/predictions-test-2.csv")["b, mean, from start"].dropna()
     assert level.to_numpy() == pytest.approx(B.mean())
-
-
-@pytest.mark.usefixtures("drawn")
-def test_errors_on_test_records_are_drawn() -> None:
-    call(f"{MEAN} --test history.csv", Path("out"))
-    assert Path("out/tests.png").read_bytes().startswith(b"\x89PNG")
-    assert "tests.png" in results(Path("out"))["files"]

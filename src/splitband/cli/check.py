@@ -38,9 +38,7 @@ def check(
     simulator: SimulatorOptions,
     gaps: GapsOption = "refuse",
     time_column: TimeColumn = None,
-    out: Annotated[Path, typer.Option(help="Folder for results, pictures and page.")] = Path(
-        "check"
-    ),
+    out: Annotated[Path, typer.Option(help="Folder for results and page.")] = Path("check"),
     device: Device = "cpu",
 ) -> None:
     """Check a saved model on a record: residual tests, stability, responses.
@@ -48,8 +46,8 @@ def check(
     Prints the fit of a simulation and of predictions 1 and 10 samples ahead, tests whether the
     residuals of the simulation depend on the inputs or on their own past (99 %), and whether a
     simulation of ten times the record, with its inputs repeated, stays in range. Names inputs
-    beyond their range in training. OUT gets results.json, check.png, for a model with inputs its
-    responses to steps (responses.png), and report.html.
+    beyond their range in training. OUT gets results.json, and report.html with plots of all
+    of it and, for a model with inputs, its responses to steps.
     """
     model = forecasters.load(model_dir)
     past = history_of(record, model.require_fitted().record, time_column, gaps)

@@ -65,9 +65,9 @@ def demo(
 def _tell(result: Comparison) -> None:
     """The three steps of the story, with the errors of this run."""
     story = (
-        (SIMULATOR, "the simulator alone lacks detail: it knows of no swing"),
-        (NETWORK, "a network alone drifts: where the trolley is it has to sum up for itself"),
-        (BOTH, "both together hold: the simulator knows where, the network how the load swings"),
+        (SIMULATOR, "the simulator alone omits the swing"),
+        (NETWORK, "a network alone drifts, because it has to integrate the speed"),
+        (BOTH, "combined, they stay accurate: the network adds the swing to the simulator"),
     )
     step = result.record.sampling_time
     samples = round(STRETCH / step)
@@ -82,6 +82,6 @@ def _tell(result: Comparison) -> None:
     best = result.recommended
     alone = min(ALONE, key=lambda name: result.means[name].forecast_rmse)
     showing.console.print(
-        f"all of it: {best} {result.means[best].forecast_rmse:.2f} m, the best of those alone, "
-        f"{alone}, {result.means[alone].forecast_rmse:.2f} m"
+        f"whole forecast: {best} {result.means[best].forecast_rmse:.2f} m; the best of simulator, "
+        f"linear model and network alone, {alone}: {result.means[alone].forecast_rmse:.2f} m"
     )

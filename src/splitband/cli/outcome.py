@@ -21,13 +21,16 @@ def show(result: Comparison, out: Path, used: Usage) -> None:
     record, setup, trial = result.record, result.setup, result.require_trial()
     best = result.recommended
     said = {
-        name: "; ".join(filter(None, [words.in_words(name, result.forecasters), note]))
+        name: "; ".join([kind, note] if name in trial.trained and note else [note or kind])
         for name, note in remarks(result).items()
+        for kind in [words.in_words(name, result.forecasters)]
     }
     showing.methods(_title(record, setup), columns(result), said, best)
     showing.console.print(timing.in_words(result.time))
     why = words.why(trial, setup.train)
-    showing.console.print(f"\nrecommended: {best}. {' '.join(why)}")
+    kind = words.in_words(best, result.forecasters)
+    recommended = f"{kind} ({best})" if kind else best
+    showing.console.print(f"\nrecommended: {recommended}. {' '.join(why)}")
     if result.left_out:
         showing.console.print(
             f"not tested: {', '.join(result.left_out)}; they go on from the training record, or "

@@ -14,7 +14,7 @@ from splitband.runtime.outputs import TEST_PREDICTIONS, files_of_result, locked
 
 COMPARED = (
     "results.json", "predictions.csv", TEST_PREDICTIONS.format("*"), "rollouts.png", "error.png",
-    "spectrum.png", "components.png", "tests.png", "report.html", "recommended.json", "model/**/*",
+    "spectrum.png", "components.png", "report.html", "recommended.json", "model/**/*",
 )  # fmt: skip
 WRITES = {
     "demo": COMPARED,
@@ -29,7 +29,7 @@ WRITES = {
         "model/**/*",
     ),
     "fit": ("results.json", saving.FILE, saving.WEIGHTS.format("*")),
-    "check": ("results.json", "check.png", "responses.png", "report.html"),
+    "check": ("results.json", "report.html"),
     "spectrum": ("results.json", "spectrum.png", "report.html"),
 }
 """The files that each command writes into its folder --out."""

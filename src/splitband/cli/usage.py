@@ -86,6 +86,7 @@ def usage(
         tested = shlex.quote(str(given["test"][0]))
         checked = f"splitband check {shlex.quote(str(out / MODEL))}"
         commands.append(("Check it on the test record", f"{checked} --record {tested}"))
+    commands.sort(key=lambda each: "FILE" in each[1])  # what can be pasted as it is comes first
     more = [_read(each, given) for each in given.get("more") or ()]
     named_record = "" if record not in RECORDS else f"{_IMPORT}\n\n"
     return Usage(commands, f"{named_record}record = {_read(record, given)}", asked, more)

@@ -128,7 +128,7 @@ class Network(Forecaster):
     @property
     def conditioned_in_words(self) -> str:
         """Return the end of `in_words`."""
-        seen = ", which sees the slower part's output"
+        seen = ", with the slower part's output as an input"
         return seen if self.conditioned else ""
 
     @abstractmethod

@@ -70,7 +70,8 @@ def rollouts(comparison: Comparison) -> Figure:
     sides, names = _sides(comparison), ordered(comparison.trial, comparison.runs)
     best, *others = names
     ny, across = comparison.record.ny, max(SMALL_ACROSS // comparison.record.ny, 1)
-    below = -(-len(others) // across) if others else 0
+    below = -(-len(others) // across)
+    across = -(-len(others) // below) if below else 0  # rows of the same length
     large, small = 2.6 * ny * len(sides), 1.5 * below
     figure = Figure(figsize=(12, large + small + 1.2), layout="constrained")
     parts = figure.subfigures(2 if below else 1, 1, squeeze=False,
@@ -84,9 +85,12 @@ def rollouts(comparison: Comparison) -> Figure:
         for ax, (name, channel) in zip(grid.flat, panels, strict=False):
             color = PALETTE[names.index(name) % len(PALETTE)]
             _draw_small(ax, sides[0], channel, name, color)
-        for ax in grid.flat[len(panels) :]:
+        for i, ax in enumerate(grid.flat[len(panels) :], start=len(panels)):
             ax.set_axis_off()
+            grid.flat[i - across * ny].tick_params(labelbottom=True)
         parts[1].supxlabel(_time_label(comparison.record), fontsize=7)
+        if ny == 1:
+            parts[1].supylabel(_literal(comparison.record.columns[0]), fontsize=7)
         parts[1].suptitle(f"Other methods, {sides[0].what}", fontsize=9)
     said = "" if comparison.trial is None else "recommended: "
     figure.suptitle(f"{_literal(comparison.record.name)}; {said}{best}", fontsize=11)
@@ -126,7 +130,7 @@ def _draw_large(ax: Axes, side: _Side, channel: int, name: str) -> None:
             label = f"{predicted.level:.0%} interval".replace("%", " %")
             edges = predicted.lower[:, channel], predicted.upper[:, channel]
             ax.fill_between(at, *edges, color=PALETTE[0], alpha=0.18, lw=0, label=label)
-        ax.plot(at, y, color=PALETTE[0], lw=1.4, label="predicted")
+        ax.plot(at, y, color=PALETTE[0], lw=3, label="predicted")  # seen around what agrees
         fit, error = (of(record, predicted.y)[channel] for of in (fit_by_channel, by_channel))
         unit = f" {record.units[channel]}".rstrip()
         title = f"{side.what}: fit {fit:.1f} %, RMSE {number(error)}{unit}"
@@ -141,25 +145,12 @@ def _draw_large(ax: Axes, side: _Side, channel: int, name: str) -> None:
     ax.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
 
 
-def draw_measured(ax: Axes, record: Record, channel: int, start: int, y: Array, title: str) -> None:
-    """Draw what was predicted from the index `start` on, `(time,)`, and the record on top."""
-    times = _times(record)
-    ax.plot(times[start : start + len(y)], y, color=PALETTE[0], lw=1.4, label="predicted")
-    ax.plot(times, record.seen[:, channel], color=_MEASURED, lw=0.9, label="measured")
-    ax.set_ylim(*_limits(record.seen[:, channel]))
-    ax.margins(x=0.005)
-    ax.set_title(title, fontsize=10, loc="left")
-    ax.set_ylabel(_literal(record.columns[channel]))
-    ax.set_xlabel(_time_label(record))
-    ax.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
-
-
 def _draw_small(ax: Axes, side: _Side, channel: int, name: str, color: str) -> None:
     record, times, predicted = side.record, _times(side.record), side.predicted.get(name)
     seen, said = record.seen[side.first :, channel], "not tested"
     if predicted is not None:
         y = predicted.y[:, channel]
-        ax.plot(times[len(times) - len(y) :], y, color=color, lw=1.0)
+        ax.plot(times[len(times) - len(y) :], y, color=color, lw=2)
         fit = fit_by_channel(record, predicted.y)[channel]
         said = f"fit {round(fit) + 0} %" if fit > FARTHEST else f"fit < {FARTHEST:.0f} %"
     ax.plot(times[side.first :], seen, color=_MEASURED, lw=0.6)

@@ -77,7 +77,6 @@ def _write(
     page.of_comparison(comparison, folder / page.NAME, usage)
     if comparison.tests:
         tested.save_predictions(comparison, folder)
-        pictures.save(tested.picture(comparison), folder / "tests.png")
     save_found(comparison.forecaster(), record, folder)
     comparison.time.phases["writing"] = Phase(now() - began)
     write_facts(folder, facts | results(comparison) | {"time": comparison.time.as_json()})

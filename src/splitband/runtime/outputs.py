@@ -25,8 +25,8 @@ FACTS = "results.json"
 TEST_PREDICTIONS = "predictions-test-{}.csv"
 RESULT_FILES = (
     FACTS, "predictions.csv", "rollouts.png", "error.png", "spectrum.png", "components.png",
-    "tests.png", "report.html", "recommended.json", "forecast.csv", "forecast.png",
-    "check.png", "responses.png", "table.csv", "cases.png",
+    "report.html", "recommended.json", "forecast.csv", "forecast.png",
+    "table.csv", "cases.png",
 )  # fmt: skip
 """Names of the files of results: no other file is ever removed with an earlier result."""
 MODEL, WEIGHTS = "forecaster.json", "weights-{}.safetensors"

@@ -47,7 +47,8 @@ def headline(comparison: Comparison) -> list[tuple[str, str]]:
         unit = f" {error.measure}" if error.measure else ""
         said = [f"fit {fit.entry(best)} %", f"RMSE {error.entry(best)}{unit}"]
         if fit.channel in held and side == "forecast":
-            said.append(f"{held[fit.channel].entry(best)} in the interval")
+            share = percent(comparison.require_trial().intervals[best].share)
+            said.append(f"{held[fit.channel].entry(best)} of them in the {share} interval")
         found.append((f"{fit.channel}, {of}" if fit.channel else of, "\n".join(said)))
     return found
 
