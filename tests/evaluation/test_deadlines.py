@@ -144,3 +144,12 @@ def test_the_pace_is_learned_from_what_trainings_took() -> None:
     assert plan.reckoned(plan.deadline) == pytest.approx(40.0, rel=0.03)
     assert plan.pace.asking == 0.1
     assert math.isinf(TimeBudget().reckoned(Deadline()))
+
+
+def test_baselines_alone_have_the_time_of_the_networks() -> None:
+    alone, beside = TimeBudget.of(1e4, 1), TimeBudget.of(1e4, 1)
+    compare(record(), TRAIN, ["mean"], setup=SEARCHED, work=Work(time=alone))
+    compare(record(), TRAIN, ["mean", "gru"], setup=SETUP, seeds=1, work=Work(time=beside))
+    planned = [time.as_json()["planned_phases"]["baselines"] for time in (alone, beside)]
+    assert planned[0] > 2 * planned[1]
+    assert "search" not in alone.phases

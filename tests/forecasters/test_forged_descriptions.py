@@ -120,3 +120,14 @@ def test_a_cell_of_ones_own_may_compute_with_values(tmp_path: Path) -> None:
     model.save(tmp_path)
     loaded = sb.load(tmp_path)
     np.testing.assert_array_equal(loaded.predict(9).y, model.predict(9).y)
+
+
+def test_a_number_in_place_of_an_array_is_refused(tmp_path: Path) -> None:
+    sb.Linear().fit(sb.Record(np.sin(TIME), DT, u=np.cos(TIME))).save(tmp_path)
+    path = tmp_path / "forecaster.json"
+    description = json.loads(path.read_text())
+    channel = description["forecaster"]["fields"]["model"]["fields"]["channels"]["tuple"][0]
+    channel["fields"]["states"]["fields"]["root"] = 0
+    path.write_text(json.dumps(description))
+    with pytest.raises(ValueError, match="root must be an array, got '0'"):
+        sb.load(tmp_path)

@@ -43,20 +43,20 @@ def choose(plan: Plan, work: Work) -> tuple[Trial, SearchResult]:
     time, tried = work.time, range(SEEDS if plan.seeds is None else plan.seeds)[:MOST_TRIAL_SEEDS]
     trial = None
     if quick:
-        until = time.share(BASELINES)
+        until = time.share(BASELINES if slow else TRIAL_OVER)
         stage = work.for_stage(TRIAL, until, (0.0, AFTER_BASELINES))
         stage = stage if time.allows_processes(until) else stage.alone()
         with time.phase("baselines", until):
             trial = try_out(record, quick, ahead, tried, stage, others, need_one=not slow)
     searched = SearchResult([*plan.methods])
+    if not slow:
+        assert trial is not None
+        return trial, searched
     searching, trying, basing = time.share(SEARCH), time.share(TRIAL_OVER), time.share(BASE)
     if setup.search is not None:
         stage = replace(work, deadline=searching, span=(AFTER_BASELINES, AFTER_SEARCH))
         with time.phase("search", searching):
             searched = search(record, plan.methods, ahead, setup.search, stage, others)
-    if not slow:
-        assert trial is not None
-        return trial, searched
     stage = work.for_stage(TRIAL, trying, (AFTER_SEARCH, AFTER_TRIAL))
     with time.phase("trial", trying):
         needed = trial is None or not trial.errors

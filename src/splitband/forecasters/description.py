@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
-from typing import Any, get_type_hints
+from typing import Any, get_origin, get_type_hints
 
 import numpy as np
 import pandas as pd
@@ -197,10 +197,12 @@ def _fields(kind: Any) -> list[str]:
 
 
 def _check_numbers(kind: type, parts: Mapping[str, Any]) -> None:
-    """Raise ValueError for a part that must be a number and is none."""
+    """Raise ValueError for a part that must be a number or an array and is none."""
     for name, wanted in get_type_hints(kind).items():
         part = parts.get(name, 0)
         if wanted is int:
             whole(name, part, None)
         elif wanted is float and (isinstance(part, bool) or not isinstance(part, int | float)):
             raise ValueError(f"{name} must be a number, got {str(part)[:60]!r}")
+        elif get_origin(wanted) is np.ndarray and not isinstance(parts.get(name), np.ndarray):
+            raise ValueError(f"{name} must be an array, got {str(parts.get(name))[:60]!r}")
