@@ -47,13 +47,13 @@ class _OverError(Exception):
 
 def state_fcn(x: Any, u: Any, params: Any) -> Any:
     """Return the next state."""
-    a, b, hidden, bias, weights = *params[:2], *params[4:7]
+    a, b, _, _, hidden, bias, weights = params[:7]
     return a @ x + b @ u + weights @ jnp.tanh(hidden @ jnp.hstack((x, u)) + bias)
 
 
 def output_fcn(x: Any, u: Any, params: Any) -> Any:
     """Return the output."""
-    c, d, hidden, bias, weights, offset = *params[2:4], *params[7:11]
+    (c, d), (hidden, bias, weights, offset) = params[2:4], params[7:11]
     return c @ x + d @ u + weights @ jnp.tanh(hidden @ jnp.hstack((x, u)) + bias) + offset
 
 

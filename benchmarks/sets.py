@@ -39,7 +39,7 @@ class Benchmark:
     warmup: int = 50
 
 
-_OF_TANKS = {
+_OF_TANKS: dict[str, tuple[str, ...]] = {
     "linear state space (Champneys et al., 2024)": ("0.588",),
     "polynomial NARX (the same)": ("0.413",),
     "GRU, best of 10 restarts of 25 settings (the same)": ("0.396",),

@@ -22,19 +22,21 @@ import numpy as np
 import splitband as sb
 from benchmarks.driven import SYSTEMS, drawn
 from splitband import Record
+from splitband.forecasters.template import Template
 from splitband.runtime.files import write_json
 from splitband.runtime.threads import use_one_thread
 
 WARMUPS = 5, 10, 50
 LONGEST, EARLY = 50, 100
 """Samples of the test record that do not count, and those after them that do as `early`."""
-CELLS = {"gru": lambda: sb.GRU(16), "state-space": lambda: sb.StateSpace(4, 8)}
+CELLS: dict[str, Template] = {"gru": sb.GRU(16), "state-space": sb.StateSpace(4, 8)}
 ITERATIONS = 200
 """Of L-BFGS, after the recipe's epochs."""
 
 
 def errors(network: sb.Forecaster, test: Record, given: int, needed: int) -> dict[str, float]:
     """Return the errors of a simulation from so many samples, of which it needs some number."""
+    assert test.u is not None
     missing = max(needed - given, 0)
     y, u = (
         np.concatenate([np.repeat(x[:1], missing, axis=0), x[:given]]) for x in (test.y, test.u)
@@ -52,7 +54,7 @@ def measured(system: str, seed: int, samples: int, cell: str) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for warmup in WARMUPS:
         settings = replace(sb.Settings.of(samples), warmup=warmup, quasi_newton=ITERATIONS)
-        network = sb.Single(CELLS[cell](), settings).fit(record, seed=0)
+        network = sb.Single(CELLS[cell], settings).fit(record, seed=0)
         for given in {warmup, WARMUPS[0], LONGEST} - ({5} if warmup == 10 else set()):
             found[f"trained {warmup}, given {given}"] = errors(network, test, given, warmup)
     return found

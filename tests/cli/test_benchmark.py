@@ -170,7 +170,7 @@ def test_cases_at_once_have_the_numbers_of_one_after_the_other(
     assert again == []  # in other processes
     found = table(Path("side"))
     assert_same_tables(table(Path("out")).loc[["free", "wrong"]], found, "failed", "seconds")
-    assert "column 'absent' is unknown" in found.loc["wrong", "failed"]
+    assert "column 'absent' is unknown" in str(found.loc["wrong", "failed"])
     predictions = Path("free") / "predictions.csv"
     assert (Path("out") / predictions).read_bytes() == (Path("side") / predictions).read_bytes()
     assert not [*Path("side").rglob(CHECKPOINTS)]
