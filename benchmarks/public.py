@@ -35,7 +35,7 @@ def measure(benchmark: Benchmark, minutes: float, jobs: int, checkpoints: Path) 
     tests = [load(test) for test in benchmark.tests]
     # As work, and not as time: the errors do not depend on what else the machine does.
     effort = Search(FOR_TRAINING * 60 * minutes * CORES) if minutes else Search()
-    options = Options(changes={"warmup": benchmark.warmup}, search=effort)
+    options = Options(search=effort, initial=benchmark.initial)
     setup = options.decided(record, len(record))
     began = time.perf_counter()
     comparison = sb.compare(

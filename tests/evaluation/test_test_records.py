@@ -64,6 +64,26 @@ def test_what_a_network_says_is_its_free_run_from_the_first_samples(usual: sb.Co
         np.testing.assert_allclose(said.time, test.time[WARMUP:], atol=1e-9)
 
 
+def test_fewer_samples_than_a_network_was_trained_with_can_start_a_simulation() -> None:
+    """The first row stands for what came before; errors count from the first unknown sample on."""
+    network = sb.Single(sb.GRU(4), settings=QUICK)
+    setup = replace(SETUP, initial=5)
+    result = sb.compare(
+        driven(TRAIN, 0), methods=[network, sb.Mean()], tests=TESTS, seeds=1, setup=setup
+    )
+    test = TESTS[0]
+    assert test.u is not None
+    y, u = (np.concatenate([np.repeat(x[:1], WARMUP - 5, axis=0), x]) for x in (test.y, test.u))
+    filled = replace(test, y=y, u=u, start=0.0)[:WARMUP]
+    model = result.trained("gru")
+    expected = model.predict(len(test) - 5, filled, u=test.u[5:], other_record=True)
+    (run,) = result.runs["gru"]
+    np.testing.assert_array_equal(run.tests[0].y, expected.y)
+    assert [len(run.tests[0].y) for run in result.means.values()] == [len(test) - 5] * 2
+    error = rmse(test.y[5:], expected.y)
+    assert run.errors.tests[0] == pytest.approx(error)
+
+
 def test_the_last_sample_of_the_warm_up_is_held_and_the_training_mean_kept(
     usual: sb.Comparison,
 ) -> None:

@@ -335,7 +335,7 @@ def mean() -> Forecaster:
             "filtered-gru needs a simulator, the record has none",
         ),
         (
-            lambda: fitted("gru").predict(5, record()[: WARMUP - 1]),
+            lambda: fitted("residual-rnn").predict(5, record()[: WARMUP - 1]),
             "history must have 8 measured samples in a row to warm up on, got 7",
         ),
         (lambda: sb.Filtered(sb.Mean(), GRU(3)), "base must say something about the whole record"),

@@ -92,6 +92,9 @@ def planned(request: Request, cores: int, steps: int = 0, fitting: bool = False)
     others = each_with_simulator(others, expected, request.further, simulator, reading)
     tests = records.load_further(request.testing.test, "--test", record, reading)
     tests = tests_with_simulator(tests, request.testing, simulator, reading)
+    initial = request.testing.initial
+    if initial is not None and not tests:
+        raise ValueError(f"--initial must be used with --test, got {initial}")
     train = len(record) if steps else request.train
     if fitting:
         train = len(record) if train is None else train
@@ -107,7 +110,9 @@ def planned(request: Request, cores: int, steps: int = 0, fitting: bool = False)
         others=others,
         tests=tests,
         seeds=request.seeds,
-        setup=replace(setups.options_of(request.model, cores, saved), simulator=fitted),
+        setup=replace(
+            setups.options_of(request.model, cores, saved), simulator=fitted, initial=initial
+        ),
         refit=request.refit,
     )
     device = request.model.device

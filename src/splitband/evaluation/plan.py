@@ -222,12 +222,15 @@ def _check_records(plan: Plan) -> None:
 
 def _check_test(test: Record, plan: Plan) -> None:
     check_alike(test, plan.record, test.name or "a test record")
-    warmup = max(plan.setup.settings.warmup, *(f.warmup for f in plan.methods))
-    begin = first_after(test.complete, warmup)
+    name, samples = "initial", plan.setup.initial
+    if samples is None:
+        name = "warmup"
+        samples = max(plan.setup.settings.warmup, *(f.warmup for f in plan.methods))
+    begin = first_after(test.complete, max(whole(name, samples), 2))
     if begin in (None, len(test)):
         raise ValueError(
-            f"warmup must fit into the test record {test.name} of {len(test)} samples, with "
-            f"samples to predict after it, got {warmup}"
+            f"{name} must fit into the test record {test.name} of {len(test)} samples, with "
+            f"samples to predict after it, got {samples}"
         )
     if np.isnan(test.truth[begin:]).all(axis=0).any():
         raise ValueError(

@@ -219,7 +219,9 @@ def question_of(plan: Plan, forecaster: Forecaster) -> Question:
     record, train, warmup = plan.record, plan.train, plan.setup.settings.warmup
     first = first_origin(record, train, forecaster.warmup or warmup)
     origins = [first, Origin(train, train)][: 1 + (train < len(record))]
-    return Question(record, origins, len(record), plan.others, plan.tests, warmup, keep=True)
+    return Question(
+        record, origins, len(record), plan.others, plan.tests, warmup, True, plan.setup.initial
+    )
 
 
 def as_run(name: str, question: Question, train: int, done: Backtest) -> Run:

@@ -35,6 +35,7 @@ class Setup:
     simulator : One whose parameters are fitted, for methods that have none of their own.
     search : How much may go into finding better settings where a forecaster has none of its own;
         None: the settings are what they are.
+    initial : Samples at the beginning of a test record that are known; None: the warm-up.
     """
 
     train: int
@@ -43,6 +44,7 @@ class Setup:
     sizes: Sizes = field(default_factory=Sizes)
     search: Search | None = None
     simulator: Adjustable | None = None
+    initial: int | None = None
 
     def forecaster(self, name: str) -> Forecaster:
         """The forecaster of a name, with nothing left open but what the bands do."""
@@ -131,6 +133,7 @@ class Options:
     search : How much may go into finding better settings. By default two minutes, and nothing
         where settings are given.
     simulator : One whose parameters are fitted, for methods that have none of their own.
+    initial : Samples at the beginning of a test record that are known, by default the warm-up.
     """
 
     recipe: Recipe = "default"
@@ -140,6 +143,7 @@ class Options:
     sizes: Sizes | None = None
     search: Search | None = None
     simulator: Adjustable | None = None
+    initial: int | None = None
 
     def decided(
         self,
@@ -162,7 +166,9 @@ class Options:
             methods = default_names(record.y_sim is not None)
         bands = self._bands(record, train, settings, methods)
         sizes = Sizes() if self.recipe == "paper" else Sizes(hidden_high=32, hidden_low=16)
-        return Setup(train, settings, bands, self.sizes or sizes, self._search(), self.simulator)
+        sizes = self.sizes or sizes
+        found = Setup(train, settings, bands, sizes, self._search(), self.simulator)
+        return replace(found, initial=self.initial)
 
     def _settings(self, training: Record, tests: Sequence[Record]) -> Settings:
         """How networks are trained to begin with."""

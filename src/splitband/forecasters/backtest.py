@@ -71,6 +71,7 @@ class Question:
     warmup : Samples at the beginning of a test record that are the history of what has no warm-up
         of its own (`Forecaster.warmup` is 0).
     keep : Whether what has been fitted to the most samples is handed back with its forecasts.
+    initial : Samples at the beginning of a test record that are known to all, in place of these.
     """
 
     record: Record
@@ -80,6 +81,7 @@ class Question:
     tests: Sequence[Record] = ()
     warmup: int = 1
     keep: bool = False
+    initial: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +179,7 @@ def _tested(fitted: Forecaster, question: Question) -> tuple[list[Prediction], s
         return predictions, ""
     for test in question.tests:
         try:
-            at = first_origin(test, 0, fitted.warmup or question.warmup).at
+            at = first_origin(test, 0, question.initial or fitted.warmup or question.warmup).at
             with without_warnings(ExtrapolationWarning):
                 history = test[:at]
                 predictions.append(fitted.predict(len(test) - at, history, other_record=True))

@@ -289,7 +289,11 @@ class Network(Forecaster):
         self.fitted = replace(self.require_fitted(), report=report)
 
     def extrapolate(self, known: Known) -> dict[str, Array]:
-        """Return a free run from the last `warmup` samples without a gap, part by part."""
+        """Return a free run from the last `warmup` samples without a gap, part by part.
+
+        Where the history is shorter, the system is taken to have rested where it begins.
+        """
+        known = self._filled(known)
         parts = self._trained().simulate_components(*self._warm(known))
         since = len(known.y) - self._start(known)
         return self._labelled({name: part[since:] for name, part in parts.items()})
@@ -414,6 +418,22 @@ class Network(Forecaster):
         self.require_fitted()
         assert self.model is not None
         return self.model
+
+    def _filled(self, known: Known) -> Known:
+        """Return what is known with a history that is long enough, its first row repeated before.
+
+        To train with as short warm-ups is worse, and this is as good as a history that is long
+        (`benchmarks.warmup`). Beside a base it is left as it is: that begins where the record does.
+        """
+        missing = self.warmup - len(known.y)
+        if missing <= 0 or self.base is not None or np.isnan(known.y).any():
+            return known
+        y, u = (
+            None if x is None else np.concatenate([np.repeat(x[:1], missing, axis=0), x])
+            for x in (known.y, known.u)
+        )
+        assert y is not None
+        return replace(known, y=y, u=u)
 
     def _start(self, known: Known) -> int:
         """Return where the free run starts: after the last warm-up without a gap."""

@@ -97,6 +97,16 @@ Tests = Annotated[
         show_default=False,
     ),
 ]
+Initial = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="Samples of a test record that are known.",
+        rich_help_panel=_PANEL,
+        show_default="the warm-up",
+    ),
+]
 FutureInputs = Annotated[
     Path | None,
     typer.Option(
@@ -135,3 +145,4 @@ class TestRecords:
 
     test: Tests = None
     test_simulator: TestSimulators = None
+    initial: Initial = None
