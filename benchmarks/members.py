@@ -134,7 +134,8 @@ def main() -> None:
         kind: statistics.geometric_mean(of[kind] for of in records.values())
         for kind in next(iter(records.values()))
     }
-    write_json(given.out, {"samples": SAMPLES, "means": means, "records": records})
+    facts = {"samples": SAMPLES, "count": len(records), "means": means, "records": records}
+    write_json(given.out, facts)
     for kind, mean in means.items():
         print(f"{kind}: {mean:.4f}")
 
