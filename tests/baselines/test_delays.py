@@ -40,6 +40,18 @@ def test_a_late_input_costs_no_accuracy(delay: int) -> None:
     assert rmse(np.asarray(y), record.truth[TRAIN:]) < 2e-3
 
 
+def test_a_delay_is_found_although_the_state_at_the_beginning_is_forgotten_within_it() -> None:
+    """The input was at rest before the record, and at another value from its first sample on."""
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.standard_normal(SAMPLES // 10), 10)
+    y = scipy.signal.lfilter([0.0] * 40 + [0.3], [1, -0.9], u)
+    record = Record(y + 0.01 * rng.standard_normal(SAMPLES), DT, u=u)
+    model = sb.Linear().fit(record[:TRAIN])
+    assert model.delays == (40,)
+    ahead = model.predict(SAMPLES - TRAIN, record[:TRAIN]).y
+    assert rmse(np.asarray(ahead), y[TRAIN:, None]) < 2e-3
+
+
 def test_each_input_has_a_delay_of_its_own() -> None:
     model = sb.Linear().fit(late(0, 25))
     assert model.delays == (0, 25)

@@ -143,7 +143,6 @@ MODELS = [
     bad(FIT + "--seed 99999999999999999999", "seed", "9999"),
     bad("simulate nothing --history history.csv --steps 5 --out ahead.csv", "nothing"),
     bad(AHEAD + "nothing.csv", "nothing.csv"),
-    bad(AHEAD + "history_short.csv", "--history", "10", "got 5"),
     bad(AHEAD + "history_renamed.csv", "history_renamed.csv", "'a'", "'z'"),
     bad(AHEAD + "history_slow.csv", "history_slow.csv", "0.1 s", "0.2 s"),
     bad(AHEAD + "history_holed.csv", "history_holed.csv", "'a'", "row 7", "nan"),

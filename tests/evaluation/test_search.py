@@ -235,6 +235,8 @@ def test_good_methods_get_more_seeds_as_long_as_the_budget_lasts() -> None:
     assert SearchResult([], costs=costs, members=members, left=45).seeds(scores) == {
         "good": range(2), "near": range(1), "far": range(1)
     }  # fmt: skip
+    more = SearchResult([], costs=costs, members=members, more={"good": 100.0}, left=300)
+    assert more.seeds(scores)["good"] == range(7)
     assert SearchResult([], costs=costs, left=-1).seeds(scores) == dict.fromkeys(costs, range(1))
 
 

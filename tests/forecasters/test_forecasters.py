@@ -348,6 +348,11 @@ def test_errors_say_what_is_wrong(call: Callable[[], Any], message: str) -> None
         call()
 
 
+def test_a_history_that_is_shorter_than_a_warm_up_is_said() -> None:
+    with pytest.warns(sb.ExtrapolationWarning, match="the history has 3 of the 8 samples"):
+        fitted("gru").predict(5, record()[:3], other_record=True)
+
+
 @pytest.mark.parametrize("level", [0.0, 1.0, -0.5, 2.0])
 def test_a_level_is_a_share(level: float) -> None:
     with pytest.raises(ValueError, match="level must be"):

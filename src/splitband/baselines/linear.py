@@ -89,11 +89,18 @@ class OutputError:
         if most is not None:
             return at_once
         delays = candidates(records)
-        shifted = [(_after(seen, max(delays)), delayed(x, delays)) for seen, x in records]
-        if not any(delays) or np.isnan(shifted[0][0]).all(axis=0).any():
+        begin, shifted = max(delays), [(seen, delayed(x, delays)) for seen, x in records]
+        # Fitted from the first sample on whose inputs are known, with a state of its own there.
+        acted = [(seen[begin:], x[begin:]) for seen, x in shifted]
+        if not begin or np.isnan(acted[0][0]).all(axis=0).any():
             return at_once
-        late = cls(_fit_channels(shifted), mean, scale, delays)
-        samples = sum(np.count_nonzero(~np.isnan(seen)) for seen, _ in shifted) / y.shape[1]
+        channels = _fit_channels(acted)
+        first, x = _after(shifted[0][0], begin), shifted[0][1]
+        begun = [
+            c._replace(c=_initial(c, part, x)) for c, part in zip(channels, first.T, strict=True)
+        ]
+        late = cls(tuple(begun), mean, scale, delays)
+        samples = sum(np.count_nonzero(~np.isnan(seen)) for seen, _ in acted) / y.shape[1]
         return min(at_once, late, key=lambda model: model.criterion(samples))
 
     def simulate(self, u: Array) -> Array:
@@ -357,13 +364,32 @@ def _solved(a: Array, parts: Sequence[_Part]) -> tuple[Array, Array]:
     rows = known(y)
     basis = np.hstack([_driven(a, parts), np.ones((len(y), 1))])
     fitted = basis[rows]
-    # Where the response to an initial state has died out before the first measured sample, the
-    # samples do not determine C, which is set to 0.
     of_c = slice(parts[0].u.shape[1] * len(a), -1)
-    gone = abs(fitted[:, of_c]).max(axis=0) < _DECAYED_SHARE * abs(basis[:, of_c]).max(axis=0)
-    fitted[:, of_c] = np.where(gone, 0.0, fitted[:, of_c])
+    fitted[:, of_c] = _determined(basis[:, of_c], rows)
     coefficients = np.linalg.lstsq(fitted, y[rows], rcond=_RANK)[0]
     return coefficients.astype(np.float64), np.asarray(basis @ coefficients)
+
+
+def _determined(free: Array, rows: npt.NDArray[np.int_]) -> Array:
+    """Return the measured rows of responses to an initial state, 0 where they do not determine it.
+
+    That is where the response has died out before the first measured sample.
+    """
+    gone = abs(free[rows]).max(axis=0) < _DECAYED_SHARE * abs(free).max(axis=0)
+    return np.where(gone, 0.0, free[rows])
+
+
+def _initial(channel: Channel, y: Array, u: Array) -> Array:
+    """Return C of a channel `(time,)` that is NaN before its first measured sample."""
+    left = y - channel._replace(c=np.zeros_like(channel.c)).simulate(u)
+    free, rows = _free(channel.a, u), known(y)
+    return np.asarray(np.linalg.lstsq(_determined(free, rows), left[rows], rcond=_RANK)[0])
+
+
+def _free(a: Array, u: Array) -> Array:
+    """Return the responses to each coefficient of C, `(time, n)`."""
+    response = scipy.signal.lfilter([1.0], a, _impulse(u))
+    return np.stack([_delayed(response, k) for k in range(len(a) - 1)], axis=1)
 
 
 def _driven(a: Array, parts: Sequence[_Part]) -> Array:
@@ -371,9 +397,9 @@ def _driven(a: Array, parts: Sequence[_Part]) -> Array:
     order = len(a) - 1
     forced, free = [], []
     for _, u in parts:
-        passed = scipy.signal.lfilter([1.0], a, np.hstack([u, _impulse(u)[:, None]]), axis=0).T
-        forced.append([_delayed(x, k) for x in passed[:-1] for k in range(order + 1)])
-        free.append(np.stack([_delayed(passed[-1], k) for k in range(order)], axis=1))
+        passed = scipy.signal.lfilter([1.0], a, u, axis=0).T
+        forced.append([_delayed(x, k) for x in passed for k in range(order + 1)])
+        free.append(_free(a, u))
     driven = np.concatenate([np.stack(columns, axis=1) for columns in forced])
     return np.hstack([driven, scipy.linalg.block_diag(*free)])
 

@@ -158,6 +158,7 @@ class SearchResult:
     done : Of the chosen networks, the forecasts of held-out samples, by name and seed.
     costs : Of the chosen networks, seconds of a reference core for each last training.
     members : How many trainings the search has begun whose mean is to be handed out.
+    more : Of networks that further seeds of the best setting may join, the cost of each.
     left : Of the budget.
     """
 
@@ -166,6 +167,7 @@ class SearchResult:
     done: Mapping[str, Mapping[int, Backtest]] = field(default_factory=dict)
     costs: Mapping[str, float] = field(default_factory=dict)
     members: Mapping[str, int] = field(default_factory=dict)
+    more: Mapping[str, float] = field(default_factory=dict)
     left: float = 0.0
 
     def cost(self, name: str) -> float:
@@ -175,8 +177,8 @@ class SearchResult:
     def seeds(self, scores: Mapping[str, float], left: float | None = None) -> dict[str, range]:
         """Return the seeds of each method that are worth their training, by held-out `scores`.
 
-        One of each; of the good ones all members, the best method first, as long as what is `left`
-        lasts, by default of the work.
+        One of each; of the good ones all members, the best method first, and of this one more seeds
+        up to `MOST_MEMBERS`, as long as what is `left` lasts, by default of the work.
         """
         ranked = sorted([name for name in self.costs if name in scores], key=lambda n: scores[n])
         counts = dict.fromkeys(ranked, 1)
@@ -188,6 +190,12 @@ class SearchResult:
                 break
             while counts[name] < wanted and self.cost(name) <= left:
                 left -= self.cost(name)
+                counts[name] += 1
+        for name in ranked[:1]:
+            begun = counts[name] == self.members.get(name)
+            more = self.more.get(name, math.inf)
+            while begun and counts[name] < MOST_MEMBERS and more <= left:
+                left -= more
                 counts[name] += 1
         return {name: range(count) for name, count in counts.items()}
 
@@ -318,6 +326,13 @@ def search(
             for name, networks in last.items()
         },
         {name: len(networks) for name, networks in last.items()},
+        # Held-out errors of a long record tell which training is best: others only make it worse.
+        {}
+        if len(record) > SHORT
+        else {
+            name: training_cost(network.going_on(Earlier()), record, others)
+            for name, network in chosen.items()
+        },
         left,
     )
 

@@ -315,8 +315,15 @@ class Network(Forecaster):
         return self._labelled({name: part[since:] for name, part in parts.items()})
 
     def doubts(self, known: Known) -> list[str]:
-        """Return those of the base."""
-        return [] if self.fitted_base is None else self.fitted_base.doubts(known)
+        """Return those of the base, and whether the history is short."""
+        if self.fitted_base is not None:
+            return self.fitted_base.doubts(known)
+        if len(known.y) >= self.warmup:
+            return []
+        return [
+            f"the history has {len(known.y)} of the {self.warmup} samples of a warm-up: "
+            "the system is taken to have rested before"
+        ]
 
     def describe(self) -> str:
         """Return what the base and the training have settled on."""
