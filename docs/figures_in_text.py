@@ -23,7 +23,7 @@ from typing import Any
 from benchmarks.sets import SETS
 from splitband.evaluation.search import SECONDS
 from splitband.evaluation.selection import WORTH_TRAINING
-from splitband.forecasters.names import QUICK
+from splitband.forecasters.names import NAMES, QUICK
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -107,33 +107,30 @@ def default_minutes() -> float:
 
 
 def drill_string() -> dict[str, dict[str, float]]:
-    """Return each method's errors on the drill string, those of the mean of its seeds."""
-    return {
-        name: {
-            key: (facts["mean_of_seeds"] or {key: facts[key][0]})[key]
-            for key in ("total_rmse", "forecast_rmse")
-        }
-        for name, facts in _methods("results/drill-string").items()
-    }
+    """Return each method's errors on the drill string, and those of the recommended one."""
+    methods = _methods("results/drill-string")
+    errors = {name: facts["mean_of_seeds"] for name, facts in methods.items()}
+    return errors | {"recommended": errors[_read("results/drill-string")["recommended"]]}
 
 
 def drill_string_table() -> str:
-    """Return the table of README.md, the recommended method's errors in bold."""
+    """Return the table of README.md: the fit first, methods in words, the recommended one bold."""
+    found = _read("results/drill-string")
+    columns = {column["heading"]: column["values"] for column in found["table"]}
     rows = [
-        "| method | held out | from the start | forecast | in interval | |",
-        "|---|---:|---:|---:|---:|---|",
+        "| method | short name | forecast fit % | RMSE | in the 90 % interval |",
+        "|---|---|---:|---:|---:|",
     ]
-    recommended = _read("results/drill-string")["recommended"]
-    for name, facts in _methods("results/drill-string").items():
-        best = name == recommended
-        errors = [_bold(f"{facts['held_out_rmse']:.3f}", best)]
-        for key, error in drill_string()[name].items():
-            deviation = facts.get(f"{key}_std")
-            spread = "" if deviation is None else f" ± {deviation:.3f}"
-            errors += [_bold(f"{error:.3f}", best) + spread]
-        label = _bold(name, best) + " (recommended)" * best
-        covers = f"{100 * facts['interval']['covers']:.0f} %"
-        rows.append(f"| {' | '.join([label, *errors, covers, _note(name, facts)])} |")
+    for name in sorted(columns["score"], key=lambda name: float(columns["score"][name])):
+        best = name == found["recommended"]
+        cells = [
+            _bold(_in_words(name, found["settings"]["cutoff"]), best),
+            f"`{name}`",
+            _bold(f"{columns['forecast fit %'][name]:.1f}", best),
+            f"{columns['forecast RMSE'][name]:.3f}",
+            f"{columns['in interval'][name]:.0%}".replace("%", " %"),
+        ]
+        rows.append(f"| {' | '.join(cells)} |")
     return "\n".join(rows)
 
 
@@ -141,21 +138,10 @@ def _bold(text: str, yes: bool) -> str:
     return f"**{text}**" if yes else text
 
 
-def _note(name: str, facts: dict[str, Any]) -> str:
-    """Return what the last column says of a method: words of its own, or its description."""
-    described = str(facts["description"])
-    terms = re.findall(r"(gain|offset|delay|clock) (-?[\d.]+\d)", described)
-    cutoff = _read("results/drill-string")["settings"]["cutoff"]
-    words = {
-        "gru": "one network, no simulator",
-        "filtered-gru-calibrated-conditioned":
-            f"simulator below {cutoff:.2f} Hz, network above",
-        "residual-gru-calibrated-conditioned": "network added to the simulator",
-        "simulator-calibrated": ", ".join(f"{t} {float(v):.3f}" for t, v in terms) + " s",
-        "mean": "of the training samples",
-    }  # fmt: skip
-    plain = described.replace("(s)", "s").replace(", and an offset", "")
-    return words.get(name, plain.replace("training samples", "samples"))
+def _in_words(name: str, cutoff: float) -> str:
+    """Return what a method is, with the frequency that separates its bands."""
+    words = NAMES[name].in_words().replace("in the low band", f"below {cutoff:.2f} Hz")
+    return words.replace("in the high band", "above")
 
 
 def calibration_of_v() -> dict[str, float]:
@@ -244,8 +230,8 @@ def tanks_published() -> dict[str, float]:
     """Return published errors on the cascaded tanks: of a linear model, and of black boxes."""
     scores = {
         name: float(score)
-        for name, (score,) in SETS["tanks-5"].published.items()
-        if not any(word in name for word in ("box", "second-hand", "measured by us"))
+        for name, (score,) in SETS["tanks"].published.items()
+        if "box" not in name
     }
     linear = scores.pop("linear state space (Champneys et al., 2024)")
     return {"linear": linear, "lowest": min(scores.values()), "highest": max(scores.values())}
