@@ -64,7 +64,7 @@ _TANKS = Benchmark(
 )
 
 SETS = {
-    "tanks-5": replace(
+    "tanks5": replace(
         _TANKS,
         title="Cascaded tanks, 5 initial samples",
         source="the same records; 5 samples were the official number until June 2026, by which "
