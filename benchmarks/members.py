@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import statistics
+import tempfile
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +28,7 @@ from splitband.runtime.files import write_json
 from splitband.training import Settings
 
 Array = npt.NDArray[np.float64]
+PARTS = Path(tempfile.gettempdir()) / "splitband-members"
 SAMPLES, SEEDS, WARMUP = 400, 2, 50
 TRIED, LAST = 400, 500
 """Iterations of L-BFGS in the trial, and after the training that goes on from it."""
@@ -116,7 +118,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--systems", nargs="*", default=[*SYSTEMS], choices=[*SYSTEMS])
     parser.add_argument("--seeds", nargs="*", type=int, default=[100, 101])
-    parser.add_argument("--parts", type=Path, default=Path("/tmp/members"))
+    parser.add_argument("--parts", type=Path, default=PARTS)
     parser.add_argument("--out", type=Path, default=Path("docs/benchmarks/members.json"))
     given = parser.parse_args()
     given.parts.mkdir(parents=True, exist_ok=True)
