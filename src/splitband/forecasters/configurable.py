@@ -145,11 +145,14 @@ class Configurable(Written, ABC):
         return self.with_parts(lambda part: part.simulated(record, horizon, *others))
 
     def with_parts(self, changed: Callable[[Forecaster], Forecaster]) -> Self:
-        """Return it with each of its parts changed; itself where it has none."""
+        """Return it, and those in `by_seed`, with each part changed; itself without parts."""
         if not parts_of(self):
             return self
         options = {name: _with_parts(value, changed) for name, value in self.get_params().items()}
-        return self.clone().set_params(**options)
+        new = self.clone().set_params(**options)
+        if self.by_seed:
+            new.by_seed = {seed: each.with_parts(changed) for seed, each in self.by_seed.items()}
+        return new
 
     def prepare(
         self,
