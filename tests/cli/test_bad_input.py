@@ -30,7 +30,8 @@ def bad(line: str, *says: str, id: str = "") -> Any:
 
 RECORDS = [
     bad("compare nothing.csv --out out", "RECORD", "nothing.csv"),
-    bad("compare folder --out out", "folder", "directory"),
+    bad("compare folder --out out", "RECORD must be a file", "got the folder folder"),
+    bad("compare record.csv --test folder --out out", "--test must be a file", "the folder folder"),
     bad("compare record.csv --columns torque --out out", "record.csv", "'torque'", "'a'"),
     bad("compare record.csv --inputs torque --out out", "record.csv", "'torque'"),
     bad("compare record.csv --columns a --inputs a --out out", "column 'a'", "twice"),

@@ -17,6 +17,7 @@ from splitband.evaluation.run import run
 from splitband.evaluation.work import Work
 from splitband.report.benchmark import Row, picture, summary
 from splitband.runtime.files import CHECKPOINTS
+from splitband.runtime.outputs import locked
 from tests.cli.support import (
     QUICK,
     SAMPLES,
@@ -411,6 +412,22 @@ def test_the_picture_stays_of_a_size_to_look_at(count: int) -> None:
     figure.canvas.draw()
     assert 3 <= figure.get_size_inches()[1] <= 40
     assert figure.axes[0].lines[1].get_xdata() == pytest.approx([0.1 + i for i in range(count)])
+
+
+def test_a_case_whose_folder_is_in_use_is_left_alone(
+    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("list.csv").write_text(
+        f"record,columns,name\n{workspace}/record.csv,a,free\n{workspace}/record.csv,a,used\n"
+    )
+    with locked("out/used"):
+        before = files(Path("out/used"))
+        call("benchmark list.csv --methods mean --at-once 1", Path("out"))
+        assert files(Path("out/used")) == before
+    found = table(Path("out"))["failed"]
+    assert pd.isna(found["free"])
+    assert "out/used is in use by another splitband command" in found["used"]
 
 
 def test_json_of_a_row_has_no_number_that_json_lacks() -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import splitband as sb
 from splitband.cli import COMMANDS, main
 from splitband.cli.output import WRITES
 from splitband.runtime.files import CHECKPOINTS
@@ -196,6 +197,27 @@ def test_a_result_that_cannot_be_written_leaves_the_earlier_one_and_names_the_fi
     assert said.count("\n") == 1
     after = files(out)
     assert {k: v for k, v in after.items() if CHECKPOINTS not in k} == before
+
+
+def test_a_model_is_replaced_with_the_result_that_it_belongs_to(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    out = Path("out")
+    call(MEAN, out)
+    before = files(out)
+
+    def killed(folder: Path, new: Path) -> None:
+        raise KeyboardInterrupt
+
+    other = MEAN.replace("mean", "persistence")
+    with monkeypatch.context() as patch:
+        patch.setattr("splitband.runtime.outputs._replace", killed)
+        assert main([*shlex.split(other), "--out", "out"]) == 130
+    after = files(out)
+    assert {k: v for k, v in after.items() if CHECKPOINTS not in k} == before
+    call(other, out)
+    assert sb.load(out / "model").name == "persistence"
+    assert len([*(out / "model").iterdir()]) == 2
 
 
 def test_a_result_cut_off_while_it_is_moved_is_gone_and_the_next_one_whole(

@@ -1,5 +1,7 @@
 """What is written in any format is read again."""
 
+import os
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -115,7 +117,9 @@ def test_columns_that_hold_no_number_or_name_are_left_out(tmp_path: Path) -> Non
     path = text_file(tmp_path, text)
     with pytest.warns(ReadingWarning) as caught:
         trajectory = read(path, sampling_time=1)
-    assert [str(each.message) for each in caught] == [f"{path}: left out: 'status' (no numbers)"]
+    assert [str(each.message) for each in caught] == [
+        f"{path}: left out: 'status' (no numbers: 'good')"
+    ]
     assert trajectory.columns == ("y",)
     np.testing.assert_array_equal(trajectory.y[:, 0], [1.5, 2.5])
 
@@ -139,6 +143,30 @@ def test_columns_that_are_left_out_are_named(
     with pytest.warns(ReadingWarning) as caught:
         assert read(path, time_column=time).columns == ("y",)
     assert [str(w.message) for w in caught] == [f"{path}: left out: {name!r} ({reason})"]
+
+
+@pytest.mark.parametrize("source", ["record.csv", "frame", "record.npz"])
+def test_blanks_around_a_name_do_not_matter(tmp_path: Path, source: str) -> None:
+    path, columns = tmp_path / source, {"u ": [1.0, 2, 3], " y": [4.0, 5, 6]}
+    frame = pd.DataFrame(columns)
+    if source == "record.csv":
+        frame.to_csv(path, index=False)
+    else:
+        np.savez(tmp_path / "record.npz", **columns)  # type: ignore[arg-type]
+    for name in ("u", "u "):
+        found = read(frame if source == "frame" else path, inputs=name, sampling_time=1)
+        assert (found.columns, found.inputs) == (("y",), ("u",))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs a named pipe")
+def test_a_pipe_is_read_from_its_first_character_on(tmp_path: Path) -> None:
+    pipe = tmp_path / "record"
+    os.mkfifo(pipe)
+    writer = threading.Thread(target=pipe.write_text, args=("time,y\n0,1\n0.5,2\n",))
+    writer.start()
+    found = read(pipe)
+    writer.join()
+    assert (found.columns, found.sampling_time) == (("y",), 0.5)
 
 
 def test_a_column_that_tells_the_time_can_be_asked_for(tmp_path: Path) -> None:

@@ -217,6 +217,38 @@ def test_serial_days_of_excel_are_dates(tmp_path: Path, step: float, places: int
     assert found.sampling_time == pytest.approx(step, rel=1e-4)
 
 
+@pytest.mark.parametrize(("step", "places"), [(3600.0, 5), (900.0, 10), (1.0, 11)])
+def test_serial_days_in_a_column_of_time_are_known_by_their_step(
+    tmp_path: Path, step: float, places: int
+) -> None:
+    days = [f"{45292.25 + step * row / 86400:.{places}f}" for row in range(50)]
+    with pytest.warns(ReadingWarning, match="'Time' holds Excel's serial days, read as dates"):
+        found = read(stamped(tmp_path, days, "Time"))
+    assert found.sampling_time == pytest.approx(step, rel=1e-3)
+    assert isinstance(found.start, pd.Timestamp)
+
+
+@pytest.mark.parametrize(("step", "places"), [(0.01, 2), (1e-5, 5), (1 / 30, 7), (1 / 3, 9)])
+def test_seconds_in_a_column_of_time_stay_seconds(
+    tmp_path: Path, step: float, places: int, recwarn: pytest.WarningsRecorder
+) -> None:
+    stamps = [f"{45292.25 + step * row:.{places}f}" for row in range(50)]
+    assert read(stamped(tmp_path, stamps, "time")).sampling_time == pytest.approx(step, rel=1e-3)
+    assert not recwarn.list
+
+
+def test_whole_days_that_may_be_seconds_are_said_to_be_read_as_these(
+    tmp_path: Path, recwarn: pytest.WarningsRecorder
+) -> None:
+    days = [45292, 45293, 45294]
+    with pytest.warns(ReadingWarning, match="'time' is read as seconds: call it 'date' where"):
+        assert read(stamped(tmp_path, days, "time")).sampling_time == 1
+    recwarn.clear()
+    read(stamped(tmp_path, days, "time [s]"))
+    read(stamped(tmp_path, ["10:00:00", "10:00:01", "10:00:02"], "time"))
+    assert not recwarn.list
+
+
 @pytest.mark.parametrize("stamps", [[0, 1, 2], [20240101, 20240102, 20240103]])
 def test_other_numbers_in_a_column_of_dates_are_refused(tmp_path: Path, stamps: list[int]) -> None:
     said = message(stamped(tmp_path, stamps, "date"))

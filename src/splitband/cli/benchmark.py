@@ -28,7 +28,7 @@ from splitband.report import benchmark as report
 from splitband.report import page, pictures, results
 from splitband.runtime.deadlines import now
 from splitband.runtime.files import CHECKPOINTS, replacing
-from splitband.runtime.outputs import staged, write_facts
+from splitband.runtime.outputs import locked, staged, write_facts
 from splitband.runtime.processes import over
 from splitband.runtime.threads import available_cores
 
@@ -171,16 +171,16 @@ def _compared(
 def _row(case: Case, folder: Path, workers: WorkerPool) -> report.Row:
     """The result of a case that is there, or that is computed now."""
     try:
-        identity = case.identity()
-        found = _finished(case.name, folder, identity)
-        if found is not None:
-            return found
-        began = now()
-        request = case.request
-        result = carried_out(planned(request, workers.cores), workers, folder, case.name, began)
-        seconds = now() - began
-        save(result, folder, {"command": "benchmark", **identity, "seconds": seconds})
-        return report.Row.of(case.name, _read(folder))
+        with locked(folder):  # `compare` may be at work there, too
+            identity = case.identity()
+            found = _finished(case.name, folder, identity)
+            if found is not None:
+                return found
+            began, plan = now(), planned(case.request, workers.cores)
+            result = carried_out(plan, workers, folder, case.name, began)
+            facts = {"command": "benchmark", **identity, "seconds": now() - began}
+            save(result, folder, facts)
+            return report.Row.of(case.name, _read(folder))
     except ConnectionError:
         raise  # without its cluster no case goes on
     except Exception as error:  # whatever is wrong with one case, the others go on

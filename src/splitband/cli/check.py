@@ -50,7 +50,7 @@ def check(
     of it and, for a model with inputs, its responses to steps.
     """
     model = forecasters.load(model_dir)
-    past = history_of(record, model.require_fitted().record, time_column, gaps)
+    past = history_of(record, "--record", model.require_fitted().record, time_column, gaps)
     model = opened_with_simulator(model, model_dir, simulator, past, 0, time_column)
     model = devices.on_device(model, device)
     with showing.warnings_as_lines():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -47,11 +48,12 @@ def announce(record: Record, name: str) -> None:
     )
 
 
-def read_file(path: str | Path, needed: str = "", **options: Any) -> Record:
-    """Read a file, and print what its reader warns of.
+def read_file(path: str | Path, argument: str, needed: str = "", **options: Any) -> Record:
+    """Read the file that an argument names, and print what its reader warns of.
 
     Where a column is not there, the error ends with what is `needed`.
     """
+    check_file(path, argument)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ReadingWarning)
         try:
@@ -63,11 +65,17 @@ def read_file(path: str | Path, needed: str = "", **options: Any) -> Record:
     return record
 
 
+def check_file(path: str | Path, argument: str, other: str = "") -> None:
+    """Raise OSError where an argument must be a file, or one of `other` names, and is none."""
+    rule = f"{argument} must be a file{other}"
+    if not os.path.exists(path):
+        raise FileNotFoundError(f"{rule}, got {path}")
+    if os.path.isdir(path):
+        raise IsADirectoryError(f"{rule}, got the folder {path}")
+
+
 def _file(record: str, reading: RecordOptions, saved: SavedSettings | None) -> Record:
-    if not Path(record).exists():
-        raise FileNotFoundError(
-            f"RECORD must be a file or one of {', '.join(RECORDS)}, got {record}"
-        )
+    check_file(record, "RECORD", f" or one of {', '.join(RECORDS)}")
     columns = None if reading.columns is None else names(reading.columns)
     inputs = None if reading.inputs is None else names(reading.inputs)
     needed = ""
@@ -79,6 +87,7 @@ def _file(record: str, reading: RecordOptions, saved: SavedSettings | None) -> R
             columns = [name for name in saved.columns if name not in inputs]
     trajectory = read_file(
         record,
+        "RECORD",
         needed,
         columns=columns or None,
         inputs=inputs or (),
@@ -108,19 +117,19 @@ def _named(record: str, reading: RecordOptions) -> Record:
 
 
 def read_beside(
-    path: str | Path, sampling_time: float, time_column: str | None, **others: Any
+    path: str | Path, argument: str, sampling_time: float, time_column: str | None, **others: Any
 ) -> Record:
-    """Read a file that is put beside a record of that sampling time.
+    """Read a file that an argument puts beside a record of that sampling time.
 
     Its time column is the record's, or one with a usual name where it has no such column.
     """
     others["fallback_sampling_time"] = sampling_time
     try:
-        return read_file(path, time_column=time_column, **others)
+        return read_file(path, argument, time_column=time_column, **others)
     except ColumnError:
         if not time_column:
             raise
-        return read_file(path, **others)
+        return read_file(path, argument, **others)
 
 
 def like(record: Record, sampling_time: float, what: str) -> Record:
@@ -143,10 +152,9 @@ def load_further(
     """The records of --more or --test, with the columns of `record`."""
     records = []
     for file in files or []:
-        if not Path(file).exists():
-            raise FileNotFoundError(f"{option} must be a file, got {file}")
         more = read_beside(
             file,
+            option,
             record.sampling_time,
             reading.time_column,
             columns=record.columns,
@@ -184,7 +192,7 @@ def inputs_ahead(
         coming = replace(named, y=named.u, y_sim=None, y_true=None, columns=named.inputs)
         coming = coming if named.start is not None else coming[since:]
     else:
-        coming = read_beside(file, ahead.step, time_column, columns=inputs)
+        coming = read_beside(file, "--future-inputs", ahead.step, time_column, columns=inputs)
     # Straight lines, as inputs may jump.
     u = aligned(f"--future-inputs {file}", coming.y, coming.grid, ahead, smooth=False)
     if u.note:

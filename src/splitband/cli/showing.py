@@ -196,7 +196,8 @@ def progress(
 
 def kept(checkpoints: Path) -> str:
     """What is said where a command goes on from what an earlier one has left; else nothing."""
-    count = len([*checkpoints.rglob("*.safetensors")])
+    # What begins with a dot was being written when a command was killed.
+    count = len([path for path in checkpoints.rglob("*.safetensors") if path.name[0] != "."])
     return f"resuming: {count} training{'s' if count != 1 else ''} kept" if count else ""
 
 

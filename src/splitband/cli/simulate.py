@@ -88,7 +88,9 @@ def simulate(
         raise ValueError(f"--out must be a file, got the folder {out}")
     forecaster = forecasters.load(model_dir)
     record = forecaster.require_fitted().record
-    past = record if history is None else history_of(history, record, time_column, gaps)
+    past = (
+        record if history is None else history_of(history, "--history", record, time_column, gaps)
+    )
     since = 0 if history else forecaster.require_fitted().begin + len(record)
     u = records.inputs_ahead(future_inputs, past, steps, time_column, since)
     forecaster = opened_with_simulator(forecaster, model_dir, simulator, past, steps, time_column)
@@ -111,10 +113,13 @@ def simulate(
     showing.as_json(written | {"leaves_range_after": leaves_range(fitted.y_range, found.y)})
 
 
-def history_of(file: Path, record: Record, time_column: str | None, gaps: Gaps) -> Record:
-    """Return the measured samples up to now, at the sampling time of the training record."""
+def history_of(
+    file: Path, option: str, record: Record, time_column: str | None, gaps: Gaps
+) -> Record:
+    """Return the measured samples of an option, at the sampling time of the training record."""
     past = records.read_file(
         file,
+        option,
         f"the model is for {described(record.columns, record.inputs)}",
         columns=record.columns,
         inputs=record.inputs,
@@ -125,7 +130,7 @@ def history_of(file: Path, record: Record, time_column: str | None, gaps: Gaps) 
     records.announce(past, str(file))
     if not near_sampling(past.sampling_time, record.sampling_time):
         raise ValueError(
-            f"--history must be sampled like the training record, every "
+            f"{option} must be sampled like the training record, every "
             f"{record.sampling_time:g} s, got every {past.sampling_time:g} s in {file}"
         )
     past = records.like(past, record.sampling_time, str(file))

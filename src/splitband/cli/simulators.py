@@ -208,7 +208,9 @@ def _times(grid: Grid) -> str:
 
 
 def _exported(path: str, record: Record, columns: list[str], time_column: str | None) -> Simulator:
-    exported = read_beside(path, record.sampling_time, time_column, columns=columns or None)
+    exported = read_beside(
+        path, "--simulator", record.sampling_time, time_column, columns=columns or None
+    )
     if not columns and set(record.columns) <= set(exported.columns):
         columns = list(record.columns)
         y = exported.y[:, [exported.columns.index(name) for name in columns]]

@@ -9,6 +9,7 @@ import warnings
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from io import BufferedReader
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -145,22 +146,23 @@ def read(
 
 def _load(path: Path) -> _Table:
     """Read every column of a file; each failure of a reader becomes a ValueError."""
-    with path.open("rb") as file:
-        if not file.read(1):
+    kind, reader = _READERS.get(path.suffix.lower(), ("text", None))
+    with path.open("rb") as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if not file.peek(1):
             raise ValueError("the file is empty")
-    kind, reader = _READERS.get(path.suffix.lower(), ("text", _read_text))
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return reader(path)
-    except Exception as error:  # zip, pickle, Arrow, pandas and SciPy each raise their own
-        raise ValueError(f"cannot be read as {kind}: {one_line(error)}") from error
+        try:
+            return _read_text(path, file) if reader is None else reader(path)
+        except Exception as error:  # zip, pickle, Arrow, pandas and SciPy each raise their own
+            raise ValueError(f"cannot be read as {kind}: {one_line(error)}") from error
 
 
-def _read_text(path: Path) -> _Table:
-    """Read separated numbers, with or without a header."""
-    _check_size(4 * path.stat().st_size)  # it is held as bytes, as lines and as numbers
-    raw = path.read_bytes()
+def _read_text(path: Path, file: BufferedReader) -> _Table:
+    """Read separated numbers, with or without a header; of a pipe, which can be read once only."""
+    most = MOST_BYTES // 4  # it is held as bytes, as lines and as numbers
+    _check_size(4 * path.stat().st_size)
+    raw = file.read(most + 1)
+    _check_size(4 * len(raw))
     _check_size(100 * raw.count(b"\n"))
     return _columns(read_table(raw, path.suffix.lower()))
 
@@ -240,7 +242,9 @@ def _native(array: _AnyArray) -> _AnyArray:
 def _variables(variables: Mapping[str, object]) -> _Table:
     """Turn named arrays into columns: a matrix `m` becomes `m[0]`, `m[1]`, ..."""
     table: _Table = {}
-    for name, variable in variables.items():
+    names = [name.strip() for name in variables]
+    check_different(names)
+    for name, variable in zip(names, variables.values(), strict=True):
         if isinstance(variable, np.ndarray) and variable.dtype.names is None:
             array = _native(variable)
             if array.ndim == 1:
@@ -280,7 +284,8 @@ def _picked(
         ignored = timed if time_column == "" else []
         left_out = [f"{c!r} ({reason})" for c, reason in said.items() if c not in ignored]
     if not measured:
-        raise ColumnError(f"there is no numeric column to model: {_available(table)}")
+        why = f"left out: {_listed(left_out)}" if left_out else _available(table)
+        raise ColumnError(f"there is no numeric column to model: {why}")
     _check_orientation(known + measured, rows)
     return _Picked(stamps, known, measured, left_out)
 
@@ -294,7 +299,10 @@ def _reason(name: str, column: Column, rows: int) -> str:
         return _EXPECTED if len(column) == 1 else f"{len(column)} rows instead of {rows}"
     if time_name(name)[0] in TIME_NAMES or also_time(name, column):
         return "another time column"
-    return "" if has_number(column) else "no numbers"
+    if has_number(column):
+        return ""
+    known = column.dropna()
+    return f"no numbers: {str(known.iloc[0])[:40]!r}" if len(known) else "empty"
 
 
 def _check_orientation(names: Sequence[str], rows: int) -> None:
@@ -360,7 +368,7 @@ def _find(table: _Table, wanted: _Names) -> list[str]:
     """Return the keys of the wanted columns, a matrix being all of its columns."""
     all_keys = []
     for column in [wanted] if isinstance(wanted, str | int) else wanted:
-        name = str(column)
+        name = str(column).strip()
         if name == _NAMELESS and list(table) == ["0"]:
             name = "0"
         keys = [name] if name in table else []

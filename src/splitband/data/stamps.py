@@ -20,6 +20,10 @@ from splitband.runtime.arrays import Array
 MOST_MISSING = 0.9
 """Share of a record's rows that may be missing between its time stamps."""
 TIME_NAMES = ("time", "t", "timestamp", "datetime", "date")
+_CLOCK_STEPS = (
+    *(n * unit for unit in (1, 60) for n in (1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30)), 3600, 7200,
+)  # fmt: skip
+"""Usual seconds between samples where a clock counts in minutes and hours."""
 _UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "min": 60.0, "h": 3600.0}
 _UNITS |= {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
 _UNIT = re.compile(rf"[\s_/(\[]+({'|'.join(_UNITS)})[)\]]?$")
@@ -80,28 +84,60 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps) -> Spacing:
         step,
         start if date is None else stamp_after(date, start),
         rows if len(rows) <= rows[-1] else None,
-        "" if days is None else f"{what} holds Excel's serial days, read as dates from {date}",
+        _note(what, name, column, stamps, date),
     )
 
 
-def _serial_days(what: str, name: str, column: Column) -> Array | None:
-    """Return Excel's days since 1899-12-30 of a column called date or datetime; None for others.
+def _note(what: str, name: str, column: Column, stamps: Array, date: Stamp | None) -> str:
+    """Say how numbers were read where they could have been read otherwise."""
+    if not has_number(column):
+        return ""
+    if date is not None:
+        return f"{what} holds Excel's serial days, read as dates from {date}"
+    unitless = time_name(name)[0] == name.strip().lower()
+    if unitless and stamps[0] > 2e4 and stamps[-1] < 8e4 and not (4 * stamps % 1).any():
+        return (
+            f"{what} is read as seconds: call it 'date' where these are Excel's serial days, "
+            "'t [s]' where they are not"
+        )
+    return ""
 
-    They are numbers from 20,000 to 80,000, which is 1954 to 2119. Raises ValueError for smaller
-    and larger ones that cannot be seconds since 1970 either.
+
+def _serial_days(what: str, name: str, column: Column) -> Array | None:
+    """Return Excel's days since 1899-12-30 of a column of stamps; None where they are others.
+
+    They are numbers from 20,000 to 80,000, which is 1954 to 2119, in a column called date or
+    datetime, or in one of another name without a unit that steps as a clock does in days. Raises
+    ValueError for numbers in a column of dates that cannot be seconds since 1970 either.
     """
-    if name.strip().lower() not in ("date", "datetime") or not has_number(column):
+    dated = name.strip().lower() in ("date", "datetime")
+    if not has_number(column) or time_name(name)[0] != name.strip().lower():
         return None
     days = numbers(what, column)
     require_finite(what, days[:, None])
     if ((days > 2e4) & (days < 8e4)).all():
-        return days
-    if (days > 1e8).all():
+        return days if dated or _steps_in_days(days) else None
+    if not dated or (days > 1e8).all():
         return None
     raise ValueError(
         f"{what} must hold dates, Excel's serial days or seconds since 1970, or name its unit as "
         f"in 'date [s]': row 0 holds {days[0]:.10g}"
     )
+
+
+def _steps_in_days(stamps: Array) -> bool:
+    """Tell whether stamps step as a clock does, in days: by 0.0416667, which is an hour.
+
+    With four decimals or fewer they are taken for seconds.
+    """
+    unit, steps = _last_place(stamps), np.diff(stamps)
+    if unit > 1e-5 or steps.min() <= 0:
+        return False
+    span = 86400 * (stamps[-1] - stamps[0])
+    count = np.rint(span / (86400 * np.median(steps)))
+    uncertain = 1e-6 + 2 * 86400 * unit / span
+    off = min(abs(span / count / step - 1) for step in _CLOCK_STEPS)
+    return bool(off < uncertain < 1e-3)
 
 
 def _seconds_of_days(days: Array) -> tuple[Array, float, pd.Timestamp]:

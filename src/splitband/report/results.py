@@ -55,7 +55,6 @@ def save(
     """
     with staged(folder) as new:
         _write(comparison, new, facts or {}, usage)
-        comparison.model.save(folder / MODEL)  # it replaces an earlier one as a whole by itself
 
 
 def _write(
@@ -78,6 +77,7 @@ def _write(
     if comparison.tests:
         tested.save_predictions(comparison, folder)
     save_found(comparison.forecaster(), record, folder)
+    comparison.model.save(folder / MODEL)
     comparison.time.phases["writing"] = Phase(now() - began)
     write_facts(folder, facts | results(comparison) | {"time": comparison.time.as_json()})
 
@@ -174,9 +174,9 @@ def save_forecast(result: Forecast, folder: Path, usage: Usage | None = None) ->
         pictures.save(pictures.forecast(result), new / "forecast.png")
         page.of_forecast(result, new / page.NAME, usage)
         save_found(result.forecaster, result.record, new)
+        result.model.save(new / MODEL)
         facts = forecast_facts(result) | {"time": result.time.as_json()}
         write_facts(new, facts)
-        result.model.save(folder / MODEL)
 
 
 def forecast_facts(result: Forecast) -> dict[str, Any]:

@@ -55,7 +55,8 @@ def staged(folder: str | Path) -> Iterator[Path]:
     except OSError as error:
         if error.filename is not None:
             path = Path(str(error.filename))
-            error.filename = str(folder / path.name if path.parent == new else path)
+            within = path.is_relative_to(new)
+            error.filename = str(folder / path.relative_to(new) if within else path)
         raise
     finally:
         shutil.rmtree(new, ignore_errors=True)
@@ -63,7 +64,7 @@ def staged(folder: str | Path) -> Iterator[Path]:
 
 def write_facts(new: Path, facts: dict[str, Any]) -> None:
     """Write results.json into the folder that `staged` gave, after all other files."""
-    names = sorted(path.name for path in new.iterdir())
+    names = sorted(path.name for path in new.iterdir() if path.is_file())
     write_json(new / FACTS, facts | {"files": names})
 
 
@@ -86,16 +87,20 @@ def files_of_result(folder: Path) -> set[str]:
 
 def _replace(folder: Path, new: Path) -> None:
     """Move the new files over those of the earlier result, results.json last."""
-    names = {path.name for path in new.iterdir()}
-    outdated = files_of_result(folder) - names
-    if MODEL in names:  # whose weights are named after their content
-        outdated |= {path.name for path in folder.glob(WEIGHTS.format("*"))} - names
+    files = [path.relative_to(new) for path in new.rglob("*") if path.is_file()]
+    names = {file.as_posix() for file in files}
+    outdated = files_of_result(folder)
+    for file in files:
+        (folder / file.parent).mkdir(exist_ok=True)
+        if file.name == MODEL:  # whose weights are named after their content
+            weights = (folder / file.parent).glob(WEIGHTS.format("*"))
+            outdated |= {path.relative_to(folder).as_posix() for path in weights}
     if (folder / FACTS).exists():
         (folder / FACTS).replace(folder / _EARLIER)  # it still says what to remove
     # A model's description comes after its weights, so that it never has others than its own.
     for name in sorted(names - {FACTS}, key=lambda name: (name.endswith(".json"), name)):
         (new / name).replace(folder / name)
-    for name in outdated:
+    for name in outdated - names:
         (folder / name).unlink(missing_ok=True)
     if FACTS in names:
         (new / FACTS).replace(folder / FACTS)
