@@ -7,8 +7,10 @@ import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import splitband as sb
 from splitband.baselines import linear
 from splitband.baselines.linear import OutputError, _stable
+from splitband.runtime.deadlines import Deadline, within
 
 Array = npt.NDArray[np.float64]
 TRAIN, LENGTH = 400, 600
@@ -161,3 +163,14 @@ def test_short_and_constant_records_give_finite_numbers(
         assert np.isfinite(OutputError.fit(y, u[:samples]).simulate(u)).all()
     constant = OutputError.fit(np.full((samples, 1), 7.0), u[:samples])
     np.testing.assert_allclose(constant.simulate(u)[samples:], 7, atol=1e-6)
+
+
+def test_after_the_deadline_it_is_a_model_of_one_pole_and_says_that_it_was_cut() -> None:
+    u = np.repeat(np.random.default_rng(2).choice([-1.0, 1.0], 60), 10)
+    y = scipy.signal.lfilter([0.0, 0.1], [1.0, -0.9], u)
+    record = sb.Record(y, 0.1, u=u[:, None])
+    with within(Deadline.after(-1.0)):
+        late = sb.Linear().fit(record)
+    assert late.require_fitted().report.cut
+    assert late.poles() == pytest.approx([0.9], abs=1e-6)
+    assert not sb.Linear().fit(record).require_fitted().report.cut

@@ -8,6 +8,7 @@ from that history. See L. Ljung, System Identification, 2nd ed., Sec. 4.2.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from splitband.baselines.naive import LONGEST, known, recent, units
 from splitband.baselines.origins import origins, pays
 from splitband.baselines.states import States
 from splitband.metrics import spread
-from splitband.runtime.deadlines import check
+from splitband.runtime.deadlines import OverError, check, current
 from splitband.runtime.options import saved
 
 Array = npt.NDArray[np.float64]
@@ -73,6 +74,7 @@ class OutputError:
         themselves on held-out samples (`baselines.origins`). Of a long record the
         last samples are fitted, see `naive.recent`. Where an input acts late, a model with that
         delay is fitted, too, and the one with the lower Bayesian information criterion is taken.
+        After the deadline of `runtime.deadlines` no more orders and no delays are tried.
 
         Parameters
         ----------
@@ -86,7 +88,7 @@ class OutputError:
         mean, scale = together.mean(axis=0), spread(together)
         records = [(seen, (inputs - mean) / scale) for seen, inputs in ((y, u), *others)]
         at_once = cls(_fit_channels(records, most), mean, scale, (0,) * len(mean))
-        if most is not None:
+        if most is not None or current().over:
             return at_once
         delays = candidates(records)
         begin, shifted = max(delays), [(seen, delayed(x, delays)) for seen, x in records]
@@ -276,11 +278,12 @@ def _denominator(parts: Sequence[_Part], most: int | None) -> Array:
     nu = parts[0].u.shape[1]
     enough_samples = max((len(known(_joined(parts))) // 3 - nu - 1) // (2 + nu), 1)
     most = enough_samples if most is None else min(most, enough_samples)
-    errors = {order: _held_out(parts, order) for order in ORDERS if order <= most}
-    best = ORDERS[0]
-    for order, found in errors.items():
-        if pays(found, errors[best]):
-            best = order
+    best, errors = ORDERS[0], dict[int, Array]()
+    with suppress(OverError):  # the best of the orders so far is what there is then
+        for order in (order for order in ORDERS if order <= most):
+            errors[order] = _held_out(parts, order)
+            if pays(errors[order], errors[best]):
+                best = order
     return _refined(_of_order(parts, best), parts)
 
 
@@ -288,6 +291,7 @@ def _held_out(parts: Sequence[_Part], order: int) -> Array:
     """Return the RMSE of the forecasts of held-out samples, from each origin."""
     y, errors = _joined(parts), []
     for ends in zip(*map(_ends, parts), strict=True):
+        check()
         begun = [part._replace(y=np.where(np.arange(len(part.y)) < end, part.y, np.nan))
                  for part, end in zip(parts, ends, strict=True)]  # fmt: skip
         later = np.isnan(_joined(begun)) & ~np.isnan(y)
@@ -322,7 +326,6 @@ def _tried(parts: Sequence[_Part], order: int) -> Iterator[tuple[float, Array]]:
     ends = np.cumsum([len(part.y) for part in parts])[:-1]
     a = np.append(1.0, np.zeros(order))
     for _ in range(ROUNDS):
-        check()
         passed = [scipy.signal.lfilter([1.0], a, part) for part in np.split(whole, ends)]
         past = np.concatenate([
             np.stack([_delayed(part, k) for k in range(1, order + 1)], axis=1) for part in passed

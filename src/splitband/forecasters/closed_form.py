@@ -24,6 +24,7 @@ from splitband.forecasters.stepping import Part
 from splitband.forecasters.stepping_baselines import Constant, Held, InTime, Repeated
 from splitband.forecasters.stepping_linear import Driven
 from splitband.runtime.arrays import Array
+from splitband.runtime.deadlines import current
 
 SEVERAL = 3.0
 """Multiple of its error in training from which on a function of time disagrees with a history."""
@@ -186,6 +187,8 @@ class Linear(Forecaster):
         self.u = first[1]
         self.model = OutputError.fit(*first, others)
         self.delays = self.model.delays
+        fitted = self.require_fitted()
+        self.fitted = replace(fitted, report=replace(fitted.report, cut=current().over))
 
     def extrapolate(self, known: Known) -> Array:
         """Return its output after the history."""
