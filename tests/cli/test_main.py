@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from splitband.cli import main
-from tests.cli.support import call, complaints, process, results
+from tests.cli.support import QUICK, call, complaints, process, results
 
 pytestmark = pytest.mark.usefixtures("inside", "undrawn")
 
@@ -40,6 +40,18 @@ def test_the_entry_point_writes_results_and_no_warning(tmp_path: Path) -> None:
     found = process(script, "spectrum", "record.csv", "--columns", "a", "--out", str(tmp_path))
     assert (found.returncode, complaints(found.stderr)) == (0, [])
     assert results(tmp_path)["record"] == "record"
+
+
+def test_a_training_leaves_nothing_in_the_temporary_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    monkeypatch.delenv("TORCHINDUCTOR_CACHE_DIR", raising=False)
+    line = f"-m splitband fit record.csv --columns a --method gru {QUICK} --out {tmp_path}/model"
+    assert process(sys.executable, *line.split()).returncode == 0
+    assert [*temporary.iterdir()] == []
 
 
 def test_as_a_module_it_fails_with_one_line_too() -> None:

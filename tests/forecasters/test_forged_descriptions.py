@@ -122,6 +122,20 @@ def test_a_cell_of_ones_own_may_compute_with_values(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded.predict(9).y, model.predict(9).y)
 
 
+@pytest.mark.parametrize("delays", [[-1], [10**12], [0, 0]])
+def test_delays_that_no_fit_finds_are_refused(delays: list[int], tmp_path: Path) -> None:
+    sb.Linear().fit(sb.Record(np.sin(TIME), DT, u=np.cos(TIME))).save(tmp_path)
+    path = tmp_path / "forecaster.json"
+    whole = path.read_text()
+    for place in ("forecaster", "model"):
+        description = json.loads(whole)
+        part = description["forecaster"]["fields"]
+        (part if place == "forecaster" else part["model"]["fields"])["delays"] = {"tuple": delays}
+        path.write_text(json.dumps(description))
+        with pytest.raises(ValueError, match="delays must be"):
+            sb.load(tmp_path)
+
+
 def test_a_number_in_place_of_an_array_is_refused(tmp_path: Path) -> None:
     sb.Linear().fit(sb.Record(np.sin(TIME), DT, u=np.cos(TIME))).save(tmp_path)
     path = tmp_path / "forecaster.json"

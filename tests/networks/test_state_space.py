@@ -154,3 +154,8 @@ def test_a_forecaster_learns_with_it_a_nonlinear_system() -> None:
     assert isinstance(model.model, Recurrent)
     error = model.predict(100, u=u[500:, None]).y - x[500:, :1]
     assert np.sqrt(np.mean(error**2)) < 0.05 * x.std()
+
+
+def test_layers_are_few() -> None:
+    with pytest.raises(ValueError, match="layers must be between 1 and 100, got 9999"):
+        StateSpace(3, 6, layers=9999)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import scipy
 
 from splitband.baselines.naive import recent
+from splitband.runtime.arguments import whole
 
 Array = npt.NDArray[np.float64]
 
@@ -28,6 +29,14 @@ _PAST = 4
 """Past outputs in that model."""
 _CHANCE = 1e-3
 """Probability that an input without any effect is found to have one."""
+
+
+def check_delays(delays: Sequence[int], inputs: int) -> None:
+    """Raise ValueError where delays, perhaps of a forged file, are not those of so many inputs."""
+    if len(delays) != inputs:
+        raise ValueError(f"delays must be those of {inputs} inputs, got {len(delays)}")
+    for delay in delays:
+        whole("delays", delay, 0, LONGEST_DELAY)
 
 
 def delayed(u: Array, delays: Sequence[int]) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.baselines.delays import candidates, delayed
+from splitband.baselines.delays import candidates, check_delays, delayed
 from splitband.baselines.naive import LONGEST, known, recent, units
 from splitband.baselines.origins import origins, pays
 from splitband.baselines.states import States
@@ -59,6 +59,10 @@ class OutputError:
     mean: Array
     scale: Array
     delays: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        """Check what may come from a file."""
+        check_delays(self.delays, len(self.mean))
 
     @classmethod
     def fit(

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from splitband.baselines.delays import check_delays
 from splitband.data import Record
 from splitband.forecasters.asking import (
     first_needed,
@@ -386,6 +387,8 @@ class Forecaster(Configurable):
         """Return a forecaster made of what `to_dict` said; its constructor is not called."""
         new = object.__new__(cls)
         vars(new).update(found)
+        if new.fitted is not None and new.delays:
+            check_delays(new.delays, new.fitted.record.nu)
         return new
 
     def first_needed(self) -> int:

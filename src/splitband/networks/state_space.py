@@ -20,6 +20,8 @@ _TURN = 0.3
 """Standard deviation of the angles, in radians a sample, by which its states turn into others."""
 _OBSERVED = 0.5
 """Share of a prediction error by which its observer moves the predicted output."""
+MOST_LAYERS = 100
+"""Of f and g each: a description that asks for more is a forgery, and would take time to build."""
 MOST_ENCODED = 10
 """Samples of the warm-up that the first state is estimated from at most."""
 _NONLINEAR = 0.1
@@ -66,7 +68,8 @@ class StateSpace(Written, nn.Module):
         encoded: int = 0,
     ) -> None:
         super().__init__()
-        check_sizes(nu, ny=ny, states=states, layers=layers)
+        check_sizes(nu, ny=ny, states=states)
+        whole("layers", layers, 1, MOST_LAYERS)
         if hidden < 0:
             raise ValueError(f"hidden must not be negative, got {hidden}")
         self.ny, self.nu, self.states, self.hidden, self.layers = ny, nu, states, hidden, layers
