@@ -22,7 +22,7 @@ import numpy as np
 import splitband as sb
 from benchmarks.driven import SYSTEMS, drawn
 from splitband import Record
-from splitband.forecasters.template import Template
+from splitband.networks.cell import Template
 from splitband.runtime.files import write_json
 from splitband.runtime.threads import use_one_thread
 

@@ -1,48 +1,14 @@
-"""Learn dynamics models from measured records, their slow and fast parts by different means."""
+"""Learn dynamics models from measured records, their slow and fast parts by different means.
 
+What the package hands out stands once, in `__init__.pyi`: a line there is all that a name needs.
+"""
+
+import ast
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from splitband.runtime.provided import provide
-
-if TYPE_CHECKING:
-    from splitband.data import Grid, Record, read
-    from splitband.evaluation.comparison import Comparison
-    from splitband.evaluation.forecast import Forecast, forecast
-    from splitband.evaluation.plan import Plan, plan
-    from splitband.evaluation.run import compare, run
-    from splitband.evaluation.saved_settings import SavedSettings
-    from splitband.evaluation.search import Search
-    from splitband.evaluation.setup import Options, Setup
-    from splitband.evaluation.work import Work
-    from splitband.filters import ComplementaryPair
-    from splitband.forecasters.backtest import Origin, Question, backtest
-    from splitband.forecasters.bands import Bands
-    from splitband.forecasters.base import Forecaster
-    from splitband.forecasters.closed_form import (
-        Harmonic,
-        Linear,
-        Mean,
-        Periodic,
-        Persistence,
-        SeasonalNaive,
-    )
-    from splitband.forecasters.ensemble import Ensemble
-    from splitband.forecasters.grey_box import GreyBox
-    from splitband.forecasters.hybrids import Filtered, Residual
-    from splitband.forecasters.known import Known
-    from splitband.forecasters.names import Sizes, named
-    from splitband.forecasters.prediction import Prediction
-    from splitband.forecasters.saving import load
-    from splitband.forecasters.simulation import Calibrated, Simulation
-    from splitband.forecasters.single import Single
-    from splitband.forecasters.split import Split
-    from splitband.forecasters.streaming import Stream
-    from splitband.metrics import ExtrapolationWarning, cumulative_rmse, fit_percent, nrmse, rmse
-    from splitband.networks import GRU, Cell, EulerMLP, StateSpace, rollout
-    from splitband.runtime.cluster import Cluster
-    from splitband.simulators import Estimate, Fmu, Function, Ode, Recorded, Simulator, identify
-    from splitband.training import Progress, Settings
 
 __version__ = "0.2.0"
 
@@ -65,119 +31,22 @@ provide(
     }
 )
 
-# Loaded on first use: torch and pandas take seconds.
-_MODULES = {
-    "data": ("Grid", "Record", "read"),
-    "evaluation.comparison": ("Comparison",),
-    "evaluation.forecast": ("Forecast", "forecast"),
-    "evaluation.run": ("compare", "run"),
-    "evaluation.search": ("Search",),
-    "evaluation.plan": ("Plan", "plan"),
-    "evaluation.setup": ("Options", "Setup"),
-    "evaluation.saved_settings": ("SavedSettings",),
-    "evaluation.work": ("Work",),
-    "filters": ("ComplementaryPair",),
-    "forecasters.backtest": ("Origin", "Question", "backtest"),
-    "forecasters.bands": ("Bands",),
-    "forecasters.base": ("Forecaster",),
-    "forecasters.closed_form": (
-        "Harmonic",
-        "Linear",
-        "Mean",
-        "Periodic",
-        "Persistence",
-        "SeasonalNaive",
-    ),
-    "forecasters.ensemble": ("Ensemble",),
-    "forecasters.grey_box": ("GreyBox",),
-    "forecasters.hybrids": ("Filtered", "Residual"),
-    "forecasters.known": ("Known",),
-    "forecasters.names": ("Sizes", "named"),
-    "forecasters.prediction": ("Prediction",),
-    "forecasters.saving": ("load",),
-    "forecasters.simulation": ("Calibrated", "Simulation"),
-    "forecasters.single": ("Single",),
-    "forecasters.split": ("Split",),
-    "forecasters.streaming": ("Stream",),
-    "metrics": ("ExtrapolationWarning", "cumulative_rmse", "fit_percent", "nrmse", "rmse"),
-    "networks": ("GRU", "Cell", "EulerMLP", "StateSpace", "rollout"),
-    "runtime.cluster": ("Cluster",),
-    "simulators": ("Estimate", "Fmu", "Function", "Ode", "Recorded", "Simulator", "identify"),
-    "training": ("Progress", "Settings"),
+_PLACES = {
+    name.name: str(line.module)
+    for line in ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")).body
+    if isinstance(line, ast.ImportFrom)
+    for name in line.names
 }
-__all__ = [
-    "GRU",
-    "Bands",
-    "Calibrated",
-    "Cell",
-    "Cluster",
-    "Comparison",
-    "ComplementaryPair",
-    "Ensemble",
-    "Estimate",
-    "EulerMLP",
-    "ExtrapolationWarning",
-    "Filtered",
-    "Fmu",
-    "Forecast",
-    "Forecaster",
-    "Function",
-    "GreyBox",
-    "Grid",
-    "Harmonic",
-    "Known",
-    "Linear",
-    "Mean",
-    "Ode",
-    "Options",
-    "Origin",
-    "Periodic",
-    "Persistence",
-    "Plan",
-    "Prediction",
-    "Progress",
-    "Question",
-    "Record",
-    "Recorded",
-    "Residual",
-    "SavedSettings",
-    "Search",
-    "SeasonalNaive",
-    "Settings",
-    "Setup",
-    "Simulation",
-    "Simulator",
-    "Single",
-    "Sizes",
-    "Split",
-    "StateSpace",
-    "Stream",
-    "Work",
-    "backtest",
-    "compare",
-    "cumulative_rmse",
-    "fit_percent",
-    "forecast",
-    "identify",
-    "load",
-    "named",
-    "nrmse",
-    "plan",
-    "read",
-    "rmse",
-    "rollout",
-    "run",
-]
+__all__ = sorted(_PLACES)  # noqa: PLE0605
 
 
 def __getattr__(name: str) -> Any:
-    for module, names in _MODULES.items():
-        if name in names:
-            value = getattr(import_module(f"splitband.{module}"), name)
-            globals()[name] = value
-            return value
-    raise AttributeError(f"module 'splitband' has no attribute {name!r}")
+    """Load a name on its first use: torch and pandas take seconds."""
+    if name not in _PLACES:
+        raise AttributeError(f"module 'splitband' has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(_PLACES[name]), name)
+    return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *_PLACES})

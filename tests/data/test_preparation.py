@@ -98,7 +98,7 @@ def test_a_frame_becomes_a_record_and_comes_back() -> None:
     assert (found.columns, found.inputs, found.units) == (("x (m)",), ("force",), ("m",))
     pd.testing.assert_frame_equal(found.to_frame(), frame)
     dated = frame.drop(columns="time").set_index(pd.date_range("2024", periods=600, freq="100ms"))
-    again = sb.Record.from_frame(dated, inputs="force")
+    again = sb.read(dated, inputs="force")
     assert again.start == pd.Timestamp("2024")
     assert repr(again) == (
         "<Record without a name: 600 samples every 0.1 s; inputs: force; outputs: x (m)>"

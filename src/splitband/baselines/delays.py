@@ -9,13 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from splitband.baselines.naive import recent
 from splitband.runtime.arguments import whole
-
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 SHORTEST = 4
 """Samples: a shorter delay is left to a model's own coefficients."""

@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from splitband.baselines.modes import Modes
 from splitband.baselines.naive import known, recent, units
 from splitband.baselines.trend import Shape, described, find
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
-
-Array = npt.NDArray[np.float64]
 
 MOST_SINUSOIDS = 10
 """Default limit of the number of sinusoids of a channel."""

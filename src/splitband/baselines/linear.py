@@ -21,10 +21,9 @@ from splitband.baselines.naive import LONGEST, known, recent, units
 from splitband.baselines.origins import origins, pays
 from splitband.baselines.states import States
 from splitband.metrics import spread
+from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import OverError, check, current
 from splitband.runtime.options import saved
-
-Array = npt.NDArray[np.float64]
 
 ORDERS = (1, 2, 3, 4, 6, 8)
 """Numbers of poles that are tried."""

@@ -10,11 +10,9 @@ import scipy
 
 from splitband.baselines.naive import known
 from splitband.baselines.trend import FASTEST, SLOWEST, Shape
+from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import check
 from splitband.runtime.options import saved
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.int_]
 
 RESOLUTION = 0.1
 """Sinusoids too close to be told apart are fitted as one: singular values below this are cut."""
@@ -70,11 +68,7 @@ class Modes(NamedTuple):
 
     def _solve(self, y: Array) -> Modes:
         rows = known(y)
-        return self._solve_on(self.basis(rows), y[rows])
-
-    def _solve_on(self, basis: Array, values: Array) -> Modes:
-        """Return a copy whose coefficients fit `values` best, given the basis at their indices."""
-        return self._replace(coefficients=_Span.of(basis).coefficients(values))
+        return self._replace(coefficients=_Span.of(self.basis(rows)).coefficients(y[rows]))
 
     def refined(self, y: Array) -> Modes:
         """Return the local optimum of frequencies, dampings and trend rate for `y`."""

@@ -11,7 +11,7 @@ from typing import Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 LONGEST = 4000
 """Measured samples of a channel that least squares fits use at most, to bound their time."""

@@ -7,9 +7,8 @@ decide on trends, periods and poles, give a method its held-out error and an int
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 HELD_OUT = (0.5, 0.375, 0.25, 0.2, 0.15, 0.1)
 """Shares of a record that are forecast by what is fitted to the samples before. Half a record shows

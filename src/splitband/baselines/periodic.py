@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.modes import Modes
@@ -19,10 +18,8 @@ from splitband.baselines.naive import known, recent, units
 from splitband.baselines.origins import origins, pays
 from splitband.baselines.seasonal import all_around, last_period, seasons, self_similar_lags
 from splitband.baselines.trend import Shape, described, find
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.int_]
 
 MOST_HARMONICS = 30
 VIBRATIONS = 4

@@ -11,12 +11,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from splitband.baselines.linear import Channel, OutputError
-
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 _FASTEST, _SLOWEST = 0.5, 0.95
 """Poles of states that the linear model does not need."""

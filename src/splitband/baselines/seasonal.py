@@ -8,14 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from splitband.baselines.trend import Trend, described, find, trending
 from splitband.metrics import spread
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
-
-Array = npt.NDArray[np.float64]
 
 ENOUGH_PAIRS = 0.25
 """Share of the largest number of pairs of measured samples at any lag. A lag with fewer pairs is

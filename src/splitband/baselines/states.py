@@ -14,9 +14,8 @@ import numpy.typing as npt
 import scipy
 
 from splitband.baselines.naive import known
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
-
-Array = npt.NDArray[np.float64]
 
 FACTORS = np.geomspace(1e-4, 1e6, 41)
 """Multiples of the usual covariance by which an initial state may differ from what is expected."""

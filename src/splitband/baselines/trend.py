@@ -16,9 +16,8 @@ import scipy
 
 from splitband.baselines.naive import known, recent, units
 from splitband.baselines.origins import origins, pays
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
-
-Array = npt.NDArray[np.float64]
 
 SLOWEST, FASTEST = 0.5, 20.0
 """E-foldings of an exponential within the record. A slower one is as good as a straight line, a

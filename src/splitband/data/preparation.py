@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, final
 
@@ -17,14 +16,25 @@ if TYPE_CHECKING:
     from splitband.data.record import Record
 
 Numbers = tuple[float, ...]
+AHEAD = "beyond", "u_beyond"
+"""Signals of a record that go on after its end."""
+SIGNALS = "y", "y_true", "y_sim", "u", *AHEAD
 
 
-class Preparation(ABC):
+class Preparation:
     """Represent something that is done to a record."""
 
-    @abstractmethod
     def apply(self, record: Record) -> Record:
-        """Return the record with it done."""
+        """Return the record with it done; to a simulator's output what is done to outputs."""
+        time = seconds(record)
+        done = {"y": self.measured, "u": self.inputs, "u_beyond": self.inputs}
+        changed: dict[str, Any] = {}
+        for field in SIGNALS:
+            if (signal := getattr(record, field)) is not None:
+                later = time[-1] + record.sampling_time * (1 + np.arange(len(signal)))
+                at = later if field in AHEAD else time
+                changed[field] = done.get(field, self.outputs)(signal, at)
+        return replace(record, **changed)
 
     def measured(self, y: Array, time: Array) -> Array:
         """Return measured samples `(time, ny)` at `time`, in seconds, with it done."""
@@ -85,17 +95,6 @@ class Detrended(Preparation):
         ny = record.ny
         return cls(begin, levels[:ny], slopes[:ny], levels[ny:], slopes[ny:])
 
-    def apply(self, record: Record) -> Record:
-        """Return the record less the trend; a simulator's output loses that of the outputs."""
-        time = seconds(record)
-        changed: dict[str, Any] = {}
-        for field in ("y", "y_true", "y_sim", "u", "beyond", "u_beyond"):
-            if (signal := getattr(record, field)) is not None:
-                later = time[-1] + record.sampling_time * (1 + np.arange(len(signal)))
-                done = self.inputs if field in ("u", "u_beyond") else self.outputs
-                changed[field] = done(signal, later if field in ("beyond", "u_beyond") else time)
-        return replace(record, **changed)
-
     def measured(self, y: Array, time: Array) -> Array:
         """Return measured samples less the trend."""
         return y - self._trend(time)
@@ -152,10 +151,6 @@ class Clipped(Preparation):
         reach = np.where(reach > 0, reach, np.inf)
         return cls(tuple(map(float, middle - reach)), tuple(map(float, middle + reach)))
 
-    def apply(self, record: Record) -> Record:
-        """Return the record with its outputs in range."""
-        return replace(record, y=self.measured(record.y, seconds(record)))
-
     def measured(self, y: Array, time: Array) -> Array:
         """Return measured samples in range; what is NaN stays so."""
         clipped = np.clip(y, np.array(self.low), np.array(self.high))
@@ -187,19 +182,15 @@ class Resampled(Preparation):
         if measured is not None:
             measured = np.asarray(measured.reshape(-1, k, record.ny).all(axis=1))
         changed: dict[str, Any] = {}
-        for field in ("y", "y_true", "y_sim", "u", "beyond", "u_beyond"):
+        for field in SIGNALS:
             if (signal := getattr(record, field)) is not None:
-                ahead = field in ("beyond", "u_beyond")
-                means = self._means(signal[: len(signal) // k * k] if ahead else signal[first:])
+                kept = signal[: len(signal) // k * k] if field in AHEAD else signal[first:]
+                means = kept.reshape(-1, k, signal.shape[1]).mean(axis=1)
                 changed[field] = means if len(means) else None
         step, start = record.sampling_time, record.start
         if start is not None:
             start = stamp_after(start, (first + k - 1) * step)
         return replace(record, sampling_time=k * step, start=start, measured=measured, **changed)
-
-    def _means(self, signal: Array) -> Array:
-        means = signal.reshape(-1, self.factor, signal.shape[1]).mean(axis=1)
-        return np.asarray(means, dtype=np.float64)
 
 
 def seconds(record: Record) -> Array:

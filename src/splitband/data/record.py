@@ -186,16 +186,6 @@ class Record:
             measured=measured, start=start,
         )  # fmt: skip
 
-    @classmethod
-    def from_frame(cls, frame: pd.DataFrame, **options: Any) -> Record:
-        """Return a record from a table with a column for each signal; options as of `read`.
-
-        Time stamps are a column, as in a file, or the table's index of dates.
-        """
-        from splitband.data.reading import read  # noqa: PLC0415  it makes records
-
-        return read(frame, **options)
-
     def to_frame(self) -> pd.DataFrame:
         """Return a table with a column of time stamps, then inputs and outputs; gaps are NaN."""
         named = dict(zip(self.columns, self.seen.T, strict=True))

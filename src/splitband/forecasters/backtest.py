@@ -12,7 +12,6 @@ from itertools import groupby
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 from torch import Tensor
 
 from splitband.baselines.origins import origins
@@ -23,11 +22,11 @@ from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import ExtrapolationWarning, rmse, spread
+from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import OverError, current
 from splitband.runtime.threads import without_warnings
 from splitband.training import Checkpoint, Progress
 
-Array = npt.NDArray[np.float64]
 AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
 
 HELD_OUT = 0.25
@@ -166,16 +165,11 @@ def backtest(
     return Backtest(*said_of, unfiltered, fitted.state(), model)
 
 
-def tested_by(forecaster: Forecaster, test: Record) -> bool:
-    """Return whether a forecaster can be asked about another record."""
-    simulated = "simulator" not in forecaster.needs or test.y_sim is not None
-    return simulated and not forecaster.anchored
-
-
 def _tested(fitted: Forecaster, question: Question) -> tuple[list[Prediction], str]:
     """Return each test record, simulated to its end from its first samples; or none, and why."""
     predictions: list[Prediction] = []
-    if not all(tested_by(fitted, test) for test in question.tests):
+    simulated = "simulator" not in fitted.needs or all(t.y_sim is not None for t in question.tests)
+    if fitted.anchored or not simulated:
         return predictions, ""
     for test in question.tests:
         try:

@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self, TypedDict, Unpack, final
 
-import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
@@ -38,6 +37,7 @@ from splitband.forecasters.stepping import (
 from splitband.forecasters.streaming import Stream, stream_of
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.arguments import whole
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import attributes
 from splitband.runtime.provided import provided
 from splitband.runtime.threads import one_thread
@@ -47,8 +47,6 @@ from splitband.training import Checkpoint, Progress
 if TYPE_CHECKING:
     from splitband.forecasters.checking import ModelCheck
     from splitband.forecasters.responses import Responses
-
-Array = npt.NDArray[np.float64]
 
 
 class Training(TypedDict):

@@ -96,8 +96,8 @@ def begin_as_linear(model: Model, records: Sequence[Record], normalize: bool, se
     normalize : See `Settings`.
     seed : For states that the linear model does not have.
     """
-    at_once = getattr(model, "feedthrough", False)
-    if not at_once or not any(isinstance(part, LinearPart) for part in model.modules()):
+    linear = any(isinstance(part, LinearPart) for part in model.modules())
+    if not (model.feedthrough and linear):
         return
     model.adapt_to(records, normalize)
     seen = [model.normalised(record) for record in records]

@@ -183,7 +183,7 @@ class Linear(Forecaster):
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Fit the model to all records."""
-        first, *others = [(record.seen, _inputs(record.u)) for record in records]
+        first, *others = [(r.seen, r.u) for r in records if r.u is not None]  # `check` says: all
         self.u = first[1]
         self.model = OutputError.fit(*first, others)
         self.delays = self.model.delays
@@ -203,7 +203,8 @@ class Linear(Forecaster):
         begin = -1 if known.begin is None or known.begin % 1 else int(known.begin)
         before = self.u[:begin] if 0 <= begin <= len(self.u) else None
         y = np.full_like(known.y, np.nan) if known.own else known.y  # the fit has told its state
-        return self.model.continued(_inputs(known.u), y, before)
+        assert known.u is not None
+        return self.model.continued(known.u, y, before)
 
     def part(self, outside: bool = False) -> Part:
         """Return the model's recursion."""
@@ -259,9 +260,3 @@ def _whole(begin: float | None) -> float:
     """Return the time as an integer where it is one, so that times are the same to the bit."""
     assert begin is not None, "what depends on the time is not asked about other records"
     return int(begin) if begin == int(begin) else begin
-
-
-def _inputs(u: Array | None) -> Array:
-    if u is None:
-        raise ValueError("linear needs known inputs")
-    return u

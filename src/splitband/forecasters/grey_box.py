@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from hashlib import sha256
 from pathlib import Path
 from typing import Any, Unpack, final
 
@@ -24,7 +23,7 @@ from splitband.simulators.absent import Absent
 from splitband.simulators.adjusted import Adjusted
 from splitband.simulators.estimate import Estimate
 from splitband.simulators.identification import Effort, identify
-from splitband.simulators.shooting import Adjustable, Experiment
+from splitband.simulators.shooting import Adjustable, Experiment, fit_key
 
 STARTS = 0.5, 2 / 3, 5 / 6
 """Shares of the training record, from which on forecasts are compared to choose the `memory`."""
@@ -45,12 +44,8 @@ class _Fit:
         return identify(self.simulator, *self.records, effort=self.effort)
 
     def __repr__(self) -> str:
-        said = sha256(f"{self.simulator.digest()} {self.simulator.known}".encode())
-        for record in self.records:
-            said.update(f"{record.start} {record.sampling_time} {record.y.shape}".encode())
-            for array in (record.seen, record.u):
-                said.update(b"" if array is None else array.tobytes())
-        return f"{said.hexdigest()} {self.effort.starts}"
+        experiments = [Experiment.of(record) for record in self.records]
+        return fit_key(self.simulator, experiments, self.effort.starts)
 
 
 ESTIMATES: Remembered[Estimate] = Remembered(_Fit.result)

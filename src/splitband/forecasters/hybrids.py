@@ -12,8 +12,8 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.network import CONDITIONED, Network
 from splitband.forecasters.simulation import Simulation
-from splitband.forecasters.template import Template, as_template, label_of
 from splitband.models import Model
+from splitband.networks.cell import Template, as_template, label_of
 from splitband.simulators import Simulator
 from splitband.training import Settings
 

@@ -16,9 +16,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
-
-Array = npt.NDArray[np.float64]
 
 EXPONENTS = np.linspace(0, 1, 11)
 """Powers of the horizon that errors may grow by: from not at all to as a drift does."""

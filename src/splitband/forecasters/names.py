@@ -60,15 +60,11 @@ def _kinds(sizes: Sizes) -> list[Forecaster]:
         StateSpace(4, 10),
     )
     bands = GRU(sizes.hidden_low), GRU(sizes.hidden_high)
-    hybrids = (
-        Filtered,
-        Residual,
-    )
     return [
         *(Single(cell) for cell in cells),
         Split(*bands),
         Split(*bands, filter_output=True),
-        *(kind(None, cell) for kind in hybrids for cell in cells),
+        *(kind(None, cell) for kind in (Filtered, Residual) for cell in cells),
         Simulation(),
         Calibrated(terms=AFFINE),
         Calibrated(),
@@ -78,14 +74,7 @@ def _kinds(sizes: Sizes) -> list[Forecaster]:
 
 
 def _baselines() -> list[Forecaster]:
-    return [
-        Mean(),
-        Persistence(),
-        SeasonalNaive(),
-        Harmonic(),
-        Periodic(),
-        Linear(),
-    ]
+    return [Mean(), Persistence(), SeasonalNaive(), Harmonic(), Periodic(), Linear()]
 
 
 BASES = {each.name: each for each in _baselines() if each.as_base.words}

@@ -8,12 +8,11 @@ it has and beside what it stands. One network is in `forecasters.single`, one fo
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, Self, Unpack
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from splitband.baselines.delays import delayed
@@ -31,14 +30,13 @@ from splitband.forecasters.stepping import NotSteppedError, Recursion, Warmed
 from splitband.models import Model
 from splitband.models.base import with_weights
 from splitband.models.hybrid import FAST, SLOW
+from splitband.runtime.arrays import Array
 from splitband.runtime.threads import drawn_from
 from splitband.simulators.calibration import Calibration
 from splitband.training import Settings, fit
 from splitband.training.recipes import recipe_settings
 from splitband.training.settings import SHORTEST_WINDOW, longest_window
 from splitband.training.windows import windows_in
-
-Array = npt.NDArray[np.float64]
 
 DELAYS = Remembered(input_delays)
 """Many trainings ask for the delays of the same records."""
@@ -274,7 +272,7 @@ class Network(Forecaster):
         """Fit the base, choose what has been left open, and train the model."""
         seed = how["seed"]
         settings = self.trained_by = self._settings_for(records[0])
-        seen = self._inputs_shifted(records, self._seen(records, seed))
+        seen = self._seen(records, seed)
         if self.bands is not None:
             self.trained_in = self._bands_for(seen[0], settings)
         self.model = self._built(seen[0], settings, seed)
@@ -293,10 +291,7 @@ class Network(Forecaster):
 
         Where the history is shorter, the system is taken to have rested where it begins.
         """
-        known = self._filled(known)
-        parts = self._trained().simulate_components(*self._warm(known))
-        since = len(known.y) - self._start(known)
-        return self._labelled({name: part[since:] for name, part in parts.items()})
+        return self._run(self._trained().simulate_components, self._filled(known))
 
     def stepped(self, outside: bool = False) -> Recursion:
         """Return the recursion of its model, warmed up."""
@@ -310,9 +305,7 @@ class Network(Forecaster):
     def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
         """Return what the model's filters are fed with; empty for a model without filters."""
         known, _ = known_of(self, steps, history, None, None)
-        parts = self._trained().simulate_unfiltered(*self._warm(known))
-        since = len(known.y) - self._start(known)
-        return self._labelled({name: part[since:] for name, part in parts.items()})
+        return self._run(self._trained().simulate_unfiltered, known)
 
     def doubts(self, known: Known) -> list[str]:
         """Return those of the base, and whether the history is short."""
@@ -356,22 +349,19 @@ class Network(Forecaster):
         vars(new).update({name: vars(self)[name] for name in kept if name in vars(self)})
         return new
 
-    def _inputs_shifted(self, records: Sequence[Record], seen: Sequence[Record]) -> list[Record]:
-        """Return the records as the model sees them, with inputs that act at once."""
+    def _seen(self, records: Sequence[Record], seed: int) -> list[Record]:
+        """Return the records as the model learns from them.
+
+        The slow part is their `y_sim`, and inputs act at once.
+        """
+        seen = [*records]
+        if self.base is not None:
+            base = self.fitted_base = self.base.clone().fit(*records, seed=seed)
+            seen = [base.on(record, first=i == 0) for i, record in enumerate(records)]
         self.delays = ()
         if records[0].u is not None:
             self.delays = DELAYS(*(x for r in records for x in (r.seen, r.u)))
-        return [
-            each if each.u is None else replace(each, u=delayed(each.u, self.delays))
-            for each in seen
-        ]
-
-    def _seen(self, records: Sequence[Record], seed: int) -> list[Record]:
-        """Return the records as the model learns from them, with the slow part as `y_sim`."""
-        if self.base is None:
-            return [*records]
-        base = self.fitted_base = self.base.clone().fit(*records, seed=seed)
-        return [base.on(record, first=i == 0) for i, record in enumerate(records)]
+        return [r if r.u is None else replace(r, u=delayed(r.u, self.delays)) for r in seen]
 
     def _remarks(self, record: Record) -> list[str]:
         """Return what a user should know of a training record as the model sees it."""
@@ -391,10 +381,6 @@ class Network(Forecaster):
         slow = None if self.base is None else record.y_sim
         return self.bands.chosen(record.y, record.sampling_rate, settings.warmup, slow)
 
-    def _slow(self, known: Known) -> Array | None:
-        """Return what holds the slow part, `(time + steps, ny)`; None where a network does."""
-        return None if self.fitted_base is None else self.fitted_base.trajectory(known)
-
     def _fast_network_inputs(self, record: Record) -> int:
         """Return the inputs of the network that sees every sample.
 
@@ -403,15 +389,13 @@ class Network(Forecaster):
         """
         return 2 * record.nu + (2 * record.ny if self.conditioned else 0)
 
-    def _labelled(self, parts: dict[str, Array]) -> dict[str, Array]:
-        """Return the model's components; the slow one is labelled by the base."""
-        if self.base is None:
-            return parts
+    def _labels(self, parts: Iterable[str]) -> dict[str, str]:
+        """Return what the model's parts are called; the base labels the slow one."""
         # A base may be named as the fast component is, and two labels must not be the same.
-        slow = self.base.as_base.label
+        slow = SLOW if self.base is None else self.base.as_base.label
         slow = slow if slow != FAST else "base"
-        return {label.replace(SLOW, slow, 1) if label.startswith(SLOW) else label: part
-                for label, part in parts.items()}  # fmt: skip
+        return {part: slow + part.removeprefix(SLOW) if part.startswith(SLOW) else part
+                for part in parts}  # fmt: skip
 
     def _built(self, record: Record, settings: Settings, seed: int) -> Model:
         """Return the untrained model, its parameters drawn from `seed`."""
@@ -442,8 +426,11 @@ class Network(Forecaster):
         assert y is not None
         return replace(known, y=y, u=u)
 
-    def _start(self, known: Known) -> int:
-        """Return where the free run starts: after the last warm-up without a gap."""
+    def _run(self, simulate: Callable[..., dict[str, Array]], known: Known) -> dict[str, Array]:
+        """Return what the model says of the samples after a history; the base labels its part.
+
+        The free run starts after the last warm-up without a gap.
+        """
         complete = np.asarray(~np.isnan(known.y).any(axis=1))
         start = last_before(complete, self.warmup, len(known.y))
         if start is None:
@@ -451,13 +438,10 @@ class Network(Forecaster):
                 f"history must have {self.warmup} measured samples in a row to warm up on, got "
                 f"{len(known.y)} samples, of which {int(complete.sum())} were measured in whole"
             )
-        return start
-
-    def _warm(self, known: Known) -> tuple[Array, int, Array | None, Array | None]:
-        """Return what `Model.simulate` takes: warm-up, steps, inputs and the slow part."""
-        start = self._start(known)
-        begin = start - self.warmup
-        u = None if known.u is None else delayed(known.u, self.delays)
-        slow = self._slow(replace(known, since=begin))
-        u, slow = (None if s is None else s[begin:] for s in (u, slow))
-        return known.y[begin:start], len(known.y) + known.steps - start, u, slow
+        begin, since, slow = start - self.warmup, len(known.y) - start, None
+        u = None if known.u is None else delayed(known.u, self.delays)[begin:]
+        if self.fitted_base is not None:
+            slow = self.fitted_base.trajectory(replace(known, since=begin))[begin:]
+        parts = simulate(known.y[begin:start], since + known.steps, u, slow)
+        named = self._labels(parts)
+        return {named[label]: part[since:] for label, part in parts.items()}

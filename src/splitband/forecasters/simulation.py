@@ -74,7 +74,7 @@ class SimulatorForecaster(Forecaster):
     applied = Calibration()
     """How its output is changed."""
 
-    def __init__(self, simulator: Simulator | None, name: str | None) -> None:
+    def __init__(self, simulator: Simulator | None = None, name: str | None = None) -> None:
         self.simulator: Any = simulator
         self._name = name
 
@@ -272,9 +272,6 @@ class Simulation(SimulatorForecaster):
     simulator : What to run; by default a record brings its output (`y_sim`, `beyond`).
     name : By default "simulator".
     """
-
-    def __init__(self, simulator: Simulator | None = None, name: str | None = None) -> None:
-        super().__init__(simulator, name)
 
     @property
     def as_base(self) -> AsBase:

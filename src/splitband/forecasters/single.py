@@ -7,8 +7,8 @@ from typing import final
 from splitband import models
 from splitband.data import Record
 from splitband.forecasters.network import Network
-from splitband.forecasters.template import Template, as_template, label_of
 from splitband.models import Model
+from splitband.networks.cell import Template, as_template, label_of
 from splitband.training import Settings
 
 

@@ -8,8 +8,8 @@ from splitband import models
 from splitband.data import Record
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.network import CONDITIONED, Network
-from splitband.forecasters.template import Template, as_template, label_of
 from splitband.models import Model
+from splitband.networks.cell import Template, as_template, label_of
 from splitband.training import Settings
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -60,6 +60,10 @@ class Model(nn.Module, ABC):
     y_std: Tensor
     u_mean: Tensor
     u_std: Tensor
+    feedthrough = False
+    """Whether the step to a sample knows the inputs of that sample, too."""
+    steps: ClassVar[type[Stepped] | None] = None
+    """What runs it sample by sample."""
     units_kept = False
     """Whether `adapt_to` leaves mean and deviation as they are, which the weights are made for."""
 
@@ -115,7 +119,9 @@ class Model(nn.Module, ABC):
 
     def stepped(self) -> Stepped:
         """Return the model sample by sample; raises ValueError where it cannot run so."""
-        raise ValueError(f"{type(self).__name__} cannot be stepped")
+        if self.steps is None:
+            raise ValueError(f"{type(self).__name__} cannot be stepped")
+        return self.steps(self)
 
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """Return what is filtered after the warm-up; nothing, unless a subclass filters."""
@@ -138,6 +144,10 @@ class Model(nn.Module, ABC):
     def normalised(self, record: Record) -> Signals:
         """Return the signals of a record as the networks see them, each `(time, n)`."""
         return self._signals(record.y, record.u if self.nu else None, record.y_sim)
+
+    def _rows(self, u: Tensor | None) -> Tensor | None:
+        """Return the inputs of the steps between samples."""
+        return with_next_input(u) if self.feedthrough and u is not None else u
 
     def _signals(self, y: Array, u: Array | None, y_sim: Array | None) -> Signals:
         return Signals(

@@ -19,7 +19,6 @@ from splitband.models.base import (
     conditioning,
     inputs_of,
     slope_scale,
-    with_next_input,
 )
 from splitband.models.stepping import SteppedFiltered, SteppedResidual
 from splitband.networks import Cell, rollout
@@ -55,8 +54,7 @@ class Hybrid(Model):
 
     def _conditioned(self, known: Signals) -> Signals:
         """Return the inputs as the network wants them, with the simulator's output among them."""
-        if self.feedthrough and known.u is not None:
-            known = replace(known, u=with_next_input(known.u))
+        known = replace(known, u=self._rows(known.u))
         if not self.conditioned:
             return known
         # With inputs the simulator's output may depend on them, as an FMU's does.
@@ -80,6 +78,8 @@ class Filtered(Hybrid):
     feedthrough : See `Hybrid`.
     """
 
+    steps = SteppedFiltered
+
     def __init__(
         self,
         cell: Cell,
@@ -97,10 +97,6 @@ class Filtered(Hybrid):
         filtered = self._low_passed(known)
         low = _required(filtered)[:, known.y.shape[1] :][:, :steps]
         return {f"{SLOW}, low band": low, f"{FAST}, high band": self._high(filtered, steps)}
-
-    def stepped(self) -> SteppedFiltered:
-        """Return the sum of both bands sample by sample."""
-        return SteppedFiltered(self)
 
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """Return the simulator's samples and the network's, before the filters."""
@@ -139,15 +135,13 @@ class Residual(Hybrid):
     The network warms up on the residual of the measured samples. Parameters as for `Hybrid`.
     """
 
+    steps = SteppedResidual
+
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """Return the simulator's samples and the network's."""
         warmup = known.y.shape[1]
         residual = self._simulate(self._conditioned(known), steps)
         return {SLOW: _required(known)[:, warmup : warmup + steps], FAST: residual}
-
-    def stepped(self) -> SteppedResidual:
-        """Return the sum of simulator and network sample by sample."""
-        return SteppedResidual(self)
 
     def tasks(self, record: Signals) -> list[Task]:
         """Reproduce the simulator's residual."""

@@ -37,6 +37,8 @@ class Recurrent(Model):
         model's inputs, see `base.with_next_input`. The paper has no inputs.
     """
 
+    steps = SteppedRecurrent
+
     def __init__(self, cell: Cell, feedthrough: bool = False) -> None:
         super().__init__(cell.ny, inputs_of(cell, 0, feedthrough))
         self.cell, self.feedthrough = cell, feedthrough
@@ -45,17 +47,12 @@ class Recurrent(Model):
         """Return the network's free run."""
         return {"network": self._simulate(known, steps)}
 
-    def stepped(self) -> SteppedRecurrent:
-        """Return the network sample by sample."""
-        return SteppedRecurrent(self)
-
     def tasks(self, record: Signals) -> list[Task]:
         """Reproduce the record."""
         return [Task("network", as_module(self.cell), record, record.y, self._simulate)]
 
     def _simulate(self, known: Signals, steps: int) -> Tensor:
-        u = with_next_input(known.u) if self.feedthrough and known.u is not None else known.u
-        return rollout(self.cell, known.y, steps, u)
+        return rollout(self.cell, known.y, steps, self._rows(known.u))
 
 
 class Split(Model):
@@ -89,6 +86,7 @@ class Split(Model):
         (Nyquist).
     """
 
+    steps = SteppedSplit
     slope_scale: Tensor
 
     def __init__(
@@ -145,14 +143,6 @@ class Split(Model):
             Task(HIGH, fast, record, record.y - low, self.high_in_training),
         ]
 
-    def stepped(self) -> SteppedSplit:
-        """Return the model sample by sample, where its filters need no samples to come."""
-        if self.filter_output and not self.nu and self.pair.zero_phase:
-            raise ValueError(
-                "a split model whose output is filtered forwards and backwards cannot be stepped"
-            )
-        return SteppedSplit(self)
-
     def adapt_to(self, records: Sequence[Record], normalize: bool = True) -> None:
         """Take the units from the training records, those of the slopes too."""
         super().adapt_to(records, normalize)
@@ -181,8 +171,7 @@ class Split(Model):
         warmup, u = known.y.shape[1], known.u
         before = self.pair.lowpass(known.y)
         history = known.y - before
-        if u is not None and self.feedthrough:
-            u = with_next_input(u)
+        u = self._rows(u)
         if self.conditioned:
             whole = torch.cat([before, low], dim=1)
             u = concat_inputs(u, conditioning(whole, self.slope_scale[0], driven=self.nu > 0))

@@ -181,6 +181,10 @@ class SteppedSplit(Stepped):
 
     def __init__(self, model: Any) -> None:
         super().__init__(model)
+        if model.filter_output and not self.driven and model.pair.zero_phase:
+            raise ValueError(
+                "a split model whose output is filtered forwards and backwards cannot be stepped"
+            )
         self.pair: ComplementaryPair = model.pair
         self.slow, self.fast = (SteppedCell(network) for network in model.networks)
         self.k: int = model.downsampling

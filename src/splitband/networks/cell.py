@@ -35,6 +35,33 @@ class Cell(Protocol):
         """Return y_n = C h_n, shape `(batch, ny)`."""
 
 
+@runtime_checkable
+class Template(Protocol):
+    """Describe a cell, or something else, that cells of the right sizes are made after."""
+
+    def sized(self, ny: int, nu: int, warmup: int) -> Cell:
+        """Return a new cell, its weights drawn by torch's generator.
+
+        `ny` and `nu` are its channels and inputs, `warmup` is the number of measured samples that
+        set its initial state.
+        """
+
+
+def as_template(cell: Any) -> Template:
+    """Check that cells can be made after it; raises TypeError otherwise."""
+    if not isinstance(cell, Template):
+        raise TypeError(
+            f"a cell must have a method sized(ny, nu, warmup) that makes one of these sizes, got "
+            f"{type(cell).__name__}"
+        )
+    return cell
+
+
+def label_of(template: Template) -> str:
+    """Return what names and tables call a cell: its `label`, or its class."""
+    return str(getattr(template, "label", type(template).__name__.lower()))
+
+
 def are_plain(*modules: tuple[nn.Module, type[nn.Module]]) -> bool:
     """Return whether each module has exactly its type, its biases, and no hooks."""
     return all(

@@ -12,8 +12,6 @@ from splitband.networks.cell import are_plain, check_sizes
 from splitband.runtime.arguments import whole
 from splitband.runtime.options import Written
 
-Array = npt.NDArray[np.float64]
-
 _RADIUS = 0.95
 """Of the poles of a cell that begins with random weights."""
 _TURN = 0.3

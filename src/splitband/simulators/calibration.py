@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
 from splitband.metrics import rmse, spread
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
-Array = npt.NDArray[np.float64]
 Term = Literal["gain", "offset", "delay", "clock"]
 TERMS: tuple[Term, ...] = get_args(Term)
 
@@ -58,12 +58,6 @@ class Calibration:
     delay: float = 0.0
     clock: float = 1.0
     errors: dict[str, float] = field(default_factory=dict)
-
-    @classmethod
-    def from_fields(cls, **fields: Any) -> Calibration:
-        """Return a saved calibration; `untried`, which earlier versions saved, is ignored."""
-        fields.pop("untried", None)
-        return cls(**fields)
 
     def apply(
         self,

@@ -148,18 +148,14 @@ class Curvature:
             involved = np.flatnonzero(np.abs(direction) > INVOLVED)
             lost += [int(free[i]) for i in involved]
             at = [names[i] for i in free[involved]]
-            relative = self._relative(at, self.places[free[involved]], known)
-            said.append(_told(at, direction[involved] * relative))
+            pairs = [(name, float(place)) for (name, _), place in
+                     zip(at, self.places[free[involved]], strict=True)]  # fmt: skip
+            relative = [known.slope(*pair) / (known.at(*pair) or 1.0) for pair in pairs]
+            said.append(_told(at, direction[involved] * np.array(relative)))
         kept = vt[~weak].T / s[~weak]
         told = (j @ kept) * np.tile(self._noise(), len(self.residuals))[:, None]
         # (J'J)^-1 J' W J (J'J)^-1, with the error of each channel as W
         return kept @ (told.T @ told) @ kept.T * self._correlated(), lost, said
-
-    @staticmethod
-    def _relative(names: Sequence[Name], places: Array, known: Parameters) -> Array:
-        """Return the relative change of each value over its range."""
-        pairs = [(name, float(place)) for (name, _), place in zip(names, places, strict=True)]
-        return np.array([known.slope(*pair) / (known.at(*pair) or 1.0) for pair in pairs])
 
     def _noise(self) -> Array:
         """Return the error of each channel, corrected for the number of parameters."""

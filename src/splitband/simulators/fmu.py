@@ -76,7 +76,8 @@ class Fmu(Written):
         for name in (*given, *self._inputs, *self.known.given):
             if name not in variables:
                 self.close()
-                raise ValueError(f"{self.path} has no variable {name}; it has {_some(variables)}")
+                known = ", ".join([*variables][:10]) + (", ..." if len(variables) > 10 else "")
+                raise ValueError(f"{self.path} has no variable {name}; it has {known}")
         self.outputs = list(given)
 
     @property
@@ -193,8 +194,3 @@ def _free(idle: list[Any], folder: str) -> None:
     while idle:
         idle.pop().freeInstance()
     shutil.rmtree(folder, ignore_errors=True)
-
-
-def _some(names: Mapping[str, Any]) -> str:
-    shown = list(names)[:10]
-    return ", ".join(shown) + (", ..." if len(names) > 10 else "")

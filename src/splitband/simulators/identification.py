@@ -13,7 +13,6 @@ from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import Deadline, OverError, current, within
 from splitband.runtime.files import write_json
 from splitband.simulators.estimate import Curvature, Estimate, labelled
-from splitband.simulators.shooting import BAD, Adjustable, Experiment, Shooting
+from splitband.simulators.shooting import BAD, Adjustable, Experiment, Shooting, fit_key
 
 STARTS = 32
 """Starting points at most."""
@@ -355,10 +354,7 @@ class _Kept:
     ) -> _Kept:
         if folder is None:
             return cls(None, "", {})
-        said = sha256(f"{simulator.digest()} {simulator.known}".encode())
-        for array in (points, *(a for e in experiments for a in (e.time, e.y, e.u))):
-            said.update(b"none" if array is None else np.ascontiguousarray(array).tobytes())
-        key = said.hexdigest()
+        key = fit_key(simulator, experiments, len(points))
         path = folder / f"parameters-{key[:16]}.json"
         try:
             facts = json.loads(path.read_text(encoding="utf-8"))

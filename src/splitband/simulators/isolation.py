@@ -17,7 +17,6 @@ import sys
 import tempfile
 import threading
 import time as clock
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -133,17 +132,12 @@ def named_in(path: str, name: str) -> Any:
         raise ValueError(f"{path} cannot be run: {type(error).__name__}: {error}") from error
 
 
-def function_of(path: str, name: str) -> Callable[[Array], Any]:
-    """Run the user's file and return a function of it."""
-    function: Any = named_in(path, name)
-    if not callable(function):
-        raise ValueError(f"{path} must define a function {name}")
-    return function
-
-
 def _simulate(task: Isolated, time: Array) -> npt.ArrayLike:
     if task.function is not None:
-        return function_of(task.path, task.function)(time)
+        function = named_in(task.path, task.function)
+        if not callable(function):
+            raise ValueError(f"{task.path} must define a function {task.function}")
+        return function(time)
     with Fmu(task.path, task.outputs or None) as fmu:
         return fmu.simulate(time)
 

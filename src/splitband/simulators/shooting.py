@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from itertools import pairwise
 from typing import Any, Protocol
 
@@ -88,6 +89,14 @@ class Experiment:
         """Return some of its samples."""
         u = None if self.u is None else self.u[begin:end]
         return Experiment(self.time[begin:end], self.y[begin:end].copy(), u)
+
+
+def fit_key(simulator: Adjustable, experiments: Sequence[Experiment], starts: int) -> str:
+    """Return a digest of all that a fit to experiments from so many starts depends on."""
+    said = sha256(f"{simulator.digest()} {simulator.known} {starts}".encode())
+    for array in (a for e in experiments for a in (e.time, e.y, e.u)):
+        said.update(b"none" if array is None else np.ascontiguousarray(array).tobytes())
+    return said.hexdigest()
 
 
 @dataclass(eq=False)

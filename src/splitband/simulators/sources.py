@@ -27,7 +27,8 @@ def source_files(file: str | Path) -> list[Path]:
     """
     first = Path(file).resolve()
     listed = os.environ.get("PYTHONPATH", "").split(os.pathsep)
-    search = [str(first.parent), *(each for each in listed if each and not _installed(each))]
+    own = [each for each in listed if each and not set(_INSTALLED) & set(Path(each).parts)]
+    search = [str(first.parent), *own]
     packages, waiting = {first: ""}, [first]
     while waiting:
         path = waiting.pop()
@@ -52,10 +53,6 @@ def defines_function(file: str | Path, name: str) -> bool:
     except (OSError, SyntaxError, ValueError):
         return False
     return any(isinstance(node, ast.FunctionDef) and node.name == name for node in tree.body)
-
-
-def _installed(folder: str) -> bool:
-    return any(part in _INSTALLED for part in Path(folder).parts)
 
 
 def _imported(path: Path, package: str) -> Iterator[str]:
