@@ -90,6 +90,7 @@ def test_every_module_has_a_layer() -> None:
 def test_everything_but_the_entry_and_the_metrics_is_in_a_package() -> None:
     assert {p.name for p in SOURCE.iterdir() if p.is_file()} == {
         "__init__.py",
+        "__init__.pyi",
         "__main__.py",
         "metrics.py",
         "py.typed",
@@ -231,8 +232,7 @@ LOOKED_AT = {
     "Symbol": "a traced number stands beside plain ones, in code that is written for both",
     "Recorded": "a simulator is any object of the user's; what is recorded is aligned, not run",
     "Isolated": "of the user's simulators, the one that keeps a time limit itself",
-    "Ode": "a file of the user's defines one, a `Function`, or a plain function",
-    "Function": "see `Ode`",
+    "UserCode": "a file of the user's defines an `Ode` or the like, or a plain function",
     "Absent": "it stands where a simulator has to be given again",
     "Processes": "an executor is any of Python's; on this machine files need not be sent",
     "Record": "one record or several",

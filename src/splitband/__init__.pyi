@@ -52,14 +52,16 @@ from splitband.forecasters.names import (
     Sizes as Sizes,
     named as named,
 )
+from splitband.forecasters.learned import (
+    Single as Single,
+    Split as Split,
+)
 from splitband.forecasters.prediction import Prediction as Prediction
 from splitband.forecasters.saving import load as load
 from splitband.forecasters.simulation import (
     Calibrated as Calibrated,
     Simulation as Simulation,
 )
-from splitband.forecasters.single import Single as Single
-from splitband.forecasters.split import Split as Split
 from splitband.forecasters.streaming import Stream as Stream
 from splitband.metrics import (
     ExtrapolationWarning as ExtrapolationWarning,

@@ -19,9 +19,9 @@ from splitband.evaluation.plan import Plan
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.closed_form import Mean
+from splitband.forecasters.learned import Single
 from splitband.forecasters.names import Sizes
 from splitband.forecasters.simulation import Calibrated
-from splitband.forecasters.single import Single
 from splitband.models import Residual
 from splitband.report.results import results
 from splitband.training import fit

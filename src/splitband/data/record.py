@@ -101,8 +101,7 @@ class Record:
         columns = tuple(self.columns) or _numbered("y", ny)
         _check_names("columns", columns, f"each of the {ny} channels of y", ny)
         require_finite("y", y, columns)
-        object.__setattr__(self, "y", y)
-        object.__setattr__(self, "columns", columns)
+        vars(self).update(y=y, columns=columns)
         for field, rule in _OTHER_SIGNALS.items():
             if (value := getattr(self, field)) is None:
                 continue
@@ -111,10 +110,9 @@ class Record:
                 raise ValueError(f"{field} must {rule}, {y.shape}: its shape is {signal.shape}")
             names = _numbered("u", signal.shape[1]) if field == "u" else columns
             require_finite(field, signal, names)
-            object.__setattr__(self, field, signal)
+            vars(self)[field] = signal
         inputs = tuple(self.inputs) or (_numbered("u", self.nu) if self.nu else ())
         _check_names("inputs", inputs, f"each of the {self.nu} columns of u", self.nu)
-        object.__setattr__(self, "inputs", inputs)
         for field, before, names in (("beyond", "y_sim", columns), ("u_beyond", "u", inputs)):
             if (value := getattr(self, field)) is None:
                 continue
@@ -125,10 +123,10 @@ class Record:
                     f"{signal.shape}"
                 )
             require_finite(field, signal, names)
-            object.__setattr__(self, field, signal)
-        object.__setattr__(self, "sampling_time", _positive_seconds(self.sampling_time))
-        if self.start is not None:
-            object.__setattr__(self, "start", as_stamp(self.start))
+            vars(self)[field] = signal
+        start = None if self.start is None else as_stamp(self.start)
+        step = _positive_seconds(self.sampling_time)
+        vars(self).update(inputs=inputs, sampling_time=step, start=start)
         if self.measured is not None:
             measured = np.array(self.measured, dtype=np.bool_)
             measured = measured[:, None] if measured.ndim == 1 else measured
@@ -137,7 +135,7 @@ class Record:
                     f"measured must have the shape of y, {y.shape}: it is {measured.shape}"
                 )
             measured.setflags(write=False)
-            object.__setattr__(self, "measured", None if measured.all() else measured)
+            vars(self)["measured"] = None if measured.all() else measured
 
     @classmethod
     def with_gaps(cls, y: Any, sampling_time: float, u: Any = None, **others: Any) -> Record:

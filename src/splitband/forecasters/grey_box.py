@@ -171,10 +171,13 @@ class GreyBox(Forecaster):
         """
         adjusted, whole = self._adjusted(), self._experiment(known)
         if self._clock().reaches(known):
-            begin = int(known.begin or 0)
-            return adjusted.response(self._before(begin, whole))[0][begin:]
+            begin, u = int(known.begin or 0), whole.u
+            if u is not None and self.u is not None:
+                u = np.concatenate([self.u[:begin], u])
+            time = self._clock().times(0.0, begin + len(whole.time))
+            return adjusted.response(time, u)[0][begin:]
         state = adjusted.beginning(whole.part(0, len(known.y)))
-        return adjusted.response(whole, state)[0]
+        return adjusted.response(whole.time, whole.u, state)[0]
 
     def part(self, outside: bool = False) -> Part:
         """Return the simulator, integrated from the training record's first state on."""
@@ -224,23 +227,11 @@ class GreyBox(Forecaster):
         time = start + step * np.arange(len(known.y) + known.steps, dtype=np.float64)
         return Experiment(time, np.concatenate([known.y, ahead]), known.u)
 
-    def _before(self, begin: int, whole: Experiment) -> Experiment:
-        """Return an experiment that begins with the training record, and its inputs."""
-        fitted = self.require_fitted()
-        step = fitted.record.sampling_time
-        time = seconds_of(fitted.start) + step * np.arange(begin + len(whole.y), dtype=np.float64)
-        u = None
-        if whole.u is not None:
-            assert self.u is not None
-            u = np.concatenate([self.u[:begin], whole.u])
-        y = np.concatenate([np.full((begin, whole.y.shape[1]), np.nan), whole.y])
-        return Experiment(time, y, u)
-
     def _ahead(self, whole: Experiment, samples: int, memory: int) -> Array:
         """Return what follows the first samples, by a state that the last of them tell."""
         adjusted, part = self._adjusted(), whole.part(samples - memory, len(whole.y))
         state = adjusted.beginning(part.part(0, memory))
-        return adjusted.response(part, state)[0][memory:]
+        return adjusted.response(part.time, part.u, state)[0][memory:]
 
     def _chosen_memory(self, experiment: Experiment) -> int:
         """Return from how many samples a state is estimated best: for a right model from all."""
@@ -258,7 +249,7 @@ class GreyBox(Forecaster):
 
         best = np.inf
         if not window:
-            whole = self._adjusted().response(experiment)[0]
+            whole = self._adjusted().response(experiment.time, experiment.u)[0]
             best = _PAYS * error([whole[a:b] for a, b in zip(origins, ends, strict=True)])
         chosen, length = window, SHORTEST
         while length <= min(window or samples, origins[0]):

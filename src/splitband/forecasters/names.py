@@ -23,9 +23,8 @@ from splitband.forecasters.closed_form import (
 from splitband.forecasters.configurable import parts_of
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.hybrids import Filtered, Residual
+from splitband.forecasters.learned import Single, Split
 from splitband.forecasters.simulation import AFFINE, Calibrated, Simulation
-from splitband.forecasters.single import Single
-from splitband.forecasters.split import Split
 from splitband.networks import GRU, EulerMLP, StateSpace
 from splitband.runtime.arguments import LARGEST_SIZE, did_you_mean, whole
 

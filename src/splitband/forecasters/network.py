@@ -1,8 +1,8 @@
 """Train networks as forecasters, and run them freely.
 
 What is trained is a model of `splitband.models`; a forecaster adds how it is trained, which bands
-it has and beside what it stands. One network is in `forecasters.single`, one for each band in
-`forecasters.split`, one beside a simulator or another forecaster in `forecasters.hybrids`.
+it has and beside what it stands. Networks alone are in `forecasters.learned`, those beside a
+simulator or another forecaster in `forecasters.hybrids`.
 """
 
 from __future__ import annotations

@@ -51,21 +51,20 @@ class Adjusted:
         scale = np.maximum(deviation, 1e-300)
         noise = np.maximum(np.array(estimate.rmse), _LEAST_NOISE * scale)
         usual = cls(simulator, values, noise)
-        outputs, states = usual.response(experiments[0])
+        outputs, states = usual.response(experiments[0].time, experiments[0].u)
         rows = np.linspace(0, len(states) - 1, min(len(states), MOST_STATES)).round().astype(int)
         rows = rows[np.isfinite(states[rows]).all(axis=1)]
         return replace(usual, states=states[rows], outputs=outputs[rows])
 
-    def response(self, experiment: Experiment, state: Any = None) -> tuple[Array, Array]:
-        """Return channels and states over an experiment, from a state or the fitted first one.
+    def response(self, time: Array, u: Array | None, state: Any = None) -> tuple[Array, Array]:
+        """Return channels and states at `time` in s, from a state or the fitted first one.
 
         Raises ValueError where the run fails.
         """
         if not callable(getattr(self.simulator, "respond", None)):
-            self.simulator.simulate(experiment.time)  # one that must be given says so
-        values, first = self._began(state)
-        y, x = self.simulator.respond(experiment.time, experiment.u, [(values, first)])[0]
-        return _finite(y, experiment.time), x
+            self.simulator.simulate(time)  # one that must be given says so
+        y, x = self.simulator.respond(time, u, [self._began(state)])[0]
+        return _finite(y, time), x
 
     def advance(
         self, state: Any, time: Array, u: Array | None, taken: int = 0

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from splitband.simulators.fmu import Fmu
-from splitband.simulators.function import Function
+from splitband.simulators.function import Function, UserCode
 from splitband.simulators.isolation import named_in
 from splitband.simulators.ode import Ode
 from splitband.simulators.parameters import INITIAL, Parameters
@@ -37,9 +37,9 @@ def opened(
         return Fmu(file, outputs or None, dict(given))
     contents = digest(source_files(file))
     found, key = _defined(file, name, contents), f"{contents} {name}"
-    if isinstance(found, Ode | Function):
+    if isinstance(found, UserCode):
         parameters = {**(found.parameters or {}), **given}
-        simulator: Any = replace(found, parameters=parameters, key=key)
+        simulator: Any = replace(found, parameters=parameters, key=key)  # type: ignore[type-var]
     elif not callable(found):
         raise ValueError(f"{file} must define a function, an Ode or a Function {name}")
     elif count_arguments(found) == 4:
