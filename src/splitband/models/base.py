@@ -62,6 +62,8 @@ class Model(nn.Module, ABC):
     u_std: Tensor
     feedthrough = False
     """Whether the step to a sample knows the inputs of that sample, too."""
+    conditioned = False
+    """Whether a network is told what is slower."""
     steps: ClassVar[type[Stepped] | None] = None
     """What runs it sample by sample."""
     units_kept = False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -20,8 +21,17 @@ from splitband.models.base import (
     inputs_of,
     slope_scale,
 )
-from splitband.models.stepping import SteppedFiltered, SteppedResidual
+from splitband.models.stepping import (
+    Run,
+    Stepped,
+    SteppedCell,
+    filtered,
+    one_way,
+    state_after,
+    steady,
+)
 from splitband.networks import Cell, rollout
+from splitband.runtime.arrays import Array
 
 SLOW, FAST = "simulator", "network"
 """What the labels of the two components begin with."""
@@ -60,6 +70,33 @@ class Hybrid(Model):
         # With inputs the simulator's output may depend on them, as an FMU's does.
         given = conditioning(_required(known), self.slope_scale, driven=self.nu > 0)
         return replace(known, u=concat_inputs(known.u, given))
+
+
+class SteppedFiltered(Stepped):
+    """Something slower in the low band, a network in the high band."""
+
+    def __init__(self, model: Any) -> None:
+        super().__init__(model)
+        self.cell = SteppedCell(model.cell)
+        self.pair: ComplementaryPair = model.pair
+
+    def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
+        pair, warmup, order = self.pair, len(y), self.pair.order
+        low, low_state = one_way(pair.b_low, pair.a, slow[: warmup + 1], steady(pair, "low"))
+        measured = y[warmup - order :]
+        left = measured - low[warmup - order : warmup]
+        high_state = state_after(pair.b_high, pair.a, measured, left)
+        net = self.cell.begin(y, self._told(self._rows(u), slow))
+        return self._filtered({"net": net, "low": low_state, "high": high_state}, low[warmup])
+
+    def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
+        low_state, low = filtered(self.pair.b_low, self.pair.a, run["low"], slow[1])
+        net = self.cell.advance(run["net"], self._told(self._rows(u), slow)[0])
+        return self._filtered({"net": net, "low": low_state, "high": run["high"]}, low)
+
+    def _filtered(self, run: Run, low: Array) -> tuple[Run, Array]:
+        high_state, high = filtered(self.pair.b_high, self.pair.a, run["high"], run["net"]["y"])
+        return {**run, "high": high_state}, low + high
 
 
 class Filtered(Hybrid):
@@ -127,6 +164,22 @@ class Filtered(Hybrid):
         network = rollout(self.cell, filtered.y, steps, filtered.u)
         high = self.pair.highpass_from(torch.cat([measured, network], dim=1), first)
         return high[:, order:]
+
+
+class SteppedResidual(Stepped):
+    """A network for what something slower leaves."""
+
+    def __init__(self, model: Any) -> None:
+        super().__init__(model)
+        self.cell = SteppedCell(model.cell)
+
+    def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
+        run = self.cell.begin(y - slow[: len(y)], self._told(self._rows(u), slow))
+        return run, run["y"] + slow[len(y)]
+
+    def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
+        run = self.cell.advance(run, self._told(self._rows(u), slow)[0])
+        return run, run["y"] + slow[1]
 
 
 class Residual(Hybrid):

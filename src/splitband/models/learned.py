@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -21,10 +23,36 @@ from splitband.models.base import (
     slope_scale,
     with_next_input,
 )
-from splitband.models.stepping import SteppedRecurrent, SteppedSplit
+from splitband.models.stepping import (
+    Run,
+    Stepped,
+    SteppedCell,
+    both_ways,
+    filtered,
+    one_way,
+    steady,
+)
 from splitband.networks import Cell, rollout
+from splitband.runtime.arrays import Array
+from splitband.runtime.tracing import cond
 
 LOW, HIGH = "low band", "high band"
+
+
+class SteppedRecurrent(Stepped):
+    """One network on the whole band."""
+
+    def __init__(self, model: Any) -> None:
+        super().__init__(model)
+        self.cell = SteppedCell(model.cell)
+
+    def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
+        run = self.cell.begin(y, self._rows(u))
+        return run, run["y"]
+
+    def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
+        run = self.cell.advance(run, self._rows(u)[0])
+        return run, run["y"]
 
 
 class Recurrent(Model):
@@ -53,6 +81,93 @@ class Recurrent(Model):
 
     def _simulate(self, known: Signals, steps: int) -> Tensor:
         return rollout(self.cell, known.y, steps, self._rows(known.u))
+
+
+class SteppedSplit(Stepped):
+    """Two networks, each on its band.
+
+    The slow one is a sample of its own ahead, between which and the one before the low band is
+    interpolated. That needs no input to come, see `models.Split`.
+    """
+
+    def __init__(self, model: Any) -> None:
+        super().__init__(model)
+        if model.filter_output and not self.driven and model.pair.zero_phase:
+            raise ValueError(
+                "a split model whose output is filtered forwards and backwards cannot be stepped"
+            )
+        self.pair: ComplementaryPair = model.pair
+        self.slow, self.fast = (SteppedCell(network) for network in model.networks)
+        self.k: int = model.downsampling
+        self.output = model.pair.one_way() if model.filter_output else None
+        self.at_once = self.feedthrough and self.driven and self.k == 1
+
+    def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
+        k, warmup = self.k, len(y)
+        low = both_ways(self.pair, y)
+        means = self._rows(u) if self.at_once else self._means(u, warmup % k)
+        run: Run = {"slow": self.slow.begin(low[warmup % k :: k], means[: warmup // k])}
+        run["current"] = run["slow"]["y"]
+        if not self.at_once:
+            run["slow"] = self.slow.advance(run["slow"], means[warmup // k])
+        run |= {"phase": np.zeros(()), "sum": np.zeros(len(self.u_mean))}
+        given = self._beside(low, run, u)
+        run["fast"] = self.fast.begin(y - low, given)
+        if self.output is not None:
+            _, run["output"] = one_way(
+                self.output.b_high, self.output.a, y - low, steady(self.output, "high")
+            )
+        return self._combined(run)
+
+    def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
+        before, run = self._low(run)[0], self._moved(run, u)
+        run["fast"] = self.fast.advance(run["fast"], self._beside(before, run, u)[0])
+        return self._combined(run)
+
+    def _beside(self, before: Array, run: Run, u: Array) -> Array:
+        """Return the inputs of the fast network, after the low band `before`."""
+        rows = self._rows(u)
+        return self._told(
+            rows, np.concatenate([before, *self._low(run)]) if self.conditioned else before
+        )
+
+    def _moved(self, run: Run, u: Array) -> Run:
+        """Return the run with its low band one sample later."""
+        if self.at_once:
+            moved = self.slow.advance(run["slow"], self._rows(u)[0])
+            return {**run, "slow": moved, "current": moved["y"]}
+        total, phase = run["sum"] + u[1], run["phase"] + 1
+
+        def stepped() -> list[Any]:
+            moved = self.slow.advance(run["slow"], total / self.k)
+            return [moved, run["slow"]["y"], np.zeros(()), np.zeros(len(self.u_mean))]
+
+        moved, current, phase, total = cond(
+            phase >= self.k, stepped, lambda: [run["slow"], run["current"], phase, total]
+        )
+        return {**run, "slow": moved, "current": current, "phase": phase, "sum": total}
+
+    def _low(self, run: Run) -> list[Array]:
+        """Return the low band at the sample to predict, and `ahead` after it, each `(1, ny)`."""
+        current = run["current"]
+        if self.at_once:
+            return [current[None]]
+        rise = run["slow"]["y"] - current
+        return [(current + rise * ((run["phase"] + i) / self.k))[None]
+                for i in range(1 + self.ahead)]  # fmt: skip
+
+    def _combined(self, run: Run) -> tuple[Run, Array]:
+        high = run["fast"]["y"]
+        if self.output is not None:
+            state, high = filtered(self.output.b_high, self.output.a, run["output"], high)
+            run = {**run, "output": state}
+        return run, self._low(run)[0][0] + high
+
+    def _means(self, u: Array, offset: int) -> Array:
+        """Return the mean inputs of the slow steps, see `_mean_before`."""
+        before = np.broadcast_to(u[:1], (self.k - 1 - offset, u.shape[1]))
+        blocks = np.concatenate([before, u]) if len(before) else u
+        return blocks.reshape(len(blocks) // self.k, self.k, u.shape[1]).sum(axis=1) / self.k
 
 
 class Split(Model):

@@ -1,4 +1,4 @@
-"""Define the models sample by sample, in NumPy: how they are stepped, and exported.
+"""Define how models are run sample by sample, in NumPy, and exported; each stands beside its own.
 
 `begin` computes from the last measured samples what `Model.simulate` begins with, and `advance`
 goes on by one sample. What is passed between them is all the state there is. The code can be
@@ -17,7 +17,7 @@ from splitband.filters import ComplementaryPair
 from splitband.networks import Cell
 from splitband.networks.plain import in_numpy, values
 from splitband.runtime.arrays import Array
-from splitband.runtime.tracing import cond, scan
+from splitband.runtime.tracing import scan
 
 Run = dict[str, Any]
 """The state of a free run, by name."""
@@ -26,14 +26,15 @@ Run = dict[str, Any]
 class Stepped(ABC):
     """Run a trained model sample by sample."""
 
-    ahead = 0
-    """How many samples beyond the one to predict of the slow signal are looked at, 0 or 1."""
-
     def __init__(self, model: Any) -> None:
         self.y_mean, self.y_std = values(model.y_mean), values(model.y_std)
         self.u_mean, self.u_std = values(model.u_mean), values(model.u_std)
         self.feedthrough = bool(model.feedthrough)
         self.driven = model.nu > 0
+        self.conditioned = bool(model.conditioned)
+        self.ahead = int(self.conditioned and not self.driven)
+        """How many samples beyond the one to predict of the slow signal are looked at, 0 or 1."""
+        self.slope_scale = values(model.slope_scale).reshape(-1) if self.conditioned else np.ones(1)
 
     def begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
         """Return the run after measured samples, and the first sample that it predicts, `(ny,)`.
@@ -77,12 +78,18 @@ class Stepped(ABC):
         """Return the inputs of the steps between samples, see `models.base.with_next_input`."""
         return np.concatenate([u[:-1], u[1:]], axis=1) if self.feedthrough else u[:-1]
 
-    def _told(self, slow: Array, scale: Array) -> Array:
-        """Return value and slope of what is slower, by steps, see `models.base.conditioning`."""
+    def _told(self, rows: Array, slow: Array) -> Array:
+        """Return the inputs, behind them value and slope of what is slower if conditioned.
+
+        See `models.base.conditioning`.
+        """
+        if not self.conditioned:
+            return rows
         steps = len(slow) - 1 - self.ahead
         following = slow[1 : steps + 1]
         slope = (slow[2:] - slow[:-2]) / 2 if self.ahead else following - slow[:steps]
-        return np.concatenate([following, slope / scale], axis=1)
+        told = np.concatenate([following, slope / self.slope_scale], axis=1)
+        return np.concatenate([rows, told], axis=1)
 
 
 class SteppedCell:
@@ -100,165 +107,6 @@ class SteppedCell:
         """Return its state one sample later."""
         h = self.cell.step(run["h"], run["y"], row)
         return {"h": h, "y": self.cell.observe(h)}
-
-
-class SteppedRecurrent(Stepped):
-    """One network on the whole band."""
-
-    def __init__(self, model: Any) -> None:
-        super().__init__(model)
-        self.cell = SteppedCell(model.cell)
-
-    def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
-        run = self.cell.begin(y, self._rows(u))
-        return run, run["y"]
-
-    def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
-        run = self.cell.advance(run, self._rows(u)[0])
-        return run, run["y"]
-
-
-class _SteppedHybrid(Stepped):
-    """A network beside something slower."""
-
-    def __init__(self, model: Any) -> None:
-        super().__init__(model)
-        self.cell = SteppedCell(model.cell)
-        self.conditioned, self.slope_scale = model.conditioned, values(model.slope_scale)
-        self.ahead = int(model.conditioned and not self.driven)
-
-    def _given(self, u: Array, slow: Array) -> Array:
-        rows = self._rows(u)
-        if not self.conditioned:
-            return rows
-        return np.concatenate([rows, self._told(slow, self.slope_scale)], axis=1)
-
-
-class SteppedResidual(_SteppedHybrid):
-    """A network for what something slower leaves."""
-
-    def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
-        run = self.cell.begin(y - slow[: len(y)], self._given(u, slow))
-        return run, run["y"] + slow[len(y)]
-
-    def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
-        run = self.cell.advance(run, self._given(u, slow)[0])
-        return run, run["y"] + slow[1]
-
-
-class SteppedFiltered(_SteppedHybrid):
-    """Something slower in the low band, a network in the high band."""
-
-    def __init__(self, model: Any) -> None:
-        super().__init__(model)
-        self.pair: ComplementaryPair = model.pair
-
-    def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
-        pair, warmup, order = self.pair, len(y), self.pair.order
-        low, low_state = one_way(pair.b_low, pair.a, slow[: warmup + 1], steady(pair, "low"))
-        measured = y[warmup - order :]
-        left = measured - low[warmup - order : warmup]
-        high_state = state_after(pair.b_high, pair.a, measured, left)
-        net = self.cell.begin(y, self._given(u, slow))
-        return self._filtered({"net": net, "low": low_state, "high": high_state}, low[warmup])
-
-    def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
-        low_state, low = filtered(self.pair.b_low, self.pair.a, run["low"], slow[1])
-        net = self.cell.advance(run["net"], self._given(u, slow)[0])
-        return self._filtered({"net": net, "low": low_state, "high": run["high"]}, low)
-
-    def _filtered(self, run: Run, low: Array) -> tuple[Run, Array]:
-        high_state, high = filtered(self.pair.b_high, self.pair.a, run["high"], run["net"]["y"])
-        return {**run, "high": high_state}, low + high
-
-
-class SteppedSplit(Stepped):
-    """Two networks, each on its band.
-
-    The slow one is a sample of its own ahead, between which and the one before the low band is
-    interpolated. That needs no input to come, see `models.Split`.
-    """
-
-    def __init__(self, model: Any) -> None:
-        super().__init__(model)
-        if model.filter_output and not self.driven and model.pair.zero_phase:
-            raise ValueError(
-                "a split model whose output is filtered forwards and backwards cannot be stepped"
-            )
-        self.pair: ComplementaryPair = model.pair
-        self.slow, self.fast = (SteppedCell(network) for network in model.networks)
-        self.k: int = model.downsampling
-        self.conditioned, self.slope_scale = model.conditioned, values(model.slope_scale)[0]
-        self.output = model.pair.one_way() if model.filter_output else None
-        self.at_once = self.feedthrough and self.driven and self.k == 1
-        self.ahead = int(not self.driven)
-
-    def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
-        k, warmup = self.k, len(y)
-        low = both_ways(self.pair, y)
-        means = self._rows(u) if self.at_once else self._means(u, warmup % k)
-        run: Run = {"slow": self.slow.begin(low[warmup % k :: k], means[: warmup // k])}
-        run["current"] = run["slow"]["y"]
-        if not self.at_once:
-            run["slow"] = self.slow.advance(run["slow"], means[warmup // k])
-        run |= {"phase": np.zeros(()), "sum": np.zeros(len(self.u_mean))}
-        rows = self._rows(u)
-        if self.conditioned:
-            told = self._told(np.concatenate([low, *self._low(run)]), self.slope_scale)
-            rows = np.concatenate([rows, told], axis=1)
-        run["fast"] = self.fast.begin(y - low, rows)
-        if self.output is not None:
-            _, run["output"] = one_way(
-                self.output.b_high, self.output.a, y - low, steady(self.output, "high")
-            )
-        return self._combined(run)
-
-    def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
-        before, run = self._low(run)[0], self._moved(run, u)
-        rows = self._rows(u)
-        if self.conditioned:
-            told = self._told(np.concatenate([before, *self._low(run)]), self.slope_scale)
-            rows = np.concatenate([rows, told], axis=1)
-        run["fast"] = self.fast.advance(run["fast"], rows[0])
-        return self._combined(run)
-
-    def _moved(self, run: Run, u: Array) -> Run:
-        """Return the run with its low band one sample later."""
-        if self.at_once:
-            moved = self.slow.advance(run["slow"], self._rows(u)[0])
-            return {**run, "slow": moved, "current": moved["y"]}
-        total, phase = run["sum"] + u[1], run["phase"] + 1
-
-        def stepped() -> list[Any]:
-            moved = self.slow.advance(run["slow"], total / self.k)
-            return [moved, run["slow"]["y"], np.zeros(()), np.zeros(len(self.u_mean))]
-
-        moved, current, phase, total = cond(
-            phase >= self.k, stepped, lambda: [run["slow"], run["current"], phase, total]
-        )
-        return {**run, "slow": moved, "current": current, "phase": phase, "sum": total}
-
-    def _low(self, run: Run) -> list[Array]:
-        """Return the low band at the sample to predict, and `ahead` after it, each `(1, ny)`."""
-        current = run["current"]
-        if self.at_once:
-            return [current[None]]
-        rise = run["slow"]["y"] - current
-        return [(current + rise * ((run["phase"] + i) / self.k))[None]
-                for i in range(1 + self.ahead)]  # fmt: skip
-
-    def _combined(self, run: Run) -> tuple[Run, Array]:
-        high = run["fast"]["y"]
-        if self.output is not None:
-            state, high = filtered(self.output.b_high, self.output.a, run["output"], high)
-            run = {**run, "output": state}
-        return run, self._low(run)[0][0] + high
-
-    def _means(self, u: Array, offset: int) -> Array:
-        """Return the mean inputs of the slow steps, see `models.learned`."""
-        before = np.broadcast_to(u[:1], (self.k - 1 - offset, u.shape[1]))
-        blocks = np.concatenate([before, u]) if len(before) else u
-        return blocks.reshape(len(blocks) // self.k, self.k, u.shape[1]).sum(axis=1) / self.k
 
 
 def filtered(b: Array, a: Array, state: Array, x: Array) -> tuple[Array, Array]:

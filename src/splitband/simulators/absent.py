@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any, NoReturn
 
-from splitband import __all__ as public
+import splitband
 from splitband.runtime.options import saved
 
 _SHOWN = 300
@@ -54,7 +54,7 @@ class Absent:
 
     def simulate(self, time: object) -> NoReturn:
         """Raise ValueError: it says which simulator has to be given, and how."""
-        ours = "sb." if self.kind in public else ""
+        ours = "sb." if self.kind in dir(splitband) else ""
         how = f"{ours}{self.kind}({json.dumps(str(self)) if self.file else '...'})"
         raise ValueError(
             f"simulator must be given: this model was saved with the simulator {self}; pass it: "
