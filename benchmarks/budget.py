@@ -179,8 +179,7 @@ def _held_out(found: dict[str, Any] | None) -> float | None:
     """The error of what is recommended, as a multiple of the record's deviation."""
     if found is None:
         return None
-    error = found["methods"][found["recommended"]]["held_out_rmse"]
-    return float(f"{error / found['record']['deviation']:.3g}")
+    return float(f"{found['methods'][found['recommended']]['score']:.3g}")
 
 
 def _seconds(budget: str) -> float:
@@ -196,7 +195,9 @@ def main() -> None:
     parser.add_argument("--beside", default="nothing,work", help="nothing, work or both")
     given = parser.parse_args()
     wanted = [part for part in given.only.split(";") if part]
-    rows: list[dict[str, Any]] = []
+    given.out.mkdir(parents=True, exist_ok=True)
+    path = given.out / "budget.json"
+    rows: list[dict[str, Any]] = json.loads(path.read_text())["rows"] if path.exists() else []
     with tempfile.TemporaryDirectory() as name:
         for record, make in RECORDS.items():
             if wanted and not any(part in record for part in wanted):
@@ -205,15 +206,15 @@ def main() -> None:
             for beside in given.beside.split(","):
                 for budget in given.budgets.split(","):
                     row = {"record": record, "beside": beside, "asked": _seconds(budget)}
+                    rows = [each for each in rows if row != {key: each[key] for key in row}]
                     row |= measured(line, budget, row["asked"], beside == "work")
                     rows.append(row)
+                    write_json(path, {"cores": available_cores(), "rows": rows})
                     print(
                         f"{record:42} beside {beside:8} asked {row['asked']:5.0f} s, "
                         f"took {row['took']:6.1f} s  {row['recommended']} {row['held_out']}",
                         flush=True,
                     )
-    given.out.mkdir(parents=True, exist_ok=True)
-    write_json(given.out / "budget.json", {"cores": available_cores(), "rows": rows})
 
 
 if __name__ == "__main__":

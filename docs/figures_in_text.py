@@ -347,12 +347,21 @@ def physics_wrong_table() -> str:
     return "\n".join(rows)
 
 
+def few_samples() -> dict[str, float]:
+    """Return the error from a few initial samples over that from all, by kind of network."""
+    return {
+        network: statistics.geometric_mean(each["few"] / each["all"] for each in found.values())
+        for network, found in _read("benchmarks/warmup").items()
+    }
+
+
 COMPUTED: dict[str, Callable[[], Any]] = {
     function.__name__: cache(function)
     for function in (
         default_minutes, drill_string, drill_string_table, calibration_of_v,
         regrets_beyond, reliability, tanks_published, conditioning, tsfast, paper,
         drill_string_of_the_paper, losses, lowest_deviation, physics, physics_wrong_table,
+        few_samples,
     )
 }  # fmt: skip
 

@@ -7,6 +7,7 @@ simulator or another forecaster in `forecasters.hybrids`.
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -25,6 +26,7 @@ from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.beginning import Earlier, LinearPart
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.known import Known
+from splitband.forecasters.prehistory import Prehistory
 from splitband.forecasters.remembering import Remembered
 from splitband.forecasters.stepping import NotSteppedError, Recursion, Warmed
 from splitband.models import Model
@@ -73,6 +75,8 @@ class Network(Forecaster):
     """The bands, or what has been chosen where they were left open."""
     fitted_base: Forecaster | None = None
     """What the base has become by `fit`."""
+    prehistory: Prehistory | None = None
+    """What may come before a history that is shorter than the warm-up; None beside a base."""
 
     def __init__(self, settings: Settings | None = None, name: str | None = None) -> None:
         self.settings = settings
@@ -283,15 +287,18 @@ class Network(Forecaster):
         notes = (*self._remarks(seen[0]), *history.notes)
         networks: Iterable[Any] = self.model.modules()
         stable = all(each.stable() for each in networks if hasattr(each, "stable"))
+        if self.base is None:
+            error = math.hypot(*(losses[-1] for losses in history.losses.values() if losses))
+            self.prehistory = Prehistory.of(self.model, seen, settings.warmup, error)
         report = FitReport(seed, history.seconds, history.losses, notes, history.cut, stable)
         self.fitted = replace(self.require_fitted(), report=report)
 
     def extrapolate(self, known: Known) -> dict[str, Array]:
         """Return a free run from the last `warmup` samples without a gap, part by part.
 
-        Where the history is shorter, the system is taken to have rested where it begins.
+        Where the history is shorter, what came before is estimated.
         """
-        return self._run(self._trained().simulate_components, self._filled(known))
+        return self._run(self._trained().simulate_components, known)
 
     def stepped(self, outside: bool = False) -> Recursion:
         """Return the recursion of its model, warmed up."""
@@ -311,11 +318,11 @@ class Network(Forecaster):
         """Return those of the base, and whether the history is short."""
         if self.fitted_base is not None:
             return self.fitted_base.doubts(known)
-        if len(known.y) >= self.warmup:
+        if not self._short(known):
             return []
         return [
             f"the history has {len(known.y)} of the {self.warmup} samples of a warm-up: "
-            "the system is taken to have rested before"
+            "what came before is estimated"
         ]
 
     def describe(self) -> str:
@@ -410,38 +417,31 @@ class Network(Forecaster):
         assert self.model is not None
         return self.model
 
-    def _filled(self, known: Known) -> Known:
-        """Return what is known with a history that is long enough, its first row repeated before.
-
-        To train with as short warm-ups is worse, and this is as good as a history that is long
-        (`benchmarks.warmup`). Beside a base it is left as it is: that begins where the record does.
-        """
-        missing = self.warmup - len(known.y)
-        if missing <= 0 or self.base is not None or np.isnan(known.y).any():
-            return known
-        y, u = (
-            None if x is None else np.concatenate([np.repeat(x[:1], missing, axis=0), x])
-            for x in (known.y, known.u)
-        )
-        assert y is not None
-        return replace(known, y=y, u=u)
+    def _short(self, known: Known) -> bool:
+        """Return whether what came before a history has to be estimated, and can be."""
+        short = 0 < len(known.y) < self.warmup
+        return short and self.prehistory is not None and not np.isnan(known.y).any()
 
     def _run(self, simulate: Callable[..., dict[str, Array]], known: Known) -> dict[str, Array]:
         """Return what the model says of the samples after a history; the base labels its part.
 
         The free run starts after the last warm-up without a gap.
         """
-        complete = np.asarray(~np.isnan(known.y).any(axis=1))
-        start = last_before(complete, self.warmup, len(known.y))
+        y, u = known.y, None if known.u is None else delayed(known.u, self.delays)
+        if self._short(known):
+            assert self.prehistory is not None
+            y, u = self.prehistory.completed(self._trained(), y, u)
+        complete = np.asarray(~np.isnan(y).any(axis=1))
+        start = last_before(complete, self.warmup, len(y))
         if start is None:
             raise ValueError(
                 f"history must have {self.warmup} measured samples in a row to warm up on, got "
-                f"{len(known.y)} samples, of which {int(complete.sum())} were measured in whole"
+                f"{len(y)} samples, of which {int(complete.sum())} were measured in whole"
             )
-        begin, since, slow = start - self.warmup, len(known.y) - start, None
-        u = None if known.u is None else delayed(known.u, self.delays)[begin:]
+        begin, since, slow = start - self.warmup, len(y) - start, None
         if self.fitted_base is not None:
             slow = self.fitted_base.trajectory(replace(known, since=begin))[begin:]
-        parts = simulate(known.y[begin:start], since + known.steps, u, slow)
+        inputs = None if u is None else u[begin:]
+        parts = simulate(y[begin:start], since + known.steps, inputs, slow)
         named = self._labels(parts)
         return {named[label]: part[since:] for label, part in parts.items()}

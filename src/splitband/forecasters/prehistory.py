@@ -1,0 +1,115 @@
+"""Estimate what came before a history that is shorter than a network's warm-up.
+
+Not in the paper. Networks are trained with warm-ups of one length. Where fewer samples are known,
+the rows before them are estimated: a warm-up that is probable by the training records, and after
+which the network simulates the known samples well. That is regularised least squares for the
+initial state, with signals in place of states, so that it suits every model (`benchmarks.warmup`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+import torch
+from torch import Tensor
+
+from splitband.data import Record
+from splitband.models import Model, Signals
+from splitband.runtime.arrays import Array
+from splitband.runtime.options import saved
+from splitband.training.windows import window_starts
+
+COMPONENTS = 16
+"""Most directions in which the rows may differ from their mean."""
+MOST_WINDOWS = 2000
+"""Warm-ups of the training records that are looked at."""
+SMALLEST_ERROR = 1e-3
+"""Of a simulation, as a share of the deviation: a smaller training error is not relied on."""
+
+
+@saved
+@dataclass(frozen=True, eq=False)
+class Prehistory:
+    """Hold the distribution of warm-ups in the training records, as the model sees them.
+
+    Attributes
+    ----------
+    mean : Of the normalised outputs and inputs, `(warmup, ny + nu)`.
+    root : Rows of which multiples with deviation 1 add up to deviations from the mean,
+        `(components, warmup, ny + nu)`.
+    error : RMSE of the model's simulations, normalised.
+    """
+
+    mean: Array
+    root: Array
+    error: float
+
+    def __post_init__(self) -> None:
+        """Check what may come from a file."""
+        shape = self.mean.shape
+        if len(shape) != 2 or self.root.shape[1:] != shape or not self.error > 0:
+            raise ValueError(
+                f"root must be (components, {', '.join(map(str, shape))}) and error positive, got "
+                f"{self.root.shape} and {self.error}"
+            )
+
+    @classmethod
+    def of(
+        cls, model: Model, records: Sequence[Record], warmup: int, error: float
+    ) -> Prehistory | None:
+        """Return the distribution in the training records; None where they hold no two warm-ups."""
+        seen = [model.normalised(record) for record in records]
+        signals = torch.cat([_side_by_side(each.y, each.u) for each in seen]).double().cpu()
+        starts = window_starts(records, warmup + 1, warmup)
+        if len(starts) < 2:
+            return None
+        kept = np.linspace(0, len(starts) - 1, min(len(starts), MOST_WINDOWS)).round().astype(int)
+        rows = starts[kept][:, None] + np.arange(warmup)
+        windows = signals.numpy()[rows]
+        mean = windows.mean(axis=0)
+        flat = (windows - mean).reshape(len(windows), -1)
+        _, size, directions = np.linalg.svd(flat, full_matrices=False)
+        root = (size / np.sqrt(len(flat)))[:, None] * directions
+        root = root[:COMPONENTS].reshape(-1, *mean.shape)
+        return cls(mean, root, max(error, SMALLEST_ERROR))
+
+    def completed(self, model: Model, y: Array, u: Array | None) -> tuple[Array, Array | None]:
+        """Return a warm-up that ends with a shorter history, and the inputs from its begin on.
+
+        Parameters
+        ----------
+        y : What was measured, `(samples, ny)`.
+        u : The inputs from the same sample on, `(samples or more, nu)`.
+        """
+        seen = None if u is None else u[: len(y)]
+        known, ny = model.normalised(Record(y, 1.0, u=seen)), model.ny
+        mean, root = (torch.from_numpy(x).to(known.y) for x in (self.mean, self.root))
+
+        def rows(z: Tensor) -> Tensor:
+            return mean + torch.tensordot(z, root, dims=1)
+
+        def unlikely(values: Array) -> tuple[float, Array]:
+            z = torch.from_numpy(values).to(known.y).requires_grad_()
+            guess = rows(z)
+            inputs = None if known.u is None else torch.cat([guess[:, ny:], known.u])[None]
+            parts = model.components(Signals(guess[None, :, :ny], inputs), len(y))
+            left = (sum(parts.values()) - known.y) / self.error
+            loss = (left**2).sum() + (z**2).sum()
+            (slope,) = torch.autograd.grad(loss, z)
+            return loss.item(), slope.double().cpu().numpy()
+
+        start = np.zeros(len(root))
+        found = scipy.optimize.minimize(unlikely, start, jac=True, method="L-BFGS-B").x
+        before = rows(torch.from_numpy(found).to(known.y)).double().cpu().numpy()[len(y) :]
+        y_before = before[:, :ny] * model.y_std.cpu().numpy() + model.y_mean.cpu().numpy()
+        if u is None:
+            return np.concatenate([y_before, y]), None
+        u_before = before[:, ny:] * model.u_std.cpu().numpy() + model.u_mean.cpu().numpy()
+        return np.concatenate([y_before, y]), np.concatenate([u_before, u])
+
+
+def _side_by_side(y: Tensor, u: Tensor | None) -> Tensor:
+    return y if u is None else torch.cat([y, u], dim=-1)

@@ -1,0 +1,55 @@
+"""Simulations that begin with fewer samples than a network warms up on."""
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import scipy
+
+import splitband as sb
+from splitband.forecasters.prehistory import Prehistory
+
+Array = npt.NDArray[np.float64]
+B, A = [0.0, 0.2], [1.0, -1.6, 0.8]
+"""A resonance: a deviation of its state from that at rest swings for some forty samples."""
+WARMUP, FEW = 20, 3
+
+
+def output(samples: int, seed: int) -> sb.Record:
+    u = np.random.default_rng(seed).standard_normal(samples)
+    return sb.Record(scipy.signal.lfilter(B, A, u), 0.1, u=u, inputs=("u",), columns=("y",))
+
+
+@pytest.fixture(scope="module")
+def network() -> sb.Forecaster:
+    settings = sb.Settings(warmup=WARMUP, window=60, epochs=0, quasi_newton=20)
+    return sb.Single(sb.StateSpace(2, 2), settings).fit(output(400, 1), seed=0)
+
+
+def simulated(network: sb.Forecaster, test: sb.Record, first: int) -> Array:
+    """The 60 samples after the 40th, from what is known since the first."""
+    assert test.u is not None
+    with pytest.warns(sb.ExtrapolationWarning, match=f"the history has {FEW} of the {WARMUP}"):
+        found = network.predict(60, test[first:40], u=test.u[40:100], other_record=True)
+    return found.y
+
+
+def test_a_few_samples_tell_the_state_of_a_system_that_is_not_at_rest(
+    network: sb.Forecaster,
+) -> None:
+    test = output(100, 2)
+    left = simulated(network, test, 40 - FEW)[:, 0] - test.y[40:, 0]
+    assert np.sqrt(np.mean(left**2)) < 0.02 * test.y.std()
+
+
+def test_a_saved_network_still_simulates_from_a_few(network: sb.Forecaster, tmp_path: Path) -> None:
+    network.save(tmp_path / "model")
+    test = output(100, 3)
+    before = simulated(network, test, 40 - FEW)
+    np.testing.assert_array_equal(simulated(sb.load(tmp_path / "model"), test, 40 - FEW), before)
+
+
+def test_what_a_file_brings_must_fit() -> None:
+    with pytest.raises(ValueError, match=r"root must be \(components, 5, 2\)"):
+        Prehistory(np.zeros((5, 2)), np.zeros((3, 4, 2)), 0.1)
