@@ -146,6 +146,14 @@ def test_a_killed_command_keeps_nobody_out() -> None:
         assert Path("out", LOCK).exists()
 
 
+def test_a_folder_of_a_full_disk_can_be_locked() -> None:
+    with largest_file(0), locked("out"):
+        assert Path("out", LOCK).read_bytes() == b""
+        with pytest.raises(ValueError, match="out is in use by another"), locked("out"):
+            pass
+    assert not Path("out").exists()
+
+
 def test_nothing_of_an_earlier_result_stays_but_what_is_the_users() -> None:
     out = Path("out")
     call(f"{MEAN} --test history.csv", out)

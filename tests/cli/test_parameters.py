@@ -1,12 +1,15 @@
 """`--parameters`: the simulator's parameters are fitted, by every command."""
 
+import json
+import os
+import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from tests.cli.support import assert_fails, call, results
+from tests.cli.support import assert_fails, call, process, results
 
 pytestmark = [
     pytest.mark.usefixtures("undrawn"),
@@ -104,3 +107,27 @@ def test_what_cannot_be_fitted_is_refused(
     options: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert_fails(f"compare record.csv --inputs u {options} {QUICK}", (message,), capsys)
+
+
+LOUD = """
+import ctypes, os
+
+
+def loud(time, u, p):
+    print("from Python")
+    os.system("echo from a shell")
+    ctypes.CDLL(None).puts(b"from C")
+    return p.level * 2.718281828 ** (-time)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="prints by the C library of a shell's system")
+def test_what_a_simulator_prints_while_it_is_fitted_is_no_part_of_the_json(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "loud.py").write_text(LOUD)
+    line = f"fit record.csv --columns y --method grey-box --simulator {tmp_path}/loud.py:loud"
+    line += f" --parameters level=0.1:10 --out {tmp_path}/model --json"
+    found = process(sys.executable, "-m", "splitband", *line.split())
+    assert json.loads(found.stdout) == results(tmp_path / "model")
+    assert {"from Python", "from a shell", "from C"} <= {*found.stderr.splitlines()}

@@ -118,7 +118,7 @@ def splitband(
     command = str(context.invoked_subcommand)
     if json and command not in WITH_JSON:
         raise ValueError(f"{JSON} must be given with one of {', '.join(WITH_JSON)}, got {command}")
-    import_module("splitband.cli.showing").say(quiet, json)
+    context.with_resource(import_module("splitband.cli.showing").saying(quiet, json))
 
 
 INTERRUPTED = 130

@@ -162,7 +162,7 @@ def _compared(
     """
     if starting is not None:
         clock.begin_again(starting)
-        showing.say(quiet=True, json=False)
+        showing.console.quiet = True
     # A scheduler that is gone ends the command, not the case.
     with worker_pool(None if share.cluster else share.cores, share.cluster) as workers:
         return _row(case, out / case.name, replace(workers, cores=share.cores))

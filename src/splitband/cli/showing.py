@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import textwrap
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 from rich.console import Console
 from rich.measure import Measurement
@@ -37,18 +39,45 @@ _errors = Console(stderr=True, soft_wrap=True, markup=False, emoji=False, highli
 
 @dataclass
 class _Mode:
-    """What a command prints: tables for people, nothing, or its results as JSON."""
+    """Where results go as JSON; None where a command prints tables for people, or nothing."""
 
-    json: bool = False
+    results: TextIO | None = None
 
 
 _mode = _Mode()
 
 
-def say(quiet: bool, json: bool) -> None:
-    """Set what is printed from now on; results as JSON leave no room for anything else."""
-    console.quiet = quiet or json
-    _mode.json = json
+@contextmanager
+def saying(quiet: bool, json: bool) -> Iterator[None]:
+    """Set what is printed; results as JSON leave no room for anything else.
+
+    What a user's simulator prints goes to the error stream then, in C and in other processes, too.
+    """
+    with ExitStack() as stack:
+        stack.callback(setattr, console, "quiet", console.quiet)
+        console.quiet = quiet or json
+        if json:
+            _mode.results = _kept_stdout(stack)
+            stack.callback(setattr, _mode, "results", None)
+            stack.enter_context(redirect_stdout(sys.stderr))
+        yield
+
+
+def _kept_stdout(stack: ExitStack) -> TextIO:
+    """Return the output stream for results alone; its descriptor is the error stream's till then.
+
+    One that has been put in its place in Python has no descriptor of its own.
+    """
+    stream = sys.stdout
+    if stream is not sys.__stdout__:
+        return stream
+    stream.flush()
+    kept = os.dup(1)
+    results = stack.enter_context(os.fdopen(kept, "w", encoding="utf-8"))
+    os.dup2(2, 1)
+    stack.callback(os.dup2, kept, 1)
+    stack.callback(stream.flush)
+    return results
 
 
 def warn(message: str) -> None:
@@ -58,14 +87,14 @@ def warn(message: str) -> None:
 
 def as_json(facts: object) -> None:
     """Print what a command came to, if that is wanted as JSON."""
-    if _mode.json:
-        print(to_json(facts))
+    if _mode.results is not None:
+        print(to_json(facts), file=_mode.results)
 
 
 def results_file(path: Path) -> None:
     """Print a file of results, if these are wanted as JSON."""
-    if _mode.json:
-        print(path.read_text(encoding="utf-8").rstrip())
+    if _mode.results is not None:
+        print(path.read_text(encoding="utf-8").rstrip(), file=_mode.results)
 
 
 def methods(

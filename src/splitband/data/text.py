@@ -16,6 +16,8 @@ from splitband.data.columns import Column
 
 _SIGNS = {".": ",", ",": "."}
 """Decimal signs, and the thousands separator that goes with each."""
+_ERRORS_OF_CELLS = r"N/A|DIV/0!|REF!|VALUE!|NAME\?|NUM!|NULL!"
+"""What spreadsheets write into a cell behind a "#", which begins no comment then."""
 _DIGIT_BLANK_DIGIT = re.compile(r"\d,\d+\s+[-+]?\d+,\d")
 
 
@@ -83,7 +85,8 @@ def _lines(raw: bytes, mark_inside: bool) -> list[str]:
             text = raw.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = raw.decode("latin-1")
-    comment = re.compile("#.*" if mark_inside else r"^\s*#.*")
+    mark = rf"#(?!{_ERRORS_OF_CELLS}).*"
+    comment = re.compile(mark if mark_inside else rf"^\s*{mark}")
     lines = (comment.sub("", line) if "#" in line else line for line in re.split("\r\n?|\n", text))
     return [line if line.strip(" ") else "" for line in lines]
 

@@ -153,9 +153,10 @@ def _locked_file(folder: Path, argument: str) -> int | None:
         # Another command may have removed the file between the two calls.
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(handle), (folder / LOCK).stat()):
-                os.ftruncate(handle, 0)
                 started = f"{datetime.now():%Y-%m-%d %H:%M}"
-                os.write(handle, f"process {os.getpid()}, started {started}".encode())
+                with contextlib.suppress(OSError):  # on a full disk it says nothing of its owner
+                    os.ftruncate(handle, 0)
+                    os.write(handle, f"process {os.getpid()}, started {started}".encode())
                 return handle
         os.close(handle)
     return None
