@@ -68,9 +68,9 @@ def _kept_stdout(stack: ExitStack) -> TextIO:
 
     One that has been put in its place in Python has no descriptor of its own.
     """
-    stream = sys.stdout
-    if stream is not sys.__stdout__:
-        return stream
+    stream = sys.__stdout__
+    if stream is None or stream is not sys.stdout:
+        return sys.stdout
     stream.flush()
     kept = os.dup(1)
     results = stack.enter_context(os.fdopen(kept, "w", encoding="utf-8"))
