@@ -2,26 +2,24 @@
 
 import gc
 import os
+import pkgutil
 import shutil
 import tempfile
-
-# One core for each process of the suite. The threads of BLAS and of torch would wait for each other
-# by spinning, which takes twice the time of the work itself. Tests that are about threads ask for
-# them. Both are read when NumPy, SciPy and torch are loaded, below.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-import pkgutil
 from collections.abc import Iterator
 from importlib import import_module
 from multiprocessing.util import Finalize
 from pathlib import Path
 
 import pytest
-import torch
 from hypothesis import settings
 
-import splitband
+from tests.drawing import nothing_drawn
+
+# One core for each process of the suite. The threads of BLAS and of torch would wait for each other
+# by spinning, which takes twice the time of the work itself. Tests that are about threads ask for
+# them. Both are read when NumPy, SciPy and torch are loaded, by the tests.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 # Some tests work in a folder of their own, from where a relative path would lead elsewhere.
 if folder := os.environ.get("SPLITBAND_DATA_DIR"):
@@ -33,11 +31,17 @@ settings.register_profile("suite", derandomize=True, deadline=None, max_examples
 settings.register_profile("explore", deadline=None, max_examples=3000, print_blob=True)
 settings.load_profile("suite")
 
-# Hypothesis also tries the constants that it finds in the modules imported so far. Import all of
-# them, or the examples would depend on which tests have run before in the same process.
-for _module in pkgutil.walk_packages(splitband.__path__, "splitband."):
-    if not _module.name.endswith("__main__"):
-        import_module(_module.name)
+
+def pytest_collection_modifyitems() -> None:
+    """Import every module of the package, in each process that runs tests.
+
+    Hypothesis also tries the constants that it finds in the modules imported so far: its examples
+    would depend on which tests have run before in the same process.
+    """
+    for module in pkgutil.walk_packages(import_module("splitband").__path__, "splitband."):
+        if not module.name.endswith("__main__"):
+            import_module(module.name)
+
 
 _SLAVE = '''
 from pythonfmu import Fmi2Causality, Fmi2Initial, Fmi2Slave, Fmi2Variability, Real
@@ -135,35 +139,21 @@ def one_core() -> Iterator[None]:
 
 
 @pytest.fixture
-def as_users_run_it() -> None:
-    """For tests of the defaults: the search has the budget that it has for users."""
+def drawn() -> None:
+    """For tests that look at pictures or at the page."""
 
 
 @pytest.fixture(autouse=True)
-def nothing_searched(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The default budget pays for no search: networks are trained as the default recipe says.
-
-    The tests of the search have a budget of their own.
-    """
-    if "as_users_run_it" not in request.fixturenames:
-        monkeypatch.setattr("splitband.evaluation.search.CORE_SECONDS", 1e-6)
+def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Results are written without pictures and pages, which take longest, unless a test looks."""
+    if "drawn" not in request.fixturenames and request.path.parent.name != "report":
+        nothing_drawn(monkeypatch)
 
 
 @pytest.fixture(autouse=True)
 def seeded() -> None:
     """Networks begin with the same weights whatever ran before in the same process."""
-    torch.manual_seed(0)
-
-
-@pytest.fixture(autouse=True)
-def few_sinusoids(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands and comparisons fit baselines again and again: here with fewer sinusoids.
-
-    What harmonic regression does with all of them is tested in `tests/baselines`.
-    """
-    folders = "cli", "data", "evaluation", "forecasters"
-    if request.path.parent.name in folders and "as_users_run_it" not in request.fixturenames:
-        monkeypatch.setattr("splitband.baselines.harmonic.MOST_SINUSOIDS", 2)
+    import_module("torch").manual_seed(0)
 
 
 @pytest.fixture(scope="session")

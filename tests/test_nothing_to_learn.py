@@ -60,9 +60,8 @@ def test_calibration_removes_it() -> None:
 
 @pytest.mark.parametrize("trap", [True, False])
 def test_the_commands_warn_of_it(
-    trap: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    trap: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("splitband.report.pictures.save", lambda figure, path: None)
     of = record(AHEAD if trap else 0.0)
     assert of.y_sim is not None
     for name, values in (("r", of.y), ("simulated", of.y_sim)):

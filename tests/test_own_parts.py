@@ -18,6 +18,7 @@ def record() -> sb.Record:
     return sb.Record(np.sin(0.9 * time) + 0.01 * time + 0.02 * noise, 0.1)
 
 
+@pytest.mark.usefixtures("drawn")
 @pytest.mark.parametrize(
     "own",
     [

@@ -56,14 +56,6 @@ def test_units_and_offsets_do_not_matter() -> None:
     np.testing.assert_allclose(moved, 1e6 + 1e-3 * plain, atol=1e-6)
 
 
-@pytest.mark.parametrize("deviation", [0.3])
-def test_noise_is_averaged_out(deviation: float) -> None:
-    u, noise = inputs(), np.random.default_rng(1).standard_normal((LENGTH, 2))
-    y = oscillators(u, 1.0)
-    found = OutputError.fit((y + deviation * noise)[:TRAIN], u[:TRAIN]).simulate(u)[TRAIN:]
-    assert np.sqrt(np.mean((found - y[TRAIN:]) ** 2)) < deviation / 3
-
-
 @pytest.mark.parametrize(
     ("of_two", "poles"),
     [([0.9, 0.91, 0.9, 0.92, 0.9, 0.9], 2), ([1.05, 1.02, 1.04, 1.1, 0.98, 0.3], 1)],
@@ -150,7 +142,7 @@ def test_a_stable_denominator_stays() -> None:
     np.testing.assert_array_equal(_stable(a), a)
 
 
-@settings(max_examples=settings().max_examples // 3)
+@settings(max_examples=settings().max_examples // 6)
 @given(
     samples=st.integers(1, 30), nu=st.integers(1, 3), seed=st.integers(0, 99), same=st.booleans()
 )

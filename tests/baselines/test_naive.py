@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from splitband.baselines.harmonic import HarmonicRegression
@@ -151,6 +151,7 @@ def test_a_smooth_oversampled_signal_does_not_get_a_tiny_lag(level: float) -> No
         assert abs(LastPeriod.fit(y).lag - period) <= 500 * level
 
 
+@settings(max_examples=settings().max_examples // 4)
 @given(
     shape=st.sampled_from(SHAPES),
     period=st.integers(3, 40),
@@ -179,6 +180,7 @@ def test_the_repeated_period_is_the_last_one_as_measured() -> None:
     model = LastPeriod.fit(y)
     y[:] = 0
     assert (model.lag, model.end) == (10, 38)
+    assert "10 training samples" in str(model)
     np.testing.assert_array_equal(model.predict(38, 20), np.tile(kept[-10:], (2, 1)))
     np.testing.assert_array_equal(model.predict(28, 10), kept[-10:])
 
@@ -222,9 +224,8 @@ def test_harmonic_regression_recovers_clean_sinusoids(count: int, seed: int) -> 
         np.testing.assert_allclose(model.predict(start, 100), tones(start, 100), atol=1e-6, rtol=0)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_clean_sinusoids_are_counted_and_continued(seed: int) -> None:
-    tones = Tones(2, 200, seed)
+def test_clean_sinusoids_are_counted_and_continued() -> None:
+    tones = Tones(2, 200, 0)
     model = HarmonicRegression.fit(tones(0, 200))
     assert len(model.channels[0].frequencies) == 2
     np.testing.assert_allclose(model.predict(200, 400), tones(200, 400), atol=1e-6, rtol=0)
@@ -234,34 +235,27 @@ def test_clean_sinusoids_are_counted_and_continued(seed: int) -> None:
     "count", [3, *(pytest.param(count, marks=pytest.mark.soak) for count in (0, 1, 2))]
 )
 def test_sinusoids_in_noise_are_counted(count: int) -> None:
-    draws = 5
+    draws = 3
     found = []
     for seed in range(draws):
         y = Tones(count, 250, seed)(0, 250) + 0.2 * noise(250, 1, seed=seed + 1000)
         found.append(len(HarmonicRegression.fit(y).channels[0].frequencies))
     assert min(found) == count
-    assert found.count(count) >= 0.8 * draws
+    assert found.count(count) >= draws - 1
 
 
 def test_a_sinusoid_weaker_than_the_noise_is_still_found() -> None:
-    for seed in range(2):
-        weak = 0.6 * np.cos(2 * np.pi * 0.123 * np.arange(250))[:, None]
-        model = HarmonicRegression.fit(weak + noise(250, 1, seed=seed))
-        assert abs(model.channels[0].frequencies - 0.123).min() < 0.001
+    weak = 0.6 * np.cos(2 * np.pi * 0.123 * np.arange(250))[:, None]
+    model = HarmonicRegression.fit(weak + noise(250, 1))
+    assert abs(model.channels[0].frequencies - 0.123).min() < 0.001
 
 
-@pytest.mark.parametrize(
-    ("unit", "offset"),
-    [
-        (1e-12, 0.0),
-        (1.0, 1e6),
-    ],
-)
-def test_harmonic_regression_does_not_depend_on_unit_and_offset(unit: float, offset: float) -> None:
+def test_harmonic_regression_does_not_depend_on_unit_and_offset() -> None:
     y = Tones(2, 250, 3)(0, 250) + 0.2 * noise(250, 1)
     expected = HarmonicRegression.fit(y).predict(250, 250)
-    found = HarmonicRegression.fit(unit * y + offset).predict(250, 250)
-    np.testing.assert_allclose((found - offset) / unit, expected, atol=1e-5, rtol=0)
+    for unit, offset in ((1e-12, 0.0), (1.0, 1e6)):
+        found = HarmonicRegression.fit(unit * y + offset).predict(250, 250)
+        np.testing.assert_allclose((found - offset) / unit, expected, atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("unit", [1e-9, 1e9])
@@ -281,6 +275,7 @@ def test_channels_are_fitted_by_themselves() -> None:
     y = np.hstack([Tones(1, 200, 0)(0, 200), Tones(3, 200, 1)(0, 200)]) + 0.1 * noise(200, 2)
     together = HarmonicRegression.fit(y)
     assert [len(modes.frequencies) for modes in together.channels] == [1, 3]
+    assert str(together).startswith("1+3 sinusoid")
     for channel in range(2):
         alone = HarmonicRegression.fit(y[:, [channel]])
         np.testing.assert_array_equal(
@@ -321,25 +316,7 @@ def test_frequencies_in_noise_reach_the_cramer_rao_bound() -> None:
     assert (spread > 0.6 * bound).all()
 
 
-def test_the_noisy_double_mass_spring_scores_as_in_the_notes() -> None:
-    scores = []
-    for seed in range(11):
-        record = double_mass_spring(1000, seed=seed)
-        assert record.y_true is not None
-        model = HarmonicRegression.fit(record.y[:TRAINING], 2)
-        error = model.predict(0, 1000) - record.y_true
-        scores.append(np.sqrt(np.mean(error**2)))
-    assert 0.12 < np.median(scores) < 0.21
-
-
 def test_a_drifting_record_is_extrapolated_along_a_line_at_most() -> None:
-    for seed in range(2):
-        y = np.cumsum(noise(200, 1, seed=seed), axis=0)
-        prediction = HarmonicRegression.fit(y).predict(200, 2000)
-        assert abs(prediction).max() < 2 * 2200 / 200 * np.ptp(y)
-
-
-def test_descriptions_name_lag_and_number_of_sinusoids() -> None:
-    y = np.hstack([Tones(1, 200, 0)(0, 200), Tones(3, 200, 1)(0, 200)]) + 0.1 * noise(200, 2)
-    assert str(HarmonicRegression.fit(y)).startswith("1+3 sinusoid")
-    assert "10 training samples" in str(LastPeriod.fit(repeated(one_period("sine", 10), 0, 38)))
+    y = np.cumsum(noise(200, 1), axis=0)
+    prediction = HarmonicRegression.fit(y).predict(200, 2000)
+    assert abs(prediction).max() < 2 * 2200 / 200 * np.ptp(y)

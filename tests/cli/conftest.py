@@ -20,18 +20,6 @@ def inside(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(workspace)
 
 
-@pytest.fixture
-def drawn() -> None:
-    """For tests that look at pictures."""
-
-
-@pytest.fixture
-def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures are made, but not written, which takes the longest; unless a test looks at them."""
-    if "drawn" not in request.fixturenames:
-        monkeypatch.setattr("splitband.report.pictures.save", lambda figure, path: None)
-
-
 @pytest.fixture(scope="session")
 def model(workspace: Path) -> Path:
     out = workspace / "gru"

@@ -59,10 +59,6 @@ def raising(time):
     raise RuntimeError("no convergence\\nafter 7 steps")
 
 
-def short(time):
-    return time[:10]
-
-
 def holed(time):
     return np.where(np.arange(len(time)) == 17, np.nan, time)
 
@@ -82,9 +78,8 @@ def write_records(folder: Path) -> None:
     stamps = TIME.round(9)
     record = pd.DataFrame({"time": stamps, "a": A, "b": B, "force": FORCE})
     simulated = pd.DataFrame({"time": stamps, "a": SIMULATED, "b": B + 0.1})
-    holed, infinite, uneven, worded = (record.copy() for _ in range(4))
+    holed, uneven, worded = (record.copy() for _ in range(3))
     holed.loc[7, "a"] = np.nan
-    infinite.loc[8, "a"] = np.inf
     uneven.loc[50:, "time"] += 0.05
     worded["a"] = worded["a"].astype(object)
     worded.loc[9, "a"] = "oops"
@@ -92,14 +87,13 @@ def write_records(folder: Path) -> None:
     slow["time"] *= 2
     holed_simulation.loc[3, "a"] = np.nan
     tables = {
-        "record": record, "holed": holed, "infinite": infinite, "uneven": uneven, "worded": worded,
-        "untimed": record[["a"]], "tiny": record.iloc[:5], "empty": record.iloc[:0],
-        "still": record[["time"]].assign(a=2.0), "simulated": simulated,
+        "record": record, "holed": holed, "uneven": uneven, "worded": worded,
+        "untimed": record[["a"]], "empty": record.iloc[:0], "simulated": simulated,
         "simulated_short": simulated.iloc[:190], "simulated_slow": simulated.iloc[::2],
         "simulated_holed": holed_simulation,
         "simulated_names": simulated.rename(columns={"a": "p", "b": "q"}),
-        "history": record.iloc[:50], "history_short": record.iloc[:5],
-        "history_renamed": record.iloc[:50].rename(columns={"a": "z"}), "history_slow": slow,
+        "history": record.iloc[:50], "history_slow": slow,
+        "history_renamed": record.iloc[:50].rename(columns={"a": "z"}),
         "history_holed": holed.iloc[:50], "future": record.iloc[50:70][["time", "force"]],
         "future_short": record.iloc[50:60][["force"]],
     }  # fmt: skip

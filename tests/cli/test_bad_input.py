@@ -16,9 +16,7 @@ from tests.cli.support import (
     assert_fails,
 )
 
-pytestmark = [
-    pytest.mark.usefixtures("inside", "undrawn"),
-]
+pytestmark = pytest.mark.usefixtures("inside")
 
 
 def bad(line: str, *says: str, id: str = "") -> Any:
@@ -33,67 +31,41 @@ RECORDS = [
     bad("compare folder --out out", "RECORD must be a file", "got the folder folder"),
     bad("compare record.csv --test folder --out out", "--test must be a file", "the folder folder"),
     bad("compare record.csv --columns torque --out out", "record.csv", "'torque'", "'a'"),
-    bad("compare record.csv --inputs torque --out out", "record.csv", "'torque'"),
     bad("compare record.csv --columns a --inputs a --out out", "column 'a'", "twice"),
-    bad("compare record.csv --time-column stamp --out out", "record.csv", "'stamp'"),
     bad("compare worded.csv --columns a --out out", "worded.csv", "'a'", "row 9", "'oops'"),
     bad("compare holed.csv --columns a --out out", "holed.csv", "'a'", "row 7", "nan"),
-    bad("compare infinite.csv --columns a --out out", "infinite.csv", "'a'", "row 8", "inf"),
-    bad("spectrum infinite.csv --columns a --out out", "infinite.csv", "'a'", "row 8", "inf"),
     bad("compare uneven.csv --out out", "uneven.csv", "'time'", "row 50", "0.15"),
     bad("compare untimed.csv --out out", "untimed.csv", "--sampling-time", "--time-column"),
-    bad("compare untimed.csv --sampling-time nan --out out", "untimed.csv", "sampling", "nan"),
     bad("compare record.csv --sampling-time 0.3 --out out", "record.csv", "0.3", "0.1 s"),
     bad("compare empty.csv --out out", "empty.csv", "at least 2 rows", "has 0"),
     bad("compare van-der-pol --columns a --out out", "--columns", "van-der-pol", "got a"),
 ]
 
 SETTINGS = [
-    bad(SPLIT + "--train 0", "train", "got 0"),
     bad(SPLIT + "--train 200", "train", "199", "got 200"),
     bad(SPLIT + "--train 20", "window", "20 training samples", "got 30"),
     bad(SPLIT + "--horizon 51", "--horizon", "at most 50", "got 51"),
     bad(SPLIT + "--methods gru,lstm", "--methods", "`splitband methods` lists", "got lstm"),
-    bad(SPLIT + "--cutoff 0", "cutoff", "5 Hz", "got 0 Hz"),
-    bad(SPLIT + "--cutoff 5", "cutoff", "Nyquist", "got 5 Hz"),
-    bad(SPLIT + "--cutoff nan", "cutoff", "got nan"),
-    bad("spectrum record.csv --columns a --out out --cutoff 7", "cutoff", "got 7 Hz"),
     bad(GRU + "--cutoff 7", "cutoff", "got 7"),
     bad(SPLIT + "--cutoff 1 --downsampling 5", "downsampling by 5", "1 Hz", "at most 4"),
-    bad(SPLIT + "--downsampling 0", "downsampling", "got 0"),
-    bad(SPLIT + "--order 0", "order", "got 0"),
     bad(SPLIT + "--order 40", "order", "40"),
-    bad(GRU + "--order 0", "order", "got 0"),
     bad(SPLIT + "--warmup 30", "warm-up", "30", "window"),
-    bad(SPLIT + "--warmup 0", "warmup", "got 0"),
     bad(SPLIT + "--warmup many", "--warmup", "a whole number of samples or auto", "got many"),
-    bad(SPLIT + "--window 1", "window", "got 1"),
     bad(SPLIT + "--lr-milestones 20", "--lr-milestones", "EPOCH:RATE", "got 20"),
     bad(SPLIT + "--lr-milestones 20:fast", "--lr-milestones", "20:fast"),
-    bad(SPLIT + "--lr-milestones 1:-0.5", "learning rate", "-0.5"),
-    bad(SPLIT + "--lr-milestones -5:1e-4", "milestones", "-5"),
     bad(SPLIT + "--hidden 4", "--hidden", "HIGH,LOW", "got 4"),
-    bad(SPLIT + "--hidden 4,0", "hidden", "got 0"),
     bad(SPLIT + "--learning-rate -1", "learning rate", "-1"),
-    bad(SPLIT + "--learning-rate inf", "learning rate", "inf"),
     bad(GRU + "--learning-rate 1e30", "diverged", "learning rate", "1e+30"),
-    bad(SPLIT + "--epochs 0", "epochs", "got 0"),
     bad(GRU + "--conditioned", "--conditioned", "split-gru", "filtered-gru", "got gru"),
     bad(GRU + "--calibrate", "--calibrate", "filtered-gru", "got gru"),
-    bad(SPLIT + "--calibrate", "--calibrate", "residual-gru", "got split-gru"),
 ]
 
 WORDS = [
     bad(SPLIT + "--train abc", "--train", "abc"),
-    bad(SPLIT + "--cutoff low", "--cutoff", "low"),
     bad(SPLIT + "--horizon -7", "--horizon", "-7"),
-    bad(SPLIT + "--seeds -7", "--seeds", "-7"),
-    bad(SPLIT + "--jobs -7", "--jobs", "-7"),
     bad(SPLIT + "--speed 3", "--speed"),
     bad("compare", "RECORD"),
-    bad("fit record.csv", "--out"),
     bad("learn record.csv", "learn"),
-    bad("data learn", "learn"),
     bad("", "command"),
     bad("data", "command"),
     bad("data fetch moon", "'moon'", "drill_string_data"),
@@ -102,59 +74,41 @@ WORDS = [
 OUTPUTS = [
     bad(GRU + "--out record.csv", "--out", "record.csv"),
     bad(GRU + "--out record.csv/below", "--out", "record.csv/below"),
-    bad(FIT + "--out record.csv/below", "--out", "record.csv/below"),
-    bad("spectrum record.csv --columns a --out record.csv", "--out", "record.csv"),
     bad(f"{GRU} --out {'x' * 300}", "--out", "xxx"),
     bad(AHEAD + "history.csv --out record.csv/below.csv", "--out", "record.csv"),
-    bad(AHEAD + "history.csv --out folder", "--out", "folder"),
 ]
 
 SIMULATORS = [
     bad(f"{GRU} --methods filtered-gru", "filtered-gru", "--simulator"),
-    bad(f"{FIT} --method residual-gru", "residual-gru", "--simulator"),
-    bad(GRU + "--methods simulator-affine", "simulator-affine", "--simulator"),
     bad(SIMULATOR + "nothing.csv", "--simulator", "nothing.csv"),
-    bad(SIMULATOR + "nothing.py:good", "nothing.py"),
     bad(SIMULATOR + "broken.py:good", "broken.py", "SyntaxError"),
-    bad(SIMULATOR + "functions.py:absent", "functions.py", "absent"),
     bad(SIMULATOR + "simulated_holed.csv", "simulated_holed.csv", "'a'", "row 3", "nan"),
     bad(SIMULATOR + "simulated_short.csv", "simulated_short.csv", "0 s to 19.9 s", "0 s to 18.9 s"),
     bad(SIMULATOR + "simulated_slow.csv", "simulated_slow.csv", "19.9 s", "19.8 s"),
     bad(SIMULATOR + "simulated_names.csv", "--simulator-columns", "1 column", "p, q"),
-    bad(SIMULATOR + "simulated_names.csv --simulator-columns z", "simulated_names.csv", "'z'"),
     bad(SIMULATOR + "functions.py:raising", "simulator", "200 samples", "RuntimeError",
         "no convergence after 7 steps"),
-    bad(SIMULATOR + "functions.py:short", "simulator", "(200, 1)", "(10, 1)"),
     bad(SIMULATOR + "functions.py:holed", "functions.py", "simulator", "finite", "1.7 s"),
     bad(SIMULATOR + "functions.py:hanging --simulator-timeout 0.2", "simulator", "0.2 s"),
     bad(SIMULATOR + "functions.py:good --simulator-timeout -1", "--simulator-timeout"),
-    bad(SIMULATOR + "functions.py:good --simulator-timeout inf", "timeout", "inf"),
     bad(SIMULATOR + "damaged.fmu", "damaged.fmu", "zip"),
     bad(SIMULATOR + "hollow.fmu", "hollow.fmu"),
-    bad(SIMULATOR + "nothing.fmu", "nothing.fmu"),
 ]  # fmt: skip
 
 MODELS = [
     bad(f"{FIT} --method lstm", "--method", "got lstm"),
     bad(f"{FIT} --method simulator", "--method", "got simulator"),
-    bad(FIT + "--conditioned", "--conditioned", "split-gru", "got gru"),
-    bad(FIT + "--calibrate", "--calibrate", "filtered-gru", "got gru"),
     bad(FIT + "--method filtered-gru --calibrate", "filtered-gru-calibrated", "--simulator"),
-    bad(FIT + "--train 201", "train", "200", "got 201"),
     bad(FIT + "--seed 99999999999999999999", "seed", "9999"),
     bad("simulate nothing --history history.csv --steps 5 --out ahead.csv", "nothing"),
-    bad(AHEAD + "nothing.csv", "nothing.csv"),
-    bad(AHEAD + "history_renamed.csv", "history_renamed.csv", "'a'", "'z'"),
     bad(AHEAD + "history_slow.csv", "history_slow.csv", "0.1 s", "0.2 s"),
     bad(AHEAD + "history_holed.csv", "history_holed.csv", "'a'", "row 7", "nan"),
     bad(AHEAD + "history.csv --steps 0", "--steps"),
     bad(AHEAD + "history.csv --future-inputs future.csv", "--future-inputs", "no known inputs"),
     bad("forecast record.csv --columns a --out out", "--steps"),
-    bad("forecast record.csv --columns a --out out --steps 0", "--steps", "got 0"),
     bad(
         "forecast record.csv --columns a --out out --steps 5 --method best", "--method", "got best"
     ),
-    bad("forecast record.csv --columns a --out out --steps 5 --method simulator", "simulator"),
     bad(
         "forecast record.csv --columns a --inputs force --out out --steps 5",
         "(force)",
@@ -163,7 +117,6 @@ MODELS = [
     bad(
         "forecast record.csv --columns a --out out --steps 5 --method linear", "linear", "--inputs"
     ),
-    bad("compare record.csv --columns a --out out --methods mean,linear", "linear", "--inputs"),
     bad("spectrum record.csv --columns a --out out --simulator harmonic", "harmonic", "compare"),
     bad("fit record.csv --columns a --out out --method gru --device meta", "--device", "meta"),
     bad(
@@ -175,7 +128,6 @@ MODELS = [
     bad(HYBRID_AHEAD, "--simulator", "filtered-gru"),
     bad(HYBRID_AHEAD + "--steps 190 --simulator simulated.csv", "must cover", "0 s to 19.9 s"),
     bad(DRIVEN_AHEAD, "--future-inputs", "force"),
-    bad(DRIVEN_AHEAD + "--future-inputs nothing.csv", "nothing.csv"),
     bad(DRIVEN_AHEAD + "--future-inputs simulated.csv", "simulated.csv", "'force'"),
     bad(DRIVEN_AHEAD + "--future-inputs future_short.csv", "--future-inputs", "20", "got 10"),
 ]

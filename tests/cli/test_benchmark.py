@@ -29,11 +29,8 @@ from tests.cli.support import (
     files,
     results,
 )
+from tests.drawing import nothing_drawn
 from tests.records import rms
-
-pytestmark = [
-    pytest.mark.usefixtures("undrawn"),
-]
 
 LIST = """\
 record,name,columns,inputs,test,simulator,train,warmup
@@ -44,7 +41,7 @@ data/record.csv,beside,a,,,data/simulated.csv,120,
 """
 COMPARE = "splitband.cli.comparing.run"
 NAMES = ["free", "tested", "wrong", "beside"]
-OPTIONS = f"--methods gru,persistence,mean {QUICK} --seeds 2 --jobs 1"
+OPTIONS = f"--methods gru,mean {QUICK} --seeds 1 --jobs 1"
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +53,7 @@ def begun(workspace: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copy(workspace / f"{name}.csv", folder / "data")
     (folder / "list.csv").write_text(LIST)
     with pytest.MonkeyPatch.context() as undrawn:
-        undrawn.setattr("splitband.report.pictures.save", lambda figure, path: None)
+        nothing_drawn(undrawn)
         # From elsewhere, as files are relative to the list.
         call(f"benchmark {folder}/list.csv {OPTIONS}", folder / "out")
     return folder

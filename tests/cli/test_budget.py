@@ -6,13 +6,15 @@ import pandas as pd
 import pytest
 
 import splitband as sb
+from splitband.cli.comparing import Request, planned
+from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.setups import seconds
 from splitband.evaluation.setup import default_names
 from splitband.forecasters.names import BASED, NAMES, named, with_base
-from tests.cli.support import QUICK, assert_fails, call, results
+from tests.cli.support import assert_fails, call, results
 from tests.support import slowed
 
-pytestmark = pytest.mark.usefixtures("inside", "undrawn")
+pytestmark = pytest.mark.usefixtures("inside")
 
 
 @pytest.mark.parametrize(
@@ -51,11 +53,10 @@ def test_the_effort_decides_what_is_tried(tmp_path: Path, monkeypatch: pytest.Mo
     assert tried[0] < tried[1]
 
 
-def test_what_is_fitted_to_the_record_takes_a_simulators_place(tmp_path: Path) -> None:
-    out = tmp_path / "based"
-    line = "compare record.csv --columns a --simulator harmonic --seeds 1 --jobs 1"
-    call(f"{line} --methods simulator,residual-gru-calibrated,filtered-gru,mean {QUICK}", out)
-    assert [*results(out)["methods"]] == [
+def test_what_is_fitted_to_the_record_takes_a_simulators_place() -> None:
+    methods = "simulator,residual-gru-calibrated,filtered-gru,mean"
+    asked = Request("record.csv", simulator=SimulatorOptions("harmonic"), methods=methods)
+    assert [method.name for method in planned(asked, 1).methods] == [
         "harmonic", "residual-harmonic-gru", "filtered-harmonic-gru", "mean"
     ]  # fmt: skip
 
@@ -70,7 +71,6 @@ def test_names_on_a_base_are_those_of_what_they_name() -> None:
     assert set(found) <= set(NAMES)
 
 
-@pytest.mark.usefixtures("as_users_run_it")
 def test_the_default_has_a_result_and_a_model_when_its_two_minutes_are_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

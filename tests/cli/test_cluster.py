@@ -31,7 +31,7 @@ from tests.support import forecasters
 distributed = pytest.importorskip("distributed")
 
 pytestmark = [
-    pytest.mark.usefixtures("inside", "undrawn"),
+    pytest.mark.usefixtures("inside"),
     pytest.mark.filterwarnings("default"),  # Dask has its own
     pytest.mark.skipif(sys.platform == "win32", reason="sends signals"),
 ]
@@ -150,26 +150,14 @@ def test_workers_find_the_numbers_of_this_machine(whole: Running, tmp_path: Path
     assert same(results(tmp_path / "there"), results(tmp_path / "here"))
 
 
-@pytest.mark.parametrize(
-    ("line", "found"),
-    [
-        ("forecast record.csv --columns a --steps 5 --method gru --epochs 2 --seeds 2 ",
-         "results.json"),
-        ("table learning-based --systems i --methods split-gru --seeds 2 --epochs 2 ",
-         "runs/i/split-gru/epochs2-seed1.json"),
-    ],
-    ids=["forecast", "reproduction"],
-)  # fmt: skip
-def test_results_are_those_of_this_machine(
-    line: str, found: str, whole: Running, tmp_path: Path
-) -> None:
-    run = reproduce if line.startswith("table") else main
+def test_the_papers_tables_are_those_of_this_machine(whole: Running, tmp_path: Path) -> None:
+    line = "table learning-based --systems i --methods split-gru --seeds 2 --epochs 2 "
     for workers, out in (("--jobs 1", "here"), (f"--cluster {whole.address}", "there")):
-        assert run(f"{line} {workers} --out {tmp_path / out}".split()) == 0
-    here, there = (json.loads((tmp_path / each / found).read_text()) for each in ("here", "there"))
+        assert reproduce(f"{line} {workers} --out {tmp_path / out}".split()) == 0
+    file = "runs/i/split-gru/epochs2-seed1.json"
+    here, there = (json.loads((tmp_path / each / file).read_text()) for each in ("here", "there"))
     assert same(there, here)
-    left = [path for path in tmp_path.rglob("*.safetensors") if path.parent.name != "model"]
-    assert not left
+    assert not [*tmp_path.rglob("*.safetensors")]
     assert not [*tmp_path.rglob(".mark*")]
 
 
@@ -182,13 +170,6 @@ def test_reports_come_while_trainings_run_and_when_they_end(whole: Running) -> N
     assert len(last) == 10
     assert set(last.values()) == {1.0}
     assert len(seen) > len(last)
-
-
-def test_a_list_is_compared_by_a_cluster(whole: Running, tmp_path: Path) -> None:
-    (tmp_path / "list.csv").write_text(f"record,name\n{Path('record.csv').absolute()},a\n")
-    line = f"benchmark {tmp_path}/list.csv --methods gru {QUICK} --seeds 1"
-    call(f"{line} --cluster {whole.address}", tmp_path / "out")
-    assert results(tmp_path / "out")["summary"]["failed"] == 0
 
 
 # ---------------------------------------------------------------- what goes wrong
@@ -255,12 +236,21 @@ def test_a_job_that_ends_its_workers_is_said_to(whole: Running) -> None:
     assert str(error).startswith(f"4 workers of {whole.address} ended while")
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense", "http://127.0.0.1:9"])
+@pytest.mark.parametrize(
+    ("line", "address"),
+    [
+        (COMPARE, "tcp://127.0.0.1:9"),
+        ("forecast record.csv --columns a --steps 5 --method gru ", "nonsense"),
+        ("benchmark list.csv --methods gru ", "http://127.0.0.1:9"),
+    ],
+)
 def test_nobody_listening_is_one_line(
-    address: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Any
+    line: str, address: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Any
 ) -> None:
     monkeypatch.setattr("splitband.runtime.cluster.PATIENCE", 0.5)
-    assert main(shlex.split(f"{COMPARE} --cluster {address} --out {tmp_path}/out")) == 2
+    (tmp_path / "list.csv").write_text(f"record,name\n{Path('record.csv').absolute()},a\n")
+    line = line.replace("list.csv", f"{tmp_path}/list.csv")
+    assert main(shlex.split(f"{line} --cluster {address} --out {tmp_path}/out")) == 2
     assert complaint(capsys) == (
         "--cluster must be the address of a Dask scheduler that answers, such as "
         f"tcp://10.0.0.5:8786, got {address}"

@@ -36,9 +36,7 @@ from tests.cli.support import (
 from tests.records import rms
 from tests.support import compare
 
-pytestmark = [
-    pytest.mark.usefixtures("inside", "undrawn"),
-]
+pytestmark = pytest.mark.usefixtures("inside")
 
 
 @pytest.fixture(scope="module")
@@ -150,13 +148,15 @@ def test_the_predictions_beside_the_results_have_the_errors_in_them(compared: Pa
 def test_compare_prints_its_table_and_where_the_files_are(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    call("compare record.csv --columns a --methods persistence,harmonic --horizon 20", tmp_path)
+    call(
+        "compare record.csv --columns a --methods persistence,seasonal-naive --horizon 20", tmp_path
+    )
     found, facts = capsys.readouterr(), results(tmp_path)["methods"]
     row = next(line for line in found.out.splitlines() if "persistence" in line)
     assert f"{facts['persistence']['total_rmse'][0]:.2f}" in row
     assert f"{facts['persistence']['forecast_rmse'][0]:.2f}" in row
     (fit,) = (c["values"] for c in results(tmp_path)["table"] if c["heading"] == "forecast fit %")
-    assert f"fit {fit['harmonic']:.1f} %" in found.out
+    assert f"fit {fit[results(tmp_path)['recommended']]:.1f} %" in found.out
     assert str(tmp_path) in found.out
     assert found.err == ""
 

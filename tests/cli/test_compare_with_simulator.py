@@ -14,23 +14,23 @@ from tests.cli.support import (
     TRAIN,
     WARMUP,
     A,
-    assert_pictures,
     call,
     results,
 )
+from tests.drawing import nothing_drawn
 from tests.records import rms
 
-pytestmark = [
-    pytest.mark.usefixtures("inside", "undrawn"),
-]
+pytestmark = pytest.mark.usefixtures("inside")
 
 
 @pytest.fixture(scope="module")
 def hybrid(workspace: Path) -> Path:
     methods = "filtered-gru,residual-gru,gru,simulator,simulator-affine"
     out = workspace / "hybrid"
-    call(f"compare {workspace}/record.csv --columns a --simulator {workspace}/simulated.csv "
-         f"--methods {methods} --calibrate {QUICK} --seeds 1 --jobs 1", out)  # fmt: skip
+    with pytest.MonkeyPatch.context() as undrawn:
+        nothing_drawn(undrawn)
+        call(f"compare {workspace}/record.csv --columns a --simulator {workspace}/simulated.csv "
+             f"--methods {methods} --calibrate {QUICK} --seeds 1 --jobs 1", out)  # fmt: skip
     return out
 
 
@@ -65,27 +65,6 @@ def test_the_simulator_rows_are_its_error_raw_and_after_least_squares(hybrid: Pa
         assert found[name]["forecast_rmse"] == [pytest.approx(rms((A - y)[TRAIN:]))]
 
 
-def test_hybrid_comparisons_show_the_components(hybrid: Path) -> None:
-    assert_pictures(hybrid, "rollouts.png", "error.png", "spectrum.png", "components.png")
-
-
-@pytest.mark.usefixtures("drawn")
-def test_without_methods_of_several_parts_there_is_no_picture_of_components(tmp_path: Path) -> None:
-    call("compare record.csv --columns a --methods persistence,simulator --warmup 10 "
-         "--simulator functions.py:good", tmp_path)  # fmt: skip
-    assert_pictures(tmp_path, "rollouts.png", "error.png", "spectrum.png")
-
-
-def test_a_function_is_as_good_a_simulator_as_its_exported_trajectory(
-    hybrid: Path, tmp_path: Path
-) -> None:
-    call("compare record.csv --columns a --methods simulator --warmup 10 "
-         "--simulator functions.py:good --simulator-timeout 30", tmp_path)  # fmt: skip
-    expected = results(hybrid)["methods"]["simulator"]
-    found = results(tmp_path)["methods"]["simulator"]
-    assert found["total_rmse"] == pytest.approx(expected["total_rmse"], rel=1e-9)
-
-
 def test_what_a_simulation_does_not_reach_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -97,5 +76,3 @@ def test_what_a_simulation_does_not_reach_is_said(
          f"--simulator {tmp_path}/simulated.csv", tmp_path / "out")  # fmt: skip
     said = " ".join("".join(capsys.readouterr()).split())
     assert "warning: simulator-calibrated: the simulator's output ends too early" in said
-    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "its last value is held" in page

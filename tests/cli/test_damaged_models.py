@@ -10,9 +10,7 @@ import pytest
 
 from tests.cli.support import HYBRID_AHEAD, assert_fails
 
-pytestmark = [
-    pytest.mark.usefixtures("inside", "undrawn"),
-]
+pytestmark = pytest.mark.usefixtures("inside")
 
 
 def change_json(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], None]:

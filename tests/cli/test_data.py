@@ -6,7 +6,7 @@ import pytest
 
 from tests.cli.support import call
 
-pytestmark = pytest.mark.usefixtures("inside", "undrawn")
+pytestmark = pytest.mark.usefixtures("inside")
 
 
 @pytest.mark.usefixtures("public_data")

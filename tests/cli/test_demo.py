@@ -10,7 +10,7 @@ from splitband.cli import demo
 from splitband.data.crane import overhead_crane
 from tests.cli.support import call, results
 
-pytestmark = pytest.mark.usefixtures("inside", "undrawn")
+pytestmark = pytest.mark.usefixtures("inside")
 
 
 def test_the_demo_tells_its_story_with_the_errors_of_its_run(

@@ -6,9 +6,7 @@ import pytest
 
 from tests.cli.support import assert_fails, call
 
-pytestmark = [
-    pytest.mark.usefixtures("inside"),
-]
+pytestmark = pytest.mark.usefixtures("inside")
 
 
 def test_export_says_what_it_writes(

@@ -14,9 +14,7 @@ from tests.records import rms
 from tests.support import load_model as load
 from tests.support import simulated
 
-pytestmark = [
-    pytest.mark.usefixtures("inside", "undrawn"),
-]
+pytestmark = pytest.mark.usefixtures("inside")
 
 
 def test_fit_writes_a_model_and_what_it_reached(model: Path) -> None:

@@ -5,13 +5,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-import scipy.integrate
-import scipy.signal
 
 from tests.cli.support import DT, SAMPLES, SLOW, A, assert_pictures, call, results, written
 from tests.records import rms
 
-pytestmark = pytest.mark.usefixtures("inside", "undrawn")
+pytestmark = pytest.mark.usefixtures("inside")
 
 
 @pytest.mark.usefixtures("drawn")
@@ -28,20 +26,6 @@ def test_forecast_goes_on_from_the_end_of_a_record(tmp_path: Path) -> None:
     assert found["method"] == "harmonic"
     np.testing.assert_allclose(table["a"], A[150:], atol=1e-4)  # the record is two sinusoids
     assert_pictures(tmp_path / "out", "forecast.png")
-
-
-def test_forecast_by_a_linear_model_of_the_inputs(tmp_path: Path) -> None:
-    n = np.arange(160)
-    u = np.sign(np.sin(n**1.3 / 20))
-    y = scipy.signal.lfilter([0.3, 0.1], [1, -1.6, 0.8], u)
-    table = pd.DataFrame({"time": n * DT, "y": y, "force": u})
-    table[:100].to_csv(tmp_path / "begun.csv", index=False)
-    table[["force"]][100:].to_csv(tmp_path / "coming.csv", index=False)
-    call(f"forecast {tmp_path}/begun.csv --columns y --inputs force --steps 60 --epochs 1 "
-         f"--seeds 1 --jobs 1 --future-inputs {tmp_path}/coming.csv", tmp_path / "out")  # fmt: skip
-    found = results(tmp_path / "out")
-    assert found["method"] == "linear"
-    np.testing.assert_allclose(written(tmp_path / "out" / "forecast.csv")["y"], y[100:], atol=1e-5)
 
 
 def test_forecast_takes_known_inputs_and_several_seeds(tmp_path: Path) -> None:

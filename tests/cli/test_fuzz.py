@@ -10,9 +10,8 @@ from tests.cli import fuzzing
     [("readers", 80), ("models", 50), ("checkpoints", 40), ("command_line", 25)],
 )
 def test_damaged_input_ends_in_a_result_or_in_an_error_that_says_why(
-    target: str, inputs: int, monkeypatch: pytest.MonkeyPatch
+    target: str, inputs: int
 ) -> None:
-    monkeypatch.setattr("splitband.report.pictures.save", lambda figure, path: None)
     before = fuzzing.outcomes[target].copy()
     fuzzing.run(target, inputs)
     made = fuzzing.outcomes[target] - before

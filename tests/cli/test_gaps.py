@@ -11,16 +11,14 @@ from splitband.cli.spectrum import _show_simulator
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
-from tests.cli.support import A, B, assert_fails, call, results, written
+from tests.cli.support import QUICK, A, B, assert_fails, call, results, written
 from tests.records import DT, NAN, rms, with_gaps
 from tests.support import compare, simulated, try_out
 from tests.support import load_model as load
 
-QUICKLY = "--recipe paper --epochs 2 --hidden 4,3 --window 30 --warmup 10"
+GRU_ON = f"--columns a --methods gru {QUICK} --seeds 1 --jobs 1 --out out"
 
-GRU_ON = f"--columns a --methods gru {QUICKLY} --seeds 1 --jobs 1 --out out"
-
-FIT_ON = f"--columns a --method gru {QUICKLY} --out out"
+FIT_ON = f"--columns a --method gru {QUICK} --out out"
 
 BAD_ROWS = {*range(5), *range(80, 84), *range(140, 150), *range(160, 166)}
 
@@ -53,7 +51,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def compared(folder: Path) -> Path:
     line = f"compare {folder}/gappy.csv --gaps mask --columns a --more {folder}/whole.csv"
-    call(f"{line} --methods gru,persistence,mean {QUICKLY} --seeds 2 --jobs 1", folder / "compared")
+    call(f"{line} --methods gru,persistence,mean {QUICK} --seeds 2 --jobs 1", folder / "compared")
     return folder / "compared"
 
 
@@ -108,7 +106,7 @@ def test_compare_trains_on_further_records_and_tries_out_with_them(
 def test_fit_and_simulate_go_around_gaps(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = f"fit {folder}/gappy.csv --gaps mask --columns a,b --method split-gru {QUICKLY}"
+    line = f"fit {folder}/gappy.csv --gaps mask --columns a,b --method split-gru {QUICK}"
     call(f"{line} --more {folder}/whole.csv --more {folder}/ended.csv", tmp_path / "model")
     said = capsys.readouterr().out
     assert "25 of 200 samples were not measured" in said
@@ -126,7 +124,6 @@ def test_fit_and_simulate_go_around_gaps(
     np.testing.assert_allclose(table[["a", "b"]], expected, rtol=1e-6, atol=1e-7)
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_forecast_goes_on_from_a_record_that_ends_in_a_gap(folder: Path, tmp_path: Path) -> None:
     line = f"forecast {folder}/ended.csv --gaps mask --columns a --steps 7 --method mean"
     call(line, tmp_path / "out")
@@ -136,7 +133,6 @@ def test_forecast_goes_on_from_a_record_that_ends_in_a_gap(folder: Path, tmp_pat
     np.testing.assert_allclose(table["a"], np.nanmean(SEEN[:166]), atol=1e-3)
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_forecast_trains_on_further_records(folder: Path, tmp_path: Path) -> None:
     line = f"forecast {folder}/ended.csv --gaps mask --columns a --steps 7 --method gru --seeds 1"
     found = []
@@ -147,7 +143,7 @@ def test_forecast_trains_on_further_records(folder: Path, tmp_path: Path) -> Non
     assert not np.allclose(found[1], found[0], rtol=0.1)
 
 
-HYBRID = f"--columns a --simulator whole.csv --method residual-gru {QUICKLY} --out out"
+HYBRID = f"--columns a --simulator whole.csv --method residual-gru {QUICK} --out out"
 
 
 @pytest.mark.parametrize(
@@ -207,13 +203,13 @@ def test_a_column_named_y_is_found_in_further_records(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
-    line = f"fit named.csv --more named.csv --columns y --method gru {QUICKLY}"
+    line = f"fit named.csv --more named.csv --columns y --method gru {QUICK}"
     call(line, tmp_path)
 
 
 def test_the_columns_of_further_records_go_by_name(folder: Path, tmp_path: Path) -> None:
     for name in ("whole", "turned"):
-        line = f"fit {folder}/whole.csv --more {folder}/{name}.csv --method gru {QUICKLY}"
+        line = f"fit {folder}/whole.csv --more {folder}/{name}.csv --method gru {QUICK}"
         call(line, tmp_path / name)
     expected, found = (results(tmp_path / name)["final_loss"] for name in ("whole", "turned"))
     assert found == expected
@@ -223,13 +219,13 @@ def test_further_records_of_other_columns_are_refused_where_all_are_taken(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(folder)
-    line = f"fit whole.csv --more renamed.csv --method gru {QUICKLY} --out out"
+    line = f"fit whole.csv --more renamed.csv --method gru {QUICK} --out out"
     assert_fails(line, ("renamed.csv", "'a'"), capsys)
 
 
 def test_the_range_of_a_model_is_that_of_all_its_records(folder: Path, tmp_path: Path) -> None:
     call(
-        f"fit {folder}/whole.csv --more {folder}/wide.csv --columns a --method gru {QUICKLY}",
+        f"fit {folder}/whole.csv --more {folder}/wide.csv --columns a --method gru {QUICK}",
         tmp_path,
     )
     assert results(tmp_path)["range"] == [[10 * A.min()], [10 * A.max()]]

@@ -14,7 +14,7 @@ from splitband.runtime.files import CHECKPOINTS
 from tests.cli.support import SIMULATOR, complaints, files
 from tests.runtime.test_processes import eventually
 
-pytestmark = pytest.mark.usefixtures("inside", "undrawn")
+pytestmark = pytest.mark.usefixtures("inside")
 
 
 def test_an_interrupt_says_so_and_leaves_no_file(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,7 @@ import pytest
 from splitband.cli import main
 from tests.cli.support import QUICK, call, complaints, process, results
 
-pytestmark = pytest.mark.usefixtures("inside", "undrawn")
+pytestmark = pytest.mark.usefixtures("inside")
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from splitband.report.results import FOUND, save_found
 from splitband.training import Settings
 from tests.cli.support import DT, FORCE, SAMPLES, A, B, call, results
 
-pytestmark = pytest.mark.usefixtures("inside", "undrawn")
+pytestmark = pytest.mark.usefixtures("inside")
 
 QUICK = Settings(20, 10, 1, 16, most_batches=1)
 

@@ -22,8 +22,6 @@ from tests.cli.support import QUICK, B, assert_fails, call, files, results, writ
 
 resource = pytest.importorskip("resource")
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 MEAN = "compare record.csv --columns a --methods mean --warmup 10"
 SPECTRUM = "spectrum record.csv --columns a"
 
@@ -183,12 +181,11 @@ def largest_file(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
+@pytest.mark.usefixtures("drawn")
 @pytest.mark.parametrize(
     ("line", "size", "name"),
     [
         (MEAN, 200_000, "report.html"),  # after predictions.csv
-        (SPECTRUM, 200_000, "report.html"),
-        ("forecast record.csv --method mean --steps 3", 200_000, "report.html"),
         ("fit record.csv --method linear --columns a --inputs force", 3_000, "forecaster.json"),
     ],
 )

@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import sys
 from pathlib import Path
 
@@ -9,11 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from splitband.cli.comparing import Request, planned
+from splitband.cli.options.records import RecordOptions
+from splitband.cli.options.simulators import SimulatorOptions
 from tests.cli.support import assert_fails, call, process, results
-
-pytestmark = [
-    pytest.mark.usefixtures("undrawn"),
-]
 
 PLANT = """
 import splitband as sb
@@ -75,13 +75,13 @@ def test_compare_puts_fitted_parameters_beside_networks(
     assert "--simulator plant.py:lag" in said
 
 
-def test_an_ode_of_a_file_says_its_ranges_itself_to_every_process(tmp_path: Path) -> None:
-    call(f"compare record.csv --inputs u --simulator plant.py:plant {QUICK} --jobs 2", tmp_path)
-    found = results(tmp_path)["methods"]
-    assert "simulator-as-given" in found
-    assert "residual-grey-box-state-space-conditioned" in found
-    (remark,) = found["grey-box"]["parameters"]["remarks"]
-    assert remark == "rate is at its upper bound, 1"
+def test_an_ode_of_a_file_says_its_ranges_itself_to_every_process() -> None:
+    reading, simulator = RecordOptions(inputs="u"), SimulatorOptions("plant.py:plant")
+    plan = planned(Request("record.csv", reading, simulator), 1)
+    methods = {method.name: method for method in plan.methods}
+    assert {"simulator-as-given", "residual-grey-box-state-space-conditioned"} <= methods.keys()
+    sent = pickle.loads(pickle.dumps(methods["grey-box"])).fit(plan.record)
+    assert sent.estimate.remarks == ("rate is at its upper bound, 1",)
 
 
 def test_a_saved_grey_box_simulates_with_its_values(tmp_path: Path) -> None:

@@ -15,9 +15,7 @@ from tests.cli.support import DT, FORCE, QUICK, SIMULATED, SLOW, TIME, WARMUP, A
 from tests.support import load_model as load
 from tests.support import simulated
 
-pytestmark = [
-    pytest.mark.usefixtures("inside", "undrawn"),
-]
+pytestmark = pytest.mark.usefixtures("inside")
 
 
 def test_simulate_writes_time_and_columns_of_the_loaded_model(model: Path, tmp_path: Path) -> None:
@@ -123,7 +121,7 @@ def test_what_is_fitted_in_closed_form_goes_on_as_python_says(method: str, tmp_p
 def test_an_interval_that_is_saved_with_a_model_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    model, history = sb.Harmonic().fit(read("record.csv", columns="a")), "history.csv"
+    model, history = sb.Mean().fit(read("record.csv", columns="a")), "history.csv"
     model.save(tmp_path / "plain")
     model.predict(1, level=0.9)
     model.save(tmp_path / "model")

@@ -10,7 +10,7 @@ import scipy.signal
 from tests.cli.support import TIME, A, call, results
 from tests.records import rms
 
-pytestmark = pytest.mark.usefixtures("inside", "undrawn")
+pytestmark = pytest.mark.usefixtures("inside")
 
 
 @pytest.mark.parametrize("options", ["simulated.csv", "simulated_names.csv --simulator-columns q"])

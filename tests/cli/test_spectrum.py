@@ -24,9 +24,7 @@ from tests.cli.support import (
 )
 from tests.records import rms
 
-pytestmark = [
-    pytest.mark.usefixtures("inside", "undrawn"),
-]
+pytestmark = pytest.mark.usefixtures("inside")
 
 
 @pytest.fixture(scope="module")

@@ -48,7 +48,7 @@ def compared(plan: TimeBudget) -> Comparison:
     return compare(record(), TRAIN, METHODS, setup=SEARCHED, work=Work(time=plan))
 
 
-@pytest.mark.parametrize("looks", [-10, 3, 100, 1000])
+@pytest.mark.parametrize("looks", [-10, 100])
 def test_there_is_a_result_whatever_the_deadline(
     looks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

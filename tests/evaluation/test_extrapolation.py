@@ -64,7 +64,7 @@ def test_commands_warn_of_inputs_beyond_training(
     said = "input force is beyond its range in training"
 
     arguments = [str(tmp_path / "record.csv"), *known, "--train", str(TRAIN), *QUICK]
-    out = ["--methods", "gru,linear,mean", "--out", str(tmp_path / "out")]
+    out = ["--methods", "gru,mean", "--out", str(tmp_path / "out")]
     assert main(["compare", *arguments, *out]) == 0
     assert f"{said}" in (shown := capsys.readouterr().out)
     assert "from sample 20 on, up to 50" in shown
@@ -73,7 +73,16 @@ def test_commands_warn_of_inputs_beyond_training(
 
     ahead = ["--future-inputs", str(tmp_path / "future.csv"), "--steps", "40"]
     past = str(tmp_path / "past.csv")
-    method = ["--method", "linear", "--out", str(tmp_path / "forecast")]
+    method = [
+        "--method",
+        "gru",
+        "--epochs",
+        "1",
+        "--seeds",
+        "1",
+        "--out",
+        str(tmp_path / "forecast"),
+    ]
     assert main(["forecast", past, *known, *ahead, *method]) == 0
     assert said in capsys.readouterr().out
     results = json.loads((tmp_path / "forecast" / "results.json").read_text())
@@ -96,7 +105,7 @@ def test_commands_say_nothing_of_inputs_within_their_range(
     force = np.random.default_rng(1).uniform(-1, 1, LENGTH)
     record(force).to_csv(tmp_path / "record.csv", index=False)
     arguments = [str(tmp_path / "record.csv"), "--inputs", "force", "--train", str(TRAIN), *QUICK]
-    out = ["--methods", "linear,mean", "--out", str(tmp_path / "out")]
+    out = ["--methods", "gru,mean", "--out", str(tmp_path / "out")]
     assert main(["compare", *arguments, *out]) == 0
     assert "beyond its range" not in capsys.readouterr().out
     results = json.loads((tmp_path / "out" / "results.json").read_text())

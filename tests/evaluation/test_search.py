@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +67,12 @@ def searched_by(
     return search(training, chosen, STEPS, budget or BUDGET, work or Work())
 
 
+@cache
+def of_gru() -> SearchResult:
+    """What the whole budget finds for a GRU, once for several tests."""
+    return searched_by(record()[:TRAIN], ["gru", "mean"])
+
+
 def settings_of(forecaster: Forecaster) -> Settings:
     assert isinstance(forecaster, Network)
     assert forecaster.settings is not None
@@ -74,8 +81,7 @@ def settings_of(forecaster: Forecaster) -> Settings:
 
 def test_the_trainings_with_the_lowest_held_out_errors_are_chosen() -> None:
     """Of whatever settings, the best one first; as many as have the best mean."""
-    training = record()[:TRAIN]
-    searched = searched_by(training, ["gru", "mean"])
+    training, searched = record()[:TRAIN], of_gru()
     chosen, mean = searched.forecasters
     assert isinstance(chosen, Network)
     assert mean.name == "mean"
@@ -159,9 +165,8 @@ def test_seeds_that_failed_in_training_do_not_count() -> None:
 def test_the_search_looks_at_nothing_after_the_training_part() -> None:
     y = record().y.copy()
     y[TRAIN:] += 100
-    records = record(), replace(record(), y=y)
-    results = [searched_by(r[:TRAIN], ["gru"]) for r in records]
-    assert results[0].attempts == results[1].attempts
+    changed = replace(record(), y=y)
+    assert searched_by(changed[:TRAIN], ["gru"]).attempts == of_gru().attempts
 
 
 def test_it_depends_neither_on_workers_nor_on_what_is_resumed(
@@ -186,8 +191,7 @@ def test_it_depends_neither_on_workers_nor_on_what_is_resumed(
 
 
 def test_a_small_budget_tries_less_and_a_tiny_one_nothing() -> None:
-    training = record()[:TRAIN]
-    whole = searched_by(training, ["gru"])
+    training, whole = record()[:TRAIN], of_gru()
     spent = BUDGET.core_seconds - whole.left
     less = searched_by(training, ["gru"], Search(0.8 * spent))
     assert 0 < len(less.attempts) < len(whole.attempts)

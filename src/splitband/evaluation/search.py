@@ -101,7 +101,7 @@ class Search:
     bases : Whether a network may be tried on top of a baseline that does better than all networks.
     """
 
-    core_seconds: float = field(default_factory=lambda: CORE_SECONDS)
+    core_seconds: float = CORE_SECONDS
     seconds: float | None = None
     sizes: bool = True
     bases: bool = False

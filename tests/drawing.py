@@ -1,0 +1,18 @@
+"""Results without what takes longest of them: pictures and pages."""
+
+from pathlib import Path
+
+import pytest
+
+
+def nothing_drawn(patch: pytest.MonkeyPatch) -> None:
+    """Let results be written without pictures, and with an empty page."""
+    for figure in ("rollouts", "errors", "spectrum", "components", "forecast"):
+        patch.setattr(f"splitband.report.pictures.{figure}", lambda *_, **__: None)
+    patch.setattr("splitband.report.pictures.save", lambda figure, path: None)
+    for result in ("comparison", "forecast", "spectrum", "rows", "check"):
+        patch.setattr(f"splitband.report.page.of_{result}", _empty_page)
+
+
+def _empty_page(result: object, path: str | Path, usage: object = None) -> None:
+    Path(path).write_text("", encoding="utf-8")
