@@ -92,4 +92,5 @@ from splitband.training import (
     Settings as Settings,
 )
 
+__all__: list[str]
 __version__: str

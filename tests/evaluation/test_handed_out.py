@@ -52,7 +52,7 @@ def test_a_method_is_handed_out_as_it_was_trained(name: str, tmp_path: Path) -> 
 
 
 def test_processes_find_the_numbers_of_this_one_and_give_back_their_models() -> None:
-    methods: list[Forecaster | str] = ["gru", sb.Residual(sb.Harmonic(), GRU(4)), "harmonic"]
+    methods: list[Forecaster | str] = ["gru", sb.Residual(sb.Periodic(), GRU(4)), "mean"]
     alone, result = (
         sb.compare(record(), methods=methods, seeds=2, setup=SETUP, work=sb.Work(jobs))
         for jobs in (1, 2)

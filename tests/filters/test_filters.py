@@ -1,6 +1,7 @@
 """The filters against SciPy, the recurrence that defines them, and what they promise."""
 
 import itertools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -590,11 +591,12 @@ def test_a_leading_zero_coefficient_is_named() -> None:
 def test_first_of_a_wrong_length_is_named(given: int) -> None:
     pair = ComplementaryPair.butterworth(CUTOFF, RATE, 3, zero_phase=False)
     x = noise(30, 2)
-    for run in (
+    runs: list[Callable[[Array], object]] = [
         lambda first: lfilter(pair.b_low, pair.a, x, first=first),
         lambda first: pair.highpass_from(x, first),
         lambda first: pair.combine(low=x, high=x, first=first),
-    ):
+    ]
+    for run in runs:
         with pytest.raises(ValueError, match=rf"first 3 outputs, .* got \({given}, 2\)"):
             run(x[:given])
 

@@ -114,7 +114,7 @@ def test_two_parameters_are_found_side_by_side_killed_and_gone_on_with(
         identify(fmu, measured(), effort=Effort(6, workers=2, folder=tmp_path, progress=stop))
     assert done == [1, 2, 3]
     found = identify(fmu, measured(), effort=Effort(
-        6, workers=2, folder=tmp_path, progress=lambda count, _: done.append(count)))  # fmt: skip
+        6, folder=tmp_path, progress=lambda count, _: done.append(count)))  # fmt: skip
     assert done[3] == 4
     assert found.values == pytest.approx({"k": 4.0, "c": 0.3}, rel=0.01)
 

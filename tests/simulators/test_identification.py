@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,12 @@ def oscillator(**parameters: Any) -> sb.Ode:
     return sb.Ode(swing, [1.0, 0.0], parameters=given)
 
 
+@cache
+def of_noisy() -> Any:
+    """What a record with noise tells, for two tests."""
+    return identify(oscillator(), measured(noise=0.05), effort=FEW)
+
+
 def test_parameters_are_found_whose_phase_a_long_simulation_has_lost() -> None:
     """The middle of the range is another frequency: windows that grow lead to the right one."""
     found = identify(oscillator(), measured(), effort=FEW)
@@ -60,8 +67,7 @@ def test_parameters_are_found_whose_phase_a_long_simulation_has_lost() -> None:
 
 def test_standard_errors_and_correlations_are_those_of_scipy() -> None:
     """Of `curve_fit` with the closed form."""
-    record = measured(noise=0.05)
-    found = identify(oscillator(), record, effort=FEW)
+    record, found = measured(noise=0.05), of_noisy()
     values, covariance = scipy.optimize.curve_fit(
         lambda _, k, c: oscillation(300, k, c), record.time, record.y[:, 0], [4.0, 0.1]
     )
@@ -180,7 +186,7 @@ def test_runs_that_fail_are_bad_values_and_no_run_at_all_is_an_error() -> None:
 
 
 def test_an_interrupted_fit_goes_on_where_it_was(tmp_path: Path) -> None:
-    record, calls = measured(noise=0.02), []
+    record, calls = measured(noise=0.05), []
 
     def stop_after_two(done: int, _: int) -> None:
         calls.append(done)
@@ -194,7 +200,7 @@ def test_an_interrupted_fit_goes_on_where_it_was(tmp_path: Path) -> None:
     found = identify(oscillator(), record, effort=Effort(
         4, folder=tmp_path, progress=lambda done, _: rest.append(done)))  # fmt: skip
     assert rest == [3, 4]
-    assert found.values == identify(oscillator(), record, effort=FEW).values
+    assert found.values == of_noisy().values
     assert found.starts[1] > 1
 
 
