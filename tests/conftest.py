@@ -150,6 +150,12 @@ def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
         nothing_drawn(monkeypatch)
 
 
+@pytest.fixture
+def compiled_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests that share an equation: it is compiled before many steps are taken without."""
+    monkeypatch.setattr("splitband.simulators.ode.WORTH_COMPILING", 500)
+
+
 @pytest.fixture(autouse=True)
 def seeded() -> None:
     """Networks begin with the same weights whatever ran before in the same process."""

@@ -15,7 +15,10 @@ from tests.streams import BANDS, SHORT, driven, free, in_double
 Array = npt.NDArray[np.float64]
 TRAIN, SEEN, END = 150, 190, 240
 
-pytestmark = pytest.mark.filterwarnings("ignore::splitband.ExtrapolationWarning")
+pytestmark = [
+    pytest.mark.usefixtures("compiled_soon"),
+    pytest.mark.filterwarnings("ignore::splitband.ExtrapolationWarning"),
+]
 
 
 def stiffening(t: float, x: Any, u: Any, p: Any) -> list[float]:

@@ -17,6 +17,8 @@ from splitband.simulators.parameters import Parameters
 
 Array = npt.NDArray[np.float64]
 
+pytestmark = pytest.mark.usefixtures("compiled_soon")
+
 DT = 0.1
 FEW = Effort(starts=4)
 
@@ -35,7 +37,7 @@ def oscillation(samples: int, k: float = 4.0, c: float = 0.1, x0: float = 1.0) -
     )
 
 
-def measured(samples: int = 300, noise: float = 0.0, seed: int = 0, **others: float) -> sb.Record:
+def measured(samples: int = 120, noise: float = 0.0, seed: int = 0, **others: float) -> sb.Record:
     random = np.random.default_rng(seed)
     return sb.Record(oscillation(samples, **others) + random.normal(0, noise, samples), DT)
 
@@ -59,7 +61,7 @@ def of_noisy() -> Any:
 
 def test_parameters_are_found_whose_phase_a_long_simulation_has_lost() -> None:
     """The middle of the range is another frequency: windows that grow lead to the right one."""
-    found = identify(oscillator(), measured(), effort=FEW)
+    found = identify(oscillator(), measured(300), effort=FEW)
     assert found.values == pytest.approx({"k": 4.0, "c": 0.1}, rel=1e-4)
     assert found.remarks == ()
     assert found.starts[0] >= 1
@@ -69,7 +71,7 @@ def test_standard_errors_and_correlations_are_those_of_scipy() -> None:
     """Of `curve_fit` with the closed form."""
     record, found = measured(noise=0.05), of_noisy()
     values, covariance = scipy.optimize.curve_fit(
-        lambda _, k, c: oscillation(300, k, c), record.time, record.y[:, 0], [4.0, 0.1]
+        lambda _, k, c: oscillation(120, k, c), record.time, record.y[:, 0], [4.0, 0.1]
     )
     assert [*found.values.values()] == pytest.approx(values, rel=1e-4)
     deviations = np.sqrt(np.diag(covariance))
@@ -93,7 +95,7 @@ def test_a_solver_of_loose_tolerance_gives_the_same_standard_errors() -> None:
 
 def test_numbers_are_kept_and_each_record_has_its_own_initial_state() -> None:
     simulator = oscillator(k=4.0, x0_1=(-3.0, 3.0))
-    found = identify(simulator, measured(x0=1.5), measured(200, x0=-2.0), effort=FEW)
+    found = identify(simulator, measured(x0=1.5), measured(80, x0=-2.0), effort=FEW)
     assert found.values == pytest.approx({"c": 0.1, "x0_1": 1.5, "x0_1, record 2": -2.0}, abs=1e-4)
 
 
@@ -112,8 +114,8 @@ def driven(t: float, x: Any, u: Any, p: Any) -> list[float]:
 @pytest.mark.parametrize("held", [True, False])
 def test_inputs_are_held_or_interpolated(held: bool) -> None:
     """As SciPy's linear systems have it: zero-order and first-order hold."""
-    u = np.random.default_rng(0).normal(size=200)
-    time = DT * np.arange(200)
+    u = np.random.default_rng(0).normal(size=100)
+    time = DT * np.arange(100)
     _, y, _ = scipy.signal.lsim(([[-2.0]], [[6.0]], [[1.0]], [[0.0]]), u, time, interp=not held)
     simulator = sb.Ode(driven, [0.0], held=held, parameters={"gain": (0, 10.0), "lag": (0.1, 2.0)})
     found = identify(simulator, sb.Record(y, DT, u=u), effort=FEW)
@@ -143,7 +145,7 @@ def test_a_parameter_at_the_end_of_its_range_is_said() -> None:
 
 def test_minima_that_are_as_good_are_said() -> None:
     simulator = oscillator(k=1.0, c=0.1, w=(-5.0, 5.0))
-    found = identify(simulator, measured(200), effort=Effort(starts=8))
+    found = identify(simulator, measured(), effort=Effort(starts=8))
     assert abs(found.values["w"]) == pytest.approx(2.0, rel=1e-4)
     assert found.remarks == (f"fits as well with w = {-2 * np.sign(found.values['w']):g}",)
 
@@ -153,12 +155,12 @@ def lorenz(t: float, x: Any, u: Any, p: Any) -> list[float]:
 
 
 def test_a_chaotic_system_is_fitted_in_windows() -> None:
-    time = 0.02 * np.arange(600)
+    time = 0.02 * np.arange(400)
     exact = scipy.integrate.solve_ivp(
         lambda t, x: [10 * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]],
         (0, time[-1]), [1.0, 1.0, 20.0], "DOP853", time, rtol=1e-10, atol=1e-10,
     ).y  # fmt: skip
-    noise = np.random.default_rng(0).normal(0, 0.1, (600, 2))
+    noise = np.random.default_rng(0).normal(0, 0.1, (400, 2))
     record = sb.Record(exact[:2].T + noise, 0.02)
     simulator = sb.Ode(lorenz, [1.0, 1.0, 20.0], lambda x: x[:, :2], tolerances=(1e-6, 1e-6),
                        parameters={"rho": (10.0, 50.0), "beta": (0.5, 10.0)})  # fmt: skip
