@@ -11,20 +11,16 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from splitband.baselines.linear import OutputError
-from splitband.baselines.realisation import realised, state_estimator
+from splitband.baselines.realisation import Realisation, realised, state_estimator
 from splitband.data import Record
 from splitband.forecasters.remembering import Remembered
 from splitband.models import Model
 from splitband.models.base import with_next_input
 from splitband.runtime.arrays import Array
 from splitband.training import Settings
-
-NONLINEAR = 0.1
-"""Share of their initial weights that the units keep: without any they would all begin alike."""
 
 
 @runtime_checkable
@@ -35,13 +31,9 @@ class LinearPart(Protocol):
     nu: int
     states: int
     encoded: int
-    transition: nn.Linear
-    observation: nn.Linear
-    first: nn.Parameter
-    first_bias: nn.Parameter
 
-    def set_linear(self, a: Array, b: Array, c: Array, d: Array) -> None:
-        """Make the cell a linear model."""
+    def begin_linear(self, model: Realisation, first: tuple[Array, Array] | None) -> None:
+        """Begin as a linear model, whose first state is such a map of what is `encoded`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,17 +122,11 @@ def _set(
     # A row of the network's inputs is [u of this sample, u of the next one, what else it is told].
     b, d = np.zeros((cell.states, cell.nu)), np.zeros((cell.ny, cell.nu))
     b[:, :nu], d[:, nu : 2 * nu] = found.b, found.d
-    kept = [layer.weight.detach().clone() for layer in (cell.transition, cell.observation)]
-    cell.set_linear(found.a, b, found.c, d)
-    with torch.no_grad():
-        units = slice(cell.states + cell.nu, None)
-        for layer, before in zip((cell.transition, cell.observation), kept, strict=True):
-            layer.weight[:, units] = NONLINEAR * before[:, units]
-        cell.observation.bias.copy_(torch.from_numpy(found.offset))
-        if cell.encoded:
-            runs = [*zip(targets, rows, strict=True)]
-            weight, bias = state_estimator(runs, found.states, cell.encoded)
-            told = np.zeros((cell.states, cell.encoded, cell.ny + cell.nu))
-            told[:, :, : cell.ny + 2 * nu] = weight.reshape(cell.states, cell.encoded, -1)
-            cell.first.copy_(torch.from_numpy(told.reshape(cell.states, -1)))
-            cell.first_bias.copy_(torch.from_numpy(bias))
+    first = None
+    if cell.encoded:
+        runs = [*zip(targets, rows, strict=True)]
+        weight, bias = state_estimator(runs, found.states, cell.encoded)
+        told = np.zeros((cell.states, cell.encoded, cell.ny + cell.nu))
+        told[:, :, : cell.ny + 2 * nu] = weight.reshape(cell.states, cell.encoded, -1)
+        first = told.reshape(cell.states, -1), bias
+    cell.begin_linear(found._replace(b=b, d=d), first)

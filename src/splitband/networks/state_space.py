@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -10,7 +12,11 @@ from torch import Tensor, nn
 from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
 from splitband.runtime.arguments import whole
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import Written
+
+if TYPE_CHECKING:
+    from splitband.baselines.realisation import Realisation
 
 _RADIUS = 0.95
 """Of the poles of a cell that begins with random weights."""
@@ -23,7 +29,8 @@ MOST_LAYERS = 100
 MOST_ENCODED = 10
 """Samples of the warm-up that the first state is estimated from at most."""
 _NONLINEAR = 0.1
-"""The weights of f and g at the output, as a share of torch's initial values."""
+"""The weights of f and g at the output, as a share of torch's initial values, and once more where
+the cell begins as a linear model: without any, all units would begin alike."""
 
 
 class StateSpace(Written, nn.Module):
@@ -141,6 +148,26 @@ class StateSpace(Written, nn.Module):
                 layer.weight[:, : self.states + self.nu] = torch.from_numpy(linear)
                 layer.bias.zero_()
             self.gain.copy_(torch.from_numpy(given["k"]))
+
+    def begin_linear(self, model: Realisation, first: tuple[Array, Array] | None = None) -> None:
+        """Begin as a linear model, in place, with units that hardly count.
+
+        Parameters
+        ----------
+        model : With columns of B and D for each input of a row.
+        first : Weight and bias of the map from what is `encoded` to the first state.
+        """
+        units = slice(self.states + self.nu, None)
+        layers = self.transition, self.observation
+        kept = [_NONLINEAR * layer.weight.detach()[:, units] for layer in layers]
+        self.set_linear(model.a, model.b, model.c, model.d)
+        with torch.no_grad():
+            for layer, weight in zip(layers, kept, strict=True):
+                layer.weight[:, units] = weight
+            self.observation.bias.copy_(torch.from_numpy(model.offset))
+            if first is not None:
+                self.first.copy_(torch.from_numpy(first[0]))
+                self.first_bias.copy_(torch.from_numpy(first[1]))
 
     def penalised(self) -> list[Tensor]:
         """Return the weights of f and g, which a penalty keeps small; the linear part is free."""
