@@ -432,12 +432,12 @@ def _stable(a: Array) -> Array:
     return a
 
 
-def input_delays(*signals: Array) -> tuple[int, ...]:
+def input_delays(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
     """Return the dead time of each input in samples, as the linear model has it.
 
-    `signals` are `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each record in turn.
+    `records` are `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each.
     """
-    first, *others = zip(signals[::2], signals[1::2], strict=True)
-    if not any(candidates([first, *others])):
+    first, *others = records
+    if not any(candidates(records)):
         return (0,) * first[1].shape[1]
     return OutputError.fit(*first, others).delays

@@ -65,8 +65,7 @@ class Earlier:
             begin_as_linear(model, records, settings.normalize, seed)
 
 
-def _fitted(most: int, *signals: Array) -> OutputError:
-    first, *others = zip(signals[::2], signals[1::2], strict=True)
+def _fitted(most: int, first: tuple[Array, Array], *others: tuple[Array, Array]) -> OutputError:
     return OutputError.fit(*first, others, most)
 
 
@@ -115,8 +114,7 @@ def _set(
     seed: int,
 ) -> None:
     """Set the linear part of one network, which predicts `targets`."""
-    signals = [x for pair in zip(targets, inputs, strict=True) for x in pair]
-    linear = FITTED(max(1, cell.states // cell.ny), *signals)
+    linear = FITTED(max(1, cell.states // cell.ny), *zip(targets, inputs, strict=True))
     found = realised(linear, inputs, cell.states, np.random.default_rng(seed))
     nu = inputs[0].shape[1]
     # A row of the network's inputs is [u of this sample, u of the next one, what else it is told].

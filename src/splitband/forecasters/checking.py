@@ -9,7 +9,6 @@ is a disturbance that the model does not describe, or dynamics that it misses.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -28,6 +27,7 @@ from splitband.metrics import (
     leaves_range,
 )
 from splitband.runtime.arrays import Array
+from splitband.runtime.threads import without_warnings
 
 LEVEL = 0.99
 """Of the bands; a test is rejected where chance alone exceeds it in fewer than 1 of 100 records."""
@@ -198,8 +198,7 @@ def check(forecaster: Forecaster, record: Record) -> ModelCheck:
             f"got {len(record)}"
         )
     other = not forecaster.anchored
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ExtrapolationWarning)
+    with without_warnings(ExtrapolationWarning):
         free = forecaster.predict(len(record) - begin, record[:begin], other_record=other)
         fits = {"simulation": _fit(record.truth[begin:], free.y)}
         fits |= _ahead(forecaster, record, begin, other)

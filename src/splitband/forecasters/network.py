@@ -367,7 +367,7 @@ class Network(Forecaster):
             seen = [base.on(record, first=i == 0) for i, record in enumerate(records)]
         self.delays = ()
         if records[0].u is not None:
-            self.delays = DELAYS(*(x for r in records for x in (r.seen, r.u)))
+            self.delays = DELAYS([(r.seen, r.u) for r in records])
         return [r if r.u is None else replace(r, u=delayed(r.u, self.delays)) for r in seen]
 
     def _remarks(self, record: Record) -> list[str]:

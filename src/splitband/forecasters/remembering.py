@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -15,7 +15,7 @@ Result = TypeVar("Result")
 
 
 class Remembered(Generic[Result]):
-    """Compute a function of arrays and numbers once for the same arguments.
+    """Compute a function of arrays and numbers, or of lists of them, once for the same arguments.
 
     Arguments are compared by content. It is computed on one thread, so that the result is the same
     to the bit in whichever process that is.
@@ -36,9 +36,7 @@ class Remembered(Generic[Result]):
 
     def __call__(self, *arguments: Any) -> Result:
         """Return `function(*arguments)`."""
-        parts = (torch.from_numpy(np.array(a)) if isinstance(a, np.ndarray) else a
-                 for a in arguments)  # fmt: skip
-        key = key_of(*parts)
+        key = key_of(*_parts(arguments))
         if key not in self.results:
             with one_thread():
                 self.learn({key: self.function(*arguments)})
@@ -49,3 +47,12 @@ class Remembered(Generic[Result]):
         self.results |= results
         for key in [*self.results][: -self.most]:
             del self.results[key]
+
+
+def _parts(value: Any) -> Iterator[Any]:
+    """Yield what lists hold, arrays as tensors."""
+    if isinstance(value, list | tuple):
+        for part in value:
+            yield from _parts(part)
+    else:
+        yield torch.from_numpy(np.array(value)) if isinstance(value, np.ndarray) else value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +11,7 @@ from splitband.forecasters.base import Forecaster
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
+from splitband.runtime.threads import without_warnings
 
 STEPS = 500
 """Samples of a response, and of the settling before it, where nothing else is asked for."""
@@ -84,8 +84,7 @@ def respond(
         for half in (0.5 * of_input, -0.5 * of_input):
             u = np.tile(held, (2 * steps, 1))
             u[steps:, i] += half
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", ExtrapolationWarning)
+            with without_warnings(ExtrapolationWarning):
                 ends.append(forecaster.predict(2 * steps, u=u).y[steps:])
         found[:, :, i] = (ends[0] - ends[1]) / of_input
     return Responses(found, record.sampling_time, record.columns, record.inputs, held, sizes)

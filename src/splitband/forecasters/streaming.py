@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -15,6 +14,7 @@ from splitband.forecasters.known import Known
 from splitband.forecasters.stepping import InUnits, NotSteppedError, Recursion, State
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.arrays import Array
+from splitband.runtime.threads import without_warnings
 
 if TYPE_CHECKING:
     from splitband.forecasters.base import Forecaster
@@ -223,8 +223,7 @@ class Asked(Recursion):
             inputs=past.inputs,
             start=past.start,
         )
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ExtrapolationWarning)
+        with without_warnings(ExtrapolationWarning):
             predicted = self.forecaster.predict(
                 len(state["y"]) - origin,
                 record,

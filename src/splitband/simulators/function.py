@@ -28,7 +28,11 @@ class UserCode(Written):
 
     def fixed(self, values: Mapping[str, float]) -> Self:
         """Return it with these values of parameters."""
-        made = replace(self, parameters=dict(self.known.fixed(values).given))  # type: ignore[type-var]
+        return self._with(parameters=dict(self.known.fixed(values).given))
+
+    def _with(self, **changes: Any) -> Self:
+        """Return it with other fields, for other processes to make as before."""
+        made = replace(self, **changes)  # type: ignore[type-var]
         return made.opened_by(vars(self).get("_opened_by"))
 
     def precise(self) -> Self:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Literal, Self
 
@@ -101,9 +101,7 @@ class Ode(UserCode):
         With few steps a solution may be right within its tolerance and still depend on a parameter
         many times as strongly as the equation does, as where a tank reaches its rim.
         """
-        relative, absolute = map(min, self.tolerances, PRECISE)
-        made = replace(self, tolerances=(relative, absolute))
-        return made.opened_by(vars(self).get("_opened_by"))
+        return self._with(tolerances=tuple(map(min, self.tolerances, PRECISE)))
 
     def simulate(self, time: Array) -> npt.ArrayLike:
         """Solve at the times `time` in s; raises RuntimeError if the solver fails.
