@@ -35,11 +35,9 @@ class PlainGRU(NamedTuple):
     observation: tuple[Array, Array]
 
     def initial_state(self, y: Array, u: Array) -> Array:
-        """Return the state that a warm-up leads to."""
         return _observed(self, np.zeros(self.of_state[0].shape[1]), y, u)
 
     def step(self, h: Array, y: Array, u: Array) -> Array:
-        """Return the state a sample later."""
         n = self.of_state[0].shape[1]
         given = self.of_input[0] @ np.concatenate([y, u]) + self.of_input[1]
         kept = self.of_state[0] @ h + self.of_state[1]
@@ -48,7 +46,6 @@ class PlainGRU(NamedTuple):
         return new + gates[n:] * (h - new)
 
     def observe(self, h: Array) -> Array:
-        """Return the output in a state."""
         return self.observation[0] @ h + self.observation[1]
 
 
@@ -62,18 +59,15 @@ class PlainEulerMLP(NamedTuple):
     step_size: float
 
     def initial_state(self, y: Array, u: Array) -> Array:
-        """Return the state that a warm-up leads to."""
         seen = np.concatenate([y, u], axis=1)[len(y) - self.warmup :]
         return _dense(self.recognition, seen.reshape(-1))
 
     def step(self, h: Array, y: Array, u: Array) -> Array:
-        """Return the state a sample later."""
         *hidden, (weight, bias) = self.dynamics
         inner = _dense(tuple(hidden), np.concatenate([h, u]))
         return h + self.step_size * (weight @ inner + bias)
 
     def observe(self, h: Array) -> Array:
-        """Return the output in a state."""
         return h[: self.ny]
 
 
@@ -89,7 +83,6 @@ class PlainStateSpace(NamedTuple):
     encoded: int
 
     def initial_state(self, y: Array, u: Array) -> Array:
-        """Return the state that a warm-up leads to."""
         weight, x = self.first
         if self.encoded:
             seen = np.concatenate([y[: self.encoded], u[: self.encoded]], axis=1)
@@ -97,13 +90,11 @@ class PlainStateSpace(NamedTuple):
         return _observed(self, self._with_output(x, u[0]), y, u)
 
     def step(self, h: Array, y: Array, u: Array) -> Array:
-        """Return the state a sample later."""
         n = len(self.gain)
         moved = _mixed(self.f, self.transition, np.concatenate([h[:n], u]))
         return self._with_output(moved + self.gain @ (y - h[n:]), u)
 
     def observe(self, h: Array) -> Array:
-        """Return the output in a state."""
         return h[len(self.gain) :]
 
     def _with_output(self, x: Array, u: Array) -> Array:
@@ -119,17 +110,14 @@ class TorchCell:
         self.like = torch.zeros((), dtype=torch.float64) if weight is None else weight.detach()
 
     def initial_state(self, y: Array, u: Array) -> Any:
-        """Return the state that a warm-up leads to."""
         with torch.no_grad():
             return self.cell.initial_state(self._tensor(y), self._inputs(u))
 
     def step(self, h: Any, y: Array, u: Array) -> Any:
-        """Return the state a sample later."""
         with torch.no_grad():
             return self.cell.step(h, self._tensor(y), self._inputs(u))
 
     def observe(self, h: Any) -> Array:
-        """Return the output in a state."""
         with torch.no_grad():
             return self.cell.observe(h)[0].double().cpu().numpy()
 
