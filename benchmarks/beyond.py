@@ -21,13 +21,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.comparing import compared, forecasters
+from benchmarks.comparing import compared, forecasters, run_methods
 from reproduction.settings import HYBRID, LEARNING_BASED
 from reproduction.systems import MassSpringOracle, double_torsion_pendulum
 from splitband.data import Record, double_torsion, drill_string
 from splitband.data.named import double_mass_spring, van_der_pol
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.protocols import Run, run_methods
+from splitband.evaluation.protocols import Run
 from splitband.evaluation.run import compare
 from splitband.evaluation.setup import Options, Setup, default_names
 from splitband.evaluation.work import Work

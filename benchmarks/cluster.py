@@ -24,9 +24,8 @@ import numpy as np
 from benchmarks.timing import circumstances, write
 from splitband import Cluster, Options, Record, Work
 from splitband.cli import showing
-from splitband.cli.comparing import Request, carried_out, planned, save
+from splitband.cli.comparing import Request, compared, planned, save
 from splitband.cli.options.models import ModelOptions
-from splitband.cli.worker_pool import WorkerPool
 from splitband.evaluation.jobs import run_all
 from splitband.forecasters.backtest import Origin, Question, first_origin
 from splitband.runtime.processes import over
@@ -68,7 +67,7 @@ def commanding() -> float:
     not count, nor does the first record, with which everything is loaded.
     """
     seconds = 0.0
-    showing.say(quiet=True, json=False)
+    showing.console.quiet = True
     with TemporaryDirectory() as scratch:
         path, out = Path(scratch) / "record.csv", Path(scratch) / "out"
         y = signal()[:SHORT]
@@ -79,7 +78,7 @@ def commanding() -> float:
             began = time.process_time()
             plan = planned(request, 1)
             before = time.process_time()
-            result = carried_out(plan, WorkerPool(1), out)
+            result = compared(plan, Work(), out)
             after = time.process_time()
             save(result, out, {"command": "compare", "arguments": {"record": str(path)}})
             seconds = before - began + time.process_time() - after

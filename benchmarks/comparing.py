@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from splitband import Comparison, Forecaster, Record
+from splitband.evaluation.jobs import Seeds, run_all
 from splitband.evaluation.plan import Plan, check
-from splitband.evaluation.protocols import run_methods
+from splitband.evaluation.protocols import Runs, question_of, runs_of
 from splitband.evaluation.selection import try_out
 from splitband.evaluation.setup import Setup
 from splitband.evaluation.work import Work
@@ -30,6 +31,14 @@ def compared(
     check(plan)
     runs = run_methods(plan, methods, seeds, work)
     return Comparison(plan, runs, trial.settled(runs.ahead, runs.failed))
+
+
+def run_methods(
+    plan: Plan, methods: Sequence[Forecaster], seeds: Seeds = (0,), work: Work | None = None
+) -> Runs:
+    """Fit methods of a plan with every seed, and predict under every protocol."""
+    questions = {method.name: question_of(plan, method) for method in methods}
+    return runs_of(plan, questions, *run_all(methods, questions, seeds, work or Work()))
 
 
 def held_out(record: Record, setup: Setup) -> tuple[Record, Setup]:

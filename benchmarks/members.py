@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 import splitband as sb
 from benchmarks.driven import SYSTEMS, drawn
-from splitband.evaluation.search import MOST_MEMBERS
+from splitband.evaluation.trials import MOST_MEMBERS
 from splitband.forecasters.beginning import Earlier
 from splitband.runtime.files import write_json
 from splitband.training import Settings

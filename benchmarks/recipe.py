@@ -20,9 +20,8 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks.beyond import SYSTEMS
-from benchmarks.comparing import forecasters, held_out
+from benchmarks.comparing import forecasters, held_out, run_methods
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.protocols import run_methods
 from splitband.evaluation.setup import Options, Setup
 from splitband.evaluation.work import Work
 from splitband.metrics import spread

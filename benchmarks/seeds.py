@@ -19,7 +19,8 @@ import numpy as np
 import splitband as sb
 from benchmarks import inputs, sets
 from benchmarks.inputs import TRAINING
-from splitband.evaluation.search import FIRST_STEPS, LADDER, held_out_score
+from splitband.evaluation.candidates import FIRST_STEPS, LADDER
+from splitband.evaluation.trials import held_out_score
 from splitband.forecasters.backtest import Question, backtest, for_trial, held_out_origins
 from splitband.runtime.files import write_json
 

@@ -8,7 +8,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,6 @@ from splitband.forecasters.prediction import Prediction
 from splitband.metrics import rmse
 from splitband.report.results import environment
 from splitband.runtime.files import CHECKPOINTS, write_json_lines
-from splitband.runtime.job_folders import Files, JobFolder
 from splitband.runtime.processes import over
 from splitband.training import Checkpoint, Progress
 
@@ -56,11 +55,11 @@ def complete(
     lost. `workers` are processes of this machine, or any executor.
     """
     todo = missing(jobs, folder)
-    with JobFolder.opened(folder, anywhere=isinstance(workers, Executor)) as place:
-        sent = [_Sent.of(job, place) for job in todo]
-        for job, facts in over(partial(_work, progress is None, place), sent, workers, progress):
-            write_json_lines(folder / job.path, facts)
-            shutil.rmtree(folder / _checkpoints(job), ignore_errors=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    work = partial(_work, progress is None, folder.absolute())
+    for job, facts in over(work, [(job, job.record) for job in todo], workers, progress):
+        write_json_lines(folder / job.path, facts)
+        shutil.rmtree(folder / _checkpoints(job), ignore_errors=True)
     return len(todo)
 
 
@@ -186,37 +185,26 @@ def load_known(facts: dict[str, Any]) -> bool:
     return "cpu_seconds" in facts
 
 
-@dataclass(frozen=True, eq=False)
-class _Sent:
-    """All that a job needs, wherever it is run: its record, and what there is of its training."""
-
-    job: Job
-    record: Record
-    files: Files
-
-    @classmethod
-    def of(cls, job: Job, place: JobFolder) -> _Sent:
-        return cls(job, job.record, place.files(job.method, _checkpoints(job)))
-
-
 def _checkpoints(job: Job) -> str:
     return f"{job.path.with_suffix('')}-{CHECKPOINTS}"
 
 
 def _work(
-    silent: bool, place: JobFolder, sent: _Sent, report: Callable[[RunProgress], None]
+    silent: bool, folder: Path, sent: tuple[Job, Record], report: Callable[[RunProgress], None]
 ) -> tuple[Job, dict[str, Any]]:
-    job, record = sent.job, sent.record
+    job, record = sent
     setup = job.setup(record)
-    began = time.process_time()
-    with place.at_work(sent.files, _checkpoints(job)) as (checkpoints, _):
+    began, checkpoints, resumed = time.process_time(), None, False
+    if folder.is_dir():  # not on a machine that shares no disk with this one
+        checkpoints = folder / _checkpoints(job)
+        checkpoints.mkdir(parents=True, exist_ok=True)
         resumed = any(checkpoints.iterdir())
-        try:
-            done = run(job, record, setup, None if silent else report, checkpoints)
-            seconds = _time(done.fit.seconds, time.process_time() - began, resumed)
-            facts = _results(job, done) | seconds
-        except FloatingPointError as error:
-            facts = {"diverged": str(error)}
+    try:
+        done = run(job, record, setup, None if silent else report, checkpoints)
+        seconds = _time(done.fit.seconds, time.process_time() - began, resumed)
+        facts = _results(job, done) | seconds
+    except FloatingPointError as error:
+        facts = {"diverged": str(error)}
     return job, _identity(job, record, setup) | facts | {"environment": environment()}
 
 

@@ -12,9 +12,11 @@ import numpy.typing as npt
 import pytest
 
 from splitband import Forecaster, Record
+from splitband.evaluation.jobs import run_all
 from splitband.evaluation.plan import Plan, check
-from splitband.evaluation.protocols import Run, Runs, run_methods
+from splitband.evaluation.protocols import Run, Runs, runs_of
 from splitband.evaluation.protocols import as_run as run_of
+from splitband.evaluation.protocols import question_of as both_protocols
 from splitband.evaluation.selection import Trial
 from splitband.evaluation.selection import try_out as try_forecasters_out
 from splitband.evaluation.setup import Setup
@@ -103,7 +105,8 @@ def compare(
     methods = forecasters(names, setup)
     plan = Plan.of(record, methods, setup, others)
     check(plan)
-    return run_methods(plan, methods, seeds, work)
+    questions = {method.name: both_protocols(plan, method) for method in methods}
+    return runs_of(plan, questions, *run_all(methods, questions, seeds, work))
 
 
 def try_out(

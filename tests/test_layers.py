@@ -234,7 +234,6 @@ LOOKED_AT = {
     "Isolated": "of the user's simulators, the one that keeps a time limit itself",
     "UserCode": "a file of the user's defines an `Ode` or the like, or a plain function",
     "Absent": "it stands where a simulator has to be given again",
-    "Processes": "an executor is any of Python's; on this machine files need not be sent",
     "Record": "one record or several",
     "Written": "a value is written as Python by itself, or as Python's own types are",
 }

@@ -45,7 +45,7 @@ SETTINGS = [
     bad(SPLIT + "--train 200", "train", "199", "got 200"),
     bad(SPLIT + "--train 20", "window", "20 training samples", "got 30"),
     bad(SPLIT + "--horizon 51", "--horizon", "at most 50", "got 51"),
-    bad(SPLIT + "--methods gru,lstm", "--methods", "`splitband methods` lists", "got lstm"),
+    bad(SPLIT + "--methods gru,lstm", "--methods", "`splitband methods` lists", "got 'lstm'"),
     bad(GRU + "--cutoff 7", "cutoff", "got 7"),
     bad(SPLIT + "--cutoff 1 --downsampling 5", "downsampling by 5", "1 Hz", "at most 4"),
     bad(SPLIT + "--order 40", "order", "40"),
@@ -96,8 +96,8 @@ SIMULATORS = [
 ]  # fmt: skip
 
 MODELS = [
-    bad(f"{FIT} --method lstm", "--method", "got lstm"),
-    bad(f"{FIT} --method simulator", "--method", "got simulator"),
+    bad(f"{FIT} --method lstm", "--method", "got 'lstm'"),
+    bad(f"{FIT} --method simulator", "--simulator", "must be given for simulator"),
     bad(FIT + "--method filtered-gru --calibrate", "filtered-gru-calibrated", "--simulator"),
     bad(FIT + "--seed 99999999999999999999", "seed", "9999"),
     bad("simulate nothing --history history.csv --steps 5 --out ahead.csv", "nothing"),
@@ -107,7 +107,9 @@ MODELS = [
     bad(AHEAD + "history.csv --future-inputs future.csv", "--future-inputs", "no known inputs"),
     bad("forecast record.csv --columns a --out out", "--steps"),
     bad(
-        "forecast record.csv --columns a --out out --steps 5 --method best", "--method", "got best"
+        "forecast record.csv --columns a --out out --steps 5 --method best",
+        "--method",
+        "got 'best'",
     ),
     bad(
         "forecast record.csv --columns a --inputs force --out out --steps 5",

@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 
 from splitband.cli import cases, main
+from splitband.cli.benchmark import cases_at_once
 from splitband.cli.comparing import Request
-from splitband.cli.worker_pool import cases_at_once
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.run import run
 from splitband.evaluation.work import Work
@@ -327,7 +327,7 @@ def test_a_bad_list_is_one_line_before_anything_is_computed(
     [
         (
             "--methods gru,nothing",
-            "--methods must name methods that `splitband methods` lists",
+            "--methods must be forecasters or names that `splitband methods` lists",
         ),
         ("--budget soon", "--budget must be a time such as 90s, 10m or 1h, got soon"),
         ("--hidden 3", "--hidden must be HIGH,LOW, two whole numbers, got 3"),

@@ -7,7 +7,7 @@ import pytest
 
 import splitband as sb
 from splitband.cli.comparing import Request, planned
-from splitband.cli.options.simulators import SimulatorOptions
+from splitband.cli.options.simulators import SimulatorOrBaseOptions
 from splitband.cli.setups import seconds
 from splitband.evaluation.setup import default_names
 from splitband.forecasters.names import BASED, NAMES, named, with_base
@@ -39,8 +39,8 @@ def test_a_budget_and_a_training_of_ones_own_exclude_each_other(
 
 
 def test_the_effort_decides_what_is_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("splitband.evaluation.search.LADDER", (3, 6))
-    monkeypatch.setattr("splitband.evaluation.search.FIRST_STEPS", 4)
+    monkeypatch.setattr("splitband.evaluation.candidates.LADDER", (3, 6))
+    monkeypatch.setattr("splitband.evaluation.candidates.FIRST_STEPS", 4)
     monkeypatch.setattr("splitband.training.settings.STEPS", 20)
     line = "compare record.csv --columns a --methods gru,mean --jobs 1 --effort"
     tried = []
@@ -55,7 +55,7 @@ def test_the_effort_decides_what_is_tried(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_what_is_fitted_to_the_record_takes_a_simulators_place() -> None:
     methods = "simulator,residual-gru-calibrated,filtered-gru,mean"
-    asked = Request("record.csv", simulator=SimulatorOptions("harmonic"), methods=methods)
+    asked = Request("record.csv", simulator=SimulatorOrBaseOptions("harmonic"), methods=methods)
     assert [method.name for method in planned(asked, 1).methods] == [
         "harmonic", "residual-harmonic-gru", "filtered-harmonic-gru", "mean"
     ]  # fmt: skip

@@ -12,7 +12,7 @@ import pytest
 
 from splitband.cli.comparing import Request, planned
 from splitband.cli.options.records import RecordOptions
-from splitband.cli.options.simulators import SimulatorOptions
+from splitband.cli.options.simulators import SimulatorOrBaseOptions
 from tests.cli.support import assert_fails, call, process, results
 
 PLANT = """
@@ -76,7 +76,7 @@ def test_compare_puts_fitted_parameters_beside_networks(
 
 
 def test_an_ode_of_a_file_says_its_ranges_itself_to_every_process() -> None:
-    reading, simulator = RecordOptions(inputs="u"), SimulatorOptions("plant.py:plant")
+    reading, simulator = RecordOptions(inputs="u"), SimulatorOrBaseOptions("plant.py:plant")
     plan = planned(Request("record.csv", reading, simulator), 1)
     methods = {method.name: method for method in plan.methods}
     assert {"simulator-as-given", "residual-grey-box-state-space-conditioned"} <= methods.keys()

@@ -16,10 +16,9 @@ import scipy.signal
 
 from splitband import Record, read
 from splitband.cli import main
-from splitband.cli.options.records import FurtherRecords, RecordOptions
+from splitband.cli.options.records import RecordOptions
 from splitband.cli.options.simulators import SimulatorOptions
-from splitband.cli.records import load_further
-from splitband.cli.simulators import each_with_simulator, with_simulator
+from splitband.cli.simulators import load_further, with_simulator
 from splitband.data import Grid, aligned, resampled
 from splitband.data.alignment import reach
 from splitband.data.timing import seconds_between
@@ -409,9 +408,9 @@ def test_further_records_are_resampled_and_have_simulators_of_their_own_time(
     other = times(50, 0.1009)
     write(Path("more.csv"), other, y=signal(other))
     write(Path("sim.csv"), times(48, samples=400), y=signal(times(48, samples=400)))
-    further, reading = FurtherRecords(["more.csv"], ["sim.csv"]), RecordOptions()
-    records = load_further(further.more, "--more", record, reading)
-    (found,) = each_with_simulator(records, ["residual-gru"], further, SimulatorOptions(), reading)
+    (found,) = load_further(
+        "--more", ["more.csv"], ["sim.csv"], record, RecordOptions(), SimulatorOptions()
+    )
     assert (
         "more.csv: sampled every 0.1009 s, interpolated to every 0.1 s" in capsys.readouterr().out
     )

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from splitband.evaluation import candidates
 from splitband.evaluation import search as searching
 from splitband.evaluation.budget import Pace, TimeBudget
 from splitband.evaluation.comparison import Comparison
@@ -23,9 +24,9 @@ SEARCHED = replace(SETUP, settings=replace(QUICK, most_batches=2), search=Search
 
 
 def shorten(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(searching, "LADDER", (3,))
-    patch.setattr(searching, "FREE_RUN", 10)
-    patch.setattr(searching, "FIRST_STEPS", 4)
+    patch.setattr(candidates, "LADDER", (3,))
+    patch.setattr(candidates, "FREE_RUN", 10)
+    patch.setattr(candidates, "FIRST_STEPS", 4)
     patch.setattr("splitband.evaluation.budget.speed", lambda: 1.0)
 
 
@@ -133,7 +134,7 @@ def test_a_budget_is_planned_on_this_machine(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_the_pace_is_learned_from_what_trainings_took() -> None:
     plan = TimeBudget(Deadline.after(100.0), cores=2)
-    assert plan.reckoned(plan.deadline) == pytest.approx(160.0, rel=0.01)
+    assert plan.work_until(plan.deadline) == pytest.approx(160.0, rel=0.01)
     plan.pace.measured(
         0.1, 5.0, asking=4.0
     )  # a process had to start: other trainings need not be so slow
@@ -141,9 +142,9 @@ def test_the_pace_is_learned_from_what_trainings_took() -> None:
     for _ in range(200):
         plan.pace.measured(2.0, 8.0, asking=0.1)
     assert plan.pace.seconds == pytest.approx(4.0, rel=0.02)
-    assert plan.reckoned(plan.deadline) == pytest.approx(40.0, rel=0.03)
+    assert plan.work_until(plan.deadline) == pytest.approx(40.0, rel=0.03)
     assert plan.pace.asking == 0.1
-    assert math.isinf(TimeBudget().reckoned(Deadline()))
+    assert math.isinf(TimeBudget().work_until(Deadline()))
 
 
 def test_baselines_alone_have_the_time_of_the_networks() -> None:

@@ -15,17 +15,17 @@ import torch
 
 import splitband as sb
 from splitband import Record, Settings
-from splitband.evaluation import search as searching
+from splitband.evaluation import candidates, trials
 from splitband.evaluation.costs import reference_seconds, training_cost
 from splitband.evaluation.jobs import failed_seeds
 from splitband.evaluation.protocols import Errors, Run, sound_runs
 from splitband.evaluation.search import (
     Search,
     SearchResult,
-    held_out_score,
     search,
 )
 from splitband.evaluation.setup import Options, Setup
+from splitband.evaluation.trials import held_out_score
 from splitband.evaluation.work import Work
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.beginning import Earlier
@@ -41,10 +41,10 @@ STEPS = 20
 
 @pytest.fixture(autouse=True)
 def short_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(searching, "LADDER", (3, 6))
-    monkeypatch.setattr(searching, "FREE_RUN", 10)
-    monkeypatch.setattr(searching, "FREE_RUNS", (10, 15))
-    monkeypatch.setattr(searching, "FIRST_STEPS", 4)
+    monkeypatch.setattr(candidates, "LADDER", (3, 6))
+    monkeypatch.setattr(candidates, "FREE_RUN", 10)
+    monkeypatch.setattr(candidates, "FREE_RUNS", (10, 15))
+    monkeypatch.setattr(candidates, "FIRST_STEPS", 4)
 
 
 def driven() -> Record:
@@ -178,8 +178,8 @@ def test_it_depends_neither_on_workers_nor_on_what_is_resumed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """But for rounding, which trainings amplify: what is tried first is the same in any case."""
-    monkeypatch.setattr(searching, "LADDER", (3,))
-    monkeypatch.setattr(searching, "FREE_RUNS", (10,))
+    monkeypatch.setattr(candidates, "LADDER", (3,))
+    monkeypatch.setattr(candidates, "FREE_RUNS", (10,))
     training = record()[:TRAIN]
     alone = searched_by(training, ["gru"])
     with ThreadPoolExecutor(2) as pool:
@@ -200,7 +200,7 @@ def test_a_small_budget_tries_less_and_a_tiny_one_nothing() -> None:
     spent = BUDGET.core_seconds - whole.left
     less = searched_by(training, ["gru"], Search(0.8 * spent))
     assert 0 < len(less.attempts) < len(whole.attempts)
-    assert Search(0.8 * spent).core_seconds - less.left <= searching.SEARCHED * 0.8 * spent
+    assert Search(0.8 * spent).core_seconds - less.left <= trials.SEARCHED * 0.8 * spent
     nothing = searched_by(training, ["gru"], Search(1e-6))
     assert nothing.attempts == ()
     assert settings_of(nothing.forecasters[0]) == QUICK
@@ -253,7 +253,7 @@ def test_a_larger_budget_tries_more_seeds_on_short_records(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     assert max(attempt.seeds for attempt in of_gru().attempts) == 2
-    monkeypatch.setattr("splitband.evaluation.search.LADDER", (1,))
+    monkeypatch.setattr("splitband.evaluation.candidates.LADDER", (1,))
     searched = searched_by(record()[:TRAIN], ["gru"], Search(2 * BUDGET.core_seconds))
     assert max(attempt.seeds for attempt in searched.attempts) == 4
 

@@ -14,8 +14,8 @@ from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast, forecast
 from splitband.evaluation.protocols import Runs
 from splitband.evaluation.run import compare
-from splitband.evaluation.search import SearchAttempt
 from splitband.evaluation.setup import Setup
+from splitband.evaluation.trials import SearchAttempt
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import FitReport
 

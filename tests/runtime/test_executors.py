@@ -1,4 +1,4 @@
-"""Jobs given to executors of somebody else's, and the files of jobs that run elsewhere."""
+"""Jobs given to executors of somebody else's."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ import torch
 
 from splitband import Work, compare
 from splitband.evaluation.work import RunProgress
-from splitband.runtime.job_folders import JobFolder
 from splitband.runtime.processes import over
 from splitband.runtime.threads import drawn_from, one_thread
 from tests.records import SETUP, record
@@ -116,63 +115,16 @@ def test_a_comparison_is_the_same_by_any_executor(executor: Executor, tmp_path: 
     )
 
 
-def test_trainings_of_workers_that_share_no_disk_are_kept_here(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    elsewhere = tmp_path / "elsewhere"
-    monkeypatch.setattr("tempfile.tempdir", str(elsewhere))
-    elsewhere.mkdir()
-    monkeypatch.setattr(Path, "exists", lambda path: "mark" not in path.name)
-    expected, _ = compared(executor=Elsewhere(), checkpoints=tmp_path / "here")
-    assert not [*elsewhere.iterdir()]
-    kept = {p.relative_to(tmp_path): p.read_bytes() for p in tmp_path.rglob("*.safetensors")}
-    assert len(kept) == 8
-    again, seen = compared(executor=Elsewhere(), checkpoints=tmp_path / "here")
-    assert again.equals(expected)
-    trained = [at for at in seen if at.method != "mean" and at.share < 1]
-    assert not trained  # nothing was left to train
-    assert kept == {
-        p.relative_to(tmp_path): p.read_bytes() for p in tmp_path.rglob("*.safetensors")
-    }
+def test_workers_that_share_no_disk_train_without_checkpoints(tmp_path: Path) -> None:
+    class Unshared(Elsewhere):
+        def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+            fit, *others = args
+            return super().submit(fn, replace(fit, checkpoints=Path("not here")), *others, **kwargs)
 
-
-# ---------------------------------------------------------------- places
-
-
-def test_a_worker_that_sees_the_folder_uses_it(tmp_path: Path) -> None:
-    with JobFolder.opened(tmp_path / "kept", anywhere=True) as place:
-        (tmp_path / "kept/a-0.txt").write_bytes(b"first")
-        sent = pickle.loads(pickle.dumps(place))
-        with sent.at_work(place.files("a-0")) as (folder, changed):
-            (folder / "a-0.txt").write_bytes(b"second")
-    assert folder == tmp_path / "kept"
-    assert changed == {}
-    assert [p.name for p in folder.iterdir()] == ["a-0.txt"]
-
-
-def test_another_one_is_sent_the_files_and_sends_back_what_has_changed(tmp_path: Path) -> None:
-    with JobFolder.opened(tmp_path, anywhere=True) as place:
-        for name in ("a-0.txt", "a-0-1.txt", "b-0.txt"):
-            (tmp_path / name).write_bytes(b"first")
-        files = place.files("a-0")
-        assert set(files) == {"a-0.txt", "a-0-1.txt"}
-        sent = replace(place, folder=tmp_path / "not there")
-        with sent.at_work(files) as (folder, changed):
-            assert (folder / "a-0.txt").read_bytes() == b"first"
-            (folder / "a-0.txt").write_bytes(b"second")
-            (folder / "new.txt").write_bytes(b"third")
-        assert changed == {"a-0.txt": b"second", "new.txt": b"third"}
-        assert not folder.exists()
-        place.keep(changed)
-    kept = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
-    assert kept == {
-        "a-0.txt": b"second", "a-0-1.txt": b"first", "b-0.txt": b"first", "new.txt": b"third"
-    }  # fmt: skip
-
-
-def test_what_cannot_be_kept_is_a_warning(tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match=r"a\.txt could not be written"):
-        JobFolder(tmp_path / "gone").keep({"a.txt": b""})
+    expected, _ = compared(executor=Elsewhere())
+    found, _ = compared(executor=Unshared(), checkpoints=tmp_path)
+    assert found.equals(expected)
+    assert not [*tmp_path.rglob("*.safetensors")]
 
 
 # ---------------------------------------------------------------- threads of one process

@@ -34,7 +34,7 @@ COMMANDS = {
 
 
 class Claiming(typer.core.TyperCommand):
-    """A command that begins only where its --out is no input, and not in use."""
+    """Begin a command only where its --out is no input, and not in use."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
@@ -43,16 +43,16 @@ class Claiming(typer.core.TyperCommand):
 
 
 class Commands(TyperGroup):
-    """The commands by name. Loading torch for a list of them would take seconds."""
+    """List the commands by name. Loading torch for a list of them would take seconds."""
 
     listing = False
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Their names, in the order of a first look."""
+        """Return their names, in the order of a first look."""
         return [*COMMANDS]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """A command, of a list just its name and a line about it."""
+        """Return a command, of a list just its name and a line about it."""
         if cmd_name not in COMMANDS:
             return None
         module, line = COMMANDS[cmd_name]
@@ -67,7 +67,7 @@ class Commands(TyperGroup):
         return typer.main.get_command(alone)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """The list of commands, without loading them."""
+        """Write the list of commands, without loading them."""
         self.listing = True
         try:
             super().format_help(ctx, formatter)
@@ -77,10 +77,6 @@ class Commands(TyperGroup):
 
 QUIET, JSON = "--quiet", "--json"
 """Options of every command; they may stand before it or after it."""
-WITH_JSON = (
-    "demo", "compare", "benchmark", "forecast", "fit", "simulate", "check", "export", "spectrum",
-    "methods", "doctor",
-)  # fmt: skip
 
 
 def _print_version(wanted: bool) -> None:
@@ -114,10 +110,7 @@ def splitband(
         bool, typer.Option("--version", help="Print the version.", callback=_print_version)
     ] = False,
 ) -> None:
-    """What holds for every command."""
-    command = str(context.invoked_subcommand)
-    if json and command not in WITH_JSON:
-        raise ValueError(f"{JSON} must be given with one of {', '.join(WITH_JSON)}, got {command}")
+    """Set what holds for every command."""
     context.with_resource(import_module("splitband.cli.showing").saying(quiet, json))
 
 
@@ -145,7 +138,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _global_first(arguments: Sequence[str]) -> list[str]:
-    """The arguments, those for every command before the command."""
+    """Return the arguments, those for every command before the command."""
     end = arguments.index("--") if "--" in arguments else len(arguments)
     own = [word for word in arguments[:end] if word in (QUIET, JSON)]
     rest = [word for word in arguments[:end] if word not in (QUIET, JSON)]
@@ -153,7 +146,7 @@ def _global_first(arguments: Sequence[str]) -> list[str]:
 
 
 def _value(error: TyperException, given: Sequence[str]) -> str:
-    """What an option was given that the message does not repeat."""
+    """Return what an option was given that the message does not repeat."""
     names = getattr(getattr(error, "param", None), "opts", [])
     values = ""
     for word, following in zip(given, [*given[1:], ""], strict=False):
@@ -182,19 +175,11 @@ EXPECTED = (ValueError, OSError, FloatingPointError, MemoryError, OverflowError)
 
 
 def in_words(error: Exception) -> str:
-    """What an error says to the user, in one line."""
-    said = _in_options(_in_one_line(error))
+    """Return what an error says in one line, with options in place of the library's arguments."""
+    said = " ".join(str(error).split())
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        said = f"{error.strerror}: {error.filename}"
+    said = re.sub(rf"^({'|'.join(OPTIONS)}) (?=must|needs)", r"--\1 ", said)
     if isinstance(error, MemoryError | OverflowError):
         return f"a number is too large for this machine: {said}"
     return said if isinstance(error, EXPECTED) else f"{type(error).__name__}: {said}"
-
-
-def _in_options(message: str) -> str:
-    """A message of the library, which begins with an argument of its own, in the user's terms."""
-    return re.sub(rf"^({'|'.join(OPTIONS)}) (?=must|needs)", r"--\1 ", message)
-
-
-def _in_one_line(error: Exception) -> str:
-    if isinstance(error, OSError) and error.filename is not None and error.strerror:
-        return f"{error.strerror}: {error.filename}"
-    return " ".join(str(error).split())

@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,23 +14,28 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from splitband.cli import clock, in_words, naming, setups, showing
+from splitband.cli import clock, in_words, setups, showing
 from splitband.cli.cases import COLUMNS, OVERALL, Case, read_cases
-from splitband.cli.comparing import Request, arguments, carried_out, planned, save
+from splitband.cli.comparing import Request, command_of, compared, planned, save, workers
 from splitband.cli.options.groups import with_groups
-from splitband.cli.options.models import Conditioned, ModelOptions, Seeds
+from splitband.cli.options.models import Cluster, Conditioned, Jobs, ModelOptions, Seeds
 from splitband.cli.options.simulators import Calibrate
-from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.output import refuse_inputs, replaced
 from splitband.cli.usage import usage
-from splitband.cli.worker_pool import WorkerPool, cases_at_once, worker_pool
+from splitband.evaluation.work import Work
+from splitband.forecasters.names import with_variants
 from splitband.report import benchmark as report
 from splitband.report import page, pictures, results
 from splitband.runtime.deadlines import now
 from splitband.runtime.files import CHECKPOINTS, replacing
-from splitband.runtime.outputs import locked, staged, write_facts
+from splitband.runtime.outputs import FACTS, locked, staged, write_facts
 from splitband.runtime.processes import over
 from splitband.runtime.threads import available_cores
+
+CORES_OF_A_CASE = 2
+"""Cores that the work of a comparison is planned for by default (`evaluation.search`)."""
+PROCESSES_OF_A_CORE = 4
+"""Cases of a cluster for each core of this machine, which reads records and draws pictures."""
 
 
 @with_groups
@@ -88,73 +93,76 @@ def benchmark(
     A case that fails has a row that says why. Given again, the command goes on: cases whose results
     are there, of the same options and files, are not computed again.
     """
-    request = Request(
+    shared = Request(
         "", model=model, methods=methods, seeds=seeds,
         calibrate=calibrate, conditioned=conditioned,
     )  # fmt: skip
-    cases = read_cases(listed, request)
+    cases = read_cases(listed, shared)
+    # What is wrong with any record is said before the first one is read.
+    setups.options_of(model, 1)
     if methods is not None:
-        naming.method_names(methods)
-    setups.check_model_options(model)
+        with_variants(setups.names(methods), calibrate, conditioned)
     _check_out(out, listed, cases)
-    with worker_pool(jobs, cluster) as workers:
-        cores = workers.cores
-    commanding = None if cluster is None else available_cores()
-    side_by_side = cases_at_once(len(cases), cores, at_once, commanding)
-    rows = _rows(cases, out, side_by_side, _Workers(cores, cluster))
-    _save(rows, out, {"command": context.info_name, "arguments": arguments(context.params)})
-    _say(rows, out)
+    with workers(jobs, cluster) as work:
+        cores = work.cores
+    side_by_side = cases_at_once(len(cases), cores, at_once, available_cores() if cluster else None)
+    rows = _rows(cases, out, cores, cluster, side_by_side)
+    _save(rows, out, command_of(context))
+    _show(rows, out)
 
 
 def _check_out(out: Path, listed: Path, cases: Sequence[Case]) -> None:
     """Raise ValueError where the results of a case would replace a file of the list."""
     inputs = {path: f"{listed}, case {case.name}" for case in cases for path in case.files.values()}
-    targets = [path for case in cases for path in replaced("compare", out / case.name)]
-    refuse_inputs(out, [*replaced("benchmark", out), *targets], inputs | {listed: "LIST"})
+    targets = [
+        path for folder in (out, *(out / c.name for c in cases)) for path in replaced(folder)
+    ]
+    refuse_inputs(out, targets, inputs | {listed: "LIST"})
 
 
-@dataclass(frozen=True)
-class _Workers:
-    """The workers that all cases share.
+def cases_at_once(cases: int, cores: int, asked: int | None, commanding: int | None = None) -> int:
+    """Return how many cases are compared side by side; each has a process, and its record in it.
 
-    Attributes
+    Parameters
     ----------
-    cores : Trainings at once, of all cases together.
-    cluster : Address of the scheduler whose workers they are; None for this machine.
+    cases : There are so many.
+    cores : That carry out the trainings of all of them.
+    asked : By the user; None where nobody has.
+    commanding : Cores of the machine on which the processes are, where that is not the same one.
     """
+    most = cores if commanding is None else PROCESSES_OF_A_CORE * commanding
+    return max(1, min(cases, asked or min(cores // CORES_OF_A_CASE, most)))
 
-    cores: int
-    cluster: str | None
 
-
-def _rows(cases: Sequence[Case], out: Path, at_once: int, workers: _Workers) -> list[report.Row]:
+def _rows(
+    cases: Sequence[Case], out: Path, cores: int, cluster: str | None, at_once: int
+) -> list[report.Row]:
     """Compare all cases, so many at once; return their rows in the order of the list."""
-    share = replace(workers, cores=-(-workers.cores // at_once))
-    starting = None
+    share, starting = -(-cores // at_once), None
     if at_once > 1:
         starting = clock.starting()
-        _silence_tracker()
-        showing.console.print(
-            f"{at_once} cases at once, each on {share.cores} of {workers.cores} cores"
-        )
+        # Python's tracker of resources, a process that begins with this environment, would warn on
+        # Ctrl-C of semaphores that ended processes have left.
+        before = os.environ.get("PYTHONWARNINGS")
+        os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [before, "ignore:resource_tracker"]))
+        showing.console.print(f"{at_once} cases at once, each on {share} of {cores} cores")
     rows: dict[str, report.Row] = {}
-    for row in over(partial(_compared, out, share, starting), cases, at_once):
+    for row in over(partial(_compared, out, share, cluster, starting), cases, at_once):
         rows[row.name] = row
-        showing.console.print(f"{len(rows)} of {len(cases)}, {row.name}: {_in_short(row)}")
+        short = row.note
+        if not row.failed:
+            short = f"{row.recommended}, fit {_number(row.fit)} %, {row.seconds:.0f} s"
+        showing.console.print(f"{len(rows)} of {len(cases)}, {row.name}: {short}")
     return [rows[case.name] for case in cases]
 
 
-def _silence_tracker() -> None:
-    """Keep Python from warning on Ctrl-C of semaphores that ended processes have left.
-
-    Its resource tracker, which removes them, is a process that begins with this environment.
-    """
-    before = os.environ.get("PYTHONWARNINGS")
-    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [before, "ignore:resource_tracker"]))
-
-
 def _compared(
-    out: Path, share: _Workers, starting: float | None, case: Case, _: Callable[[Any], None]
+    out: Path,
+    cores: int,
+    cluster: str | None,
+    starting: float | None,
+    case: Case,
+    _: Callable[[Any], None],
 ) -> report.Row:
     """Compare one case, in this process or in one of those for cases (where `starting` is given).
 
@@ -164,20 +172,20 @@ def _compared(
         clock.begin_again(starting)
         showing.console.quiet = True
     # A scheduler that is gone ends the command, not the case.
-    with worker_pool(None if share.cluster else share.cores, share.cluster) as workers:
-        return _row(case, out / case.name, replace(workers, cores=share.cores))
+    with workers(None if cluster else cores, cluster) as work:
+        return _row(case, out / case.name, replace(work, jobs=cores))
 
 
-def _row(case: Case, folder: Path, workers: WorkerPool) -> report.Row:
-    """The result of a case that is there, or that is computed now."""
+def _row(case: Case, folder: Path, work: Work) -> report.Row:
+    """Return the result of a case that is there, or that is computed now."""
     try:
         with locked(folder):  # `compare` may be at work there, too
             identity = case.identity()
             found = _finished(case.name, folder, identity)
             if found is not None:
                 return found
-            began, plan = now(), planned(case.request, workers.cores)
-            result = carried_out(plan, workers, folder, case.name, began)
+            began = now()
+            result = compared(planned(case.request, work.cores), work, folder, case.name, began)
             facts = {"command": "benchmark", **identity, "seconds": now() - began}
             save(result, folder, facts)
             return report.Row.of(case.name, _read(folder))
@@ -188,7 +196,7 @@ def _row(case: Case, folder: Path, workers: WorkerPool) -> report.Row:
 
 
 def _finished(name: str, folder: Path, identity: dict[str, Any]) -> report.Row | None:
-    """The row of a case whose results are there; None where they are others', or damaged."""
+    """Return the row of a case whose results are there; None where they are others', or damaged."""
     try:
         facts = _read(folder)
         if not json.loads(json.dumps(identity)).items() <= facts.items():
@@ -202,7 +210,7 @@ def _finished(name: str, folder: Path, identity: dict[str, Any]) -> report.Row |
 
 
 def _read(folder: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    found: dict[str, Any] = json.loads((folder / FACTS).read_text(encoding="utf-8"))
     return found
 
 
@@ -217,7 +225,7 @@ def _save(rows: Sequence[report.Row], out: Path, facts: dict[str, Any]) -> None:
         write_facts(new, facts | {"environment": results.environment()})
 
 
-def _say(rows: Sequence[report.Row], out: Path) -> None:
+def _show(rows: Sequence[report.Row], out: Path) -> None:
     showing.console.print(_table(rows))
     found = report.summary(rows)
     if found["failed"] == found["cases"]:
@@ -236,16 +244,12 @@ def _say(rows: Sequence[report.Row], out: Path) -> None:
     said += [f"{found['failed']} failed"] if found["failed"] else []
     showing.console.print("; ".join(said))
     showing.console.print(f"results, table and picture: {out}/, and of each case in its folder")
-    showing.console.print(f"page: {out / page.NAME}")
-    showing.results_file(out / OVERALL[0])
+    showing.results_of(out)
 
 
 def _table(rows: Sequence[report.Row]) -> Table:
-    table = Table(
-        title="errors of the mean over seeds, as multiples of the standard deviation",
-        title_justify="left",
-        title_style="bold",
-    )
+    title = "errors of the mean over seeds, as multiples of the standard deviation"
+    table = Table(title=title, title_justify="left", title_style="bold")
     table.add_column("case", overflow="fold")
     table.add_column("of")
     table.add_column("fit %", justify="right")
@@ -258,21 +262,12 @@ def _table(rows: Sequence[report.Row]) -> Table:
         table.add_column("note", style="dim")
     for row in rows:
         table.add_row(
-            row.name, row.protocol, "-" if row.fit is None else f"{row.fit:.1f}",
-            row.recommended, row.best,
-            _number(row.error), _number(row.regret),
-            "-" if row.held is None else f"{row.held:.0%}",
-            "-" if row.seconds is None else f"{row.seconds:.0f}",
-            *([row.note] if noted else []),
+            row.name, row.protocol, _number(row.fit, ".1f"), row.recommended, row.best,
+            _number(row.error), _number(row.regret), _number(row.held, ".0%"),
+            _number(row.seconds, ".0f"), *([row.note] if noted else []),
         )  # fmt: skip
     return table
 
 
-def _in_short(row: report.Row) -> str:
-    if row.failed:
-        return row.note
-    return f"{row.recommended}, fit {_number(row.fit)} %, {row.seconds:.0f} s"
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
+def _number(value: float | None, form: str = ".3g") -> str:
+    return "-" if value is None else format(value, form)

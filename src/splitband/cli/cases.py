@@ -5,14 +5,12 @@ from __future__ import annotations
 import csv
 import hashlib
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
 from splitband.cli.comparing import Request, arguments
-from splitband.cli.options.records import FurtherRecords, RecordOptions, TestRecords
-from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import parts_of
 from splitband.data.gaps import Gaps
 from splitband.data.named import RECORDS
@@ -26,8 +24,8 @@ COLUMNS = (
     "simulator_reads",
 )  # fmt: skip
 _SEVERAL = {"test", "test_simulator", "more", "more_simulator", "simulator_reads"}
-_NAMED: dict[str, Collection[str]] = {
-    "record": RECORDS, "test": (), "more": (), "simulator_reads": (),
+_NAMED: dict[str, tuple[str, ...]] = {
+    "record": tuple(RECORDS), "test": (), "more": (), "simulator_reads": (),
     **dict.fromkeys(("simulator", "test_simulator", "more_simulator"), (*SIMULATORS, *BASES)),
 }  # fmt: skip
 """Columns of files, and what may stand there that is none."""
@@ -53,7 +51,7 @@ class Case:
     files: Mapping[str, Path]
 
     def identity(self) -> dict[str, Any]:
-        """What decides the numbers of a comparison: its options, and the content of its files.
+        """Return what decides the numbers of a comparison: its options, and its files' content.
 
         What carries it out is none of it, as the numbers do not depend on it but for rounding.
         """
@@ -61,7 +59,7 @@ class Case:
         for field in fields(self.listed):
             value = getattr(self.listed, field.name)
             values |= asdict(value) if is_dataclass(value) else {field.name: value}  # type: ignore[arg-type]
-        for name in ("settings", "future_inputs", "refit"):  # no options of `benchmark`
+        for name in ("settings", "refit"):  # no options of `benchmark`
             del values[name]
         digests = {}
         for listed, path in self.files.items():
@@ -73,7 +71,7 @@ class Case:
 
 
 def read_cases(path: Path, shared: Request) -> list[Case]:
-    """The cases of a CSV file, checked before anything is computed.
+    """Return the cases of a CSV file, checked before anything is computed.
 
     Parameters
     ----------
@@ -109,12 +107,18 @@ def read_cases(path: Path, shared: Request) -> list[Case]:
 
 
 def _rows(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
-    """The number of each row, of which the header is 1, and its cells that are not empty."""
+    """Yield the number of each row, of which the header is 1, and its cells that are not empty."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as opened:
             reader = csv.reader(opened, strict=True)
             header = [cell.strip() for cell in next(reader, [])]
-            _check_header(path, header)
+            for i, name in enumerate(header):
+                if name not in COLUMNS or name in header[:i]:
+                    rule = "there once" if name in COLUMNS else f"one of {', '.join(COLUMNS)}"
+                    raise ValueError(f"{path}, row 1, column {i + 1}: must be {rule}, got {name}")
+            if "record" not in header:
+                said = ", ".join(header) or "nothing"
+                raise ValueError(f"{path}, row 1: must have a column record, got {said}")
             for cells in reader:
                 values = [cell.strip() for cell in cells]
                 if len(values) > len(header):
@@ -129,28 +133,19 @@ def _rows(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
         raise ValueError(f"LIST must be a CSV file in UTF-8, got {path}: {error}") from None
 
 
-def _check_header(path: Path, header: list[str]) -> None:
-    for i, name in enumerate(header):
-        if name not in COLUMNS or name in header[:i]:
-            rule = "there once" if name in COLUMNS else f"one of {', '.join(COLUMNS)}"
-            raise ValueError(f"{path}, row 1, column {i + 1}: must be {rule}, got {name}")
-    if "record" not in header:
-        raise ValueError(
-            f"{path}, row 1: must have a column record, got {', '.join(header) or 'nothing'}"
-        )
-
-
 def _case(where: str, cells: Mapping[str, str], folder: Path, shared: Request) -> Case:
     if "record" not in cells:
         raise ValueError(f"{where}, column record: must be a file or a named record, got nothing")
     values, files = {}, {}
     for column, cell in cells.items():
         try:
-            values[column] = _value(column, cell)
-            for listed in _files(column, cell):
-                files[listed] = folder / listed
-                if not files[listed].is_file():
-                    raise ValueError(f"must be a file{_or_named(column)}")
+            values[column] = value = _value(column, cell)
+            for each in value if column in _SEVERAL else [value]:
+                if column in _NAMED and each not in _NAMED[column]:
+                    listed = parts_of(each)[0] if "simulator" in column else each
+                    files[listed] = folder / listed
+                    if not files[listed].is_file():
+                        raise ValueError(f"must be a file{_or_named(column)}")
         except ValueError as error:
             raise ValueError(f"{where}, column {column}: {error}, got {cell}") from None
     name = values.pop("name", Path(cells["record"]).stem)
@@ -160,24 +155,27 @@ def _case(where: str, cells: Mapping[str, str], folder: Path, shared: Request) -
             f"none of {', '.join(OVERALL)}, got {name}"
         )
 
-    def opened(column: str, value: str) -> str:
-        return value if value in _NAMED[column] else str(folder / value)
+    def opened(column: str, value: Any) -> Any:
+        if column not in _NAMED or value in _NAMED[column]:
+            return value
+        return str(folder / value)
 
-    return Case(
-        name,
-        _request(values, shared, opened),
-        _request(values, shared, lambda _column, value: value),
-        files,
-    )
+    placed = {
+        column: [opened(column, each) for each in value]
+        if column in _SEVERAL
+        else opened(column, value)
+        for column, value in values.items()
+    }
+    return Case(name, _request(placed, shared), _request(values, shared), files)
 
 
 def _value(column: str, cell: str) -> Any:
-    """A cell as the option of its column takes it."""
+    """Return a cell as the option of its column takes it."""
     if column in _SEVERAL:
         return [part.strip() for part in cell.split(";") if part.strip()]
+    if (column, cell) == ("warmup", "auto"):
+        return None
     if column in ("train", "warmup"):
-        if (column, cell) == ("warmup", "auto"):
-            return None
         try:
             return int(cell)
         except ValueError:
@@ -195,48 +193,19 @@ def _value(column: str, cell: str) -> Any:
     return cell
 
 
-def _files(column: str, cell: str) -> list[str]:
-    """The files that a cell names."""
-    if column not in _NAMED:
-        return []
-    each = _value(column, cell) if column in _SEVERAL else [cell]
-    files = [value for value in each if value not in _NAMED[column]]
-    return [parts_of(value)[0] if "simulator" in column else value for value in files]
-
-
 def _or_named(column: str) -> str:
     named = _NAMED[column]
     function = ", FILE.py:FUNCTION" if "simulator" in column else ""
     return f"{function} or one of {', '.join(named)}" if named else ""
 
 
-def _request(
-    values: Mapping[str, Any], shared: Request, opened: Callable[[str, str], str]
-) -> Request:
-    """The options of a case; each of its files is turned into what is `opened`."""
-    placed: dict[str, Any] = {
-        column: value
-        if column not in _NAMED
-        else [opened(column, each) for each in value]
-        if column in _SEVERAL
-        else opened(column, value)
-        for column, value in values.items()
-    }
-    groups = {
-        "reading": RecordOptions,
-        "simulator": SimulatorOptions,
-        "further": FurtherRecords,
-        "testing": TestRecords,
-    }
-    chosen: dict[str, Any] = {
-        name: replace(
-            getattr(shared, name),
-            **{f.name: placed[f.name] for f in fields(group) if f.name in placed},
-        )
-        for name, group in groups.items()
-    }
-    if "warmup" in placed:
-        chosen["model"] = replace(shared.model, warmup=placed["warmup"])
-    return replace(
-        shared, record=placed["record"], train=placed.get("train", shared.train), **chosen
-    )
+def _request(values: Mapping[str, Any], shared: Any) -> Any:
+    """Return a group of options with other values, also in the groups that it holds."""
+    changed = {}
+    for field in fields(shared):
+        value = getattr(shared, field.name)
+        if is_dataclass(value):
+            changed[field.name] = _request(values, value)
+        elif field.name in values:
+            changed[field.name] = values[field.name]
+    return replace(shared, **changed)

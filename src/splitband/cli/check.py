@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from splitband.cli import devices, showing
+from splitband.cli import setups, showing
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Device
-from splitband.cli.options.records import GapsOption, TimeColumn
+from splitband.cli.options.records import GapsOption, ModelArgument, TimeColumn
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulate import history_of, opened_with_simulator
 from splitband.forecasters import saving as forecasters
-from splitband.forecasters.base import Forecaster
-from splitband.forecasters.responses import Responses
 from splitband.report import checked
 
 
 @with_groups
 def check(
-    model_dir: Annotated[
-        Path,
-        typer.Argument(
-            metavar="MODEL_DIR", help="What `fit` or `compare` wrote.", show_default=False
-        ),
-    ],
+    model_dir: ModelArgument,
     record: Annotated[
         Path,
         typer.Option(
@@ -52,22 +46,16 @@ def check(
     model = forecasters.load(model_dir)
     past = history_of(record, "--record", model.require_fitted().record, time_column, gaps)
     model = opened_with_simulator(model, model_dir, simulator, past, 0, time_column)
-    model = devices.on_device(model, device)
+    setups.check_device(device)
+    model.to(device)
+    responses = None
     with showing.warnings_as_lines():
         found = model.check_residuals(past)
-        responses = _responses(model)
+        with suppress(ValueError):  # of a model without inputs, or that does not run by itself
+            responses = model.step_responses()
     asked = f"splitband check {model_dir} --record {record}"
     report = checked.CheckReport(found, model.in_words(), responses, asked)
     checked.save(report, out)
     for line in str(found).splitlines():
         showing.console.print(line)
-    showing.console.print(f"page: {out / 'report.html'}")
-    showing.results_file(out / "results.json")
-
-
-def _responses(model: Forecaster) -> Responses | None:
-    """Return the responses of a model with inputs that runs by itself."""
-    try:
-        return model.step_responses()
-    except ValueError:  # it says what it lacks
-        return None
+    showing.results_of(out)

@@ -7,63 +7,27 @@ from typing import Annotated
 
 import typer
 
-from splitband.cli.comparing import Request, arguments, carried_out, planned, save
+from splitband.cli import showing
+from splitband.cli.comparing import Request, command_of, compared, planned, save, workers
 from splitband.cli.options.groups import with_groups
-from splitband.cli.options.models import Conditioned, ModelOptions, Seeds, SettingsFile
-from splitband.cli.options.records import (
-    FurtherRecords,
-    RecordArgument,
-    RecordOptions,
-    TestRecords,
-    Train,
-)
-from splitband.cli.options.simulators import Calibrate, SimulatorOrBaseOptions
-from splitband.cli.options.workers import Cluster, Jobs
-from splitband.cli.outcome import show
-from splitband.cli.worker_pool import worker_pool
+from splitband.cli.options.models import Cluster, Jobs
+from splitband.evaluation.comparison import Comparison
+from splitband.filters.spectrum import periodogram
+from splitband.forecasters.names import HYBRIDS
+from splitband.report.page import words
+from splitband.report.page.usage import Usage
+from splitband.report.results import MODEL
+from splitband.report.table import columns, remarks
 
 
 @with_groups
 def compare(
     context: typer.Context,
-    record: RecordArgument,
-    reading: RecordOptions,
-    simulator: SimulatorOrBaseOptions,
-    further: FurtherRecords,
-    testing: TestRecords,
-    model: ModelOptions,
-    train: Train = None,
-    horizon: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help="Samples to predict after the training part.",
-            show_default="all",
-        ),
-    ] = None,
-    methods: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAMES",
-            help="Methods, separated by commas; see splitband methods.",
-            show_default="what suits the record",
-        ),
-    ] = None,
-    seeds: Seeds = None,
+    asked: Request,
     jobs: Jobs = None,
     out: Annotated[
         Path, typer.Option(metavar="DIR", help="Folder for results, pictures and page.")
     ] = Path("out"),
-    calibrate: Calibrate = False,
-    conditioned: Conditioned = False,
-    refit: Annotated[
-        bool,
-        typer.Option(
-            "--refit", help="Fit the recommended method to the whole record for OUT/model."
-        ),
-    ] = False,
-    settings: SettingsFile = None,
     cluster: Cluster = None,
 ) -> None:
     """Compare models of a record, and recommend one.
@@ -82,12 +46,68 @@ def compare(
     --budget or --effort limit the search for how to train; --window, --epochs, --learning-rate,
     --lr-milestones and --recipe paper replace it. --calibrate and --conditioned add rows.
     """
-    request = Request(
-        record, reading, simulator, further, testing, model,
-        train, horizon, methods, seeds, calibrate, conditioned, settings, refit=refit,
-    )  # fmt: skip
-    with worker_pool(jobs, cluster) as workers:
-        result = carried_out(planned(request, workers.cores), workers, out)
-    facts = {"command": context.info_name, "arguments": arguments(context.params)}
-    used = save(result, out, facts)
-    show(result, out, used)
+    with workers(jobs, cluster) as work:
+        result = compared(planned(asked, work.cores), work, out)
+    show(result, out, save(result, out, command_of(context)))
+
+
+def show(result: Comparison, out: Path, used: Usage) -> None:
+    """Print the table, what is recommended and why, what to be warned of, and how it is used."""
+    setup, trial, best = result.setup, result.require_trial(), result.recommended
+    said = {}
+    for name, note in remarks(result).items():
+        kind = words.in_words(name, result.forecasters)
+        said[name] = f"{kind}; {note}" if name in trial.trained and kind and note else note or kind
+    showing.methods(_title(result), columns(result), said, best)
+    showing.console.print(result.time.in_words())
+    kind = words.in_words(best, result.forecasters)
+    recommended = f"{kind} ({best})" if kind else best
+    why = " ".join(words.why(trial, setup.train))
+    showing.console.print(f"\nrecommended: {recommended}. {why}")
+    if result.left_out:
+        showing.console.print(
+            f"not tested: {', '.join(result.left_out)}; they go on from the training record, or "
+            "need a simulator of the test record (--test-simulator)"
+        )
+    _show_bands(result)
+    for name, runs in result.runs.items():
+        for note in dict.fromkeys(note for run in runs for note in run.fit.notes):
+            showing.warn(f"{name}: {note}")
+    showing.warn_of_inputs(result.inputs_beyond_training, result.record.inputs)
+    for doubt in words.doubts(result):
+        showing.warn(doubt)
+    for test, prediction in zip(result.tests, result.means[best].tests, strict=False):
+        for message in prediction.warnings:
+            showing.warn(f"{test.name}: {message}")
+    for line in words.achieved(result):
+        showing.console.print(line, style="bold")
+    for tested in result.residual_tests():
+        showing.console.print(f"residual tests: {tested.verdict()}")
+    for what, command in used.commands[:1]:
+        showing.console.print(f"{what}:\n    {command}", soft_wrap=True)
+    showing.console.print(f"trained model: {out / MODEL}/\nresults and pictures: {out}/")
+    showing.results_of(out)
+
+
+def _title(result: Comparison) -> str:
+    record, train = result.record, result.setup.train
+    truth = "the noise-free signal" if record.y_true is not None else "what was measured"
+    return (
+        f"{record.name}: simulations and forecasts against {truth}; {train:,} samples to "
+        f"train on, {len(record) - train:,} after them"
+    )
+
+
+def _show_bands(result: Comparison) -> None:
+    """Print where the record is split, and what was left out as its simulator does not help."""
+    bands, training = result.setup.bands, result.plan.training
+    if bands.cutoff is not None and bands.downsampling is not None:
+        below = periodogram(training.y, training.sampling_rate).share_below(bands.cutoff)
+        showing.console.print(
+            f"cut-off {bands.cutoff:g} Hz, order {bands.order}, the "
+            f"low band kept at every {showing.ordinal(bands.downsampling)} sample: "
+            + (bands.choice.reason if bands.choice else f"{below:.0%} of the power lies below it")
+        )
+    unhelpful = bands.choice is not None and bands.choice.simulator_helps is False
+    if unhelpful and not set(result.plan.names) & set(HYBRIDS):
+        showing.console.print("hybrid models are left out; --methods brings them back")

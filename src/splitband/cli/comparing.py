@@ -1,173 +1,269 @@
-"""From the options of a comparison to its results, for every command that compares."""
+"""From the options of a command to a plan, and to its results, for every command that fits."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from splitband.cli import devices, naming, records, setups, showing, timing
-from splitband.cli.options.models import AUTO, ModelOptions
-from splitband.cli.options.records import FurtherRecords, RecordOptions, TestRecords
-from splitband.cli.options.simulators import SimulatorOptions
-from splitband.cli.simulators import (
-    adjustable,
-    each_with_simulator,
-    tests_with_simulator,
-    with_own_parameters,
-    with_simulator,
+import typer
+
+from splitband.cli import clock, records, setups, showing
+from splitband.cli.options.groups import panel
+from splitband.cli.options.models import AUTO, Conditioned, ModelOptions, Seeds, SettingsFile
+from splitband.cli.options.records import (
+    FurtherRecords,
+    RecordArgument,
+    RecordOptions,
+    TestRecords,
 )
+from splitband.cli.options.simulators import Calibrate, SimulatorOptions, SimulatorOrBaseOptions
+from splitband.cli.simulators import adjustable, load_further, with_own_parameters, with_simulator
 from splitband.cli.usage import usage
-from splitband.cli.worker_pool import WorkerPool
 from splitband.data import Record
 from splitband.data.named import RECORDS
+from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import Plan, check_train, plan
 from splitband.evaluation.run import run
 from splitband.evaluation.saved_settings import SavedSettings
 from splitband.evaluation.setup import default_names
-from splitband.forecasters.names import (
-    BASES,
-    GREY_BOX,
-    NAMES,
-    TRAINED,
-    named,
-    with_base,
-    with_variants,
-)
+from splitband.evaluation.work import Work
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.names import BASES, GREY_BOX, TRAINED, named, with_base, with_variants
 from splitband.report import results
 from splitband.report.page.usage import Usage
+from splitband.runtime.cluster import Cluster, silence
 from splitband.runtime.files import CHECKPOINTS, output_folder
+from splitband.runtime.threads import available_cores
+
+WRITING, AS_STARTING = 2.0, 1.5
+"""Seconds for pictures and page, besides so many times what the command took to start: both are
+work of the same kind on the same machine, whatever else it does."""
+NUMBER, USUAL_START = 3e-6, 3.0
+"""Seconds for a number in the tables, where a command starts within so many."""
+MOST = 0.4
+"""Share of the time that is kept for writing, at most."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """The options of a command that fits methods to a record, but for where its results go."""
+    """What is to be compared: the options of `compare`, but for where its results go."""
 
-    record: str
+    record: RecordArgument
     reading: RecordOptions = field(default_factory=RecordOptions)
-    simulator: SimulatorOptions = field(default_factory=SimulatorOptions)
+    simulator: SimulatorOrBaseOptions = field(default_factory=SimulatorOrBaseOptions)
     further: FurtherRecords = field(default_factory=FurtherRecords)
     testing: TestRecords = field(default_factory=TestRecords)
     model: ModelOptions = field(default_factory=ModelOptions)
-    train: int | None = None
-    horizon: int | None = None
-    methods: str | None = None
-    seeds: int | None = None
-    calibrate: bool = False
-    conditioned: bool = False
-    settings: Path | None = None
-    future_inputs: Path | None = None
-    refit: bool = False
+    train: Annotated[
+        int | None, panel("Record")("Train on the first N samples.", "N", "three quarters")
+    ] = None
+    horizon: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Samples to predict after the training part.",
+            show_default="all",
+        ),
+    ] = None
+    methods: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Methods, separated by commas; see splitband methods.",
+            show_default="what suits the record",
+        ),
+    ] = None
+    seeds: Seeds = None
+    calibrate: Calibrate = False
+    conditioned: Conditioned = False
+    refit: Annotated[
+        bool,
+        typer.Option(
+            "--refit", help="Fit the recommended method to the whole record for OUT/model."
+        ),
+    ] = False
+    settings: SettingsFile = None
 
 
-def planned(request: Request, cores: int, steps: int = 0, fitting: bool = False) -> Plan:
+def planned(
+    asked: Request,
+    cores: int,
+    steps: int = 0,
+    future_inputs: Path | None = None,
+    fitting: bool = False,
+) -> Plan:
     """Read the records and simulators that the options name, and plan what is to be done with them.
 
     Parameters
     ----------
-    request : The options.
+    asked : The options.
     cores : What a budget is spent on.
-    steps : Samples to forecast beyond the end of the record, all of which is trained on.
-    fitting : Nothing is forecast; by default, all of the record is trained on.
+    steps, future_inputs : Samples to forecast beyond the end of the record, all of which is trained
+        on, and the file of its inputs there.
+    fitting : A single method is fitted, and nothing is forecast; by default to all of the record.
     """
-    request = replace(request, simulator=with_own_parameters(request.simulator))
-    reading, simulator = request.reading, request.simulator
-    saved = setups.load_settings(request.settings, request.model)
-    record = records.load_record(request.record, reading, saved)
-    names = _names(request, record, saved)
-    hybrid = _beside_simulator(request, record)
-    expected = names or default_names(hybrid, record.nu > 0)
-    beyond = any(NAMES[method].calibrates for method in expected)
-    past = steps if hybrid and simulator.simulator not in BASES else 0
+    reading, simulator = asked.reading, with_own_parameters(asked.simulator)
+    saved = setups.load_settings(asked.settings, asked.model)
+    options = setups.options_of(asked.model, cores, saved)
+    record = records.load_record(asked.record, reading, saved)
+    hybrid = simulator.parameters is None and (
+        simulator.simulator is not None or record.y_sim is not None
+    )
+    names = _names(replace(asked, simulator=simulator), record, saved, fitting)
+    expected = [named(name) for name in names or default_names(hybrid, record.nu > 0)]
+    calibrates = any(method.calibrates for method in expected)
     fitted = adjustable(simulator)
-    record = with_simulator(record, simulator, reading, past, beyond)
+    past = steps if hybrid and simulator.simulator not in BASES else 0
+    record = with_simulator(record, simulator, reading, past, calibrates)
     if steps:
-        u = records.inputs_ahead(request.future_inputs, record, steps, reading.time_column)
+        u = records.inputs_ahead(future_inputs, record, steps, reading.time_column)
         record = replace(record, u_beyond=u)
-    naming.check_needs([named(name) for name in expected], record)
-    others = records.load_further(request.further.more, "--more", record, reading)
-    others = each_with_simulator(others, expected, request.further, simulator, reading)
-    tests = records.load_further(request.testing.test, "--test", record, reading)
-    tests = tests_with_simulator(tests, request.testing, simulator, reading)
-    initial = request.testing.initial
-    if initial is not None and not tests:
-        raise ValueError(f"--initial must be used with --test, got {initial}")
-    train = len(record) if steps else request.train
+    _check_needs(expected, record)
+    others, tests = _further(asked, simulator, record, expected)
+    train = len(record) if steps else asked.train
     if fitting:
         train = len(record) if train is None else train
         check_train(record, train, 0)
         record = record[:train]
-    if train is None and not tests and request.record in RECORDS:
-        train = RECORDS[request.record].train
+    if train is None and not tests and asked.record in RECORDS:
+        train = RECORDS[asked.record].train
     found = plan(
         record,
         train,
         names,
-        horizon=0 if fitting else steps or request.horizon,
+        horizon=0 if fitting else steps or asked.horizon,
         others=others,
         tests=tests,
-        seeds=request.seeds,
-        setup=replace(
-            setups.options_of(request.model, cores, saved), simulator=fitted, initial=initial
-        ),
-        refit=request.refit,
+        seeds=asked.seeds,
+        setup=replace(options, simulator=fitted, initial=asked.testing.initial),
+        refit=asked.refit,
     )
-    device = request.model.device
-    return replace(found, methods=tuple(devices.on_device(m, device) for m in found.methods))
+    for method in found.methods:
+        method.to(asked.model.device)
+    return found
 
 
-def _beside_simulator(request: Request, record: Record) -> bool:
-    """Whether methods read a simulator's output beside the record."""
-    if request.simulator.parameters is not None:
-        return False
-    return request.simulator.simulator is not None or record.y_sim is not None
-
-
-def _names(request: Request, record: Record, saved: SavedSettings | None) -> list[str] | None:
-    """The methods that the options ask for; None where they do not."""
-    base = request.simulator.simulator
-    if request.methods is not None:
-        names = naming.method_names(request.methods)
-    elif saved is None and not (request.calibrate or request.conditioned or base in BASES):
+def _names(
+    asked: Request, record: Record, saved: SavedSettings | None, fitting: bool
+) -> list[str] | None:
+    """Return the methods that the options ask for; None where they do not."""
+    base = asked.simulator.simulator
+    if asked.methods is not None:
+        names = setups.names(asked.methods)
+    elif fitting:
+        names = ["split-gru" if saved is None else saved.method]
+    elif saved is None and not (asked.calibrate or asked.conditioned or base in BASES):
         return None
     else:
         names = default_names(base is not None or record.y_sim is not None, record.nu > 0)
         if saved is not None:
             names = [saved.method, *(name for name in names if name not in TRAINED)]
-    names = with_variants(names, request.calibrate, request.conditioned)
-    if request.simulator.parameters is not None:
+    single = fitting and len(names) == 1
+    names = with_variants(names, asked.calibrate, asked.conditioned)
+    names = names[-1:] if single else names
+    if asked.simulator.parameters is not None:
         return with_base(names, GREY_BOX)
     return with_base(names, base) if base in BASES else names
 
 
-def carried_out(
-    planned: Plan,
-    workers: WorkerPool,
-    out: Path,
-    label: str = "comparing",
-    began: float | None = None,
-) -> Comparison:
-    """The comparison; what is cut off goes on from checkpoints in the folder `out`.
+def _further(
+    asked: Request, simulator: SimulatorOptions, record: Record, methods: Sequence[Forecaster]
+) -> tuple[list[Record], list[Record]]:
+    """Return the records of --more and of --test, with their simulators."""
+    needed = any(method.random and "simulator" in method.needs for method in methods)
+    beyond = not needed or any(method.calibrates for method in methods)
+    more, testing, beside = asked.further, asked.testing, (record, asked.reading, simulator)
+    others = load_further("--more", more.more, more.more_simulator, *beside, needed, beyond)
+    tests = load_further("--test", testing.test, testing.test_simulator, *beside)
+    if testing.initial is not None and not tests:
+        raise ValueError(f"--initial must be used with --test, got {testing.initial}")
+    return others, tests
 
-    `label` stands beside the progress bar. A budget of time counts from when it `began`, by default
-    from when the command did.
+
+def _check_needs(methods: Sequence[Forecaster], record: Record) -> None:
+    """Raise ValueError, which names the option, where a record lacks what a method needs."""
+    for need, given in (("simulator", record.y_sim), ("inputs", record.u)):
+        lacking = next((m for m in methods if need in m.needs and given is None), None)
+        if lacking is not None:
+            raise ValueError(f"--{need} must be given for {lacking.name}, {record.name} has none")
+
+
+@contextmanager
+def workers(jobs: int | None, cluster: str | None = None) -> Iterator[Work]:
+    """Yield how trainings are carried out, by what --jobs and --cluster ask for."""
+    if cluster is None:
+        yield Work(jobs or available_cores())
+        return
+    if jobs is not None:
+        raise ValueError(
+            f"--jobs must be left out with --cluster, where each thread has one, got {jobs}"
+        )
+    silence()
+    try:
+        executor = Cluster(cluster)
+    except ConnectionError:
+        raise ValueError(
+            "--cluster must be the address of a Dask scheduler that answers, such as "
+            f"tcp://10.0.0.5:8786, got {cluster}"
+        ) from None
+    with executor:
+        cores = executor.cores
+        if cores == 0:
+            showing.console.print(f"{cluster} has no worker yet: waiting for the first one")
+        yield Work(max(cores, 1), executor=executor)
+
+
+@contextmanager
+def watched(
+    plan: Plan,
+    work: Work,
+    out: Path,
+    label: str,
+    samples: int = 0,
+    began: float | None = None,
+) -> Iterator[Work]:
+    """Yield the work on a plan with a progress bar, its time, and checkpoints in the folder `out`.
+
+    Parameters
+    ----------
+    plan, work : What is to be done, and by what.
+    out : Where a command that was cut off goes on.
+    label : Stands beside the bar.
+    samples : Of each method that will be written.
+    began : When the time that a budget limits did, by default with the command.
     """
     output_folder(out, "--out")
-    record, tests = planned.record, planned.tests
-    numbers = (len(record) + sum(map(len, tests))) * record.ny * 2 * len(planned.methods)
-    time = timing.planned(planned.setup, workers.cores, numbers, began)
-    with showing.progress(label, time, showing.kept(out / CHECKPOINTS)) as progress:
-        return run(planned, workers.work(progress, out, time))
+    began, seconds, after = clock.began() if began is None else began, None, 0.0
+    if plan.setup.search is not None and plan.setup.search.seconds is not None:
+        starting, seconds = clock.starting(), plan.setup.search.seconds
+        numbers = 2 * samples * plan.record.ny * len(plan.methods)
+        slow = max(starting / USUAL_START, 1.0)
+        after = AS_STARTING * starting + slow * (WRITING + NUMBER * numbers)
+        after = min(after, MOST * seconds)
+    time = TimeBudget.of(seconds, work.cores, began, after)
+    with showing.progress(label, time, out / CHECKPOINTS) as bar:
+        yield replace(work, progress=bar, checkpoints=out / CHECKPOINTS, time=time)
+
+
+def compared(
+    plan: Plan, work: Work, out: Path, label: str = "comparing", began: float | None = None
+) -> Comparison:
+    """Return the comparison that is planned; the rest is as in `watched`."""
+    samples = len(plan.record) + sum(map(len, plan.tests))
+    with watched(plan, work, out, label, samples, began) as busy:
+        return run(plan, busy)
 
 
 def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> Usage:
     """Write the results, `facts` first, in place of the checkpoints; return what the page shows.
 
-    That is the commands that use the recommended method, from the options among the facts
-    (`arguments`).
+    That is the commands that use the recommended method, from the options among the facts.
     """
     used = usage(facts["command"], facts["arguments"], out, comparison.plan, comparison.model)
     results.save(comparison, out, dict(facts), used)
@@ -175,8 +271,13 @@ def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> Usage:
     return used
 
 
+def command_of(context: typer.Context) -> dict[str, Any]:
+    """Return the command and its options, as a file of results has them."""
+    return {"command": context.info_name, "arguments": arguments(context.params)}
+
+
 def arguments(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of options as JSON can hold them."""
+    """Return the values of options as JSON can hold them."""
     return {
         name: str(value) if isinstance(value, Path) else "auto" if value == AUTO else value
         for name, value in values.items()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
-from rich.table import Table
+from rich.table import Column, Table
 
 from splitband.cli import showing
 from splitband.data import PUBLIC, fetch
@@ -17,14 +17,15 @@ data = typer.Typer(help="The public records of the paper.", no_args_is_help=True
 @data.command("list")
 def list_records() -> None:
     """List the named records and the public files behind them."""
-    table = Table()
-    for heading in ("file", "what", "licence", "size"):
-        table.add_column(heading, justify="right" if heading == "size" else "left")
+    table = Table("file", "what", "licence", Column("size", justify="right"))
     for public in PUBLIC.values():
         size = f"{public.size / 1000:.0f} kB"
         table.add_row(public.name, public.description, public.licence, size)
     showing.console.print(table)
     showing.console.print(f"named records: {', '.join(RECORDS)}")
+    showing.as_json(
+        {"files": {p.name: p.description for p in PUBLIC.values()}, "named": [*RECORDS]}
+    )
 
 
 @data.command("fetch")
@@ -35,5 +36,8 @@ def fetch_records(
     ] = None,
 ) -> None:
     """Download public files, or find them in SPLITBAND_DATA_DIR, and check them."""
+    paths = {}
     for name in names or PUBLIC:
-        showing.console.print(f"{name}: {fetch(name)}")
+        paths[name] = str(fetch(name))
+        showing.console.print(f"{name}: {paths[name]}")
+    showing.as_json(paths)

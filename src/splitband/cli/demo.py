@@ -9,11 +9,9 @@ import numpy as np
 import typer
 
 from splitband.cli import showing
-from splitband.cli.comparing import arguments, carried_out, save
-from splitband.cli.options.groups import with_groups
-from splitband.cli.options.workers import Jobs
-from splitband.cli.outcome import show
-from splitband.cli.worker_pool import worker_pool
+from splitband.cli.compare import show
+from splitband.cli.comparing import command_of, compared, save, workers
+from splitband.cli.options.models import Jobs
 from splitband.data.crane import overhead_crane
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import plan
@@ -32,7 +30,6 @@ STRETCH = 30.0
 """Seconds at either end of the forecast whose errors are set side by side."""
 
 
-@with_groups
 def demo(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = Path("demo"),
@@ -52,18 +49,15 @@ def demo(
         f"{record.name}: {len(record)} samples of the position of a swinging load, "
         f"{TRAIN} of them to learn from"
     )
-    options = Options(changes=RECIPE, sizes=SIZES)
-    with worker_pool(jobs, None) as workers:
-        planned = plan(record, TRAIN, METHODS, seeds=1, setup=options)
-        result = carried_out(planned, workers, out)
-    facts = {"command": context.info_name, "arguments": arguments(context.params)}
-    used = save(result, out, facts)
-    show(result, out, used)
+    setup = Options(changes=RECIPE, sizes=SIZES)
+    with workers(jobs) as work:
+        result = compared(plan(record, TRAIN, METHODS, seeds=1, setup=setup), work, out)
+    show(result, out, save(result, out, command_of(context)))
     _tell(result)
 
 
 def _tell(result: Comparison) -> None:
-    """The three steps of the story, with the errors of this run."""
+    """Print the three steps of the story, with the errors of this run."""
     story = (
         (SIMULATOR, "the simulator alone omits the swing"),
         (NETWORK, "a network alone drifts, because it has to integrate the speed"),

@@ -8,17 +8,13 @@ from typing import Annotated, Literal
 import typer
 
 from splitband.cli import showing
+from splitband.cli.options.records import ModelArgument
 from splitband.forecasters import saving as forecasters
 from splitband.runtime.files import output_folder
 
 
 def export(
-    model_dir: Annotated[
-        Path,
-        typer.Argument(
-            metavar="MODEL_DIR", help="What `fit` or `compare` wrote.", show_default=False
-        ),
-    ],
+    model_dir: ModelArgument,
     out: Annotated[
         Path,
         typer.Argument(

@@ -10,26 +10,21 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from splitband.cli import naming, setups, showing, timing
-from splitband.cli.comparing import Request, planned
+from splitband.cli import showing
+from splitband.cli.comparing import Request, planned, watched, workers
 from splitband.cli.options.groups import with_groups
-from splitband.cli.options.models import Conditioned, ModelOptions, SettingsFile
+from splitband.cli.options.models import Conditioned, Jobs, ModelOptions, SettingsFile
 from splitband.cli.options.records import FurtherRecords, RecordArgument, RecordOptions
 from splitband.cli.options.simulators import Calibrate, SimulatorOrBaseOptions
-from splitband.cli.options.workers import Jobs
-from splitband.cli.simulators import with_own_parameters
 from splitband.data.timing import as_json
 from splitband.evaluation.run import fit as fit_planned
-from splitband.evaluation.work import Work
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.names import BASES, GREY_BOX, with_base, with_variants
 from splitband.metrics import rmse
 from splitband.report import results
 from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import staged, write_facts
-from splitband.runtime.threads import available_cores
 
 
 @with_groups
@@ -68,34 +63,21 @@ def fit(
 
     MODEL_DIR gets the weights of networks (safetensors), everything else (JSON) and results.json.
     """
-    if method is None:
-        saved = setups.load_settings(settings, model)
-        method = "split-gru" if saved is None else saved.method
-    if calibrate or conditioned:
-        method = with_variants([method], calibrate, conditioned)[-1]
-    simulator = replace(simulator, parameters=with_own_parameters(simulator).parameters)
-    if simulator.parameters is not None:
-        (method,) = with_base([method], GREY_BOX)
-    elif simulator.simulator in BASES:
-        (method,) = with_base([method], simulator.simulator)
-    naming.check_names("--method", [method], naming.FITTED)
-    request = Request(
+    asked = Request(
         record, reading, simulator, further, model=model, train=train, methods=method,
-        settings=settings,
+        calibrate=calibrate, conditioned=conditioned, settings=settings,
     )  # fmt: skip
-    plan = planned(request, jobs or available_cores(), fitting=True)
-    time = timing.planned(plan.setup, jobs or available_cores(), 0)
-    with showing.progress("fitting", time, showing.kept(out / CHECKPOINTS)) as bar:
-        work = Work(jobs or available_cores(), bar, out / CHECKPOINTS, time=time)
-        forecaster = fit_planned(plan, seed, work)
+    with workers(jobs) as work:
+        plan = planned(asked, work.cores, fitting=True)
+        with watched(plan, work, out, "fitting") as busy:
+            forecaster = fit_planned(plan, seed, busy)
     training, setup = plan.training, plan.setup
-    fitted = forecaster.require_fitted()
+    fitted, calibration = forecaster.require_fitted(), forecaster.calibration
     training_in_words = forecaster.training_in_words()
     if forecaster.settings is not None:
         setup = replace(setup, settings=forecaster.settings)
-    calibration = forecaster.calibration
     facts = {
-        "method": method,
+        "method": forecaster.name,
         "seed": seed,
         "record": training.name,
         "more": [other.name for other in plan.others],
@@ -110,12 +92,12 @@ def fit(
         "calibration": None if calibration is None else asdict(calibration),
         "parameters": forecaster.parameters,
     }
-    within = _training_error(forecaster)
+    error = _training_error(forecaster)
     outcome = {
         "final_loss": {name: losses[-1] for name, losses in fitted.report.losses.items()},
         "seconds": fitted.report.seconds,
         "notes": [*fitted.report.notes],
-        "training_rmse": within,
+        "training_rmse": error,
     }
     with staged(out) as new:
         saving.save(forecaster, new, facts)
@@ -124,17 +106,23 @@ def fit(
     for note in fitted.report.notes:
         showing.warn(note)
     said = training_in_words or forecaster.describe()
+    begin = max(forecaster.warmup, 2)
     showing.console.print(
-        f"{method} ({said}) fitted to {len(training)} samples in {fitted.report.seconds:.1f} s"
-        f"{_free_run(forecaster, within)}\n"
-        + ("" if calibration is None else f"simulator calibrated: {calibration}\n")
-        + f"model: {out}/",
+        f"{forecaster.name} ({said}) fitted to {len(training)} samples in "
+        f"{fitted.report.seconds:.1f} s"
+        + (
+            ""
+            if error is None
+            else f"; free run over them from the first {begin}: RMSE {error:.4g}"
+        )
+        + ("" if calibration is None else f"\nsimulator calibrated: {calibration}")
+        + f"\nmodel: {out}/"
     )
-    showing.results_file(out / "results.json")
+    showing.results_of(out, page=False)
 
 
 def _training_error(forecaster: Forecaster) -> float | None:
-    """RMSE of a free run over the training record from its first samples, if there are more."""
+    """Return the RMSE of a free run over the training record, if it is longer than the warm-up."""
     record = forecaster.require_fitted().record
     start = first_origin(record, len(record), forecaster.warmup).at
     if start == len(record):
@@ -142,9 +130,3 @@ def _training_error(forecaster: Forecaster) -> float | None:
     with showing.without_warnings():
         y = forecaster.predict(len(record) - start, record[:start]).y
     return rmse(record.seen[start:], np.asarray(y))
-
-
-def _free_run(forecaster: Forecaster, error: float | None) -> str:
-    """The `_training_error` in words; empty where there is none."""
-    begin = max(forecaster.warmup, 2)
-    return "" if error is None else f"; free run over them from the first {begin}: RMSE {error:.4g}"

@@ -8,14 +8,16 @@ from typing import Annotated
 
 import typer
 
-from splitband.cli import naming, showing, timing
-from splitband.cli.comparing import Request, arguments, planned
+from splitband.cli import showing
+from splitband.cli.comparing import Request, arguments, planned, watched, workers
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import (
     Budget,
+    Cluster,
     Device,
     Effort,
     Epochs,
+    Jobs,
     ModelOptions,
     Seeds,
     SettingsFile,
@@ -27,13 +29,10 @@ from splitband.cli.options.records import (
     RecordOptions,
 )
 from splitband.cli.options.simulators import SimulatorOrBaseOptions
-from splitband.cli.options.workers import Cluster, Jobs
 from splitband.cli.usage import usage
-from splitband.cli.worker_pool import worker_pool
 from splitband.evaluation.forecast import Forecast, run_forecast
-from splitband.forecasters.names import NAMES
 from splitband.metrics import leaving
-from splitband.report import page, results
+from splitband.report import results
 from splitband.report.page.usage import Usage
 from splitband.report.table import tried
 from splitband.runtime.files import CHECKPOINTS
@@ -73,43 +72,37 @@ def forecast(
     then still forecast the same. A simulator must reach --steps samples beyond the record; a
     record with known inputs needs --future-inputs.
     """
-    if method is not None:
-        naming.check_names("--method", [method], NAMES)
-    request = Request(
+    asked = Request(
         record, reading, simulator, further, methods=method, seeds=seeds, settings=settings,
         model=ModelOptions(epochs=epochs, budget=budget, effort=effort, device=device),
-        future_inputs=future_inputs,
     )  # fmt: skip
-    with worker_pool(jobs, cluster) as workers:
-        plan = planned(request, workers.cores, steps)
-        known = plan.record
-        time = timing.planned(plan.setup, workers.cores, steps * known.ny * len(plan.methods))
-        with showing.progress("forecasting", time, showing.kept(out / CHECKPOINTS)) as progress:
-            result = run_forecast(plan, workers.work(progress, out, time))
+    with workers(jobs, cluster) as work:
+        plan = planned(asked, work.cores, steps, future_inputs)
+        with watched(plan, work, out, "forecasting", steps) as busy:
+            result = run_forecast(plan, busy)
     used = usage("forecast", arguments(context.params), out, plan, result.model)
     results.save_forecast(result, out, used)
     shutil.rmtree(out / CHECKPOINTS)
-    _say(result, steps, out, used)
-    showing.results_file(out / "results.json")
+    _show(result, out, used)
 
 
-def _say(result: Forecast, steps: int, out: Path, used: Usage) -> None:
-    showing.console.print(timing.in_words(result.time))
+def _show(result: Forecast, out: Path, used: Usage) -> None:
+    showing.console.print(result.time.in_words())
     trial, record = result.trial, result.record
     said = dict.fromkeys(trial.errors, "") | {
         name: f"could not be fitted: {reason}" for name, reason in trial.failed.items()
     }
     title = f"{record.name}: RMSE on its last quarter, fitted to the rest of it"
-    listed = tried(trial, record, [*trial.errors])
-    showing.methods(title, listed, said, result.method)
+    showing.methods(title, tried(trial, record, [*trial.errors]), said, result.method)
     showing.console.print(
-        f"{steps} samples ahead by {result.method}: {out}/forecast.csv, forecast.png"
+        f"{len(result.prediction)} samples ahead by {result.method}: {out}/forecast.csv, "
+        "forecast.png"
     )
     if result.leaves is not None:
         showing.console.print(leaving(result.leaves))
-    showing.warn_of_inputs(result.inputs_beyond_training, result.record.inputs)
+    showing.warn_of_inputs(result.inputs_beyond_training, record.inputs)
     for doubt in result.prediction.doubts:
         showing.warn(f"{result.method}: {doubt}")
     for what, command in used.commands[:1]:
         showing.console.print(f"{what}:\n    {command}", soft_wrap=True)
-    showing.console.print(f"page: {out / page.NAME}")
+    showing.results_of(out)

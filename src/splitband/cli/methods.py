@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from rich.table import Table
 from rich.text import Text
@@ -12,15 +12,8 @@ from splitband.forecasters.configurable import parts_of
 from splitband.forecasters.names import BASED, HYBRIDS, NAMES, QUICK, variants
 
 
-@dataclass(frozen=True)
-class Group:
-    """Methods of one kind.
-
-    Attributes
-    ----------
-    title, when : What they are, and for which record they are worth trying.
-    names : Of the methods, in the order in which they are shown.
-    """
+class Group(NamedTuple):
+    """Methods of one kind: what they are, for which record they are worth trying, their names."""
 
     title: str
     when: str
@@ -38,11 +31,7 @@ GROUPS = (
     Group("one network", "any record; with known inputs often enough", _alone(1)),
     Group("two networks, a band each", "a record with a slow and a fast part", _alone(2)),
     Group("a simulator and a network", "a simulator that is roughly right", HYBRIDS),
-    Group(
-        "a fitted model and a network",
-        "a record with a simple slow part, no simulator",
-        BASED,
-    ),
+    Group("a fitted model and a network", "a record with a simple slow part, no simulator", BASED),
     Group("the simulator itself", "seeing what a network adds to it", _SIMULATORS),
     Group("simple baselines", "every record: what learning has to be better than", _BASELINES),
 )
@@ -55,30 +44,23 @@ def methods() -> None:
     in one that ends in -conditioned the faster network is told what the slower part says. Give
     names to --methods, separated by commas.
     """
-    table = Table(show_lines=False)
-    for heading in ("method", "what it is", "also as", "needs"):
-        table.add_column(heading)
+    table = Table("method", "what it is", "also as", "needs", show_lines=False)
     for group in GROUPS:
         table.add_section()
         table.add_row(Text(group.title, "bold"), Text(f"for {group.when}", "italic"))
         shown: set[str] = set()
         for name in group.names:
-            if name not in shown:
-                others = _variants(name) if group.names != _SIMULATORS else []
-                shown.update(others)
-                also = ", ".join(other[len(name) :] for other in others)
-                table.add_row(f"  {name}", NAMES[name].in_words(), also, _needs(name))
+            if name in shown:
+                continue
+            method, others = NAMES[name], list[str]()
+            if group.names != _SIMULATORS:
+                made = variants(method, calibrate=True, conditioned=True)
+                others = [each.name for each in made if each.name != name]
+            shown.update(others)
+            also = ", ".join(other[len(name) :] for other in others)
+            needs = ", ".join(f"--{need}" for need in sorted(method.needs))
+            table.add_row(f"  {name}", method.in_words(), also, needs)
     showing.console.print(table)
     showing.as_json(
         {group.title: {name: NAMES[name].in_words() for name in group.names} for group in GROUPS}
     )
-
-
-def _variants(name: str) -> list[str]:
-    """Return the other names under which a method is calibrated or conditioned."""
-    made = variants(NAMES[name], calibrate=True, conditioned=True)
-    return [each.name for each in made if each.name != name]
-
-
-def _needs(name: str) -> str:
-    return ", ".join(f"--{need}" for need in sorted(NAMES[name].needs))

@@ -9,30 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from splitband.forecasters import saving
+from splitband.report.results import MODEL
 from splitband.runtime.files import CHECKPOINTS
-from splitband.runtime.outputs import TEST_PREDICTIONS, files_of_result, locked
+from splitband.runtime.outputs import belongs_to_result, locked
 
-COMPARED = (
-    "results.json", "predictions.csv", TEST_PREDICTIONS.format("*"), "rollouts.png", "error.png",
-    "spectrum.png", "components.png", "report.html", "recommended.json", "model/**/*",
-)  # fmt: skip
-WRITES = {
-    "demo": COMPARED,
-    "compare": COMPARED,
-    "benchmark": ("results.json", "table.csv", "cases.png", "report.html"),
-    "forecast": (
-        "results.json",
-        "forecast.csv",
-        "forecast.png",
-        "report.html",
-        "recommended.json",
-        "model/**/*",
-    ),
-    "fit": ("results.json", saving.FILE, saving.WEIGHTS.format("*")),
-    "check": ("results.json", "report.html"),
-    "spectrum": ("results.json", "spectrum.png", "report.html"),
-}
-"""The files that each command writes into its folder --out."""
+TO_A_FILE = ("simulate", "export")
+"""Commands that write a file; all others with --out write a folder."""
 
 
 @contextmanager
@@ -48,25 +30,25 @@ def claimed(context: Any) -> Iterator[None]:
     ValueError
         Where --out would replace an input, or is in use.
     """
-    command, out = context.command.name, context.params.get("out")
+    out = context.params.get("out")
     if out is None:
         yield
-    elif command not in WRITES:  # --out is a file, which is replaced at once
+    elif context.command.name in TO_A_FILE:
         refuse_inputs(out, [out], _inputs(context))
         yield
     else:
-        refuse_inputs(out, replaced(command, out), _inputs(context))
+        refuse_inputs(out, replaced(out), _inputs(context))
         with locked(out, "--out"):
             yield
 
 
-def replaced(command: str, out: Path) -> list[Path]:
-    """Return the files below `out` that a command would replace or remove."""
+def replaced(out: Path) -> list[Path]:
+    """Return the files below `out` that a result may replace or remove."""
     if not os.path.isdir(out):
         return []
-    names = [path for pattern in WRITES[command] for path in out.glob(pattern)]
-    earlier = [out / name for name in files_of_result(out)]
-    return [*names, *earlier, *(out / CHECKPOINTS).rglob("*")]
+    found = [path for path in out.iterdir() if belongs_to_result(path.name)]
+    inner = [path for name in (MODEL, CHECKPOINTS) for path in (out / name).rglob("*")]
+    return [*found, *inner, *saving.files(out)]
 
 
 def refuse_inputs(out: Path, targets: Iterable[Path], inputs: Mapping[Path, str]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.cli import showing
-from splitband.cli.naming import names
 from splitband.cli.options.records import RecordOptions
+from splitband.cli.setups import names
 from splitband.data import Record, aligned, read, resampled
 from splitband.data.gaps import places
 from splitband.data.named import RECORDS
@@ -24,20 +23,57 @@ from splitband.data.timing import near_sampling, same_sampling
 from splitband.evaluation.saved_settings import SavedSettings
 
 
-def load_record(
-    record: str, reading: RecordOptions | None = None, saved: SavedSettings | None = None
-) -> Record:
+def load_record(name: str, reading: RecordOptions, saved: SavedSettings | None = None) -> Record:
     """Return a named record, or read a file, and print what its channels and inputs are.
 
     Columns and inputs that no option names are those of --settings (`saved`). Raises ValueError
     where they are others than these.
     """
-    reading = reading or RecordOptions()
-    trajectory = _named(record, reading) if record in RECORDS else _file(record, reading, saved)
-    announce(trajectory, record)
+    if name in RECORDS:
+        for option in ("columns", "inputs", "time_column", "sampling_time"):
+            if (value := getattr(reading, option)) is not None:
+                raise ValueError(
+                    f"--{option.replace('_', '-')} is for files; {name} is a named record, got "
+                    f"{value}"
+                )
+        record = RECORDS[name].make()
+        announce(record, name)
+    else:
+        record = _of_file(name, reading, saved)
     if saved is not None:
-        saved.check(trajectory)
-    return trajectory
+        saved.check(record)
+    return record
+
+
+def _of_file(path: str, reading: RecordOptions, saved: SavedSettings | None) -> Record:
+    check_file(path, "RECORD", f" or one of {', '.join(RECORDS)}")
+    columns = None if reading.columns is None else names(reading.columns)
+    inputs = None if reading.inputs is None else names(reading.inputs)
+    needed = ""
+    if saved is not None and saved.columns:
+        needed = f"--settings is for {described(saved.columns, saved.inputs)}"
+        if inputs is None:
+            inputs = [name for name in saved.inputs if name not in (columns or ())]
+        if columns is None:
+            columns = [name for name in saved.columns if name not in inputs]
+    record = read_file(
+        path,
+        "RECORD",
+        needed,
+        columns=columns or None,
+        inputs=inputs or (),
+        time_column=reading.time_column,
+        sampling_time=reading.sampling_time,
+        gaps=reading.gaps,
+    )
+    if record.measured is not None:
+        missing = ~record.complete
+        showing.console.print(
+            f"{path}: {missing.sum()} of {len(missing)} samples were not measured in whole, "
+            f"and are masked: {places(missing)}"
+        )
+    announce(record, path)
+    return record
 
 
 def announce(record: Record, name: str) -> None:
@@ -46,6 +82,15 @@ def announce(record: Record, name: str) -> None:
         f"{name}: {described(record.columns, record.inputs)}; {len(record)} samples every "
         f"{record.sampling_time:.7g} s"
     )
+
+
+def check_file(path: str | Path, argument: str, other: str = "") -> None:
+    """Raise OSError where an argument must be a file, or one of `other` names, and is none."""
+    rule = f"{argument} must be a file{other}"
+    if not os.path.exists(path):
+        raise FileNotFoundError(f"{rule}, got {path}")
+    if os.path.isdir(path):
+        raise IsADirectoryError(f"{rule}, got the folder {path}")
 
 
 def read_file(path: str | Path, argument: str, needed: str = "", **options: Any) -> Record:
@@ -65,57 +110,6 @@ def read_file(path: str | Path, argument: str, needed: str = "", **options: Any)
     return record
 
 
-def check_file(path: str | Path, argument: str, other: str = "") -> None:
-    """Raise OSError where an argument must be a file, or one of `other` names, and is none."""
-    rule = f"{argument} must be a file{other}"
-    if not os.path.exists(path):
-        raise FileNotFoundError(f"{rule}, got {path}")
-    if os.path.isdir(path):
-        raise IsADirectoryError(f"{rule}, got the folder {path}")
-
-
-def _file(record: str, reading: RecordOptions, saved: SavedSettings | None) -> Record:
-    check_file(record, "RECORD", f" or one of {', '.join(RECORDS)}")
-    columns = None if reading.columns is None else names(reading.columns)
-    inputs = None if reading.inputs is None else names(reading.inputs)
-    needed = ""
-    if saved is not None and saved.columns:
-        needed = f"--settings is for {described(saved.columns, saved.inputs)}"
-        if inputs is None:
-            inputs = [name for name in saved.inputs if name not in (columns or ())]
-        if columns is None:
-            columns = [name for name in saved.columns if name not in inputs]
-    trajectory = read_file(
-        record,
-        "RECORD",
-        needed,
-        columns=columns or None,
-        inputs=inputs or (),
-        time_column=reading.time_column,
-        sampling_time=reading.sampling_time,
-        gaps=reading.gaps,
-    )
-    if trajectory.measured is not None:
-        missing = ~trajectory.complete
-        showing.console.print(
-            f"{record}: {missing.sum()} of {len(missing)} samples were not measured in whole, "
-            f"and are masked: {places(missing)}"
-        )
-    return trajectory
-
-
-def _named(record: str, reading: RecordOptions) -> Record:
-    for option, value in (
-        ("--columns", reading.columns),
-        ("--inputs", reading.inputs),
-        ("--time-column", reading.time_column),
-        ("--sampling-time", reading.sampling_time),
-    ):
-        if value is not None:
-            raise ValueError(f"{option} is for files; {record} is a named record, got {value}")
-    return RECORDS[record].make()
-
-
 def read_beside(
     path: str | Path, argument: str, sampling_time: float, time_column: str | None, **others: Any
 ) -> Record:
@@ -133,11 +127,13 @@ def read_beside(
 
 
 def like(record: Record, sampling_time: float, what: str) -> Record:
-    """The record at a sampling time from which its own differs by 1 % at most.
+    """Return the record at a sampling time from which its own differs by 1 % at most.
 
-    It is left as it is where both end within half a sample.
+    It is left as it is where it differs by more, and where both end within half a sample.
     """
-    if same_sampling(record.sampling_time, sampling_time, len(record)):
+    if not near_sampling(record.sampling_time, sampling_time) or same_sampling(
+        record.sampling_time, sampling_time, len(record)
+    ):
         return record
     showing.console.print(
         f"{what}: sampled every {record.sampling_time:.7g} s, interpolated to every "
@@ -146,32 +142,10 @@ def like(record: Record, sampling_time: float, what: str) -> Record:
     return resampled(record, sampling_time)
 
 
-def load_further(
-    files: Sequence[str] | None, option: str, record: Record, reading: RecordOptions
-) -> list[Record]:
-    """The records of --more or --test, with the columns of `record`."""
-    records = []
-    for file in files or []:
-        more = read_beside(
-            file,
-            option,
-            record.sampling_time,
-            reading.time_column,
-            columns=record.columns,
-            inputs=record.inputs,
-            gaps=reading.gaps,
-        )
-        announce(more, file)
-        if near_sampling(more.sampling_time, record.sampling_time):  # otherwise refused by `check`
-            more = like(more, record.sampling_time, file)
-        records.append(replace(more, name=file if option == "--more" else Path(file).stem))
-    return records
-
-
 def inputs_ahead(
     file: Path | None, known: Record, steps: int, time_column: str | None, since: int = 0
 ) -> npt.NDArray[np.float64] | None:
-    """Known inputs of the samples after a record, `(steps, nu)`, where there are any.
+    """Return known inputs of the samples after a record, `(steps, nu)`, where there are any.
 
     A named record without time stamps brings its own from the sample `since` on.
     """

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from pathlib import Path
 
-from splitband.cli.devices import check_device
-from splitband.cli.naming import names
 from splitband.cli.options.models import AUTO, ModelOptions
 from splitband.evaluation.saved_settings import SavedSettings
 from splitband.evaluation.search import Search
@@ -15,12 +13,22 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
 from splitband.training import Settings
 
+_DECIDES = "window", "epochs", "learning_rate", "lr_milestones", "recipe"
+"""Options that say how to train, so that nothing is left to be found out."""
+
+
+def names(text: str) -> list[str]:
+    """Return the parts of a comma-separated option."""
+    return [part.strip() for part in text.split(",") if part.strip()]
+
 
 def options_of(given: ModelOptions, cores: int, saved: SavedSettings | None = None) -> Options:
-    """What the options say, the rest as `saved`, or else left open.
+    """Return what the options say, the rest as `saved`, or else left open.
 
     `cores` are what a budget is spent on.
     """
+    search = _search(given, cores)
+    check_device(given.device)
     cutoff = None if given.cutoff == AUTO else given.cutoff
     bands = Bands(cutoff, given.order, given.downsampling)
     changes = {
@@ -35,7 +43,7 @@ def options_of(given: ModelOptions, cores: int, saved: SavedSettings | None = No
         high, low = _hidden(given.hidden)
         sizes = replace(sizes or Sizes(), hidden_high=high, hidden_low=low)
     if saved is None:
-        return Options(given.recipe, None, changes, bands, sizes, _search(given, cores))
+        return Options(given.recipe, None, changes, bands, sizes, search)
     said = {name: value for name, value in vars(bands).items() if value is not None}
     # What was found for one cut-off is not for another one.
     bands = bands if given.cutoff is not None else replace(saved.bands, **said)
@@ -43,36 +51,36 @@ def options_of(given: ModelOptions, cores: int, saved: SavedSettings | None = No
 
 
 def load_settings(path: Path | None, options: ModelOptions) -> SavedSettings | None:
-    """What --settings names; raises ValueError for options that it leaves nothing to."""
+    """Return what --settings names; raises ValueError for options that it leaves nothing to."""
     if path is None:
         return None
     if not path.is_file():
         raise FileNotFoundError(
             f"--settings must be a recommended.json that `compare` wrote, got {path}"
         )
-    for option, limit in (("--budget", options.budget), ("--effort", options.effort)):
-        if limit is not None:
+    for option, value in (("--budget", options.budget), ("--effort", options.effort)):
+        if value is not None:
             raise ValueError(
-                f"{option} is for finding out how to train, which --settings decides, got {limit}"
+                f"{option} is for finding out how to train, which --settings decides, got {value}"
             )
     if options.recipe != "default":
         raise ValueError(f"--recipe and --settings exclude each other, got {options.recipe}")
     return SavedSettings.read(path)
 
 
-def check_model_options(options: ModelOptions) -> None:
-    """Raise ValueError for what would be wrong with any record."""
-    _search(options, 1)
-    if options.hidden is not None:
-        _hidden(options.hidden)
-    if options.lr_milestones is not None:
-        _milestones(options.lr_milestones)
-    if options.device != "cpu":
-        check_device(options.device)
+def check_device(name: str) -> None:
+    """Raise ValueError, which names the option, for a device that is not there."""
+    import torch  # noqa: PLC0415  it has been loaded by now
+
+    try:
+        torch.zeros(1, device=name).item()
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        reason = str(error).splitlines()[0]
+        raise ValueError(f"--device must be one that is there, got {name}: {reason}") from None
 
 
 def seconds(duration: str, option: str = "--budget") -> float:
-    """Of a duration such as 90s, 10m or 1h; raises ValueError for another text."""
+    """Return the length of a duration such as 90s, 10m or 1h; raises ValueError for other text."""
     number, unit = duration.strip()[:-1], duration.strip()[-1:].lower()
     try:
         length = float(number) * {"s": 1, "m": 60, "h": 3600}[unit]
@@ -84,32 +92,24 @@ def seconds(duration: str, option: str = "--budget") -> float:
 
 
 def _search(options: ModelOptions, cores: int) -> Search | None:
-    """How much goes into finding out how to train; None where no option says so."""
-    said = {
-        "--window": options.window,
-        "--epochs": options.epochs,
-        "--learning-rate": options.learning_rate,
-        "--lr-milestones": options.lr_milestones,
-        "--recipe": None if options.recipe == "default" else options.recipe,
-    }
-    decided = [option for option, value in said.items() if value is not None]
+    """Return how much goes into finding out how to train; None where no option says so."""
     limits = {"--budget": options.budget, "--effort": options.effort}
-    limit = next((name for name, value in limits.items() if value is not None), None)
-    if None not in limits.values():
+    given = {option: value for option, value in limits.items() if value is not None}
+    if len(given) > 1:
         raise ValueError(
             "--budget and --effort exclude each other (the one limits the time, the other the "
-            f"work), got {options.budget} and {options.effort}"
+            f"work), got {' and '.join(given.values())}"
         )
-    if decided and limit is not None:
-        raise ValueError(
-            f"{limit} is for finding out how to train, which {decided[0]} decides, got "
-            f"{limits[limit]}"
-        )
+    decides = [name for name in _DECIDES if getattr(options, name) not in (None, "default")]
+    for option, value in given.items():
+        if decides:
+            raise ValueError(
+                f"{option} is for finding out how to train, which "
+                f"--{decides[0].replace('_', '-')} decides, got {value}"
+            )
     if options.effort is not None:
         return Search(seconds(options.effort, "--effort"))
-    if options.budget is not None:
-        return Search.within(seconds(options.budget), cores)
-    return None
+    return None if options.budget is None else Search.within(seconds(options.budget), cores)
 
 
 def _milestones(text: str) -> tuple[tuple[int, float], ...]:

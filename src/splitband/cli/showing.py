@@ -20,12 +20,12 @@ from rich.table import Table
 from rich.text import Text
 
 from splitband.evaluation.budget import TimeBudget
-from splitband.evaluation.protocols import Runs
 from splitband.evaluation.work import RunProgress
 from splitband.metrics import Extrapolation, ExtrapolationWarning
 from splitband.report.table import NOTES, Column
 from splitband.runtime.deadlines import now
 from splitband.runtime.files import to_json
+from splitband.runtime.outputs import FACTS
 
 console = Console(
     soft_wrap=not sys.stdout.isatty(),
@@ -91,10 +91,12 @@ def as_json(facts: object) -> None:
         print(to_json(facts), file=_mode.results)
 
 
-def results_file(path: Path) -> None:
-    """Print a file of results, if these are wanted as JSON."""
+def results_of(out: Path, page: bool = True) -> None:
+    """Print where the page of a result is, or all of the result if that is wanted as JSON."""
+    if page:
+        console.print(f"page: {out / 'report.html'}")
     if _mode.results is not None:
-        print(path.read_text(encoding="utf-8").rstrip(), file=_mode.results)
+        print((out / FACTS).read_text(encoding="utf-8").rstrip(), file=_mode.results)
 
 
 def methods(
@@ -113,7 +115,11 @@ def methods(
     while True:
         of = [[c for c in listed if (c.heading, c.record) == each] for each in headings]
         table = _table(title, of, channels, [*said], recommended)
-        if len(headings) == 1 or _width(table) <= console.width:
+        everywhere = console.options.update(width=10_000)
+        if (
+            len(headings) == 1
+            or Measurement.get(console, everywhere, table).maximum <= console.width
+        ):
             break
         left_out.append(headings.pop()[0])
     console.print(table)
@@ -145,44 +151,30 @@ def _table(
         header = textwrap.fill(heading, max(widest, 9), break_long_words=False)
         table.add_column(header, justify="right", no_wrap=True)
     for name in names:
-        cells = [_lines(of_heading, name) for of_heading in listed]
-        if channels:
-            cells.insert(0, Text("\n".join(channels)))
+        cells = [Text("\n".join(channels))] if channels else []
+        for of_heading in listed:
+            lines = [Text(c.entry(name), "bold" if c.best == name else "") for c in of_heading]
+            cells.append(Text("\n").join(lines))
         mark = "* " if name == recommended else "  "
         table.add_row(Text(mark + name, style="bold" if mark.strip() else ""), *cells)
     return table
 
 
-def _width(table: Table) -> int:
-    """Return how wide a table is where it has all the room there is."""
-    return Measurement.get(console, console.options.update(width=10_000), table).maximum
-
-
-def _lines(of_channels: Sequence[Column], method: str) -> Text:
-    """Return a cell: a line for each channel."""
-    said = [
-        Text(column.entry(method), style="bold" if column.best == method else "")
-        for column in of_channels
-    ]
-    return Text("\n").join(said)
-
-
 @contextmanager
 def progress(
-    label: str = "training",
-    time: TimeBudget | None = None,
-    said: str = "",
-    total: int | None = None,
+    label: str, time: TimeBudget, checkpoints: Path
 ) -> Iterator[Callable[[RunProgress], None]]:
-    """One bar for the whole command, with the phase by name; silent where nobody watches.
+    """Show one bar for the whole command, with the phase by name; nothing where nobody watches.
 
-    It shows what is done by reckoned costs, the time that has passed since the command began, and
-    what remains by both: no more than is left until the deadline. Where there are a `total`
-    of trainings, it shows their share. What is `said` is printed first.
+    It shows what is done by estimated costs, the time that has passed since the command began, and
+    what remains by both: no more than is left until the deadline. Before that it says how many
+    trainings are kept that an earlier command has left among the `checkpoints`.
     """
-    watched = sys.stderr.isatty() and not console.quiet
-    if said and not console.quiet:
-        Console(stderr=True).print(said, markup=False, highlight=False)
+    # What begins with a dot was being written when a command was killed.
+    if kept := len([p for p in checkpoints.rglob("*.safetensors") if p.name[0] != "."]):
+        said = f"resuming: {kept} training{'s' if kept != 1 else ''} kept"
+        if not console.quiet:
+            Console(stderr=True).print(said, markup=False, highlight=False)
     # What is done now comes last and is cut where the terminal ends: it may be longer than a line.
     bar = Progress(
         TextColumn(label),
@@ -196,64 +188,37 @@ def progress(
         console=Console(stderr=True),
         expand=True,
         transient=True,
-        disable=not watched,
+        disable=console.quiet or not sys.stderr.isatty(),
     )
-    began = now() if time is None else time.began
     with bar:
-        whole = bar.add_task("", total=1.0, times=_clock(now() - began))
-        shares: dict[tuple[str, str, int], float] = {}
+        whole = bar.add_task("", total=1.0, times=_clock(now() - time.began))
         reached = 0.0
 
         def update(at: RunProgress) -> None:
             nonlocal reached
-            shares[at.stage, at.method, at.seed] = at.share
-            share = at.overall if total is None else sum([*shares.values()]) / total
-            reached = max(reached, share)
-            elapsed = now() - began
-            remains = elapsed * (1 / reached - 1) if reached else None
-            if remains is not None and time is not None and time.limited:
-                remains = min(remains, max(time.deadline.left, 0.0))
-            bar.update(
-                whole,
-                completed=reached,
-                description=": ".join(filter(None, (at.stage, at.method))),
-                times=_clock(elapsed) + _left(remains),
-            )
+            reached = max(reached, at.overall)
+            elapsed = now() - time.began
+            times = _clock(elapsed)
+            if reached:
+                remains = elapsed * (1 / reached - 1)
+                if time.limited:
+                    remains = min(remains, max(time.deadline.left, 0.0))
+                times += f", {_clock(remains)} left" if remains >= 1 else ", finishing"
+            said = ": ".join(filter(None, (at.stage, at.method)))
+            bar.update(whole, completed=reached, description=said, times=times)
 
         yield update
 
 
-def kept(checkpoints: Path) -> str:
-    """What is said where a command goes on from what an earlier one has left; else nothing."""
-    # What begins with a dot was being written when a command was killed.
-    count = len([path for path in checkpoints.rglob("*.safetensors") if path.name[0] != "."])
-    return f"resuming: {count} training{'s' if count != 1 else ''} kept" if count else ""
-
-
-def _left(seconds: float | None) -> str:
-    """Words for the time that remains; after the deadline only what has begun is finished."""
-    if seconds is None:
-        return ""
-    return f", {_clock(seconds)} left" if seconds >= 1 else ", finishing"
-
-
 def _clock(seconds: float) -> str:
-    """Minutes and seconds."""
     return f"{int(seconds) // 60}:{int(seconds) % 60:02}"
 
 
 def warn_of_inputs(extrapolations: Sequence[Extrapolation], names: Sequence[str]) -> None:
-    """Say which inputs of what is predicted go beyond their range in training."""
+    """Print which inputs of what is predicted go beyond their range in training."""
     for beyond in extrapolations:
         named = names[beyond.channel] if beyond.channel < len(names) else ""
         warn(beyond.describe(named))
-
-
-def warn_of_trainings(runs: Runs) -> None:
-    """Say what a training was not good for, each thing once."""
-    for name, of_method in runs.items():
-        for note in dict.fromkeys(note for run in of_method for note in run.fit.notes):
-            warn(f"{name}: {note}")
 
 
 @contextmanager
@@ -265,14 +230,14 @@ def without_warnings() -> Iterator[None]:
 
 
 def ordinal(k: int) -> str:
-    """1st, 2nd..."""
+    """Return 1st, 2nd..."""
     suffix = {1: "st", 2: "nd", 3: "rd"}.get(k % 10 if k % 100 not in (11, 12, 13) else 0, "th")
     return f"{k}{suffix}"
 
 
 @contextmanager
 def warnings_as_lines() -> Iterator[None]:
-    """Warnings of the library in lines of the command."""
+    """Print warnings of the library as lines of the command."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         yield

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from splitband.cli import devices, records, showing
+from splitband.cli import records, setups, showing
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Device
-from splitband.cli.options.records import FutureInputs, GapsOption, TimeColumn
+from splitband.cli.options.records import FutureInputs, GapsOption, ModelArgument, TimeColumn
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import adjustable, opened_simulator
 from splitband.data import Record
@@ -27,14 +27,7 @@ from splitband.simulators import Recorded
 
 @with_groups
 def simulate(
-    model_dir: Annotated[
-        Path,
-        typer.Argument(
-            metavar="MODEL_DIR",
-            help="What `fit` wrote, or `compare` and `forecast` (OUT/model).",
-            show_default=False,
-        ),
-    ],
+    model_dir: ModelArgument,
     steps: Annotated[
         int, typer.Option(min=1, help="Samples to simulate after them.", show_default=False)
     ],
@@ -98,7 +91,8 @@ def simulate(
     by_time = forecaster.anchored or simulator.simulator is not None
     if history and by_time and not other_run and (begins := fitted.beginning(past)):
         showing.console.print(begins)
-    forecaster = devices.on_device(forecaster, device)
+    setups.check_device(device)
+    forecaster.to(device)
     with showing.without_warnings():
         found = forecaster.predict(
             steps, past if history else None, u, level=level, other_record=other_run

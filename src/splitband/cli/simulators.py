@@ -1,4 +1,4 @@
-"""The `--simulator` option: a file or a name becomes the record's simulated trajectory."""
+"""What --simulator names: a file or a name becomes the record's simulated trajectory."""
 
 from __future__ import annotations
 
@@ -6,20 +6,21 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
 from splitband.cli import showing
-from splitband.cli.naming import names
-from splitband.cli.options.records import FurtherRecords, RecordOptions, TestRecords
+from splitband.cli.options.records import RecordOptions
 from splitband.cli.options.simulators import SimulatorOptions
-from splitband.cli.records import read_beside
+from splitband.cli.records import announce, like, read_beside
+from splitband.cli.setups import names
 from splitband.data import Grid, Record
 from splitband.data.named import RECORDS
 from splitband.data.timing import in_words
-from splitband.forecasters.names import BASES, HYBRIDS, NAMES
+from splitband.forecasters.names import BASES
 from splitband.simulators import Recorded, Simulator, SimulatorTimeoutError, run
 from splitband.simulators.calibration import samples_needed
 from splitband.simulators.isolation import Isolated, named_in
@@ -29,6 +30,8 @@ from splitband.simulators.parameters import Parameters
 from splitband.simulators.shooting import Adjustable
 from splitband.simulators.sources import defines_function
 
+AnyOptions = TypeVar("AnyOptions", bound=SimulatorOptions)
+
 
 def with_simulator(
     record: Record,
@@ -37,7 +40,7 @@ def with_simulator(
     ahead: int = 0,
     beyond: bool = False,
 ) -> Record:
-    """The record with the trajectory of the simulator that the options name.
+    """Return the record with the trajectory of the simulator that the options name.
 
     It has to reach `ahead` samples beyond the record. `beyond` asks for more, for its calibration;
     one that cannot say more is taken as it is. `reading` says how the record was read.
@@ -49,14 +52,18 @@ def with_simulator(
         simulator = record.name  # run a named record's own simulator for longer
     if simulator is None or simulator in BASES:
         return record
-    opened = opened_simulator(replace(options, simulator=simulator), record, reading.time_column)
+    options = replace(options, simulator=simulator)
+    opened = opened_simulator(options, record, reading.time_column)
     least = len(record) + ahead
     samples = samples_needed(least, len(record)) if beyond else least
     grid = Grid(record.start, record.sampling_time, samples)
     if isinstance(opened, Recorded):
         samples = min(samples, max(least, opened.reach(grid)))
     elif grid.start:
-        showing.console.print(f"{simulator} is run on {_times(grid)}")
+        times = f"the record's time stamps, {grid}"
+        if isinstance(grid.start, pd.Timestamp):
+            times = f"seconds since the record's first sample, {in_words(grid.start)}"
+        showing.console.print(f"{simulator} is run on {times}")
     try:
         y_sim = _simulated(opened, options, replace(grid, samples=samples), record.ny)
     except ValueError as error:
@@ -65,15 +72,6 @@ def with_simulator(
         y_sim = _simulated(opened, options, replace(grid, samples=least), record.ny)
     rest = y_sim[len(record) :]
     return replace(record, y_sim=y_sim[: len(record)], beyond=rest if len(rest) else None)
-
-
-def refuse_bases(options: SimulatorOptions, command: str) -> None:
-    """Raise ValueError for what is fitted to a record, where only a simulator is of use."""
-    if options.simulator in BASES:
-        raise ValueError(
-            f"--simulator must be a simulator for {command}; got {options.simulator}, which is "
-            "fitted to the record: for compare, fit and forecast"
-        )
 
 
 def _simulated(
@@ -90,55 +88,52 @@ def _simulated(
     return run(opened, grid.samples, grid.step, ny, within, cache, name, grid.start)
 
 
-def each_with_simulator(
-    records: Sequence[Record],
-    methods: Sequence[str],
-    further: FurtherRecords,
-    options: SimulatorOptions,
+def load_further(
+    option: str,
+    files: Sequence[str] | None,
+    simulators: Sequence[str] | None,
+    record: Record,
     reading: RecordOptions,
-) -> list[Record]:
-    """The records of --more, with their simulators where a method is a hybrid model."""
-    simulators = further.more_simulator or []
-    hybrid = any(method in HYBRIDS for method in methods)
-    if (hybrid or simulators) and len(simulators) != len(records):
-        raise ValueError(
-            f"--more-simulator must be given once for each --more, got {len(simulators)} for "
-            f"{len(records)}"
-        )
-    if not simulators:
-        return [*records]
-    beyond = not hybrid or any(NAMES[method].calibrates for method in methods)
-    return [
-        with_simulator(record, replace(options, simulator=simulator), reading, beyond=beyond)
-        for record, simulator in zip(records, simulators, strict=True)
-    ]
-
-
-def tests_with_simulator(
-    tests: Sequence[Record],
-    testing: TestRecords,
     options: SimulatorOptions,
-    reading: RecordOptions,
+    needed: bool = False,
+    beyond: bool = True,
 ) -> list[Record]:
-    """The records of --test, each with its simulator where there is one."""
-    simulators = testing.test_simulator or []
-    if simulators and len(simulators) != len(tests):
+    """Return the records of --more or --test (`option`), with the columns of `record`.
+
+    Where there are `simulators`, or they are `needed`, each record has its own, which `beyond` asks
+    for more than its length.
+    """
+    files, simulators = files or [], simulators or []
+    if (simulators or needed) and len(simulators) != len(files):
         raise ValueError(
-            f"--test-simulator must be given once for each --test, got {len(simulators)} for "
-            f"{len(tests)}"
+            f"{option}-simulator must be given once for each {option}, got {len(simulators)} for "
+            f"{len(files)}"
         )
-    if not simulators:
-        return [*tests]
-    return [
-        with_simulator(test, replace(options, simulator=simulator), reading, beyond=True)
-        for test, simulator in zip(tests, simulators, strict=True)
-    ]
+    found = []
+    for i, file in enumerate(files):
+        more = read_beside(
+            file,
+            option,
+            record.sampling_time,
+            reading.time_column,
+            columns=record.columns,
+            inputs=record.inputs,
+            gaps=reading.gaps,
+        )
+        announce(more, file)
+        more = like(more, record.sampling_time, file)
+        more = replace(more, name=file if option == "--more" else Path(file).stem)
+        if simulators:
+            own = replace(options, simulator=simulators[i])
+            more = with_simulator(more, own, reading, beyond=beyond)
+        found.append(more)
+    return found
 
 
 def opened_simulator(
     options: SimulatorOptions, record: Record, time_column: str | None = None
 ) -> Simulator:
-    """What --simulator names; of a file with the columns that --simulator-columns chooses."""
+    """Return what --simulator names, with the columns that --simulator-columns chooses."""
     text, timeout = options.simulator or "", options.simulator_timeout
     if not math.isfinite(timeout):
         raise ValueError(f"--simulator-timeout must be a number of seconds, got {timeout:g}")
@@ -160,16 +155,26 @@ def opened_simulator(
         if not Path(each).is_file():
             raise FileNotFoundError(f"--simulator-reads must be a file, got {each}")
     cache = None if options.simulator_cache is None else str(options.simulator_cache)
-    if function:
-        return Isolated(file, function, timeout=timeout, reads=reads, cache=cache)
-    if text.lower().endswith(".fmu"):
-        outputs = tuple(columns)
-        return Isolated(file, outputs=outputs, timeout=timeout, reads=reads, cache=cache)
-    return _exported(text, record, columns, time_column)
+    if function or text.lower().endswith(".fmu"):
+        outputs = () if function else tuple(columns)
+        return Isolated(file, function or None, outputs, timeout, reads, cache)
+    exported = read_beside(
+        text, "--simulator", record.sampling_time, time_column, columns=columns or None
+    )
+    y = exported.y
+    if not columns and set(record.columns) <= set(exported.columns):
+        y = y[:, [exported.columns.index(name) for name in record.columns]]
+    if y.shape[1] != record.ny:
+        raise ValueError(
+            f"--simulator-columns must choose {record.ny} column(s), as many as the record has, "
+            f"out of {', '.join(exported.columns)} in {text}"
+        )
+    name = f"simulator {text}: the exported trajectory"
+    return Recorded(y, exported.sampling_time, exported.start, name)
 
 
-def with_own_parameters(options: SimulatorOptions) -> SimulatorOptions:
-    """The options as if --parameters were given, where FILE.py:NAME is an `sb.Ode` with its own."""
+def with_own_parameters(options: AnyOptions) -> AnyOptions:
+    """Return the options, with --parameters where FILE.py:NAME is an `sb.Ode` with its own."""
     file, name = parts_of(options.simulator or "")
     known = options.parameters is not None or defines_function(file, name)
     if known or not name or not Path(file).is_file():
@@ -179,7 +184,7 @@ def with_own_parameters(options: SimulatorOptions) -> SimulatorOptions:
 
 
 def adjustable(options: SimulatorOptions) -> Adjustable | None:
-    """The simulator whose parameters are fitted; None without --parameters."""
+    """Return the simulator whose parameters are fitted; None without --parameters."""
     if options.parameters is None:
         return None
     file, function = parts_of(options.simulator or "")
@@ -195,31 +200,6 @@ def adjustable(options: SimulatorOptions) -> Adjustable | None:
 
 
 def parts_of(simulator: str) -> tuple[str, str]:
-    """The file of a simulator, and the function of FILE.py:FUNCTION or an empty text."""
+    """Return the file of a simulator, and the function of FILE.py:FUNCTION or an empty text."""
     file, _, function = simulator.partition(".py:")
     return file + (".py" if function else ""), function
-
-
-def _times(grid: Grid) -> str:
-    """What a function or an FMU is called with, for its user."""
-    if isinstance(grid.start, pd.Timestamp):
-        return f"seconds since the record's first sample, {in_words(grid.start)}"
-    return f"the record's time stamps, {grid}"
-
-
-def _exported(path: str, record: Record, columns: list[str], time_column: str | None) -> Simulator:
-    exported = read_beside(
-        path, "--simulator", record.sampling_time, time_column, columns=columns or None
-    )
-    if not columns and set(record.columns) <= set(exported.columns):
-        columns = list(record.columns)
-        y = exported.y[:, [exported.columns.index(name) for name in columns]]
-    else:
-        y = exported.y
-    if y.shape[1] != record.ny:
-        raise ValueError(
-            f"--simulator-columns must choose {record.ny} column(s), as many as the record has, "
-            f"out of {', '.join(exported.columns)} in {path}"
-        )
-    name = f"simulator {path}: the exported trajectory"
-    return Recorded(y, exported.sampling_time, exported.start, name)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 import numpy.typing as npt
 import typer
-from rich.table import Table
+from rich.table import Column, Table
 
 from splitband.cli import records, setups, showing
 from splitband.cli.comparing import arguments
@@ -17,12 +17,13 @@ from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Cutoff, ModelOptions, Order
 from splitband.cli.options.records import RecordArgument, RecordOptions
 from splitband.cli.options.simulators import SimulatorOptions
-from splitband.cli.simulators import refuse_bases, with_simulator
+from splitband.cli.simulators import with_simulator
 from splitband.cli.usage import usage
 from splitband.data import Record
 from splitband.data.named import RECORDS
 from splitband.evaluation.plan import TRAINING_SHARE, check_train
 from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
+from splitband.forecasters.names import BASES
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import rmse
 from splitband.report import page, pictures
@@ -56,54 +57,56 @@ def spectrum(
     that of its tables where --cutoff does not say auto. `compare --test` trains on the whole
     record: for its cut-off give --train the number of all samples.
     """
-    refuse_bases(simulator, "spectrum")
-    trajectory = records.load_record(record, reading)
-    trajectory = with_simulator(trajectory, simulator, reading, beyond=True)
-    model = ModelOptions(cutoff=cutoff, order=order)
+    if simulator.simulator in BASES:
+        raise ValueError(
+            f"--simulator must be a simulator for spectrum; got {simulator.simulator}, which is "
+            "fitted to the record: for compare, fit and forecast"
+        )
+    whole = with_simulator(records.load_record(record, reading), simulator, reading, beyond=True)
     trained = train or (RECORDS[record].train if record in RECORDS else None)
-    trained = trained or int(TRAINING_SHARE * len(trajectory))
-    check_train(trajectory, trained, 0)
-    setup = setups.options_of(model, 1).decided(trajectory, trained)
-    trajectory = trajectory[:train]
-    rate = trajectory.sampling_rate
-    measured_spectrum = periodogram(trajectory.y, rate)
-    training_spectrum = periodogram(trajectory.y[: setup.train], rate)
+    trained = trained or int(TRAINING_SHARE * len(whole))
+    check_train(whole, trained, 0)
+    setup = setups.options_of(ModelOptions(cutoff, order), 1).decided(whole, trained)
+    shown = whole[:train]
+    rate = shown.sampling_rate
+    measured_spectrum = periodogram(shown.y, rate)
+    training_spectrum = periodogram(shown.y[: setup.train], rate)
     pair = setup.bands.pair(rate)
     chosen, choice = float(setup.bands.cutoff or 0.0), setup.bands.choice
-    low, high = pair.split(trajectory.y)
+    low, high = pair.split(shown.y)
     facts: dict[str, Any] = {
-        "record": trajectory.name,
+        "record": shown.name,
         "sampling_rate": rate,
         "cutoff": chosen,
         "order": pair.order,
         "train": setup.train,
         "share_below": training_spectrum.share_below(chosen),
         "choice": None if choice is None else asdict(choice),
-        "reconstruction_rmse": rmse(trajectory.y, low + high),
+        "reconstruction_rmse": rmse(shown.y, low + high),
         "peaks": [{"frequency": f, "share": s} for f, s in measured_spectrum.peaks()],
     }
-    _show_peaks(trajectory, facts)
-    if trajectory.y_sim is not None:
-        facts["simulator"] = _show_simulator(trajectory, trajectory.y_sim, chosen, pair.order)
-        training = trajectory[: setup.train]
+    _show_peaks(shown, facts)
+    if shown.y_sim is not None:
+        facts["simulator"] = _show_simulator(shown, shown.y_sim, chosen, pair.order)
+        training = shown[: setup.train]
         facts["simulator"]["training"] = _warn_of_nothing_to_learn(training, chosen, pair.order)
     if choice is not None:
         showing.console.print(
             f"by the first {setup.train} samples, the low band kept at every "
             f"{showing.ordinal(setup.bands.downsampling or 1)} sample: {choice.reason}"
         )
-    drawn = pictures.spectrum(trajectory, measured_spectrum, chosen, choice)
-    report = page.SpectrumReport(trajectory, chosen, choice, facts)
+    drawn = pictures.spectrum(shown, measured_spectrum, chosen, choice)
+    report = page.SpectrumReport(shown, chosen, choice, facts)
     with staged(out) as new:
         pictures.save(drawn, new / "spectrum.png")
         page.of_spectrum(report, new / page.NAME, usage("spectrum", arguments(context.params)))
         write_facts(new, facts)
-    showing.console.print(f"picture: {out / 'spectrum.png'}\npage: {out / page.NAME}")
-    showing.results_file(out / "results.json")
+    showing.console.print(f"picture: {out / 'spectrum.png'}")
+    showing.results_of(out)
 
 
 def _warn_of_nothing_to_learn(record: Record, cutoff: float, order: int) -> dict[str, Any]:
-    """The oracle check of the training samples, and where it says so that of a calibrated one."""
+    """Return the oracle check of training samples, and of a calibrated simulator where it fails."""
     assert record.y_sim is not None
     rate = record.sampling_rate
     found = oracle(record.y, record.y_sim, rate, cutoff, order, record.seen)
@@ -126,9 +129,10 @@ def _warn_of_nothing_to_learn(record: Record, cutoff: float, order: int) -> dict
 
 
 def _show_peaks(record: Record, facts: dict[str, Any]) -> None:
-    table = Table(title=f"{record.name}: strongest peaks", title_justify="left")
-    for heading in ("frequency (Hz)", "period (s)", "share of power"):
-        table.add_column(heading, justify="right")
+    headings = [
+        Column(h, justify="right") for h in ("frequency (Hz)", "period (s)", "share of power")
+    ]
+    table = Table(*headings, title=f"{record.name}: strongest peaks", title_justify="left")
     for peak in facts["peaks"]:
         frequency, share = peak["frequency"], peak["share"]
         table.add_row(f"{frequency:.4g}", f"{1 / frequency:.4g}", f"{share:.1%}")
@@ -150,9 +154,9 @@ def _show_simulator(
     cutoffs = sorted({*oracle_cutoffs(len(record), rate), cutoff})
     checks = [oracle(record.y, y_sim, rate, c, order, record.seen) for c in cutoffs]
     title = f"oracle check of the hybrid model; the simulator itself has RMSE {total:.4f}"
-    table = Table(title=title, title_justify="left")
-    for heading in ("cut-off (Hz)", "H(record) + L(simulator)", "L(simulator) alone"):
-        table.add_column(heading, justify="right")
+    headings = "cut-off (Hz)", "H(record) + L(simulator)", "L(simulator) alone"
+    columns = [Column(heading, justify="right") for heading in headings]
+    table = Table(*columns, title=title, title_justify="left")
     for check in checks:
         style = "bold" if check.cutoff == cutoff else ""
         values = (check.perfect_network, check.no_network)

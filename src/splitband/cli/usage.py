@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from splitband.cli.naming import FITTED
 from splitband.cli.options.simulators import PATIENCE
 from splitband.data.named import RECORDS
 from splitband.evaluation.plan import Plan
@@ -22,7 +21,6 @@ _FIT = (
     "more_simulator", "cutoff", "order", "downsampling", "warmup", "window", "epochs", "recipe",
     "learning_rate", "lr_milestones", "hidden", "budget", "effort", "settings", "device",
 )  # fmt: skip
-_FORECAST = (*_FIT[:13], "epochs", "budget", "effort", "settings", "device")
 _SIMULATE = (
     "simulator", "simulator_columns", "simulator_timeout", "simulator_cache", "simulator_reads",
     "time_column",
@@ -70,18 +68,14 @@ def usage(
     found = found_in(model, out)
     if found is not None:
         given = {k: v for k, v in given.items() if k not in _FOUND} | {"settings": str(found)}
-    if model.name in FITTED:
+    if model.name in NAMES:
         end = [f"--method {model.name}", f"--out {shlex.quote(str(out / 'model-of-all'))}"]
         fit = _line("splitband fit", given, ["record", *_FIT], end)
         commands.append(("Fit it to the whole record", fit))
-        if model.name in TRAINED or not model.parameters:  # a user's equation runs in Python alone
+        # A simulator, or a user's equation, stays outside of what is exported.
+        if model.name in TRAINED or not ("simulator" in model.needs or model.parameters):
             export = f"splitband export {shlex.quote(str(out / MODEL))} model.fmu"
             commands.append(("Export it: .fmu for Simulink, .c for a controller, .onnx", export))
-    elif model.name in NAMES:
-        end = [f"--method {model.name}", f"--steps {STEPS}"]
-        end += ["--future-inputs FILE"] if plan.record.nu else []
-        forecast = _line("splitband forecast", given, ["record", *_FORECAST], end)
-        commands.append(("Fit it to the whole record, and forecast what comes next", forecast))
     if given.get("test") and "simulator" not in model.needs:
         tested = shlex.quote(str(given["test"][0]))
         checked = f"splitband check {shlex.quote(str(out / MODEL))}"

@@ -1,6 +1,6 @@
 """How the time of a comparison is spent: until when it must be done, what is left, what it took.
 
-Costs of trainings are reckoned in seconds of a reference core (`evaluation.costs`). What such a
+Costs of trainings are estimated in seconds of a reference core (`evaluation.costs`). What such a
 second takes on this machine, with whatever else runs on it, is measured by the trainings of the
 same run, so that a busy machine is known to be slower.
 """
@@ -34,17 +34,13 @@ BUSY = 0.8
 """Share of the time of all cores that trainings side by side make use of."""
 SUPPOSED = 5.0
 """Seconds of a reference core of trainings that count as much as what was supposed of the pace."""
+NAMED = 6
+"""Changes by the clock that are named in a line."""
 
 
 @dataclass
 class Phase:
-    """A part of a command.
-
-    Attributes
-    ----------
-    used : Seconds that it took.
-    planned : Seconds that it could take when it began; None without a deadline.
-    """
+    """A part of a command: seconds that it `used`, and could when it began, if that was limited."""
 
     used: float = 0.0
     planned: float | None = None
@@ -65,15 +61,15 @@ class Pace:
     trained: float = SUPPOSED
     asking: float = 0.0
 
-    def measured(self, reckoned: float, took: float, asking: float = 0.0) -> None:
-        """Learn from a training that was reckoned to take some time, and took another.
+    def measured(self, estimated: float, took: float, asking: float = 0.0) -> None:
+        """Learn from a training that was estimated to take some time, and took another.
 
         The pace is that of all trainings together: in a short one much else is counted, such as the
         start of a process. For the same reason the quickest answer tells how long `asking` takes.
         """
-        if reckoned > 0:
-            self.seconds = (self.trained * self.seconds + took) / (self.trained + reckoned)
-            self.trained += reckoned
+        if estimated > 0:
+            self.seconds = (self.trained * self.seconds + took) / (self.trained + estimated)
+            self.trained += estimated
             self.asking = min(self.asking, asking) if self.asking else asking
 
 
@@ -124,17 +120,17 @@ class TimeBudget:
 
     @property
     def limited(self) -> bool:
-        """Whether there is a deadline at all."""
+        """Return whether there is a deadline at all."""
         return self.deadline != Deadline()
-
-    def allows_processes(self, until: Deadline) -> bool:
-        """Whether there is time for other processes to start, which takes as long as this one."""
-        return until.left > PROCESSES * self.phases.get(START, Phase()).used
 
     @property
     def reproducible(self) -> bool:
-        """Whether the clock has changed nothing: the same command finds the same again."""
+        """Return whether the clock has changed nothing: the same command finds the same again."""
         return not self.left_out and not self.cut
+
+    def allows_processes(self, until: Deadline) -> bool:
+        """Return whether there is time to start other processes, which take as long as this one."""
+        return until.left > PROCESSES * self.phases.get(START, Phase()).used
 
     def share(self, share: float) -> Deadline:
         """Return when so large a share of the time that is left now will be over."""
@@ -142,11 +138,11 @@ class TimeBudget:
             self.deadline.earlier((1 - share) * self.deadline.left) if self.limited else Deadline()
         )
 
-    def reckoned(self, until: Deadline) -> float:
+    def work_until(self, until: Deadline) -> float:
         """Return how many seconds of a reference core all cores together have until then."""
         return max(BUSY * self.cores * until.left / self.pace.seconds, 0.0)
 
-    def reckoned_alone(self, until: Deadline) -> float:
+    def work_of_one(self, until: Deadline) -> float:
         """Return the same of a single training."""
         return max(until.left / self.pace.seconds, 0.0)
 
@@ -154,6 +150,13 @@ class TimeBudget:
         """Note what the clock has changed, once."""
         if what not in self.cut:
             self.cut.append(what)
+
+    def leave_out(self, name: str, what: str, takes: float, until: Deadline) -> None:
+        """Note a method for whose trial or training there is no time; it `takes` these seconds."""
+        self.left_out[name] = (
+            f"left out: its {what} takes about {takes:.0f} s here, and {max(until.left, 0):.0f} s "
+            "were left for it"
+        )
 
     @contextmanager
     def phase(self, name: str, until: Deadline | None = None) -> Iterator[None]:
@@ -170,7 +173,7 @@ class TimeBudget:
             phase.used += now() - began
 
     def as_json(self) -> dict[str, Any]:
-        """What result files say of it: what was limited, what was asked for, and what was used."""
+        """Return what result files say: what was limited, what was asked for, what was used."""
         seconds, work = self.asked
         limited = "nothing" if work is None else "work" if seconds is None else "time"
         return {
@@ -187,3 +190,25 @@ class TimeBudget:
             "changed_by_the_clock": [*self.cut],
             "left_out": dict(self.left_out),
         }
+
+    def in_words(self) -> str:
+        """Return a line: what was planned and used, and what the clock has changed."""
+        phases = ", ".join(
+            f"{name} {phase.used:.0f}"
+            + ("" if phase.planned is None else f" of {phase.planned:.0f}")
+            for name, phase in self.phases.items()
+        )
+        wall, work = self.asked
+        of_wall = "" if wall is None else f" of {wall:.0f}"
+        said = f"time: {now() - self.began:.0f}{of_wall} s ({phases})"
+        if wall is None and work is not None:
+            said += f", not limited; the work was, to {work:.0f} s of a reference core"
+        if self.reproducible:
+            return said
+        changed = [*self.cut, *(f"{name} left out" for name in self.left_out)]
+        listed = ", ".join(changed[:NAMED])
+        listed += f" and {len(changed) - NAMED} more" if len(changed) > NAMED else ""
+        return (
+            f"{said}\nthe clock changed what was done ({listed}): another run may find something "
+            "else; a longer --budget avoids that, --effort limits the work in place of the time"
+        )

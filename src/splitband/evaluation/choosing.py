@@ -17,15 +17,15 @@ from splitband.evaluation.budget import BASE, BASELINES, SEARCH
 from splitband.evaluation.budget import TRIAL as TRIAL_OVER
 from splitband.evaluation.costs import job_cost, training_cost
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.search import SEEDS, SearchAttempt, SearchResult, search
+from splitband.evaluation.search import SEEDS, SearchResult, search
 from splitband.evaluation.selection import MOST_TRIAL_SEEDS, WORTH_TRAINING, Trial, try_out
+from splitband.evaluation.trials import SearchAttempt
 from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import HELD_OUT, Origin, Question, held_out_from
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASES, with_base
+from splitband.forecasters.network import Network
 
-ON_BASELINE = "on a baseline"
-"""The stage in which a network on top of a baseline is tried."""
 TRIAL = "held-out fit"
 """The stage in which methods are fitted to three quarters of the training part."""
 AFTER_BASELINES, AFTER_SEARCH, AFTER_TRIAL = 0.1, 0.6, 0.7
@@ -33,24 +33,19 @@ AFTER_BASELINES, AFTER_SEARCH, AFTER_TRIAL = 0.1, 0.6, 0.7
 
 
 def choose(plan: Plan, work: Work) -> tuple[Trial, SearchResult]:
-    """How networks are to be trained, and what all methods do on held-out samples.
-
-    No measured sample after the training part is looked at.
-    """
+    """Return what all methods do on held-out samples, and how networks are to be trained."""
     record, others, ahead, setup = plan.training, plan.others, plan.horizon, plan.setup
     quick = [f for f in plan.methods if not f.random]
     slow = [f for f in plan.methods if f.random]
-    time, tried = work.time, range(SEEDS if plan.seeds is None else plan.seeds)[:MOST_TRIAL_SEEDS]
-    trial = None
+    time, seeds = work.time, range(SEEDS if plan.seeds is None else plan.seeds)[:MOST_TRIAL_SEEDS]
+    trial, searched = Trial(), SearchResult([*plan.methods])
     if quick:
         until = time.share(BASELINES if slow else TRIAL_OVER)
         stage = work.for_stage(TRIAL, until, (0.0, AFTER_BASELINES))
         stage = stage if time.allows_processes(until) else stage.alone()
         with time.phase("baselines", until):
-            trial = try_out(record, quick, ahead, tried, stage, others, need_one=not slow)
-    searched = SearchResult([*plan.methods])
+            trial = try_out(record, quick, ahead, seeds, stage, others, need_one=not slow)
     if not slow:
-        assert trial is not None
         return trial, searched
     searching, trying, basing = time.share(SEARCH), time.share(TRIAL_OVER), time.share(BASE)
     if setup.search is not None:
@@ -59,70 +54,61 @@ def choose(plan: Plan, work: Work) -> tuple[Trial, SearchResult]:
             searched = search(record, plan.methods, ahead, setup.search, stage, others)
     stage = work.for_stage(TRIAL, trying, (AFTER_SEARCH, AFTER_TRIAL))
     with time.phase("trial", trying):
-        needed = trial is None or not trial.errors
-        networks = _in_time(plan, searched, len(tried), stage, needed)
+        needed = not trial.errors
+        networks = _in_time(plan, searched, len(seeds), stage, needed)
         done = searched.done
-        found = try_out(record, networks, ahead, tried, stage, others, done, need_one=needed)
-    trial = found if trial is None else trial.joined(found)
+        found = try_out(record, networks, ahead, seeds, stage, others, done, need_one=needed)
+    trial = trial.joined(found)
     late = {name: reason for name, reason in time.left_out.items() if name not in trial.errors}
     trial = replace(trial, failed={**trial.failed, **late})
     if time.deadline.over:
         return trial, searched
-    if plan.tests or others:  # what goes on in the time of one record is no base for several
-        anchored = frozenset(f.name for f in searched.forecasters if f.anchored)
-        trial = replace(trial, left_out=anchored)
     stage = replace(work, deadline=basing, span=(AFTER_TRIAL, AFTER_TRIAL))
     with time.phase("on a baseline", basing):
-        trial, searched = on_baseline(plan, trial, searched, tried, stage)
-    return replace(trial, left_out=frozenset()), searched
+        return on_baseline(plan, trial, searched, seeds, stage)
 
 
 def on_baseline(
     plan: Plan, trial: Trial, searched: SearchResult, seeds: Sequence[int], work: Work
 ) -> tuple[Trial, SearchResult]:
-    """The trial and the methods, with a network on the best baseline where that pays.
+    """Return the trial and the methods, with a network on the best baseline where that pays.
 
     Parameters
     ----------
     plan : The search of its setup says whether this is wanted.
-    trial, searched : What has been found of all other methods; `trial.left_out` are no bases.
+    trial, searched : What has been found of all other methods.
     seeds : Of the network, whose mean is scored.
     work : Processes, progress and checkpoints.
     """
     record, others, setup = plan.training, plan.others, plan.setup
     networks = {f.name: f.network for f in searched.forecasters if f.network is not None}
-    best = trial.best_network
+    best, scores = trial.best_network, trial.scores
+    # What goes on in the time of one record is no base for several.
+    several = bool(plan.tests or others)
     able = [
         f.name
         for f in searched.forecasters
-        if f.name in BASES and f.name in trial.scores and f.name not in trial.left_out
+        if f.name in BASES and f.name in scores and not (several and f.anchored)
     ]
     if setup.search is None or not setup.search.bases or best not in networks or not able:
         return trial, searched
-    base = min(able, key=lambda name: trial.scores[name])
-    if best is None or trial.scores[base] >= trial.scores[best]:
+    base = min(able, key=lambda name: scores[name])
+    if best is None or scores[base] >= scores[best]:
         return trial, searched
-    (method,) = with_base(["residual-gru-conditioned"], base)
-    network = setup.forecaster(method).network
-    assert network is not None
-    settings = networks[best].settings
-    assert settings is not None
-    if not settings.epochs:  # of a network that begins as a linear model: this one does not
-        settings = setup.settings
-    network = network.trained_as(settings).to(networks[best].device)
+    network = _on(base, networks[best], plan)
     cost = training_cost(network, record, others)
     spent = len(seeds) * (1 - HELD_OUT) * cost
-    if network.name in trial.scores or spent + cost > searched.left:
+    if network.name in scores or spent + cost > searched.left:
         return trial, searched
-    if spent > work.time.reckoned(work.deadline):
+    if spent > work.time.work_until(work.deadline):
         work.time.narrowed(f"{network.name} (not tried)")
         return trial, searched
-    stage = work.for_stage(ON_BASELINE)
+    stage = work.for_stage("on a baseline")
     found = try_out(record, [network], plan.horizon, seeds, stage, others, need_one=False)
     score = found.scores.get(network.name)
     attempt = SearchAttempt(network.name, network.training_in_words(), len(seeds), score)
     searched = replace(searched, attempts=(*searched.attempts, attempt), left=searched.left - spent)
-    if score is None or score * (1 + WORTH_TRAINING) >= trial.scores[base]:
+    if score is None or score * (1 + WORTH_TRAINING) >= scores[base]:
         return trial, searched
     return trial.joined(found), replace(
         searched,
@@ -131,30 +117,36 @@ def on_baseline(
     )
 
 
+def _on(base: str, best: Network, plan: Plan) -> Network:
+    """Return the network that is tried on a baseline, trained as the best one is."""
+    (method,) = with_base(["residual-gru-conditioned"], base)
+    network, settings = plan.setup.forecaster(method).network, best.settings
+    assert network is not None
+    assert settings is not None
+    # One that begins as a linear model has no epochs: this one does not begin so.
+    return network.trained_as(settings if settings.epochs else plan.setup.settings).to(best.device)
+
+
 def _in_time(
     plan: Plan, searched: SearchResult, seeds: int, work: Work, needed: bool
 ) -> list[Forecaster]:
-    """The networks that there is time to try; the others are left out by name.
+    """Return the networks that there is time to try; the others are left out by name.
 
     Where nothing else has come to a result, the first one is `needed` however late it is: it ends
     with what it has.
     """
     time, kept = work.time, list[Forecaster]()
-    left = time.reckoned(work.deadline)
+    left = time.work_until(work.deadline)
     for f in searched.forecasters:
-        if not f.random or searched.done.get(f.name):
-            kept += [f] if f.random else []
+        if not f.random:
             continue
         cost = 0.0
-        if time.limited:
+        if time.limited and not searched.done.get(f.name):
             origin = Origin(held_out_from(plan.train), plan.train)
             cost = seeds * job_cost(f, Question(plan.training, [origin], 0, plan.others))
-        if cost > left and (kept or not needed):
+        if cost > max(left, 0.0) and (kept or not needed):
             takes = cost * time.pace.seconds / time.cores
-            time.left_out[f.name] = (
-                f"left out: its trial takes about {takes:.0f} s here, and "
-                f"{max(work.deadline.left, 0):.0f} s were left for it"
-            )
+            time.leave_out(f.name, "trial", takes, work.deadline)
             continue
         left -= cost
         kept.append(f)

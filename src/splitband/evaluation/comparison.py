@@ -15,9 +15,9 @@ from splitband.data import Record
 from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.protocols import Run, Runs, inputs_beyond, mean_run
-from splitband.evaluation.search import SearchAttempt
 from splitband.evaluation.selection import LEVEL, Trial
 from splitband.evaluation.setup import Setup
+from splitband.evaluation.trials import SearchAttempt
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.checking import LAGS, ResidualTests, residual_tests
 from splitband.forecasters.ensemble import handed_out, over_seeds

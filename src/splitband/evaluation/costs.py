@@ -20,7 +20,7 @@ from splitband.training.quasi_newton import samples_in_a_step
 FOR_TRAINING, STARTING = 0.4, 8.0
 """Share of a budget of wall time that is planned for networks, and the seconds of it in which the
 command begins and writes its results. The rest is for all other work, and for what trainings take
-longer than reckoned."""
+longer than estimated."""
 REFERENCE_SIZE, REFERENCE_BATCH, REFERENCE_STEPS = 32, 25, 400
 """Hidden units, windows and samples of the gradient by which a machine's speed is measured."""
 SAMPLE, WEIGHT = 0.09e-6, 0.25e-9
@@ -34,7 +34,7 @@ EVALUATIONS = 1.2
 
 
 def reference_seconds(wall: float, cores: int) -> float:
-    """The work that is planned for a wall time on so many cores, in seconds of a reference core.
+    """Return the work that is planned for a wall time on so many cores, in s of a reference core.
 
     The speed of a core is rounded to half a power of two, so that the same machine mostly gives the
     same answer. It is as much as is done well before the time is over, so that the work and not the
@@ -46,7 +46,7 @@ def reference_seconds(wall: float, cores: int) -> float:
 
 @cache
 def speed() -> float:
-    """How fast a core of this machine is, relative to the reference: a gradient is timed once."""
+    """Return how fast a core of this machine is, by the time of a gradient; the reference is 1."""
     network = GRU(REFERENCE_SIZE)
     y = torch.zeros(REFERENCE_BATCH, REFERENCE_STEPS, 1)
     took = []
@@ -61,7 +61,7 @@ def speed() -> float:
 
 
 def job_cost(forecaster: Forecaster, question: Question) -> float:
-    """Seconds of a reference core to fit a forecaster and ask it, roughly; see `training_cost`."""
+    """Return the seconds of a reference core to fit a forecaster and ask it, roughly."""
     samples = max(origin.fitted for origin in question.origins)
     network = forecaster.of_one_seed.network
     if network is None or network.settings is None:
@@ -74,7 +74,7 @@ def job_cost(forecaster: Forecaster, question: Question) -> float:
 
 
 def training_cost(network: Network, record: Record, others: Sequence[Record]) -> float:
-    """Seconds of a reference core that a training takes, roughly; with that of a network below."""
+    """Return the seconds of a reference core of a training, and of that of a network below."""
     base = None if network.base is None else network.base.network
     below = 0.0 if base is None else training_cost(base, record, others)
     assert network.settings is not None

@@ -2,139 +2,231 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import replace
-from functools import partial
+import re
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from splitband.evaluation.costs import job_cost
-from splitband.evaluation.job import (
-    LATE,
-    Failure,
-    FitJob,
-    FitOutcome,
-    carry_out,
-    checkpoint_name,
-    failed,
-    remembered,
-)
 from splitband.evaluation.work import HALF, RunProgress, Work
-from splitband.forecasters.backtest import Backtest, Question
+from splitband.forecasters.backtest import Backtest, Question, backtest
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
-from splitband.runtime.deadlines import Deadline, OverError, within
-from splitband.runtime.job_folders import JobFolder
-from splitband.runtime.processes import Processes, over
+from splitband.forecasters.grey_box import ESTIMATES
+from splitband.forecasters.remembering import Remembered
+from splitband.forecasters.simulation import CALIBRATIONS
+from splitband.runtime.deadlines import Deadline, OverError, now, within
+from splitband.runtime.processes import over
+from splitband.training import Checkpoint, Progress
 
+REMEMBERED: tuple[Remembered[Any], ...] = (CALIBRATIONS, ESTIMATES)
+"""What jobs are told of that has been computed before."""
+LATE = "left out, as the time was over"
 FAILED = 2.0
 """A seed whose error is above this multiple of the lowest seed's has failed."""
 PATIENCE = 2.0
 """Seconds after its deadline, and what the forecasts take, until a job is given up."""
 
+Key = tuple[str, int]
+"""A job: the name of a forecaster, and a seed."""
+Seeds = Sequence[int] | Mapping[str, Sequence[int]]
+"""The seeds of every forecaster, or by name where these differ."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A forecaster that could not be fitted with one seed, why, and whether for want of time."""
+
+    method: str
+    seed: int
+    reason: str
+    late: bool = False
+
+
+@dataclass(frozen=True)
+class FitOutcome:
+    """What became of a job: what was forecast, or why it failed.
+
+    `seconds` it took; `fresh`: it trained from the beginning to the end, so that this is the pace.
+    """
+
+    backtest: Backtest | None = None
+    failure: Failure | None = None
+    seconds: float = 0.0
+    fresh: bool = False
+
+    @property
+    def cut(self) -> bool:
+        """Whether the deadline has changed it."""
+        late = self.failure is not None and self.failure.late
+        return late or (self.backtest is not None and self.backtest.report.cut)
+
+
+@dataclass(frozen=True, eq=False)
+class FitJobs:
+    """What the jobs of a stage share; called with one of them, in whatever process.
+
+    Attributes
+    ----------
+    forecasters, questions : By name.
+    known : What has been computed before, of each kind in `REMEMBERED`.
+    deadline : When trainings end with what they have.
+    checkpoints : A folder, which is used where it is seen.
+    stage : What progress is reported as; None where nobody is told of it.
+    needed : The job that is begun however late it is.
+    """
+
+    forecasters: Mapping[str, Forecaster]
+    questions: Mapping[str, Question]
+    known: Sequence[Mapping[Any, Any]]
+    deadline: Deadline
+    checkpoints: Path | None
+    stage: str | None
+    needed: Key | None
+
+    def __call__(self, job: Key, report: Callable[[RunProgress], None]) -> tuple[Key, FitOutcome]:
+        """Carry out a job."""
+        began, (name, seed) = now(), job
+        forecaster, question, stage = self.forecasters[name], self.questions[name], self.stage
+        # What needs no training is begun however late it is, so that there is a result.
+        if self.deadline.over and forecaster.random and job != self.needed:
+            return job, FitOutcome(failure=Failure(name, seed, LATE, late=True))
+        for each, results in zip(REMEMBERED, self.known, strict=True):
+            each.learn(results)
+
+        def watch(at: Progress) -> None:
+            report(RunProgress(name, seed, at.share, at.loss, stage or ""))
+
+        checkpoint = None
+        if self.checkpoints is not None and forecaster.random and self.checkpoints.is_dir():
+            checkpoint = Checkpoint(checkpoint_path(self.checkpoints, name, seed))
+        fresh = forecaster.random and (checkpoint is None or not checkpoint.path.exists())
+        with within(self.deadline):
+            outcome = _asked(forecaster, question, seed, watch if stage else None, checkpoint)
+        fresh = fresh and outcome.failure is None and not outcome.cut
+        return job, replace(outcome, seconds=now() - began, fresh=fresh)
+
+
+def checkpoint_path(folder: Path, name: str, seed: int) -> Path:
+    """Return the file from which a training that was cut off goes on."""
+    name = re.sub(r"[^\w.-]", "_", name)
+    return folder / f"{name}-{seed}.safetensors"
+
+
+def _asked(
+    forecaster: Forecaster,
+    question: Question,
+    seed: int,
+    watch: Callable[[Progress], None] | None,
+    checkpoint: Checkpoint | None,
+) -> FitOutcome:
+    late = False
+    try:
+        return FitOutcome(backtest(forecaster, question, seed, watch, checkpoint))
+    except OSError:
+        raise  # a full disk, or a process ended from outside, concerns every method
+    except OverError as error:
+        reason, late = str(error), True
+    except (FloatingPointError, ValueError) as error:
+        reason = " ".join(str(error).split())
+    except Exception as error:
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    return FitOutcome(failure=Failure(forecaster.name, seed, reason, late))
+
 
 def run_all(
     forecasters: Sequence[Forecaster],
     questions: Mapping[str, Question],
-    seeds: Sequence[int] | Mapping[str, Sequence[int]],
+    seeds: Seeds,
     work: Work,
     need_one: bool = True,
 ) -> tuple[dict[str, dict[int, Backtest]], list[Failure]]:
-    """What each forecaster says with each seed, by name; and what could not be fitted.
+    """Return what each forecaster says with each seed, by name, and what could not be fitted.
 
-    `questions` are by name, too, and so are `seeds` where methods differ in them. A forecaster that
-    is not random is fitted once. With `need_one`, ValueError is raised when nothing could be fitted
-    at all.
+    `questions` are by name, too. A forecaster that is not random is fitted once. With `need_one`,
+    ValueError is raised when nothing could be fitted at all.
     """
-    seeds_of = {f.name: _seeds_of(f, seeds) for f in forecasters}
-    stage = None if work.progress is None else work.stage
+    jobs = {f.name: [(f.name, seed) for seed in _seeds_of(f, seeds)] for f in forecasters}
     ready: dict[str, Forecaster] = {}
-    done: dict[tuple[str, int], FitOutcome] = {}
+    done: dict[Key, FitOutcome] = {}
     for f in forecasters:
         try:
             ready[f.name] = _prepared(f, questions[f.name], work)
         except ValueError as error:
-            done |= {(f.name, s): failed(f.name, s, str(error)) for s in seeds_of[f.name]}
-    costs = {name: job_cost(f, questions[name]) for name, f in ready.items()}
-    with _place(work) as place:
-        # Of each method one seed first. Networks take longest: no process is left with one of them
-        # at the end.
-        ordered = sorted(
-            [(f, i, seed) for f in ready.values() for i, seed in enumerate(seeds_of[f.name])],
-            key=lambda each: (not each[0].random, each[1]),
-        )
-        todo = [
-            FitJob(
-                f.name,
-                seed,
-                place.files(checkpoint_name(f.name, seed)) if place and f.random else {},
-                work.deadline,
-                need_one and at == 0,
-                stage,
-            )
-            for at, (f, _, seed) in enumerate(ordered)
-        ]
-        job = partial(carry_out, ready, questions, place, remembered())
-        workers = work.executor or work.jobs
-        watch = _Watch(work, {(each.name, each.seed): costs[each.name] for each in todo})
-        # What needs no training looks at the deadline by itself, and is what there is in any case.
-        trains = any(f.random for f in ready.values())
-        late = Deadline(work.deadline.at + PATIENCE + work.time.pace.asking)
-        patience = late if trains else Deadline()
-        for each in over(job, todo, workers, watch.report, patience):
-            done[each.name, each.seed] = each
-            if each.fresh and each.backtest is not None:
-                asking = each.seconds - each.backtest.report.seconds
-                work.time.pace.measured(costs[each.name], each.seconds, asking)
-            watch.finished((each.name, each.seed))
-            if place is not None:
-                place.keep(each.files)
-    for left in todo:
-        late_one = failed(left.name, left.seed, LATE, late=True)
-        done.setdefault((left.name, left.seed), late_one)
-    _note(work, done)
-    results, failures = _sorted_out(seeds_of, done)
+            for job in jobs[f.name]:
+                done[job] = FitOutcome(failure=Failure(*job, str(error)))
+    # Of each method one seed first. Networks take longest: no process is left with one of them at
+    # the end.
+    todo = [job for name in ready for job in jobs[name]]
+    todo.sort(key=lambda job: (not ready[job[0]].random, jobs[job[0]].index(job)))
+    done |= _carried_out(ready, questions, todo, work, need_one)
+    for (name, seed), outcome in done.items():
+        if outcome.cut:
+            work.time.narrowed(f"{name}, {f'seed {seed}, ' if seed else ''}{work.stage}")
+    results: dict[str, dict[int, Backtest]] = {name: {} for name in jobs}
+    failures = []
+    for name, seed in (job for of_method in jobs.values() for job in of_method):
+        outcome = done[name, seed]
+        if outcome.backtest is not None:
+            results[name][seed] = outcome.backtest
+        if outcome.failure is not None:
+            failures.append(outcome.failure)
     if need_one and not any(results.values()):
         reasons = dict.fromkeys(f"{f.method}: {f.reason}" for f in failures)
         raise ValueError(f"no method could be fitted; {'; '.join(reasons)}")
     return results, failures
 
 
-def _place(work: Work) -> AbstractContextManager[JobFolder | None]:
-    """Where checkpoints are, while jobs are carried out."""
-    if work.checkpoints is None:
-        return nullcontext()
-    elsewhere = work.executor is not None and not isinstance(work.executor, Processes)
-    return JobFolder.opened(Path(work.checkpoints), anywhere=elsewhere)
+def _carried_out(
+    forecasters: Mapping[str, Forecaster],
+    questions: Mapping[str, Question],
+    jobs: Sequence[Key],
+    work: Work,
+    need_one: bool,
+) -> dict[Key, FitOutcome]:
+    """Return what became of each job; what is not done long after the deadline is given up."""
+    time, checkpoints = work.time, None
+    if work.checkpoints is not None:
+        checkpoints = Path(work.checkpoints).absolute()
+        checkpoints.mkdir(parents=True, exist_ok=True)
+    fit = FitJobs(
+        forecasters,
+        questions,
+        [dict(each.results) for each in REMEMBERED],
+        work.deadline,
+        checkpoints,
+        None if work.progress is None else work.stage,
+        jobs[0] if jobs and need_one else None,
+    )
+    costs = {name: job_cost(f, questions[name]) for name, f in forecasters.items()}
+    watch = _Watch(work, {job: costs[job[0]] for job in jobs})
+    # What needs no training looks at the deadline by itself, and is what there is in any case.
+    patience = Deadline()
+    if any(f.random for f in forecasters.values()):
+        patience = Deadline(work.deadline.at + PATIENCE + time.pace.asking)
+    done: dict[Key, FitOutcome] = {}
+    for job, outcome in over(fit, jobs, work.executor or work.jobs, watch.report, patience):
+        done[job] = outcome
+        if outcome.fresh and outcome.backtest is not None:
+            asking = outcome.seconds - outcome.backtest.report.seconds
+            time.pace.measured(costs[job[0]], outcome.seconds, asking)
+        watch.finished(job)
+    for job in jobs:
+        done.setdefault(job, FitOutcome(failure=Failure(*job, LATE, late=True)))
+    return done
 
 
-def _sorted_out(
-    seeds_of: Mapping[str, Sequence[int]], done: Mapping[tuple[str, int], FitOutcome]
-) -> tuple[dict[str, dict[int, Backtest]], list[Failure]]:
-    """Results and failures, in the order of forecasters and seeds."""
-    results: dict[str, dict[int, Backtest]] = {name: {} for name in seeds_of}
-    failures = []
-    for name, seeds in seeds_of.items():
-        for seed in seeds:
-            outcome = done[name, seed]
-            if outcome.backtest is not None:
-                results[name][seed] = outcome.backtest
-            if outcome.failure is not None:
-                failures.append(outcome.failure)
-    return results, failures
-
-
-def _seeds_of(
-    forecaster: Forecaster, seeds: Sequence[int] | Mapping[str, Sequence[int]]
-) -> Sequence[int]:
-    """The seeds of one forecaster: a single one where it is not random."""
+def _seeds_of(forecaster: Forecaster, seeds: Seeds) -> Sequence[int]:
+    """Return the seeds of one forecaster: a single one where it is not random."""
     if isinstance(seeds, Mapping):
         seeds = seeds.get(forecaster.name, (0,))
     return seeds if forecaster.random else seeds[:1]
 
 
 def _prepared(forecaster: Forecaster, asked: Question, work: Work) -> Forecaster:
-    """With what all of its jobs share computed here, once for all processes.
+    """Return it with what all of its jobs share computed here, once for all processes.
 
     Raises ValueError where a simulator of its own fails.
     """
@@ -157,40 +249,27 @@ def _prepared(forecaster: Forecaster, asked: Question, work: Work) -> Forecaster
     return forecaster
 
 
-def _note(work: Work, done: Mapping[tuple[str, int], FitOutcome]) -> None:
-    """Write down what the deadline has changed."""
-    for (name, seed), outcome in done.items():
-        if outcome.cut:
-            work.time.narrowed(f"{name}, {f'seed {seed}, ' if seed else ''}{work.stage}")
-
-
 class _Watch:
-    """What is done of a stage, as a share of the whole command."""
+    """Tell what is done of a stage, as a share of the whole command."""
 
-    def __init__(self, work: Work, costs: Mapping[tuple[str, int], float]) -> None:
+    def __init__(self, work: Work, costs: Mapping[Key, float]) -> None:
         self._work, self._costs = work, costs
-        self._shares: dict[tuple[str, int], float] = {}
+        self._shares: dict[Key, float] = {}
 
     def report(self, at: RunProgress) -> None:
         """Tell of an epoch."""
         self._shares[at.method, at.seed] = at.share
-        self._tell(at)
-
-    def finished(self, key: tuple[str, int]) -> None:
-        """Tell of a job that has no epochs, too."""
-        told = self._shares.get(key, 0.0)
-        self._shares[key] = 1.0
-        if told < 1.0:
-            loss = float("nan")
-            self._tell(RunProgress(*key, 1.0, loss, self._work.stage))
-
-    def _tell(self, at: RunProgress) -> None:
         if self._work.progress is None:
             return
         done = sum(share * self._costs.get(key, 0.0) for key, share in [*self._shares.items()])
         first, last = self._work.span
         share = done / max(sum(self._costs.values()), 1e-9)
         self._work.progress(replace(at, overall=first + min(share, 1.0) * (last - first)))
+
+    def finished(self, job: Key) -> None:
+        """Tell of a job that has no epochs, too."""
+        if self._shares.get(job, 0.0) < 1.0:
+            self.report(RunProgress(*job, 1.0, float("nan"), self._work.stage))
 
 
 def failed_seeds(
@@ -201,22 +280,20 @@ def failed_seeds(
     Parameters
     ----------
     reports : Of their fits, by seed.
-    errors : Of their simulations of the training record; by default their last training losses,
-        which can be compared where all are trained alike.
+    errors : Of their simulations of the training record; by default the last training losses of
+        all networks together, which can be compared where all are trained alike.
     """
     stable = [seed for seed, report in reports.items() if report.stable]
     failed = dict.fromkeys(reports.keys() - stable, "it is unstable, and may grow without bound")
     if not stable:
         failed, stable = {}, [*reports]
     if errors is None:
-        errors = {seed: training_loss(report) for seed, report in reports.items()}
+        errors = {
+            seed: sum(losses[-1] ** 2 for losses in report.losses.values() if len(losses)) ** 0.5
+            for seed, report in reports.items()
+        }
     least = min((errors[seed] for seed in stable), default=0.0)
     for seed in stable:
         if least and errors[seed] > FAILED * least:
             failed[seed] = f"training error {errors[seed] / least:.3g} times the lowest"
     return failed if len(failed) < len(reports) else {}
-
-
-def training_loss(report: FitReport) -> float:
-    """Return the last training loss of all networks of a forecaster together; 0 without any."""
-    return sum(losses[-1] ** 2 for losses in report.losses.values() if len(losses)) ** 0.5

@@ -154,7 +154,14 @@ def check(plan: Plan) -> None:
     A method that cannot be fitted does not keep the others from it: its reason is raised only where
     none can be, and is in its row otherwise.
     """
-    _check_methods(plan.methods)
+    if not plan.methods:
+        raise ValueError("methods must be one or several, got none")
+    twice = next((name for name in plan.names if plan.names.count(name) > 1), None)
+    if twice:
+        raise ValueError(
+            f"methods must have names that differ, two are {twice}; a forecaster takes another "
+            "one as `name`"
+        )
     _check_records(plan)
     wrong: list[ValueError] = []
     for forecaster in plan.methods:
@@ -174,7 +181,15 @@ def _reaching(record: Record, train: int, horizon: int | None, tested: bool) -> 
         return record, len(record) - train
     whole("horizon", horizon, 0 if beyond else 1)
     if beyond:
-        _check_beyond(record, horizon)
+        for what, known, coming in (
+            ("known inputs", record.u, record.u_beyond),
+            ("the simulator", record.y_sim, record.beyond),
+        ):
+            reach = 0 if coming is None else len(coming)
+            if known is not None and reach < horizon:
+                raise ValueError(
+                    f"{what} must reach {horizon} samples beyond the record, got {reach}"
+                )
         return record, horizon
     if train + horizon > len(record):
         raise ValueError(
@@ -182,28 +197,6 @@ def _reaching(record: Record, train: int, horizon: int | None, tested: bool) -> 
             f"{train} of train, got {horizon}"
         )
     return record[: train + horizon], horizon
-
-
-def _check_beyond(record: Record, horizon: int) -> None:
-    for what, known, coming in (
-        ("known inputs", record.u, record.u_beyond),
-        ("the simulator", record.y_sim, record.beyond),
-    ):
-        reach = 0 if coming is None else len(coming)
-        if known is not None and reach < horizon:
-            raise ValueError(f"{what} must reach {horizon} samples beyond the record, got {reach}")
-
-
-def _check_methods(methods: Sequence[Forecaster]) -> None:
-    if not methods:
-        raise ValueError("methods must be one or several, got none")
-    names = [forecaster.name for forecaster in methods]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice:
-        raise ValueError(
-            f"methods must have names that differ, two are {twice}; a forecaster takes another "
-            "one as `name`"
-        )
 
 
 def _check_records(plan: Plan) -> None:

@@ -14,10 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record
-from splitband.evaluation.job import Failure
-from splitband.evaluation.jobs import failed_seeds, run_all
+from splitband.evaluation.jobs import Failure, failed_seeds
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import Backtest, Origin, Question, first_origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
@@ -61,15 +59,10 @@ class Errors:
         tested: Sequence[Prediction],
     ) -> Errors:
         """Return those of predictions, against the truth where it is known."""
-        truth = record.truth
-        return cls(
-            rmse(truth[-len(from_start) :], from_start.y),
-            None if forecast is None else rmse(truth[train:], forecast.y),
-            tuple(
-                rmse(test.truth[-len(prediction) :], prediction.y)
-                for test, prediction in zip(tests if tested else (), tested, strict=True)
-            ),
-        )
+        total = rmse(record.truth[-len(from_start) :], from_start.y)
+        ahead = None if forecast is None else rmse(record.truth[train:], forecast.y)
+        of_tests = zip(tests if tested else (), tested, strict=True)
+        return cls(total, ahead, tuple(rmse(t.truth[-len(p) :], p.y) for t, p in of_tests))
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,22 +95,22 @@ class Run:
 
     @property
     def seed(self) -> int:
-        """It was fitted with."""
+        """Return the seed that it was fitted with."""
         return self.fit.seed
 
     @property
     def total_rmse(self) -> float:
-        """From the start."""
+        """Return the error from the start."""
         return self.errors.total
 
     @property
     def forecast_rmse(self) -> float:
-        """Of the forecast; NaN where there is none."""
+        """Return the error of the forecast; NaN where there is none."""
         return np.nan if self.errors.forecast is None else self.errors.forecast
 
     @property
     def ahead(self) -> Array:
-        """The values of the forecast, `(time, ny)`, none where there is none."""
+        """Return the values of the forecast, `(time, ny)`, none where there is none."""
         return self.from_start.y[:0] if self.forecast is None else self.forecast.y
 
 
@@ -143,41 +136,26 @@ class Runs(dict[str, list[Run]]):
 
     @property
     def ahead(self) -> dict[str, list[Array]]:
-        """What each seed of the methods forecast, see `Run.ahead`."""
+        """Return what each seed of the methods forecast, see `Run.ahead`."""
         return {method: [run.ahead for run in runs] for method, runs in self.items()}
 
     @property
     def failed(self) -> dict[str, str]:
-        """Why, of each method that has no run."""
+        """Return why, of each method that has no run."""
         return {f.method: f.reason for f in self.failures[::-1] if f.method not in self}
 
     def __missing__(self, method: str) -> list[Run]:
         raise KeyError(f"{method}: {self.failed.get(method, 'not among the methods')}")
 
 
-def run_methods(
-    plan: Plan,
-    methods: Sequence[Forecaster],
-    seeds: Sequence[int] | Mapping[str, Sequence[int]] = (0,),
-    work: Work | None = None,
-    need_one: bool = True,
-) -> Runs:
-    """Fit methods of a plan with every seed and predict under every protocol.
-
-    What diverges, or cannot be fitted for another reason, is among the result's `failures` and
-    does not keep the others from running.
-
-    Parameters
-    ----------
-    plan : Has been checked.
-    methods : Those of its methods that are run.
-    seeds : Each gives one run of each forecaster that draws something; by name where these differ.
-    work : How it is computed.
-    need_one : Raise ValueError where every method fails.
-    """
-    questions = {f.name: question_of(plan, f) for f in methods}
-    done, failures = run_all(methods, questions, seeds, work or Work(), need_one)
-    return runs_of(plan, questions, done, failures)
+def question_of(plan: Plan, forecaster: Forecaster) -> Question:
+    """Return both protocols; nothing is forecast where all of the record is trained on."""
+    record, train, warmup = plan.record, plan.train, plan.setup.settings.warmup
+    first = first_origin(record, train, forecaster.warmup or warmup)
+    origins = [first, Origin(train, train)][: 1 + (train < len(record))]
+    return Question(
+        record, origins, len(record), plan.others, plan.tests, warmup, True, plan.setup.initial
+    )
 
 
 def runs_of(
@@ -194,16 +172,28 @@ def runs_of(
     }
     for f in failures:
         if f.method in runs:
-            one, *rest = runs[f.method]
-            said = "; ".join(filter(None, [one.description, f"seed {f.seed} failed: {f.reason}"]))
-            runs[f.method] = [replace(one, description=said), *rest]
+            runs[f.method] = _noted(runs[f.method], f"seed {f.seed} failed: {f.reason}")
     return Runs(runs, failures, models_of(plan, backtests))
+
+
+def as_run(name: str, question: Question, train: int, done: Backtest) -> Run:
+    """Return what a forecaster has said, with its errors."""
+    ahead = Origin(train, train)
+    # The first warm-up without a gap may lie after the training part.
+    first = next((origin for origin in question.origins if origin != ahead), ahead)
+    from_start = done.predictions[first]
+    forecast = done.predictions.get(ahead) if train < question.end else None
+    said = from_start, forecast, tuple(done.tests)
+    errors = Errors.of(question.record, train, question.tests, *said)
+    leaves = None if forecast is None else leaves_range(done.y_range, forecast.y)
+    unfiltered = done.unfiltered.get(first, {})
+    return Run(name, errors, *said, leaves, done.report, done.description, unfiltered)
 
 
 def models_of(
     plan: Plan, backtests: Mapping[str, Mapping[int, Backtest]]
 ) -> dict[str, list[Forecaster]]:
-    """What was fitted, by name; all share the plan's records, whatever process they come from."""
+    """Return what was fitted; all share the plan's records, whatever process they come from."""
     models: dict[str, list[Forecaster]] = {}
     for name, of_seeds in backtests.items():
         models[name] = [each.model for each in of_seeds.values() if each.model is not None]
@@ -214,37 +204,8 @@ def models_of(
     return models
 
 
-def question_of(plan: Plan, forecaster: Forecaster) -> Question:
-    """Both protocols; there is nothing to forecast where all of the record is trained on."""
-    record, train, warmup = plan.record, plan.train, plan.setup.settings.warmup
-    first = first_origin(record, train, forecaster.warmup or warmup)
-    origins = [first, Origin(train, train)][: 1 + (train < len(record))]
-    return Question(
-        record, origins, len(record), plan.others, plan.tests, warmup, True, plan.setup.initial
-    )
-
-
-def as_run(name: str, question: Question, train: int, done: Backtest) -> Run:
-    """What a forecaster has said, with its errors."""
-    ahead = Origin(train, train)
-    # The first warm-up without a gap may lie after the training part.
-    first = next((origin for origin in question.origins if origin != ahead), ahead)
-    from_start = done.predictions[first]
-    forecast = done.predictions.get(ahead) if train < question.end else None
-    said = from_start, forecast, tuple(done.tests)
-    return Run(
-        name,
-        Errors.of(question.record, train, question.tests, *said),
-        *said,
-        None if forecast is None else leaves_range(done.y_range, forecast.y),
-        done.report,
-        done.description,
-        done.unfiltered.get(first, {}),
-    )
-
-
 def mean_run(runs: Sequence[Run], record: Record, train: int, tests: Sequence[Record] = ()) -> Run:
-    """The mean of the predictions of several seeds, with its own errors."""
+    """Return the mean of the predictions of several seeds, with its own errors."""
     first = runs[0]
     if len(runs) == 1:
         return first
@@ -256,30 +217,6 @@ def mean_run(runs: Sequence[Run], record: Record, train: int, tests: Sequence[Re
     )
     fit = replace(first.fit, seconds=sum(run.fit.seconds for run in runs))
     return Run(first.method, Errors.of(record, train, tests, *said), *said, fit=fit)
-
-
-def by_channel(record: Record, predicted: Array) -> list[float]:
-    """The RMSE of each channel by itself, of a prediction `(time, ny)` that ends with the record.
-
-    NaN for a channel that was not measured there.
-    """
-    truth = record.truth[len(record) - len(predicted) :]
-    return [rmse(y, x) for y, x in zip(truth.T, predicted.T, strict=True)]
-
-
-def fit_by_channel(record: Record, predicted: Array) -> list[float]:
-    """Return the fit in percent of each output, of a prediction that ends with the record.
-
-    NaN where it is constant, or was not measured.
-    """
-    truth = record.truth[len(record) - len(predicted) :]
-    return [float(fit) for fit in np.atleast_1d(fit_percent(truth, predicted))]
-
-
-def inputs_beyond(training: Sequence[Record], u: Array | None) -> list[Extrapolation]:
-    """Which inputs `u` `(time, nu)` ahead go beyond those of the training records."""
-    seen = [record.u for record in training if record.u is not None]
-    return [] if u is None or not seen else extrapolations(*input_range(seen), u)
 
 
 def without_failed(runs: Runs, training: Record) -> Runs:
@@ -305,10 +242,7 @@ def sound_runs(runs: Sequence[Run], training: Record) -> list[Run]:
     said = [f"seed {seed} left out: {why}" for seed, why in failed.items()]
     if not any(run.fit.stable for run in kept):
         said.append("unstable: a simulation may grow without bound")
-    if not said:
-        return kept
-    first = replace(kept[0], description="; ".join(filter(None, [kept[0].description, *said])))
-    return [first, *kept[1:]]
+    return _noted(kept, *said)
 
 
 def _from_start(run: Run, training: Record) -> float:
@@ -318,3 +252,36 @@ def _from_start(run: Run, training: Record) -> float:
     y = run.from_start.y[: max(len(training) - begin, 0)]
     scale = spread(training.seen)
     return rmse(training.seen[begin : begin + len(y)] / scale, y / scale) if len(y) else 0.0
+
+
+def _noted(runs: Sequence[Run], *notes: str) -> list[Run]:
+    """Return the runs of a method; the description of the first one says what is to be noted."""
+    if not notes:
+        return [*runs]
+    first, *rest = runs
+    said = "; ".join(filter(None, (first.description, *notes)))
+    return [replace(first, description=said), *rest]
+
+
+def by_channel(record: Record, predicted: Array) -> list[float]:
+    """Return the RMSE of each output, of a prediction `(time, ny)` that ends with the record.
+
+    NaN where it was not measured.
+    """
+    truth = record.truth[len(record) - len(predicted) :]
+    return [rmse(y, x) for y, x in zip(truth.T, predicted.T, strict=True)]
+
+
+def fit_by_channel(record: Record, predicted: Array) -> list[float]:
+    """Return the fit in percent of each output, of a prediction that ends with the record.
+
+    NaN where it is constant, or was not measured.
+    """
+    truth = record.truth[len(record) - len(predicted) :]
+    return [float(fit) for fit in np.atleast_1d(fit_percent(truth, predicted))]
+
+
+def inputs_beyond(training: Sequence[Record], u: Array | None) -> list[Extrapolation]:
+    """Return which inputs `u` `(time, nu)` ahead go beyond those of the training records."""
+    seen = [record.u for record in training if record.u is not None]
+    return [] if u is None or not seen else extrapolations(*input_range(seen), u)

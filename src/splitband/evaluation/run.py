@@ -11,8 +11,7 @@ from splitband.data import Record
 from splitband.evaluation.budget import SEARCH
 from splitband.evaluation.choosing import AFTER_TRIAL, choose
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.job import Failure, file_name
-from splitband.evaluation.jobs import run_all
+from splitband.evaluation.jobs import Failure, checkpoint_path, run_all
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.protocols import (
     models_of,
@@ -94,20 +93,14 @@ def run(plan: Plan, work: Work | None = None) -> Comparison:
         runs = runs_of(plan, questions, done, failures)
         if plan.seeds is None:
             runs = without_failed(runs, plan.training)
-        comparison = Comparison(
-            plan,
-            runs,
-            attempts=searched.attempts,
-            forecasters={m.name: m for m in methods if m.name in runs},
-            time=staff.time,
-        )
-        trial = replace(trial, left_out=frozenset(comparison.left_out))
+        forecasters = {m.name: m for m in methods if m.name in runs}
+        found = Comparison(plan, runs, None, searched.attempts, forecasters, staff.time)
+        trial = replace(trial, left_out=frozenset(found.left_out))
         trial = trial.settled(runs.ahead, staff.time.left_out | runs.failed)
-        comparison = replace(comparison, trial=trial)
+        found = replace(found, trial=trial)
         if plan.refit:
-            model = _refitted(plan, comparison.trained(), trial, staff)
-            comparison = replace(comparison, refit=model)
-    return comparison
+            found = replace(found, refit=_refitted(plan, found.trained(), trial, staff))
+    return found
 
 
 def fit(plan: Plan, seed: int = 0, work: Work | None = None) -> Forecaster:
@@ -143,7 +136,7 @@ def fit(plan: Plan, seed: int = 0, work: Work | None = None) -> Forecaster:
     if work.checkpoints is not None:
         folder = Path(work.checkpoints)
         folder.mkdir(parents=True, exist_ok=True)
-        checkpoint = Checkpoint(folder / f"{file_name(forecaster.name)}-{seed}.safetensors")
+        checkpoint = Checkpoint(checkpoint_path(folder, forecaster.name, seed))
     with deadlines.within(work.time.deadline):
         return forecaster.fit(
             plan.training, *plan.others, seed=seed, progress=update, checkpoint=checkpoint
@@ -166,71 +159,56 @@ def last_fits(
     """Fit the methods that are asked to the whole training part: networks last, the best first."""
     methods = {f.name: f for f in searched.forecasters if f.name in questions}
     quick = [f for f in methods.values() if not f.random]
-    networks = [f for f in methods.values() if f.random]
-    of_quick, of_slow = _last_stages(plan, work, [*questions.values()])
-    with work.time.phase("final trainings"):
+    networks = [f.name for f in methods.values() if f.random]
+    time = work.time
+    until = time.share(BEFORE_REFIT) if plan.refit else time.deadline
+    until = until.earlier(_asking(plan, work, [*questions.values()]))
+    of_quick = work if time.allows_processes(time.deadline) else work.alone()
+    of_quick = of_quick.for_stage(FINAL, time.deadline, (AFTER_TRIAL, AFTER_TRIAL))
+    of_networks = work.for_stage(FINAL, until, (AFTER_TRIAL, AFTER_FINAL))
+    with time.phase("final trainings"):
         done, failures = run_all(quick, questions, (0,), of_quick, need_one=not networks)
-        wanted = _last_trainings(plan, networks, searched, trial, of_slow)
+        scores = {name: trial.scores[name] for name in networks}
+        needed = not set(trial.scores) - set(scores)
+        wanted = _last_trainings(plan, scores, searched, of_networks, needed)
         if wanted:
-            trained = [methods[name] for name in wanted]
-            need_one = not any(done.values())
-            slow, more = run_all(trained, questions, wanted, of_slow, need_one)
+            trained, need_one = [methods[name] for name in wanted], not any(done.values())
+            slow, more = run_all(trained, questions, wanted, of_networks, need_one)
             done, failures = done | slow, failures + more
     return {name: done[name] for name in methods if name in done}, failures
 
 
-def _last_stages(plan: Plan, work: Work, questions: Sequence[Question]) -> tuple[Work, Work]:
-    """The work on the whole training part: of what needs no training, and of networks.
+def _asking(plan: Plan, work: Work, questions: Sequence[Question]) -> float:
+    """Return how many seconds the last forecasts take.
 
-    Parameters
-    ----------
-    plan : A trial of it has forecast three parts of what is held out and what lies ahead.
-    work : Of the whole command.
-    questions : What the methods are asked in the end.
+    A trial of the same has forecast three parts of what is held out and what lies ahead.
     """
     held_out = plan.train - held_out_from(plan.train)
     asked = max(sum(q.end - at.at for at in q.origins) + sum(map(len, q.tests)) for q in questions)
-    asking = work.time.pace.asking * asked / (2 * held_out + 3 * plan.horizon)
-    time, first = work.time, (AFTER_TRIAL, AFTER_TRIAL)
-    until = time.share(BEFORE_REFIT) if plan.refit else time.deadline
-    quick = work if time.allows_processes(time.deadline) else work.alone()
-    return (
-        quick.for_stage(FINAL, time.deadline, first),
-        work.for_stage(FINAL, until.earlier(asking), (AFTER_TRIAL, AFTER_FINAL)),
-    )
+    return work.time.pace.asking * asked / (2 * held_out + 3 * plan.horizon)
 
 
 def _last_trainings(
-    plan: Plan,
-    networks: Sequence[Forecaster],
-    searched: SearchResult,
-    trial: Trial,
-    work: Work,
+    plan: Plan, scores: Mapping[str, float], searched: SearchResult, work: Work, needed: bool
 ) -> dict[str, range]:
-    """The seeds of the networks that are trained on the whole training part, the best one first.
+    """Return the seeds of the networks that are trained on the whole training part, best first.
 
-    Where there is no time for all of them, the worst ones are left out by name.
+    Where there is no time for all of them, the worst ones are left out by name; not the best one
+    where it is `needed`, as there is no other method.
     """
-    time, scores, seeds = work.time, {f.name: trial.scores[f.name] for f in networks}, plan.seeds
-    left = time.reckoned(work.deadline)
-    wanted = dict.fromkeys(scores, range(SEEDS if seeds is None else seeds))
-    if seeds is None:
+    time, left = work.time, work.time.work_until(work.deadline)
+    wanted = dict.fromkeys(scores, range(SEEDS if plan.seeds is None else plan.seeds))
+    if plan.seeds is None:
+        unlimited = wanted | searched.seeds(scores)
         wanted |= searched.seeds(scores, left if time.limited else None)
-    ranked = sorted(scores, key=lambda name: scores[name])
-    if seeds is None and wanted != dict.fromkeys(scores, range(SEEDS)) | searched.seeds(scores):
-        time.narrowed("the number of seeds")
+        if wanted != unlimited:
+            time.narrowed("the number of seeds")
     kept: dict[str, range] = {}
-    needed = not set(trial.scores) - set(scores)
-    for name in ranked:
-        cost = searched.cost(name)
-        alone = cost > time.reckoned_alone(work.deadline)
-        late = work.deadline.left <= 0
-        if (kept and (alone or cost > left)) or (late and (kept or not needed)):
-            takes = cost * time.pace.seconds
-            time.left_out[name] = (
-                f"left out: its last training takes about {takes:.0f} s here, and "
-                f"{max(work.deadline.left, 0):.0f} s were left for it"
-            )
+    for name in sorted(scores, key=lambda name: scores[name]):
+        cost = searched.costs.get(name, 0.0)
+        late = kept and cost > min(left, time.work_of_one(work.deadline))
+        if late or (work.deadline.over and (kept or not needed)):
+            time.leave_out(name, "last training", cost * time.pace.seconds, work.deadline)
             continue
         kept[name] = wanted[name]
         left -= cost

@@ -64,9 +64,9 @@ class Trial:
         together with the deviation of its seeds.
     """
 
-    errors: Mapping[str, tuple[float, ...]]
-    scores: Mapping[str, float]
-    trained: frozenset[str]
+    errors: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    scores: Mapping[str, float] = field(default_factory=dict)
+    trained: frozenset[str] = frozenset()
     final: Mapping[str, Array] = field(default_factory=dict)
     failed: Mapping[str, str] = field(default_factory=dict)
     left_out: frozenset[str] = frozenset()
@@ -154,7 +154,7 @@ def try_out(
         simulator's output of the `steps` samples after it (`u_beyond`, `beyond`).
     forecasters : With settings and bands. Long training windows shrink with the record.
     steps : How far beyond the record is to be forecast after all.
-    seeds, work, others : See `protocols.run_methods`.
+    seeds, work, others : Of networks, how it is computed, and the further training records.
     done : Forecasts that have been made already, by name and seed.
     need_one : Raise ValueError where nothing could be fitted.
     """

@@ -40,11 +40,12 @@ class Work:
     Attributes
     ----------
     jobs : Processes at once, each on one thread. With several, a script has to keep what it does
-        under `if __name__ == "__main__":`, as each process begins by importing it.
+        under `if __name__ == "__main__":`, as each process begins by importing it. With an
+        executor, for how many trainings at once a budget is planned, if more than one.
     progress : Called in this process after each epoch of each run; with an executor that cannot
         send while a job runs, at the end of each run.
     checkpoints : Folder, created if need be, from which trainings that were cut off go on. Workers
-        that do not see it send their trainings there when these are over.
+        that do not see it train without.
     stage : What the progress is reported as.
     executor : What carries out the jobs in place of processes of this machine: any executor of
         `concurrent.futures`, Dask's (`Cluster`) or mpi4py's, for instance. It stays open.
@@ -65,8 +66,8 @@ class Work:
 
     @property
     def cores(self) -> int:
-        """Trainings side by side."""
-        return max(self.jobs, getattr(self.executor, "cores", 1))
+        """Return how many trainings are carried out side by side."""
+        return self.jobs if self.jobs > 1 else max(getattr(self.executor, "cores", 1), 1)
 
     def limited(self, seconds: float | None, core_seconds: float) -> Work:
         """Return it with a time budget: its own, or from now on so many seconds of wall time."""
@@ -82,23 +83,18 @@ class Work:
         deadline: Deadline | None = None,
         span: tuple[float, float] | None = None,
     ) -> Work:
-        """For one of several parts of the work, with a folder of its own for checkpoints."""
+        """Return one of several parts of the work, with a folder of its own for checkpoints."""
         below = None if self.checkpoints is None else Path(self.checkpoints) / stage
-        return replace(
-            self,
-            checkpoints=below,
-            stage=stage,
-            deadline=deadline or self.deadline,
-            span=span or self.span,
-        )
+        until, span = deadline or self.deadline, span or self.span
+        return replace(self, checkpoints=below, stage=stage, deadline=until, span=span)
 
     def alone(self) -> Work:
-        """In this process, where starting others would take longer than the work."""
+        """Return the work in this process, where starting others would take longer."""
         return replace(self, jobs=1, executor=None)
 
     @contextmanager
     def staffed(self) -> Iterator[Work]:
-        """With processes that carry out one stage after the other, as starting them takes time."""
+        """Yield it with processes for one stage after the other, as starting them takes time."""
         if self.executor is not None or self.jobs == 1:
             yield self
             return

@@ -59,7 +59,7 @@ class Cluster(Workers):
             self._client: Any = Client(address, timeout=PATIENCE, set_as_default=False)
         self._executor = self._client.get_executor(pure=False)
         try:
-            self._versions = self._compared()
+            self._check_versions()
         except BaseException:
             self.shutdown()
             raise
@@ -77,8 +77,7 @@ class Cluster(Workers):
         **kwargs: Parameters.kwargs,
     ) -> Future[Result]:
         """Submit a job; jobs start in the order in which they were submitted."""
-        given = {**kwargs, "fifo_timeout": 0}
-        return self._executor.submit(_carry_out, self._versions, fn, *args, **given)
+        return self._executor.submit(fn, *args, **{**kwargs, "fifo_timeout": 0})
 
     def shared(self, value: Any) -> Any:
         """Send a value to the cluster once, and return its reference.
@@ -134,8 +133,8 @@ class Cluster(Workers):
     def _connected(self) -> bool:
         return bool(self._client.status == "running")
 
-    def _compared(self) -> Mapping[str, str | None]:
-        """Return the package versions here; raises ValueError if a worker has others."""
+    def _check_versions(self) -> None:
+        """Raise ValueError if a worker has other package versions than this process."""
         found = self._client.get_versions(packages=COMPARED[1:])
         here = found["client"]["packages"]
         others = {
@@ -147,7 +146,6 @@ class Cluster(Workers):
             named = [f"worker {address} {said}" for address, said in [*others.items()][:NAMED]]
             more = [f"{len(others) - NAMED} more do, too"] if len(others) > NAMED else []
             raise ValueError(f"{'; '.join(named + more)}; all must have the same versions")
-        return here
 
 
 async def _is_scheduler(address: str) -> bool:
@@ -189,18 +187,6 @@ def _difference(here: Mapping[str, str | None], there: Mapping[str, str | None])
         if found != wanted:
             return f"has {package} {found} and not {wanted}"
     return ""
-
-
-def _carry_out(
-    versions: Mapping[str, str | None], work: Callable[..., Result], *args: Any, **kwargs: Any
-) -> Result:
-    """Run a job on a worker, after comparing versions, as the worker may have connected late."""
-    from distributed.versions import get_versions  # noqa: PLC0415
-
-    said = _difference(versions, get_versions(COMPARED[1:])["packages"])
-    if said:
-        raise OSError(f"a worker that has come later {said}; all must have the same versions")
-    return work(*args, **kwargs)
 
 
 class _ToScheduler:

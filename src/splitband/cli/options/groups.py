@@ -1,44 +1,65 @@
-"""Groups of options as parameters of a command."""
+"""Options, and groups of them as parameters of a command."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import is_dataclass
 from functools import wraps
 from typing import Any, get_type_hints
 
+import typer
+
+
+def panel(title: str) -> Callable[..., Any]:
+    """Return a function that makes the options of a panel of the help.
+
+    It takes what an option does, the name of its value, what holds without it where that is not the
+    default, and further arguments of `typer.Option`.
+    """
+
+    def option(
+        does: str, value: str | None = None, usual: str | bool = True, *names: str, **more: Any
+    ) -> Any:
+        return typer.Option(
+            *names, help=does, metavar=value, show_default=usual, rich_help_panel=title, **more
+        )
+
+    return option
+
 
 def with_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """A command for typer: each field of a parameter that is a dataclass is an option of its own.
+    """Return a command for typer: each field of a parameter that is a dataclass is an option.
 
-    Options that several commands share are so written down once, in the order of the fields.
+    Options that several commands share are so written down once. A group may hold others.
     """
-    hints = get_type_hints(command, include_extras=True)
-    groups = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
-    parameters = []
-    for parameter in inspect.signature(command).parameters.values():
-        if parameter.name not in groups:
-            parameters.append(parameter.replace(annotation=hints[parameter.name]))
-            continue
-        of_group = get_type_hints(groups[parameter.name], include_extras=True)
-        parameters += [
-            parameter.replace(
-                name=field.name, default=field.default, annotation=of_group[field.name]
-            )
-            for field in fields(groups[parameter.name])
-        ]
+    # What has a default comes last, as in any signature.
+    options = sorted(_options(command), key=lambda option: option.default is not option.empty)
 
     @wraps(command)
     def expanded(**given: Any) -> None:
-        for name, group in groups.items():
-            assert isinstance(group, type)
-            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
-        command(**given)
+        command(**_grouped(command, given))
 
-    # What has a default comes last, as in any signature.
-    parameters.sort(key=lambda p: p.default is not inspect.Parameter.empty)
-    keywords = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in parameters]
-    expanded.__signature__ = inspect.Signature(keywords)  # type: ignore[attr-defined]
-    expanded.__annotations__ = {p.name: p.annotation for p in parameters}
+    expanded.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
+    expanded.__annotations__ = {option.name: option.annotation for option in options}
     return expanded
+
+
+def _options(owner: Callable[..., Any]) -> Iterator[inspect.Parameter]:
+    hints = get_type_hints(owner, include_extras=True)
+    for parameter in inspect.signature(owner).parameters.values():
+        hint = hints[parameter.name]
+        if is_dataclass(hint) and isinstance(hint, type):
+            yield from _options(hint)
+        else:
+            yield parameter.replace(annotation=hint, kind=parameter.KEYWORD_ONLY)
+
+
+def _grouped(owner: Callable[..., Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    hints = get_type_hints(owner)
+    return {
+        name: hints[name](**_grouped(hints[name], given))
+        if is_dataclass(hints[name])
+        else given[name]
+        for name in inspect.signature(owner).parameters
+    }

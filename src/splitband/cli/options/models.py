@@ -1,4 +1,4 @@
-"""Options that say what models are made of, and how they are trained."""
+"""Options that say what models are made of, how they are trained, and on what."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Annotated
 
 import typer
 
+from splitband.cli.options.groups import panel
 from splitband.training.recipes import Recipe
 
-_FILTER, _TRAINING, _TIME = "Filter", "Training", "Time"
+_filter, _training, _time = panel("Filter"), panel("Training"), panel("Time")
 
 AUTO = -math.inf
 """A cut-off that is to be chosen, in place of the paper's for one of its records."""
 
 
 def _hertz(value: str) -> float:
-    """A cut-off, or `AUTO`."""
     if value == "auto":
         return AUTO
     try:
@@ -31,7 +31,6 @@ def _hertz(value: str) -> float:
 
 
 def _samples(value: str) -> int | None:
-    """A number of samples; None is auto."""
     if value == "auto":
         return None
     try:
@@ -42,150 +41,27 @@ def _samples(value: str) -> int | None:
 
 Cutoff = Annotated[
     float | None,
-    typer.Option(
-        parser=_hertz,
-        metavar="HZ|auto",
-        help="Cut-off between the two bands; auto chooses it.",
-        rich_help_panel=_FILTER,
-        show_default="auto",
-    ),
+    _filter("Cut-off between the two bands; auto chooses it.", "HZ|auto", "auto", parser=_hertz),
 ]
 Order = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N",
-        help="Order of each Butterworth filter.",
-        rich_help_panel=_FILTER,
-        show_default="1 or 2, with the cut-off",
-    ),
-]
-Downsampling = Annotated[
-    int | None,
-    typer.Option(
-        help="Keep every K-th sample of the low band.",
-        metavar="K",
-        rich_help_panel=_FILTER,
-        show_default="as the low band allows",
-    ),
+    int | None, _filter("Order of each Butterworth filter.", "N", "1 or 2, with the cut-off")
 ]
 Conditioned = Annotated[
-    bool,
-    typer.Option(
-        "--conditioned",
-        help="Give networks the slow band as an input.",
-        rich_help_panel=_FILTER,
-    ),
+    bool, _filter("Give networks the slow band as an input.", None, True, "--conditioned")
 ]
-Warmup = Annotated[
-    int | None,
-    typer.Option(
-        parser=_samples,
-        help="Measured samples that start a simulation.",
-        metavar="R|auto",
-        rich_help_panel=_TRAINING,
-        show_default="auto, up to 50",
-    ),
-]
-Window = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N",
-        help="Samples in a training window, warm-up included.",
-        rich_help_panel=_TRAINING,
-        show_default="150 to 400",
-    ),
-]
-Epochs = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N",
-        help="Passes over all windows.",
-        rich_help_panel=_TRAINING,
-        show_default="about 1,000 steps",
-    ),
-]
+Epochs = Annotated[int | None, _training("Passes over all windows.", "N", "about 1,000 steps")]
 Seeds = Annotated[
-    int | None,
-    typer.Option(
-        "--seeds",
-        min=1,
-        metavar="N",
-        help="Trainings of each network, averaged.",
-        rich_help_panel=_TRAINING,
-        show_default="1 to 8",
-    ),
-]
-Budget = Annotated[
-    str | None,
-    typer.Option(
-        metavar="TIME",
-        help="Wall time of the whole command: 90s, 10m, 1h.",
-        rich_help_panel=_TIME,
-        show_default="2m",
-    ),
-]
-Effort = Annotated[
-    str | None,
-    typer.Option(
-        metavar="TIME",
-        help="Limit work, not time: reproducible results.",
-        rich_help_panel=_TIME,
-        show_default=False,
-    ),
-]
-RecipeOption = Annotated[
-    Recipe,
-    typer.Option(
-        "--recipe",
-        help="Training settings: ours, or those of the paper.",
-        rich_help_panel=_TRAINING,
-    ),
-]
-LearningRate = Annotated[
-    float | None,
-    typer.Option(
-        metavar="RATE",
-        help="Highest learning rate of Adam.",
-        rich_help_panel=_TRAINING,
-        show_default="1e-2",
-    ),
-]
-Milestones = Annotated[
-    str | None,
-    typer.Option(
-        "--lr-milestones",
-        metavar="LIST",
-        help="Later rates by epoch: 20:1e-4,500:1e-5.",
-        rich_help_panel=_TRAINING,
-        show_default=False,
-    ),
-]
-Hidden = Annotated[
-    str | None,
-    typer.Option(
-        help="Hidden units of the fast and the slow network.",
-        metavar="HIGH,LOW",
-        rich_help_panel=_TRAINING,
-        show_default="32,16",
-    ),
+    int | None, _training("Trainings of each network, averaged.", "N", "1 to 8", min=1)
 ]
 SettingsFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--settings",
-        metavar="FILE",
-        help="Train as recommended.json of an earlier run says.",
-        rich_help_panel=_TRAINING,
-        show_default=False,
-    ),
+    Path | None, _training("Train as recommended.json of an earlier run says.", "FILE", False)
 ]
-Device = Annotated[
-    str,
-    typer.Option(
-        metavar="NAME",
-        help="Train networks on cpu, cuda, cuda:1, ...",
-        rich_help_panel=_TRAINING,
-    ),
+Device = Annotated[str, _training("Train networks on cpu, cuda, cuda:1, ...", "NAME")]
+Budget = Annotated[str | None, _time("Wall time of the whole command: 90s, 10m, 1h.", "TIME", "2m")]
+Effort = Annotated[str | None, _time("Limit work, not time: reproducible results.", "TIME", False)]
+Jobs = Annotated[int | None, _time("Trainings at once, one on each core.", "N", "all cores", min=1)]
+Cluster = Annotated[
+    str | None, _time("Dask scheduler whose workers train: tcp://...:8786.", "ADDRESS", False)
 ]
 
 
@@ -195,14 +71,34 @@ class ModelOptions:
 
     cutoff: Cutoff = None
     order: Order = None
-    downsampling: Downsampling = None
-    warmup: Warmup = None
-    window: Window = None
+    downsampling: Annotated[
+        int | None,
+        _filter("Keep every K-th sample of the low band.", "K", "as the low band allows"),
+    ] = None
+    warmup: Annotated[
+        int | None,
+        _training(
+            "Measured samples that start a simulation.", "R|auto", "auto, up to 50", parser=_samples
+        ),
+    ] = None
+    window: Annotated[
+        int | None,
+        _training("Samples in a training window, warm-up included.", "N", "150 to 400"),
+    ] = None
     epochs: Epochs = None
-    recipe: RecipeOption = "default"
-    learning_rate: LearningRate = None
-    lr_milestones: Milestones = None
-    hidden: Hidden = None
+    recipe: Annotated[Recipe, _training("Training settings: ours, or those of the paper.")] = (
+        "default"
+    )
+    learning_rate: Annotated[
+        float | None, _training("Highest learning rate of Adam.", "RATE", "1e-2")
+    ] = None
+    lr_milestones: Annotated[
+        str | None, _training("Later rates by epoch: 20:1e-4,500:1e-5.", "LIST", False)
+    ] = None
+    hidden: Annotated[
+        str | None,
+        _training("Hidden units of the fast and the slow network.", "HIGH,LOW", "32,16"),
+    ] = None
     budget: Budget = None
     effort: Effort = None
     device: Device = "cpu"

@@ -8,12 +8,12 @@ from typing import Annotated
 
 import typer
 
-from splitband.cli.options.simulators import MoreSimulators, TestSimulators
+from splitband.cli.options.groups import panel
 from splitband.data.gaps import Gaps
 from splitband.data.named import RECORDS
 from splitband.data.stamps import TIME_NAMES
 
-_PANEL = "Record"
+_record, _simulator = panel("Record"), panel("Simulator")
 
 RecordArgument = Annotated[
     str,
@@ -23,98 +23,21 @@ RecordArgument = Annotated[
         show_default=False,
     ),
 ]
-Train = Annotated[
-    int | None,
-    typer.Option(
-        "--train",
-        metavar="N",
-        help="Train on the first N samples.",
-        rich_help_panel=_PANEL,
-        show_default="three quarters",
-    ),
-]
-Columns = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAMES",
-        help="Measured columns, by name or position.",
-        rich_help_panel=_PANEL,
-        show_default="all numeric",
-    ),
-]
-Inputs = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAMES",
-        help="Known inputs: forces, set-points.",
-        rich_help_panel=_PANEL,
+ModelArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="MODEL_DIR",
+        help="What `fit` wrote, or `compare` and `forecast` (OUT/model).",
         show_default=False,
     ),
 ]
 TimeColumn = Annotated[
     str | None,
-    typer.Option(
-        metavar="NAME",
-        help="Column of time stamps, seconds or dates.",
-        rich_help_panel=_PANEL,
-        show_default=", ".join(TIME_NAMES),
-    ),
+    _record("Column of time stamps, seconds or dates.", "NAME", ", ".join(TIME_NAMES)),
 ]
-SamplingTime = Annotated[
-    float | None,
-    typer.Option(
-        metavar="SECONDS",
-        help="Time between samples, without a time column.",
-        rich_help_panel=_PANEL,
-        show_default=False,
-    ),
-]
-GapsOption = Annotated[
-    Gaps,
-    typer.Option(
-        "--gaps",
-        help="Refuse missing values and rows, or mask them.",
-        rich_help_panel=_PANEL,
-    ),
-]
-More = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--more",
-        metavar="FILE",
-        help="Train on this record too; may be repeated.",
-        rich_help_panel=_PANEL,
-        show_default=False,
-    ),
-]
-Tests = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--test",
-        metavar="FILE",
-        help="Validate on this record; may be repeated.",
-        rich_help_panel=_PANEL,
-        show_default=False,
-    ),
-]
-Initial = Annotated[
-    int | None,
-    typer.Option(
-        min=1,
-        metavar="N",
-        help="Samples of a test record that are known.",
-        rich_help_panel=_PANEL,
-        show_default="the warm-up",
-    ),
-]
+GapsOption = Annotated[Gaps, _record("Refuse missing values and rows, or mask them.")]
 FutureInputs = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Known inputs of the samples to come.",
-        rich_help_panel=_PANEL,
-        show_default=False,
-    ),
+    Path | None, _record("Known inputs of the samples to come.", "FILE", False)
 ]
 
 
@@ -122,10 +45,17 @@ FutureInputs = Annotated[
 class RecordOptions:
     """How files are read."""
 
-    columns: Columns = None
-    inputs: Inputs = None
+    columns: Annotated[
+        str | None, _record("Measured columns, by name or position.", "NAMES", "all numeric")
+    ] = None
+    inputs: Annotated[str | None, _record("Known inputs: forces, set-points.", "NAMES", False)] = (
+        None
+    )
     time_column: TimeColumn = None
-    sampling_time: SamplingTime = None
+    sampling_time: Annotated[
+        float | None,
+        _record("Time between samples, without a time column.", "SECONDS", False),
+    ] = None
     gaps: GapsOption = "refuse"
 
 
@@ -133,8 +63,13 @@ class RecordOptions:
 class FurtherRecords:
     """Other records of the same system, to train on."""
 
-    more: More = None
-    more_simulator: MoreSimulators = None
+    more: Annotated[
+        list[str] | None,
+        _record("Train on this record too; may be repeated.", "FILE", False),
+    ] = None
+    more_simulator: Annotated[
+        list[str] | None, _simulator("Simulator of each --more, in order.", "FILE", False)
+    ] = None
 
 
 @dataclass(frozen=True)
@@ -143,6 +78,14 @@ class TestRecords:
 
     __test__ = False  # for pytest, it is no test
 
-    test: Tests = None
-    test_simulator: TestSimulators = None
-    initial: Initial = None
+    test: Annotated[
+        list[str] | None,
+        _record("Validate on this record; may be repeated.", "FILE", False),
+    ] = None
+    test_simulator: Annotated[
+        list[str] | None, _simulator("Simulator of each --test, in order.", "FILE", False)
+    ] = None
+    initial: Annotated[
+        int | None,
+        _record("Samples of a test record that are known.", "N", "the warm-up", min=1),
+    ] = None

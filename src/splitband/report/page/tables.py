@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.search import SearchAttempt
 from splitband.evaluation.selection import Trial
+from splitband.evaluation.trials import SearchAttempt
 from splitband.report.numbers import number
 from splitband.report.page.parts import Cell, Table
 from splitband.report.page.words import in_words
