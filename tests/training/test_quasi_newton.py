@@ -58,6 +58,16 @@ def test_where_the_error_is_not_finite_the_weights_stay() -> None:
     assert at.item() > 2
 
 
+def test_a_first_step_that_ends_at_an_infinite_slope_is_made_shorter() -> None:
+    """As where a slow state grows without bound: the error is finite there, its slope is not."""
+    w = nn.Parameter(torch.zeros(1))
+    finish = QuasiNewton([w], lambda: (1000 * (w - 1) ** 2 + (1e5 * (w - 0.99912)).exp()).sum())
+    for _ in range(3):
+        error = finish.round()
+    assert error < 1
+    assert w.item() == pytest.approx(0.999, abs=0.02)
+
+
 @pytest.mark.parametrize(("window", "warmup"), [(10, 3), (11, 3), (7, 6), (40, 39)])
 @pytest.mark.parametrize("samples", [40, 57, 100])
 def test_every_sample_after_the_first_warmup_is_in_a_window(

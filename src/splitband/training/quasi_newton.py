@@ -9,7 +9,6 @@ time.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 
 import torch
@@ -28,7 +27,7 @@ HALVED = 20_000
 """Where there are at most this many windows to choose from, what successive ones predict overlaps
 by half."""
 UNBOUNDED = 1e10
-"""Stands for a loss that is not finite."""
+"""Multiple of the first loss that stands for larger ones, and for those that are not finite."""
 MOST_SAMPLES = 100_000
 """Samples in all windows together, warm-ups included. Above it, windows are subsampled evenly."""
 
@@ -110,10 +109,11 @@ class QuasiNewton:
         such round in a row is the last one.
         """
         before = [p.detach().clone() for p in self.parameters]
-        self.scale = self.scale or self._error() or 1.0
+        began = self._error()
+        self.scale = self.scale or began or 1.0
         self._best = None
         try:
-            began = self.scale * self._optimizer.step(self._closure)
+            self._optimizer.step(self._closure)
         except _OverError:
             assert self._best is not None
             self.cut = True
@@ -147,8 +147,10 @@ class QuasiNewton:
         loss = self._mean_square() / self.scale
         loss.backward()
         value = loss.item()
-        if not math.isfinite(value):
-            # The line search compares values: a state that has grown without bound is a bad step.
+        slopes = [p.grad for p in self.parameters if p.grad is not None]
+        if not (value < UNBOUNDED and all(bool(slope.isfinite().all()) for slope in slopes)):
+            # A state has grown without bound, which is a bad step. The line search interpolates
+            # values and slopes, and would never return from one that is infinite.
             for parameter in self.parameters:
                 parameter.grad = torch.zeros_like(parameter)
             value = UNBOUNDED
