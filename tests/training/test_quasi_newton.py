@@ -61,7 +61,11 @@ def test_where_the_error_is_not_finite_the_weights_stay() -> None:
 def test_a_first_step_that_ends_at_an_infinite_slope_is_made_shorter() -> None:
     """As where a slow state grows without bound: the error is finite there, its slope is not."""
     w = nn.Parameter(torch.zeros(1))
-    finish = QuasiNewton([w], lambda: (1000 * (w - 1) ** 2 + (1e5 * (w - 0.99912)).exp()).sum())
+
+    def grows_without_bound() -> Tensor:
+        return torch.sum(1000 * (w - 1) ** 2 + torch.exp(1e5 * (w - 0.99912)))
+
+    finish = QuasiNewton([w], grows_without_bound)
     for _ in range(3):
         error = finish.round()
     assert error < 1
