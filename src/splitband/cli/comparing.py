@@ -37,7 +37,7 @@ from splitband.forecasters.names import BASES, GREY_BOX, TRAINED, named, with_ba
 from splitband.report import results
 from splitband.report.page.usage import Usage
 from splitband.runtime.cluster import Cluster, silence
-from splitband.runtime.files import CHECKPOINTS, output_folder
+from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.threads import available_cores
 
 WRITING, AS_STARTING = 2.0, 1.5
@@ -238,7 +238,6 @@ def watched(
     samples : Of each method that will be written.
     began : When the time that a budget limits did, by default with the command.
     """
-    output_folder(out, "--out")
     began, seconds, after = clock.began() if began is None else began, None, 0.0
     if plan.setup.search is not None and plan.setup.search.seconds is not None:
         starting, seconds = clock.starting(), plan.setup.search.seconds
