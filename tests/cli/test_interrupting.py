@@ -27,6 +27,8 @@ def test_an_interrupt_says_so_and_leaves_no_file(capsys: pytest.CaptureFixture[s
     assert files(Path()) == before
 
 
+TRAINED = "out/*/*/*.safetensors"
+
 # In a process that multiprocessing begins, it runs before anything else is loaded.
 ANNOUNCE = """
 import os, pathlib, sys
@@ -37,16 +39,26 @@ if "spawn_main" in " ".join(sys.orig_argv):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a signal to a group of processes")
 @pytest.mark.parametrize(
-    ("jobs", "files"),
+    ("jobs", "files", "sent"),
     [
-        pytest.param(1, "out/*/*/*.safetensors", id="while it trains", marks=pytest.mark.soak),
-        pytest.param(2, "*.loading", id="while its processes load", marks=pytest.mark.soak),
-        pytest.param(2, "out/*/*/*.safetensors", id="while its processes train"),
+        pytest.param(1, TRAINED, signal.SIGINT, id="while it trains", marks=pytest.mark.soak),
+        pytest.param(2, "*.loading", signal.SIGINT, id="while it loads", marks=pytest.mark.soak),
+        pytest.param(2, TRAINED, signal.SIGINT, id="while its processes train"),
+        pytest.param(1, TRAINED, signal.SIGTERM, id="terminated"),
     ],
 )
 def test_ctrl_c_stops_at_once_and_leaves_nothing_half_written(
-    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jobs: int, files: str
+    workspace: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    jobs: int,
+    files: str,
+    sent: signal.Signals,
 ) -> None:
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    if jobs == 1:  # the path is too long for the sockets of several processes
+        monkeypatch.setenv("TMPDIR", str(temporary))
     (tmp_path / "sitecustomize.py").write_text(ANNOUNCE)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
     line = (
@@ -55,9 +67,10 @@ def test_ctrl_c_stops_at_once_and_leaves_nothing_half_written(
     )
     running = command_line(line)
     eventually(lambda: len([*tmp_path.glob(files)]) >= jobs)
-    assert interrupted(running) == [
+    assert interrupted(running, sent) == [
         "error: stopped; no file is half written, and the same command goes on from here"
     ]
+    assert [*temporary.iterdir()] == []
     assert {path.name for path in (tmp_path / "out").iterdir()} == {CHECKPOINTS}
 
 
@@ -85,9 +98,9 @@ def command_line(line: str) -> subprocess.Popen[str]:
     )
 
 
-def interrupted(running: subprocess.Popen[str]) -> list[str]:
+def interrupted(running: subprocess.Popen[str], sent: signal.Signals = signal.SIGINT) -> list[str]:
     """What it says after Ctrl-C, and that it stops as shells expect."""
-    os.killpg(running.pid, signal.SIGINT)
+    os.killpg(running.pid, sent)
     try:
         _, said = running.communicate(timeout=300)
     finally:

@@ -215,6 +215,22 @@ def test_a_cached_trajectory_is_not_simulated_again(tmp_path: Path) -> None:
     assert run(Counted(2.0), 50, DT, cache=tmp_path / "new").shape == (50, 1)
 
 
+@pytest.mark.parametrize("kept", [0, 100, -8])
+def test_a_damaged_file_of_the_cache_is_written_again(tmp_path: Path, kept: int) -> None:
+    whole = run(Counted(2.0), 50, DT, cache=tmp_path)
+    (stored,) = tmp_path.iterdir()
+    content = stored.read_bytes()
+    stored.write_bytes(content[:kept])
+    np.testing.assert_array_equal(run(Counted(2.0), 50, DT, cache=tmp_path), whole)
+    assert stored.read_bytes() == content
+
+
+def test_a_cache_that_is_a_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ValueError, match="cache must be a folder that can be written, got"):
+        run(Counted(2.0), 50, DT, cache=tmp_path / "file")
+
+
 def test_without_a_cache_every_run_simulates() -> None:
     simulator = Counted()
     for _ in range(2):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -121,6 +122,8 @@ INTERRUPTED = 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; bad input is one line on the error stream and exit status 2."""
     clock.begin(own_process=arguments is None)
+    if arguments is None:  # what ends a batch job is heard as Ctrl-C is, and leaves no files
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     given = _global_first(sys.argv[1:] if arguments is None else arguments)
     try:
         status = typer.main.get_command(app).main(

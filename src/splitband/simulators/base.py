@@ -18,7 +18,7 @@ import numpy.typing as npt
 from splitband.data import Grid, Stamp
 from splitband.data.timing import seconds_of
 from splitband.runtime.arrays import Array
-from splitband.runtime.files import replacing
+from splitband.runtime.files import output_folder, replacing
 from splitband.simulators.recorded import Recorded
 
 
@@ -81,8 +81,8 @@ def run(
     cache = cache or getattr(simulator, "cache", None)
     begin = seconds_of(start)
     stored = _cache_file(simulator, (samples, sampling_time, ny, begin), cache)
-    if stored is not None and stored.is_file():
-        return np.asarray(np.load(stored, allow_pickle=False))
+    if stored is not None and (known := _read_whole(stored, (samples, ny))) is not None:
+        return known
     # A grid has two points at least, from which a simulator can tell its step.
     time: Array = begin + np.arange(max(samples, 2), dtype=np.float64) * sampling_time
 
@@ -116,7 +116,7 @@ def run(
             f"the first at {time[:samples][bad][0]:g} s"
         )
     if stored is not None:
-        stored.parent.mkdir(parents=True, exist_ok=True)
+        output_folder(stored.parent, "cache")
         with replacing(stored) as temporary:
             np.save(temporary, y)
     return y
@@ -143,6 +143,16 @@ def within(timeout: float | None, call: Callable[[], Any]) -> Any:
     if not returned:
         raise value
     return value
+
+
+def _read_whole(stored: Path, shape: tuple[int, int]) -> Array | None:
+    """Return what was stored; None where nothing was, or the file is damaged."""
+    try:
+        y = np.load(stored, allow_pickle=False)
+    except (OSError, ValueError, EOFError):
+        return None
+    whole = isinstance(y, np.ndarray) and (y.shape, y.dtype) == (shape, np.float64)
+    return y if whole and np.isfinite(y).all() else None
 
 
 def _cache_file(
