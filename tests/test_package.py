@@ -57,7 +57,6 @@ def test_the_installed_wheel_runs_from_an_environment_of_its_own(
     assert said == f"splitband {sb.__version__}\n"
     where = "import splitband.cli.compare as m; print(m.__file__)"
     assert run(python, "-c", where, folder=tmp_path).startswith(str(site))
-    run(python, "-m", "splitband", "methods", folder=tmp_path)
 
 
 @pytest.mark.soak

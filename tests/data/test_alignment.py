@@ -522,7 +522,7 @@ def ahead(model: Path, history: str, options: str) -> Array:
     return pd.read_csv("ahead.csv").to_numpy()
 
 
-@pytest.mark.parametrize("simulator", ["functions.py:slow_start", "sim.csv", "cut.csv"])
+@pytest.mark.parametrize("simulator", ["functions.py:slow_start", "cut.csv"])
 def test_a_later_history_is_simulated_on_as_the_whole_one_is(
     late_model: Path, simulator: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -531,7 +531,6 @@ def test_a_later_history_is_simulated_on_as_the_whole_one_is(
     write(Path("whole.csv"), times(20)[:180], y=signal(times())[:180])
     write(Path("later.csv"), times(20)[100:180], y=signal(times())[100:180])
     simulated = signal(0.97 * times(samples=400))
-    write(Path("sim.csv"), times(20, samples=400), y=simulated)
     write(Path("cut.csv"), times(20, samples=400)[150:], y=simulated[150:])
     whole = ahead(late_model, "whole.csv", "--simulator functions.py:slow_start")
     capsys.readouterr()

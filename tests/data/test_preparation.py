@@ -40,7 +40,7 @@ def test_a_trend_is_taken_from_a_history_and_given_back_to_the_prediction(start:
 
 def test_the_saved_model_remembers_it(tmp_path: object) -> None:
     raw = record()
-    model = sb.Linear().fit(raw.detrend(1).clip_outliers()[:400])
+    model = sb.Persistence().fit(raw.detrend(1).clip_outliers()[:400])
     model.save(f"{tmp_path}/model")
     loaded = sb.load(f"{tmp_path}/model")
     expected = model.predict(50, raw[:450], level=0.9)

@@ -39,7 +39,7 @@ def chosen(choice: Choice) -> tuple[float, int, int]:
     return candidate.cutoff, candidate.order, candidate.downsampling
 
 
-@settings(max_examples=settings().max_examples // 4)
+@settings(max_examples=settings().max_examples // 8)
 @given(
     y=hnp.arrays(
         np.float64,
@@ -63,8 +63,7 @@ def test_whatever_the_record_a_pair_is_chosen_that_can_be_used(
     check_downsampling(hybrid.downsampling, hybrid.cutoff, RATE)
 
 
-@pytest.mark.parametrize("offset", [0.0, -300.0])
-@pytest.mark.parametrize(("slow", "fast"), [(0.2, 2.0), (0.3, 4.0)])
+@pytest.mark.parametrize(("offset", "slow", "fast"), [(0.0, 0.2, 2.0), (-300.0, 0.3, 4.0)])
 def test_the_cutoff_lies_between_a_strong_slow_and_a_weak_fast_sinusoid(
     offset: float, slow: float, fast: float
 ) -> None:
@@ -136,8 +135,8 @@ def test_a_constant_record_has_no_cutoff(constant: float) -> None:
     assert choose_with_simulator(y, y, RATE, WARMUP, cutoff=1.0).cutoff == 1.0
 
 
-@pytest.mark.parametrize("constants", [1, 9])
-def test_constant_channels_do_not_count(constants: int) -> None:
+def test_constant_channels_do_not_count() -> None:
+    constants = 9
     y = sine(0.2) + sine(2.0, 0.3) + 0.05 * noise()
     more = np.hstack([y, np.full((SAMPLES, constants), 1013.0)])
     assert choose(more, RATE, WARMUP) == choose(y, RATE, WARMUP)
@@ -205,8 +204,8 @@ def test_an_offset_of_the_simulator_counts() -> None:
     assert not choose_with_simulator(y, y + 2.0, RATE, WARMUP).simulator_helps
 
 
-@pytest.mark.parametrize("unit", [1e-6, 1e6])
-def test_the_choice_does_not_depend_on_the_unit(unit: float) -> None:
+def test_the_choice_does_not_depend_on_the_unit() -> None:
+    unit = 1e6
     y = sine(0.2) + sine(1.5, 0.5) + 0.1 * noise()
     y_sim = sine(0.2, 0.9)
     for one, other in (

@@ -1,5 +1,6 @@
 """A stream runs a simulator of its own, and takes samples as they are measured."""
 
+from collections.abc import Callable
 from copy import copy
 from functools import cache
 from typing import Any
@@ -169,30 +170,35 @@ def test_a_step_response_integrates_the_equation() -> None:
     assert np.isfinite(fitted("residual", 3.0).step_responses(50).y).all()
 
 
-@pytest.mark.parametrize(("order", "start"), [(0, None), (0, 40.0), (1, 40.0)])
-def test_samples_are_those_that_are_measured(order: int, start: float | None) -> None:
+@pytest.mark.parametrize(
+    ("order", "start", "make"),
+    [(0, None, lambda: sb.Single(sb.GRU(4), SHORT)), (1, 40.0, sb.Linear)],
+    ids=["network without time stamps", "linear model with a trend"],
+)
+def test_samples_are_those_that_are_measured(
+    order: int, start: float | None, make: Callable[[], sb.Forecaster]
+) -> None:
     """Where a record was detrended and clipped, a stream does that, and undoes it."""
     made = driven()
     assert made.u is not None
     slope = np.linspace(0, 9, len(made))[:, None]
     raw = sb.Record(made.y + 5 + slope, 0.1, u=made.u - 3, start=start)
     record = raw.detrend(order).clip_outliers(2.0)
-    for model in (sb.Linear(), sb.Single(sb.GRU(4), SHORT)):
-        model.fit(record[:TRAIN], seed=1)
-        in_double(model)
-        found, wanted = from_origin(model, raw)
-        np.testing.assert_allclose(found, wanted, atol=1e-9)
-        # After a history that was prepared, samples are prepared ones, as those of `predict`.
-        found, wanted = from_origin(model, record)
-        np.testing.assert_allclose(found, wanted, atol=1e-9)
-        # Without a history it goes on from the training record, in the units of what is measured.
-        assert raw.u is not None
-        assert record.u is not None
-        stream = model.stream()
-        found = np.stack([stream.step(u) for u in raw.u[TRAIN:END]])
-        own = model.predict(END - TRAIN, u=record.u[TRAIN:END])
-        time = (start or 0.0) + 0.1 * np.arange(TRAIN, END, dtype=np.float64)
-        np.testing.assert_allclose(found, own.restored(record.prepared, time).y, atol=1e-9)
+    model = make().fit(record[:TRAIN], seed=1)
+    in_double(model)
+    found, wanted = from_origin(model, raw)
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+    # After a history that was prepared, samples are prepared ones, as those of `predict`.
+    found, wanted = from_origin(model, record)
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+    # Without a history it goes on from the training record, in the units of what is measured.
+    assert raw.u is not None
+    assert record.u is not None
+    stream = model.stream()
+    found = np.stack([stream.step(u) for u in raw.u[TRAIN:END]])
+    own = model.predict(END - TRAIN, u=record.u[TRAIN:END])
+    time = (start or 0.0) + 0.1 * np.arange(TRAIN, END, dtype=np.float64)
+    np.testing.assert_allclose(found, own.restored(record.prepared, time).y, atol=1e-9)
 
 
 def test_a_saved_model_knows_when_its_samples_were(tmp_path: Any) -> None:

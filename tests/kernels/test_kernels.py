@@ -235,8 +235,7 @@ def test_float32_is_as_near_to_float64_as_the_plain_loop(
         assert error < 3 * allowed + 2e-6, name
 
 
-@pytest.mark.parametrize("blocks", ["_WIDE", "_NARROW"])
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize(("blocks", "dtype"), [("_WIDE", np.float32), ("_NARROW", np.float64)])
 def test_products_of_any_shape_on_any_processor(
     monkeypatch: pytest.MonkeyPatch, blocks: str, dtype: type[np.floating[Any]]
 ) -> None:

@@ -122,9 +122,8 @@ def test_a_perfect_simulator_is_left_as_it_comes() -> None:
         assert str(noisy) == "as it comes"
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_unrelated_noise_gets_no_delay_and_no_clock(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+def test_unrelated_noise_gets_no_delay_and_no_clock() -> None:
+    rng = np.random.default_rng(0)
     y_sim, y = rng.standard_normal((NEEDED, 1)), rng.standard_normal((TRAIN, 1))
     found = calibrate(y_sim, y, DT)
     assert (found.delay, found.clock) == (0.0, 1.0)
