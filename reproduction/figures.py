@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from reproduction import pictures as drawn
 from reproduction.jobs import ORACLE, SYSTEMS, Job
 from reproduction.runs import as_run, finished, load
 from reproduction.specs import SPECS, Line, chosen, lines
@@ -23,15 +24,15 @@ def _spectrum(comparison: Comparison) -> pictures.Picture:
 
 
 def _unfiltered(comparison: Comparison) -> pictures.Picture:
-    return pictures.components(comparison, "unfiltered")
+    return drawn.components(comparison, "unfiltered")
 
 
 FIGURES: dict[str, Callable[[Comparison], pictures.Picture]] = {
     "spectrum": _spectrum,
     "rollouts": pictures.rollouts,
-    "components": pictures.components,
+    "components": drawn.components,
     "unfiltered": _unfiltered,
-    "errors": pictures.errors,
+    "errors": drawn.errors,
 }
 """By the name that the command line takes."""
 

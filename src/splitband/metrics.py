@@ -96,8 +96,8 @@ def leaves_range(training: Array, prediction: Array) -> int | None:
 def leaving(samples: int) -> str:
     """Describe a prediction that leaves the range of the training samples."""
     return (
-        f"after {samples} samples more than {FARTHEST:g} times as far out as the training samples "
-        "go: not to be trusted from there on"
+        f"leaves {FARTHEST:g} times the range of the training samples after {samples} samples: do "
+        "not rely on it beyond that"
     )
 
 

@@ -15,7 +15,7 @@ from splitband.cli.comparing import Request
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.run import run
 from splitband.evaluation.work import Work
-from splitband.report.benchmark import Row, picture, summary
+from splitband.report.benchmark import Row, summary
 from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import locked
 from tests.cli.support import (
@@ -24,7 +24,6 @@ from tests.cli.support import (
     TRAIN,
     A,
     assert_fails,
-    assert_pictures,
     call,
     files,
     results,
@@ -242,15 +241,6 @@ def test_ctrl_c_ends_in_one_line_and_the_same_command_goes_on(
     assert not [*Path("out").rglob(CHECKPOINTS)]
 
 
-@pytest.mark.usefixtures("drawn")
-def test_pictures_are_of_the_cases_and_of_all(again: list[int]) -> None:
-    Path("list.csv").write_text("record,columns\ndata/record.csv,a\n")
-    call(f"benchmark list.csv --methods mean,persistence {QUICK} --jobs 1", Path("other"))
-    assert_pictures(Path("other"), "cases.png")
-    assert_pictures(Path("other") / "record", "rollouts.png", "error.png", "spectrum.png")
-    assert again == [SAMPLES]
-
-
 def test_where_every_case_fails_so_does_the_command(
     again: list[int], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -400,15 +390,6 @@ def test_the_summary_counts_what_has_numbers() -> None:
         "median_held": pytest.approx(0.7),
     }  # fmt: skip
     assert summary(rows[3:])["median_regret"] is None
-
-
-@pytest.mark.parametrize("count", [1, 500])
-def test_the_picture_stays_of_a_size_to_look_at(count: int) -> None:
-    rows = [Row(f"case $ {i}", "forecast", "a", 0.1 + i, "b", 0.1) for i in range(count)]
-    figure = picture(rows)
-    figure.canvas.draw()
-    assert 3 <= figure.get_size_inches()[1] <= 40
-    assert figure.axes[0].lines[1].get_xdata() == pytest.approx([0.1 + i for i in range(count)])
 
 
 def test_a_case_whose_folder_is_in_use_is_left_alone(

@@ -226,7 +226,7 @@ def test_a_result_cut_off_while_it_is_moved_is_gone_and_the_next_one_whole(
                 (new / name).write_text(names)
             write_facts(new, {})
 
-    write("predictions.csv components.png error.png")
+    write("predictions.csv forecast.csv rollouts.png")
     moved = Path.replace
 
     def killed(self: Path, target: Path) -> Path:
@@ -237,7 +237,7 @@ def test_a_result_cut_off_while_it_is_moved_is_gone_and_the_next_one_whole(
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", killed)
         with pytest.raises(KeyboardInterrupt):
-            write("error.png table.csv")
+            write("rollouts.png table.csv")
     assert not Path("out/results.json").exists()
     write("spectrum.png")
     assert {path.name for path in Path("out").iterdir()} == {"results.json", "spectrum.png"}

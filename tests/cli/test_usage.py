@@ -28,7 +28,7 @@ def planned(nu: int = 0, start: float | None = 0.0, name: str = "rig") -> Plan:
 
 def test_the_trained_model_is_simulated_with_what_was_given() -> None:
     found = usage("compare", GIVEN, OUT, planned(1), sb.named("gru"))
-    (_, simulate), (_, fit), (_, export), (_, checked) = found.commands
+    (_, simulate), (_, fit), (_, export), (_, checked), (_, python) = found.commands
     assert export == "splitband export out/model model.fmu"
     assert checked == "splitband check out/model --record later.csv"
     assert shlex.split(simulate.replace("\\\n", "")) == shlex.split(
@@ -38,14 +38,15 @@ def test_the_trained_model_is_simulated_with_what_was_given() -> None:
         "splitband fit 'my rig.csv' --inputs force --gaps mask --more a.csv --more b.csv "
         "--cutoff auto --method gru --out out/model-of-all"
     )
-    assert found.reading == "record = sb.read('my rig.csv', inputs=['force'], gaps='mask')"
+    assert "sb.load('out/model')" in python
+    assert "u=u" in python
     assert "--calibrate" in found.asked
     assert "--test later.csv" in found.asked
 
 
 def test_inputs_to_come_are_asked_for_where_the_record_does_not_say_when_they_are() -> None:
     found = usage("compare", GIVEN, OUT, planned(1, None), sb.named("gru"))
-    assert "--future-inputs FILE" in found.commands[-1][1]
+    assert "--future-inputs FILE" in found.commands[-2][1]
 
 
 def test_a_network_is_trained_again_as_it_was_found() -> None:
@@ -76,7 +77,7 @@ def test_only_a_model_that_asks_for_a_simulator_is_simulated_with_one() -> None:
 def test_a_record_that_the_command_made_has_a_name_for_the_others() -> None:
     made = planned(1, name="overhead-crane")
     found = usage("demo", {"out": "demo"}, OUT, made, sb.named("harmonic"))
-    (_, simulate), (_, command), _ = found.commands
+    (_, simulate), (_, command), *_ = found.commands
     assert "--future-inputs overhead-crane" in simulate
     assert command.startswith("splitband fit overhead-crane --method harmonic")
     assert found.asked == "splitband demo --out demo"

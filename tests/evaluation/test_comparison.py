@@ -115,7 +115,7 @@ def test_a_record_with_inputs_is_compared_with_a_linear_model_too() -> None:
     assert sorted(methods) == sorted(default_names(with_simulator=True, with_inputs=True))
     driven = replace(r, y=np.cumsum(0.3 * u - 0.1, axis=0), y_true=None)
     (found,) = compare(driven, ["linear"], SETUP)["linear"]
-    assert "1 input(s)" in found.description
+    assert "1 input and" in found.description
 
 
 def test_methods_without_a_simulator_get_the_pair_they_would_get_without_one() -> None:

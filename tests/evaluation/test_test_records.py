@@ -157,7 +157,7 @@ def test_the_files_hold_an_entry_for_each_seed_and_test(
     assert "test_rmse" not in facts["methods"]["seasonal-naive"]
     assert "forecast_rmse" not in gru
     assert [test["name"] for test in facts["tests"]] == ["rig 1", "rig 2"]
-    assert {path.name for path in tmp_path.iterdir()} >= {"rollouts.png", "error.png"}
+    assert {path.name for path in tmp_path.iterdir()} >= {"rollouts.png", "report.html"}
 
 
 def test_errors_name_the_test_record() -> None:

@@ -34,7 +34,7 @@ class NonLinear(sb.Forecaster):
         (
             sb.Ensemble(sb.Single(sb.StateSpace(3, 4))),
             "state-space",
-            "StateSpace network",
+            "state-space network",
         ),
     ],
 )

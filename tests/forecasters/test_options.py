@@ -11,7 +11,6 @@ from torch import nn
 
 import splitband as sb
 from splitband import Forecaster, Known, Record
-from splitband.report.page import usage
 
 SETTINGS = sb.Settings(40, 10, 3, quasi_newton=20, clip=1.0, milestones=((2, 1e-4),))
 SHORT = sb.Settings(40, 10, 1)
@@ -82,14 +81,10 @@ def seen(value: object) -> Any:
 
 
 @pytest.mark.parametrize("name", MADE)
-def test_its_repr_and_its_clone_and_the_page_make_the_same_forecaster(name: str) -> None:
+def test_its_repr_and_its_clone_make_the_same_forecaster(name: str) -> None:
     forecaster = MADE[name]
     assert seen(eval(repr(forecaster), {"sb": sb})) == seen(forecaster)
     assert seen(forecaster.clone()) == seen(forecaster)
-    code = usage.python(forecaster, record(), usage.Usage(), 10).split("model.fit")[0]
-    names: dict[str, Any] = {}
-    exec(code, names)
-    assert seen(names["model"]) == seen(forecaster)
 
 
 @pytest.mark.parametrize(

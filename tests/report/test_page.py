@@ -12,12 +12,12 @@ import pytest
 
 from splitband import Record
 from splitband.evaluation.comparison import Comparison
-from splitband.filters.spectrum import periodogram
-from splitband.report import page as report
 from splitband.report.benchmark import Row
-from splitband.report.page import comparison, document, figures
+from splitband.report.page import comparison, document
+from splitband.report.page import document as report
+from splitband.report.page.charts import Axis
+from splitband.report.page.parts import Usage
 from splitband.report.page.thinning import bin_size, compact, envelope, places, thinned
-from splitband.report.page.usage import Usage
 from tests.report import comparisons
 
 
@@ -36,32 +36,20 @@ def everything() -> Comparison:
 def pages(everything: Comparison, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """One of each kind."""
     folder = tmp_path_factory.mktemp("pages")
-    r = everything.record
-    facts = {
-        "share_below": 0.5, "order": 1, "reconstruction_rmse": 1e-3, "train": 200,
-        "peaks": [{"frequency": f, "share": s} for f, s in periodogram(r.y, 10.0).peaks()],
-        "simulator": {
-            "total_rmse": 1.0, "mean_coherence_below_cutoff": 0.5,
-            "oracle": [{"cutoff": 0.5, "perfect_network": 0.1, "no_network": 0.2}],
-            "training": {"nothing_to_learn": True},
-        },
-    }  # fmt: skip
     rows = [
         Row("good", "test", "gru", 0.2, "linear", 0.1, 0.9, 3.0),
         Row("no error", "test", "gru", None, "", None, None, 3.0),
         Row(comparisons.NASTY, failed="the file is empty"),
     ]
-    used = Usage([("Fit it", "splitband fit 'a <b>'")], "record = ...", "splitband compare 'a <b>'")
-    spectrum = report.SpectrumReport(r, 0.5, None, facts)
+    used = Usage([("Fit it", "splitband fit 'a <b>'")], "splitband compare 'a <b>'")
     report.of_comparison(everything, folder / "comparison", used)
     report.of_forecast(comparisons.forecasted(), folder / "forecast", used)
-    report.of_spectrum(spectrum, folder / "spectrum", used)
     report.of_rows(rows, folder / "benchmark", used)
     report.of_rows(rows[2:], folder / "failures", used)
     return {page.name: page for page in folder.iterdir()}
 
 
-@pytest.mark.parametrize("kind", ["comparison", "forecast", "spectrum", "benchmark", "failures"])
+@pytest.mark.parametrize("kind", ["comparison", "forecast", "benchmark", "failures"])
 def test_each_page_is_well_formed_and_readable(pages: dict[str, Path], kind: str) -> None:
     """Landmarks, one first heading, no level left out, captions, words for every plot."""
     tree = parsed(pages[kind])
@@ -95,9 +83,9 @@ def test_names_are_escaped(pages: dict[str, Path]) -> None:
 def test_the_page_says_what_it_must(pages: dict[str, Path], everything: Comparison) -> None:
     said = " ".join("".join(parsed(pages["comparison"]).itertext()).split())
     for words in (
-        f"Short name: {everything.recommended}", "samples were not measured", "a note",
+        f"({everything.recommended})", "samples have missing values", "a note",
         "To keep in mind", "Error over horizon", "Components", "Spectrum and cut-off", "Training",
-        "What was tried", "In Python", "numpy", "splitband compare 'a <b>'",
+        "What was tried", "What to do next", "numpy", "splitband compare 'a <b>'",
         "Not tested: ", "test RMSE later",
     ):  # fmt: skip
         assert words in said
@@ -123,7 +111,6 @@ def test_where_nothing_is_forecast_there_is_no_forecast(tmp_path: Path) -> None:
     found = comparisons.compared(replace(r, start=5.0), ("mean", "persistence"), len(r), [r])
     page = comparison.page(found, Usage())
     assert [view.label for view in page.views] == ["Whole record"]
-    assert not page.intervals
     found.report(tmp_path / "page.html")
     parsed(tmp_path / "page.html")
 
@@ -133,7 +120,7 @@ def test_time_is_called_what_the_record_knows() -> None:
     labels = {
         axis.label: axis.values[1]
         for axis in (
-            figures.TimeAxis.of(each)
+            Axis.over_time(each)
             for each in (r, replace(r, start=7.0), replace(r, sampling_time=1.0))
         )
     }

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from splitband import Record
-from splitband.report import page as report
+from splitband.report.page import document as report
 from tests.report import comparisons
 
 if TYPE_CHECKING:
@@ -77,7 +77,6 @@ class Opened:
         found = self.page.evaluate(
             "name => Bokeh.documents[0].roots().flatMap(f => f.renderers)"
             ".filter(r => r.name === name && r.tags.includes('method'))"
-            ".filter(r => !r.tags.includes('interval'))"
             ".map(r => r.visible)",
             method,
         )
@@ -100,9 +99,9 @@ def test_names_are_text_and_nothing_is_loaded(browser: Browser, tmp_path: Path) 
     alerted = []
     it.page.on("dialog", lambda dialog: alerted.append(dialog.message))
     it.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
-    # The recommended method and the next best three are drawn at first.
-    assert it.page.locator("input[name=method]:checked").count() == 4
-    (box,) = it.page.query_selector_all("input[name=method]:not(:checked)")
+    # The recommended method is drawn at first.
+    assert it.page.locator("input[name=method]:checked").count() == 1
+    box, *_ = it.page.query_selector_all("input[name=method]:not(:checked)")
     worst = str(box.get_attribute("value"))
     assert not any(it.drawn(worst))
     box.check()
@@ -116,10 +115,13 @@ def test_names_are_text_and_nothing_is_loaded(browser: Browser, tmp_path: Path) 
 
 def test_plots_of_one_time_zoom_together(opened: Opened) -> None:
     """By dragging, by the buttons and by keys: forecasts and their residuals."""
-    begun = opened.range(1)
+    opened.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
+    residuals = opened.page.locator("#residuals .plot").last
+    beside = int(str(residuals.get_attribute("id")).removeprefix("plot-"))
+    begun = opened.range(0)
     assert begun == [18.8, 29.9]  # shortly before the forecast, which begins at 20 s
-    opened.page.locator("#plot-1").scroll_into_view_if_needed()
-    box = opened.page.locator("#plot-1").bounding_box()
+    opened.page.locator("#plot-0").scroll_into_view_if_needed()
+    box = opened.page.locator("#plot-0").bounding_box()
     assert box is not None
     middle = box["y"] + box["height"] / 2
     opened.page.mouse.move(box["x"] + 0.4 * box["width"], middle - 40)
@@ -127,29 +129,31 @@ def test_plots_of_one_time_zoom_together(opened: Opened) -> None:
     opened.page.mouse.move(box["x"] + 0.6 * box["width"], middle + 40, steps=4)
     opened.page.mouse.up()
     opened.page.wait_for_function(
-        "end => Bokeh.documents[0].roots()[1].x_range.end < end", arg=begun[1]
+        "end => Bokeh.documents[0].roots()[0].x_range.end < end", arg=begun[1]
     )
-    dragged = opened.range(1)
+    dragged = opened.range(0)
     assert begun[0] < dragged[0] < dragged[1] < begun[1]
-    assert all(opened.range(figure) == dragged for figure in range(1, 5))
+    assert opened.range(beside) == dragged
     opened.page.get_by_role("button", name="After it").click()
-    after = opened.range(1)
+    after = opened.range(0)
     assert after == [20.0, 29.9]
-    opened.page.locator("#plot-2").focus()
+    residuals.focus()
     opened.page.keyboard.press("+")
-    closer = opened.range(1)
+    closer = opened.range(0)
     assert closer[1] - closer[0] == pytest.approx((after[1] - after[0]) / 2)
     opened.page.keyboard.press("0")
-    whole = opened.range(1)
+    whole = opened.range(0)
     assert whole[0] < 0
     assert whole[1] > 29.9
-    assert all(opened.range(figure) == whole for figure in range(1, 5))
+    assert opened.range(beside) == whole
 
 
 def test_a_method_is_switched_off_everywhere(opened: Opened) -> None:
     opened.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
+    assert len(opened.drawn("mean")) >= 4
+    for name in ("mean", "persistence"):
+        opened.page.get_by_role("checkbox", name=name).check()
     assert all(opened.drawn("mean"))
-    assert len(opened.drawn("mean")) >= 6
     opened.page.get_by_role("checkbox", name="mean").uncheck()
     assert not any(opened.drawn("mean"))
     assert all(opened.drawn("persistence"))
@@ -212,8 +216,9 @@ def test_a_long_record_is_thinned_out_and_keeps_its_peaks(browser: Browser, tmp_
     report.of_comparison(comparisons.compared(r, ("mean", "persistence"), 150_000), path)
     it = Opened(browser, path)
     highest = it.page.evaluate(
-        "Bokeh.documents[0].roots()[1].renderers.at(-1).data_source.data[' measured']"
-        ".reduce((a, b) => Math.max(a, b))"
+        "(() => { const r = Bokeh.documents[0].roots()[0].renderers.at(-1);"
+        "return r.data_source.data[r.glyph.y.field].filter(y => y === y)"
+        ".reduce((a, b) => Math.max(a, b)); })()"
     )
     it.context.close()
     assert highest == pytest.approx(9.0)

@@ -106,7 +106,7 @@ def test_the_text_names_the_method_that_the_table_marks(seeds: Comparison, best:
     said = " ".join(words.afterwards(found))
     assert f"fit {shown.entry(best)} %" in " ".join(words.achieved(found))
     if shown.best == best:
-        assert "No other method had a better fit there." in said
+        assert "No other method had a better fit." in said
     else:
         assert f"{shown.best} {shown.entry(shown.best)} %" in said
 

@@ -61,7 +61,7 @@ class HarmonicRegression:
         decaying = sum(int((modes.dampings > 0).sum()) for modes in self.channels)
         some = f", {decaying} of them decaying," if decaying else ""
         trends = described([modes.shape for modes in self.channels])
-        return f"{counts} sinusoid(s){some} and an offset{trends}"
+        return f"{counts} sinusoid{'s' * (counts != '1')}{some} and an offset{trends}"
 
 
 def _fit_channel(y: Array, sinusoids: int | None, damped: bool) -> Modes:

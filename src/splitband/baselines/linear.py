@@ -197,7 +197,9 @@ class OutputError:
 
     def __str__(self) -> str:
         orders = "+".join(str(len(channel.a) - 1) for channel in self.channels)
-        return f"{orders} pole(s), {len(self.mean)} input(s) and an offset"
+        poles = f"{orders} pole{'s' * (orders != '1')}"
+        inputs = f"{len(self.mean)} input{'s' * (len(self.mean) != 1)}"
+        return f"{poles}, {inputs} and an offset"
 
 
 @saved

@@ -25,7 +25,8 @@ from splitband.cli.usage import usage
 from splitband.evaluation.work import Work
 from splitband.forecasters.names import with_variants
 from splitband.report import benchmark as report
-from splitband.report import page, pictures, results
+from splitband.report import results
+from splitband.report.page import document
 from splitband.runtime.deadlines import now
 from splitband.runtime.files import CHECKPOINTS, replacing
 from splitband.runtime.outputs import FACTS, locked, staged, write_facts
@@ -85,7 +86,7 @@ def benchmark(
     of this command hold for all cases; a warm-up in the list comes before --warmup.
 
     OUT/NAME has for each case what `compare` writes. The table over all of them (table.csv,
-    results.json, cases.png, report.html) has the error of the recommended method, on the test
+    results.json, report.html) has the error of the recommended method, on the test
     records where there are any, else of the forecast, as a multiple of the record's standard
     deviation; which method was the best; the regret, which is the recommended method's error over
     the best one's; and how much of the forecast was in its interval.
@@ -217,11 +218,10 @@ def _read(folder: Path) -> dict[str, Any]:
 def _save(rows: Sequence[report.Row], out: Path, facts: dict[str, Any]) -> None:
     facts |= {"summary": report.summary(rows), "cases": [row.as_json() for row in rows]}
     with staged(out) as new:
-        _, table_file, picture_file, page_file = (new / name for name in OVERALL)
+        _, table_file, page_file = (new / name for name in OVERALL)
         with replacing(table_file) as temporary:
             report.table(rows).to_csv(temporary)
-        pictures.save(report.picture(rows), picture_file)
-        page.of_rows(rows, page_file, usage("benchmark", facts["arguments"]))
+        document.of_rows(rows, page_file, usage("benchmark", facts["arguments"]))
         write_facts(new, facts | {"environment": results.environment()})
 
 
@@ -243,7 +243,7 @@ def _show(rows: Sequence[report.Row], out: Path) -> None:
         said += [] if found[key] is None else [f"{what} {found[key]:.3g}"]
     said += [f"{found['failed']} failed"] if found["failed"] else []
     showing.console.print("; ".join(said))
-    showing.console.print(f"results, table and picture: {out}/, and of each case in its folder")
+    showing.console.print(f"results and table: {out}/, and of each case in its folder")
     showing.results_of(out)
 
 

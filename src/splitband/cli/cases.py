@@ -29,7 +29,7 @@ _NAMED: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("simulator", "test_simulator", "more_simulator"), (*SIMULATORS, *BASES)),
 }  # fmt: skip
 """Columns of files, and what may stand there that is none."""
-OVERALL = ("results.json", "table.csv", "cases.png", "report.html")
+OVERALL = ("results.json", "table.csv", "report.html")
 """What lies beside the folders of the cases."""
 
 

@@ -15,7 +15,8 @@ from splitband.cli.options.records import GapsOption, ModelArgument, TimeColumn
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulate import history_of, opened_with_simulator
 from splitband.forecasters import saving as forecasters
-from splitband.report import checked
+from splitband.report import results
+from splitband.report.page.parts import Usage
 
 
 @with_groups
@@ -54,8 +55,7 @@ def check(
         with suppress(ValueError):  # of a model without inputs, or that does not run by itself
             responses = model.step_responses()
     asked = f"splitband check {model_dir} --record {record}"
-    report = checked.CheckReport(found, model.in_words(), responses, asked)
-    checked.save(report, out)
+    results.save_check(found, out, model.in_words(), responses, Usage(asked=asked))
     for line in str(found).splitlines():
         showing.console.print(line)
     showing.results_of(out)

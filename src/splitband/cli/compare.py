@@ -15,7 +15,7 @@ from splitband.evaluation.comparison import Comparison
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.names import HYBRIDS
 from splitband.report.page import words
-from splitband.report.page.usage import Usage
+from splitband.report.page.parts import Usage
 from splitband.report.results import MODEL
 from splitband.report.table import columns, remarks
 
@@ -61,31 +61,18 @@ def show(result: Comparison, out: Path, used: Usage) -> None:
     showing.methods(_title(result), columns(result), said, best)
     showing.console.print(result.time.in_words())
     kind = words.in_words(best, result.forecasters)
-    recommended = f"{kind} ({best})" if kind else best
     why = " ".join(words.why(trial, setup.train))
-    showing.console.print(f"\nrecommended: {recommended}. {why}")
-    if result.left_out:
-        showing.console.print(
-            f"not tested: {', '.join(result.left_out)}; they go on from the training record, or "
-            "need a simulator of the test record (--test-simulator)"
-        )
+    showing.console.print(f"\nrecommended: {words.named(best, kind)}. {why}")
     _show_bands(result)
-    for name, runs in result.runs.items():
-        for note in dict.fromkeys(note for run in runs for note in run.fit.notes):
-            showing.warn(f"{name}: {note}")
-    showing.warn_of_inputs(result.inputs_beyond_training, result.record.inputs)
-    for doubt in words.doubts(result):
-        showing.warn(doubt)
-    for test, prediction in zip(result.tests, result.means[best].tests, strict=False):
-        for message in prediction.warnings:
-            showing.warn(f"{test.name}: {message}")
+    for message in words.warnings(result):
+        showing.warn(message)
     for line in words.achieved(result):
         showing.console.print(line, style="bold")
     for tested in result.residual_tests():
         showing.console.print(f"residual tests: {tested.verdict()}")
     for what, command in used.commands[:1]:
         showing.console.print(f"{what}:\n    {command}", soft_wrap=True)
-    showing.console.print(f"trained model: {out / MODEL}/\nresults and pictures: {out}/")
+    showing.console.print(f"trained model: {out / MODEL}/\nresults and picture: {out}/")
     showing.results_of(out)
 
 

@@ -35,7 +35,7 @@ from splitband.evaluation.work import Work
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASES, GREY_BOX, TRAINED, named, with_base, with_variants
 from splitband.report import results
-from splitband.report.page.usage import Usage
+from splitband.report.page.parts import Usage
 from splitband.runtime.cluster import Cluster, silence
 from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.threads import available_cores

@@ -33,7 +33,7 @@ from splitband.cli.usage import usage
 from splitband.evaluation.forecast import Forecast, run_forecast
 from splitband.metrics import leaving
 from splitband.report import results
-from splitband.report.page.usage import Usage
+from splitband.report.page.parts import Usage
 from splitband.report.table import tried
 from splitband.runtime.files import CHECKPOINTS
 

@@ -69,7 +69,7 @@ def _of_file(path: str, reading: RecordOptions, saved: SavedSettings | None) -> 
     if record.measured is not None:
         missing = ~record.complete
         showing.console.print(
-            f"{path}: {missing.sum()} of {len(missing)} samples were not measured in whole, "
+            f"{path}: {missing.sum()} of {len(missing)} samples have missing values "
             f"and are masked: {places(missing)}"
         )
     announce(record, path)

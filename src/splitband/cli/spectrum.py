@@ -12,13 +12,11 @@ import typer
 from rich.table import Column, Table
 
 from splitband.cli import records, setups, showing
-from splitband.cli.comparing import arguments
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Cutoff, ModelOptions, Order
 from splitband.cli.options.records import RecordArgument, RecordOptions
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import with_simulator
-from splitband.cli.usage import usage
 from splitband.data import Record
 from splitband.data.named import RECORDS
 from splitband.evaluation.plan import TRAINING_SHARE, check_train
@@ -26,13 +24,12 @@ from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, period
 from splitband.forecasters.names import BASES
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import rmse
-from splitband.report import page, pictures
+from splitband.report import pictures
 from splitband.runtime.outputs import staged, write_facts
 
 
 @with_groups
 def spectrum(
-    context: typer.Context,
     record: RecordArgument,
     reading: RecordOptions,
     simulator: SimulatorOptions,
@@ -47,7 +44,7 @@ def spectrum(
     cutoff: Cutoff = None,
     order: Order = None,
 ) -> None:
-    """Show where the power of a record lies, and what a cut-off would part.
+    """Show the power spectrum of a record, and how a cut-off would split it.
 
     Prints the strongest peaks, the share of the power in either band and how well the filter pair
     puts the record together again. With a simulator, also how far it is off, where it is coherent
@@ -96,13 +93,11 @@ def spectrum(
             f"{showing.ordinal(setup.bands.downsampling or 1)} sample: {choice.reason}"
         )
     drawn = pictures.spectrum(shown, measured_spectrum, chosen, choice)
-    report = page.SpectrumReport(shown, chosen, choice, facts)
     with staged(out) as new:
         pictures.save(drawn, new / "spectrum.png")
-        page.of_spectrum(report, new / page.NAME, usage("spectrum", arguments(context.params)))
         write_facts(new, facts)
     showing.console.print(f"picture: {out / 'spectrum.png'}")
-    showing.results_of(out)
+    showing.results_of(out, page=False)
 
 
 def _warn_of_nothing_to_learn(record: Record, cutoff: float, order: int) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""How the page of a result says it can be used: commands, and the line that reads the record."""
+"""How the page of a result says it can be used."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from splitband.data.named import RECORDS
 from splitband.evaluation.plan import Plan
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES, TRAINED
-from splitband.report.page.usage import Usage
+from splitband.report.page.parts import Usage
 from splitband.report.results import MODEL, found_in
 
 _FIT = (
@@ -32,7 +32,6 @@ _FOUND = (
 """What a file of settings says."""
 _USUAL = {"gaps": "refuse", "recipe": "default", "device": "cpu",
           "simulator_timeout": PATIENCE}  # fmt: skip
-_IMPORT = "from splitband.data.named import RECORDS"
 WIDTH = 80
 """Characters in a line of a command."""
 STEPS = 100
@@ -64,7 +63,7 @@ def usage(
     if not record:
         return Usage(asked=asked)
     given = {**given, "record": record}
-    commands = [("Simulate it beyond its training record", _simulate(given, out, plan, model))]
+    commands = [("Simulate it beyond the training record", _simulate(given, out, plan, model))]
     found = found_in(model, out)
     if found is not None:
         given = {k: v for k, v in given.items() if k not in _FOUND} | {"settings": str(found)}
@@ -81,9 +80,19 @@ def usage(
         checked = f"splitband check {shlex.quote(str(out / MODEL))}"
         commands.append(("Check it on the test record", f"{checked} --record {tested}"))
     commands.sort(key=lambda each: "FILE" in each[1])  # what can be pasted as it is comes first
-    more = [_read(each, given) for each in given.get("more") or ()]
-    named_record = "" if record not in RECORDS else f"{_IMPORT}\n\n"
-    return Usage(commands, f"{named_record}record = {_read(record, given)}", asked, more)
+    if "simulator" not in model.needs and not model.parameters:
+        commands.append(("Use it in Python", _python(out, plan)))
+    return Usage(commands, asked)
+
+
+def _python(out: Path, plan: Plan) -> str:
+    """Return the lines that predict with the trained model."""
+    known = ", u=u" if plan.record.nu else ""
+    why = f"  # u: the {STEPS} samples of the inputs to come" if known else ""
+    return (
+        f"import splitband as sb\n\nmodel = sb.load({str(out / MODEL)!r})\n"
+        f"model.predict({STEPS}{known}).to_frame(){why}"
+    )
 
 
 def _simulate(given: Mapping[str, Any], out: Path, plan: Plan, model: Forecaster) -> str:
@@ -108,7 +117,7 @@ def _simulate(given: Mapping[str, Any], out: Path, plan: Plan, model: Forecaster
 def _line(begin: str, given: Mapping[str, Any], names: Any, end: Sequence[str] = ()) -> str:
     """Return a command with those of its options that were given, in lines that a shell joins."""
     words = [begin]
-    for name in names:
+    for name in sorted(names, key=lambda name: name not in ("record", "listed")):
         value = given.get(name)
         if value in (None, False, "", [], ()) or _USUAL.get(name) == value:
             continue
@@ -124,18 +133,3 @@ def _line(begin: str, given: Mapping[str, Any], names: Any, end: Sequence[str] =
             lines.append("   ")
         lines[-1] += f" {word}" if lines[-1] else word
     return " \\\n".join(lines)
-
-
-def _read(record: str, given: Mapping[str, Any]) -> str:
-    """Return the Python expression that reads a record."""
-    if record in RECORDS:
-        return f'RECORDS["{record}"].make()'
-    words = [repr(str(Path(record)))]
-    for name in ("columns", "inputs"):
-        if given.get(name):
-            words.append(f"{name}={[part.strip() for part in given[name].split(',')]!r}")
-    for name in ("time_column", "sampling_time", "gaps"):
-        value = given.get(name)
-        if value is not None and _USUAL.get(name) != value:
-            words.append(f"{name}={value!r}")
-    return f"sb.read({', '.join(words)})"

@@ -209,6 +209,6 @@ class TimeBudget:
         listed = ", ".join(changed[:NAMED])
         listed += f" and {len(changed) - NAMED} more" if len(changed) > NAMED else ""
         return (
-            f"{said}\nthe clock changed what was done ({listed}): another run may find something "
-            "else; a longer --budget avoids that, --effort limits the work in place of the time"
+            f"{said}\nthe time limit changed what was run ({listed}): another run may give another "
+            "result; a longer --budget avoids that, and --effort limits work instead of time"
         )

@@ -57,7 +57,7 @@ def _header(program: Program, precision: Precision) -> str:
  *
  * One sample every {record.sampling_time:.9g} s:
 {listed}
- * NaN is what was not measured. No state is kept but in the struct.
+ * NaN marks a sample that was not measured. All state is in the struct.
  */
 #ifndef {guard}
 #define {guard}
@@ -73,7 +73,7 @@ typedef struct {{
 /* {_BEGINS[program.empty]} */
 void {name}_init({name}_state *s);
 
-/* Begin with nothing measured; a step needs {needed} sample(s) observed first. */
+/* Begin with nothing measured; a step needs at least this many observed samples: {needed}. */
 void {name}_clear({name}_state *s);
 
 /* Take the next measured sample. */

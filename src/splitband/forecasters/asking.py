@@ -106,7 +106,7 @@ def predicted(forecaster: Forecaster, known: Known, past: Record) -> Prediction:
     if left is not None:
         messages.append(
             f"the prediction of {forecaster.name} goes far beyond the training samples after "
-            f"{left} samples: not to be trusted from there on"
+            f"{left} samples: do not rely on it beyond that"
         )
     return Prediction(
         y,

@@ -13,7 +13,7 @@ from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.network import CONDITIONED, Network
 from splitband.forecasters.simulation import Simulation
 from splitband.models import Model
-from splitband.networks.cell import Template, as_template, label_of
+from splitband.networks.cell import Template, as_template, label_of, words_of
 from splitband.simulators import Simulator
 from splitband.training import Settings
 
@@ -81,7 +81,7 @@ class Filtered(Network):
 
     def in_words(self) -> str:
         """Return what it is."""
-        slow, network = self.base.as_base, type(self.cell).__name__
+        slow, network = self.base.as_base, words_of(self.cell)
         words = f"{slow.words or slow.label} in the low band, {network} network in the high band"
         return words + self.conditioned_in_words
 
@@ -145,7 +145,7 @@ class Residual(Network):
 
     def in_words(self) -> str:
         """Return what it is."""
-        slow, network = self.base.as_base, type(self.cell).__name__
+        slow, network = self.base.as_base, words_of(self.cell)
         words = f"{slow.words or slow.label} plus a {network} network that learns its error"
         return words + self.conditioned_in_words
 

@@ -9,7 +9,7 @@ from splitband.data import Record
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.network import CONDITIONED, Network
 from splitband.models import Model
-from splitband.networks.cell import Template, as_template, label_of
+from splitband.networks.cell import Template, as_template, label_of, words_of
 from splitband.training import Settings
 
 
@@ -46,7 +46,7 @@ class Single(Network):
 
     def in_words(self) -> str:
         """Return what it is."""
-        return f"{type(self.cell).__name__} network"
+        return f"{words_of(self.cell)} network"
 
     def _derived_name(self) -> str:
         return label_of(self.cell)
@@ -111,7 +111,7 @@ class Split(Network):
 
     def in_words(self) -> str:
         """Return what it is."""
-        kinds = dict.fromkeys(type(cell).__name__ for cell in (self.low, self.high))
+        kinds = dict.fromkeys(words_of(cell) for cell in (self.low, self.high))
         said = f"two {' and '.join(kinds)} networks, one for "
         if self.filter_output:
             said += "each band, the output of the second high-passed"

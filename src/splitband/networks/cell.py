@@ -57,6 +57,11 @@ def as_template(cell: Any) -> Template:
     return cell
 
 
+def words_of(template: Template) -> str:
+    """Return what sentences call a cell: its `words`, or its class."""
+    return str(getattr(template, "words", type(template).__name__))
+
+
 def label_of(template: Template) -> str:
     """Return what names and tables call a cell: its `label`, or its class."""
     return str(getattr(template, "label", type(template).__name__.lower()))

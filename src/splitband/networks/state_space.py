@@ -61,7 +61,7 @@ class StateSpace(Written, nn.Module):
     encoded : Samples of the warm-up that the first state is estimated from; 0: it is zero.
     """
 
-    label = "state-space"
+    label = words = "state-space"
 
     def __init__(
         self,

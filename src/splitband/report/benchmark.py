@@ -1,4 +1,4 @@
-"""What comparisons of many records come to: a row each, a table and a picture of all."""
+"""What comparisons of many records come to: a row each, and what all of them say."""
 
 from __future__ import annotations
 
@@ -9,13 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-
-MOST_NAMED = 120
-"""Cases whose names still fit beside a picture."""
-FAR = 10.0
-"""A regret from which on the picture's axis is logarithmic, or it would hide the others."""
 
 
 @dataclass(frozen=True)
@@ -144,53 +137,3 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
 def _median(values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return statistics.median(known) if known else None
-
-
-def picture(rows: Sequence[Row]) -> Figure:
-    """Errors of the recommended and of the best method, and the regret; a line for each case."""
-    few = len(rows) <= MOST_NAMED
-    height = max(1.6 + 0.24 * len(rows), 3.0) if few else 14.0
-    figure = Figure(figsize=(12, height), layout="constrained")
-    errors, regrets = figure.subplots(1, 2, sharey=True, width_ratios=[3, 2])
-    _draw_errors(errors, rows, 6 if few else 3)
-    _draw_regrets(regrets, rows, 5 if few else 3)
-    if few:
-        names = [f"{row.name} (failed)" if row.failed else row.name for row in rows]
-        errors.set_yticks(
-            range(len(rows)), [name.replace("$", r"\$") for name in names], fontsize=8
-        )
-    else:
-        errors.set_ylabel("case, in the order of the list")
-    errors.set_ylim(len(rows) - 0.5, -0.5)
-    for ax in (errors, regrets):
-        ax.axvline(1, color="0.4", ls=":", lw=1)
-        ax.grid(True, axis="x", which="both", color="0.93", lw=0.6)
-        ax.set_axisbelow(True)
-    return figure
-
-
-def _draw_errors(ax: Axes, rows: Sequence[Row], size: int) -> None:
-    for label, color, marker, values in (
-        ("best", "0.6", "D", [row.best_error for row in rows]),
-        ("recommended", "#0072B2", "o", [row.error for row in rows]),
-    ):
-        # Nothing is drawn of an error of 0, for which a logarithmic axis has no place.
-        known = [(value, at) for at, value in enumerate(values) if value]
-        x, y = [value for value, _ in known], [at for _, at in known]
-        ax.plot(x, y, marker, ms=size, color=color, label=label)
-    ax.set_xscale("log")
-    ax.xaxis.set_major_formatter("{x:g}")
-    ax.set_xlabel("RMSE over standard deviation of the samples (dotted: as good as their mean)")
-    ax.legend(fontsize=8, ncols=2, loc="lower left", bbox_to_anchor=(0, 1))
-
-
-def _draw_regrets(ax: Axes, rows: Sequence[Row], size: int) -> None:
-    known = [(regret, at) for at, row in enumerate(rows) if (regret := row.regret) is not None]
-    x, y = [regret for regret, _ in known], [at for _, at in known]
-    worst = max(x, default=1.0)
-    ax.hlines(y, 1, x, color="#D55E00", lw=1.5)
-    ax.plot(x, y, "o", ms=size, color="#D55E00")
-    if worst > FAR:
-        ax.set_xscale("log")
-    ax.set_xlim(0.95, max(1.5, 1.1 * worst))
-    ax.set_xlabel("regret: recommended over best")

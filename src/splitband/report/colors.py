@@ -1,9 +1,5 @@
 """The colour of each method: the same in every picture and every plot of the page."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable
-
 PALETTE = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#B27A00", "#6A3D9A",
     "#8C564B", "#C2185B", "#7F7F00", "#3A93CC", "#1B7837", "#283593",
@@ -14,8 +10,3 @@ DARK = (
     "#C99A8C", "#FF80AB", "#C2C24A", "#8CCBF2", "#66C281", "#9FA8FF",
 )  # fmt: skip
 """The same hues on a dark page."""
-
-
-def place(names: Iterable[str], name: str) -> int:
-    """Which colour of the palette a method has; they begin again where there are not enough."""
-    return [*names].index(name) % len(PALETTE)

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -17,12 +17,11 @@ from matplotlib.figure import Figure
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
-from splitband.evaluation.protocols import Run, by_channel, fit_by_channel
+from splitband.evaluation.protocols import by_channel, fit_by_channel
 from splitband.filters.cutoff import LEAST_PASSED, Choice
 from splitband.filters.spectrum import Spectrum, coherence, periodogram
 from splitband.forecasters.prediction import Prediction
-from splitband.metrics import cumulative_rmse
-from splitband.report.colors import PALETTE, place
+from splitband.report.colors import PALETTE
 from splitband.report.numbers import number, squared
 from splitband.report.table import FARTHEST, ordered
 from splitband.runtime.files import replacing
@@ -30,7 +29,7 @@ from splitband.runtime.files import replacing
 Array = npt.NDArray[np.float64]
 Picture: TypeAlias = Figure
 
-_MEASURED, _TRUTH = "black", "0.55"
+MEASURED = "black"
 
 
 def save(figure: Figure, path: str | Path) -> None:
@@ -88,12 +87,12 @@ def rollouts(comparison: Comparison) -> Figure:
         for i, ax in enumerate(grid.flat[len(panels) :], start=len(panels)):
             ax.set_axis_off()
             grid.flat[i - across * ny].tick_params(labelbottom=True)
-        parts[1].supxlabel(_time_label(comparison.record), fontsize=7)
+        parts[1].supxlabel(time_label(comparison.record), fontsize=7)
         if ny == 1:
-            parts[1].supylabel(_literal(comparison.record.columns[0]), fontsize=7)
+            parts[1].supylabel(literal(comparison.record.columns[0]), fontsize=7)
         parts[1].suptitle(f"Other methods, {sides[0].what}", fontsize=9)
     said = "" if comparison.trial is None else "recommended: "
-    figure.suptitle(f"{_literal(comparison.record.name)}; {said}{best}", fontsize=11)
+    figure.suptitle(f"{literal(comparison.record.name)}; {said}{best}", fontsize=11)
     return figure
 
 
@@ -114,14 +113,14 @@ def _sides(comparison: Comparison) -> list[_Side]:
     for i, test in enumerate(comparison.tests):
         tested = {name: mean.tests[i] for name, mean in means.items() if mean.tests}
         start = len(test) - max(map(len, tested.values()), default=0)
-        sides.append(_Side(test, start, f"test record {_literal(test.name)}", tested))
+        sides.append(_Side(test, start, f"test record {literal(test.name)}", tested))
     simulated = {name: mean.from_start for name, mean in means.items()}
     start = len(record) - max(map(len, simulated.values()))
     return sides or [_Side(record, start, "simulation", simulated)]
 
 
 def _draw_large(ax: Axes, side: _Side, channel: int, name: str) -> None:
-    record, times = side.record, _times(side.record)
+    record, times = side.record, times_of(side.record)
     predicted = side.predicted.get(name)
     title = f"{side.what}: not tested"
     if predicted is not None:
@@ -135,31 +134,31 @@ def _draw_large(ax: Axes, side: _Side, channel: int, name: str) -> None:
         unit = f" {record.units[channel]}".rstrip()
         title = f"{side.what}: fit {fit:.1f} %, RMSE {number(error)}{unit}"
     seen = record.seen[side.first :, channel]
-    ax.plot(times[side.first :], seen, color=_MEASURED, lw=0.9, label="measured")
+    ax.plot(times[side.first :], seen, color=MEASURED, lw=0.9, label="measured")
     ax.axvline(times[side.start], color="0.4", ls=":", lw=1)
     ax.set_ylim(*_limits(seen))
     ax.margins(x=0.005)
     ax.set_title(title, fontsize=10, loc="left")
-    ax.set_ylabel(_literal(record.columns[channel]))
-    ax.set_xlabel(_time_label(record))
+    ax.set_ylabel(literal(record.columns[channel]))
+    ax.set_xlabel(time_label(record))
     ax.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
 
 
 def _draw_small(ax: Axes, side: _Side, channel: int, name: str, color: str) -> None:
-    record, times, predicted = side.record, _times(side.record), side.predicted.get(name)
+    record, times, predicted = side.record, times_of(side.record), side.predicted.get(name)
     seen, said = record.seen[side.first :, channel], "not tested"
     if predicted is not None:
         y = predicted.y[:, channel]
         ax.plot(times[len(times) - len(y) :], y, color=color, lw=2)
         fit = fit_by_channel(record, predicted.y)[channel]
         said = f"fit {round(fit) + 0} %" if fit > FARTHEST else f"fit < {FARTHEST:.0f} %"
-    ax.plot(times[side.first :], seen, color=_MEASURED, lw=0.6)
+    ax.plot(times[side.first :], seen, color=MEASURED, lw=0.6)
     ax.set_ylim(*_limits(seen))
     ax.margins(x=0.01)
     ax.set_title(f"{name}\n{said}", fontsize=7, loc="left", pad=2)
     ax.tick_params(labelsize=6)
     if record.ny > 1:
-        ax.set_ylabel(_literal(record.columns[channel]), fontsize=6)
+        ax.set_ylabel(literal(record.columns[channel]), fontsize=6)
 
 
 def forecast(result: Forecast) -> Figure:
@@ -176,110 +175,25 @@ def prediction(
     ahead = _drawn(pd.Index(predicted.time))
     title = f"{len(predicted)} samples ahead"
     if record is not None:
-        time = _times(record)
+        time = times_of(record)
         ahead = time[-1] + ahead if record.start is None else ahead
         shown = max(len(record) - len(predicted), 0)
-        title = f"{_literal(record.name)}: {title}"
+        title = f"{literal(record.name)}: {title}"
     for i, (ax, column) in enumerate(zip(grid, predicted.columns, strict=True)):
         if record is not None:
-            ax.plot(time[shown:], record.seen[shown:, i], color=_MEASURED, lw=0.9, label="measured")
-        ax.plot(ahead, predicted.y[:, i], color=PALETTE[0], lw=1.2, label=_literal(method))
+            ax.plot(time[shown:], record.seen[shown:, i], color=MEASURED, lw=0.9, label="measured")
+        ax.plot(ahead, predicted.y[:, i], color=PALETTE[0], lw=1.2, label=literal(method))
         lower, upper, level = predicted.lower, predicted.upper, predicted.level
         if lower is not None and upper is not None and level is not None:
             label = f"{level:.0%} interval".replace("%", " %")
             edges = lower[:, i], upper[:, i]
             ax.fill_between(ahead, *edges, color=PALETTE[0], alpha=0.18, lw=0, label=label)
-        ax.set_ylabel(_literal(column))
+        ax.set_ylabel(literal(column))
         ax.margins(x=0.01)
     grid[0].legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     grid[0].set_title(title, fontsize=10, loc="left")
     dates = isinstance(predicted.time, pd.DatetimeIndex)
     grid[-1].set_xlabel("time" if dates else "time (s)")
-    return figure
-
-
-def components(
-    comparison: Comparison, what: Literal["components", "unfiltered"] = "components"
-) -> Figure:
-    """What each prediction from the start is the sum of, a row for each method of several parts.
-
-    With "unfiltered", what the filters of a method were fed with instead.
-    """
-    record, setup, runs = comparison.record, comparison.setup, comparison.runs
-    parts: dict[str, Mapping[str, Array]] = {
-        name: of_method[0].from_start.components
-        if what == "components"
-        else of_method[0].unfiltered
-        for name, of_method in runs.items()
-    }
-    rows = [(name, channel) for name in runs if parts[name] for channel in range(record.ny)]
-    if not rows:
-        raise ValueError(f"none of {', '.join(runs)} has {what} to draw")
-    figure = Figure(figsize=(13, 0.9 + 1.7 * len(rows)), layout="constrained")
-    grid = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
-    times = _times(record)
-    says = "components before they are added" if what == "components" else "before the filters"
-    for ax, (name, channel) in zip(grid, rows, strict=True):
-        warmup = setup.settings.warmup
-        start = len(record) - len(next(iter(parts[name].values())))
-        seen = record.seen[:, channel]
-        ax.plot(times, seen - np.nanmean(seen), color=_MEASURED, lw=0.8, label="measured")
-        for color, (part, values) in zip(PALETTE, parts[name].items(), strict=False):
-            y = values[:, channel] - values[:, channel].mean()
-            ax.plot(times[start:], y, color=color, lw=1, label=part)
-        ax.axvspan(times[start - warmup], times[start - 1], color="0.93", zorder=0)
-        if setup.train < len(record):
-            ax.axvline(times[setup.train], color="0.4", ls=":", lw=1)
-        ax.set_title(f"{name}: {says}, each less its mean", fontsize=9, loc="left", pad=3)
-        ax.set_ylabel(_literal(record.columns[channel]))
-        ax.margins(x=0.01)
-        ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    grid[-1].set_xlabel(_time_label(record))
-    return figure
-
-
-def errors(comparison: Comparison) -> Figure:
-    """Return a picture of the RMSE up to each time, a row for each channel.
-
-    Lines are of the mean of the seeds' predictions, shaded is the range of the single seeds.
-    """
-    record, setup, runs = comparison.record, comparison.setup, comparison.runs
-    figure = Figure(figsize=(13, 0.6 + 4 * record.ny), layout="constrained")
-    protocols = [("from the start", _from_start), ("forecast", _forecast)]
-    times, end = _times(record), setup.train
-    names = ordered(comparison.trial, runs)
-    if end == len(record):  # nothing is forecast
-        protocols = protocols[:1]
-    grid = figure.subplots(record.ny, len(protocols), squeeze=False)
-    sides = [(channel, side) for channel in range(record.ny) for side in protocols]
-    for ax, (channel, (title, prediction)) in zip(grid.flat, sides, strict=True):
-        for name, of_method in runs.items():
-            steps = len(prediction(of_method[0]))
-            truth, time = record.truth[-steps:, channel], times[-steps:]
-            mean, *each = (
-                cumulative_rmse(truth, prediction(run)[:, channel])
-                for run in (comparison.means[name], *of_method)
-            )
-            color = PALETTE[place(names, name)]
-            ax.plot(time, mean, color=color, lw=1.4, label=name)
-            if len(each) > 1:
-                low, high = np.min(each, axis=0), np.max(each, axis=0)
-                ax.fill_between(time, low, high, color=color, alpha=0.15, lw=0)
-        if end < len(record):
-            ax.axvline(times[end], color="0.4", ls=":", lw=1)
-        ax.set_yscale("log")
-        # The first errors after a warm-up vary too much to set the scale by them.
-        settled = [line.get_ydata()[10:] for line in ax.lines if len(line.get_ydata()) > 20]
-        lowest = [float(y[y > 0].min()) for y in map(np.asarray, settled) if (y > 0).any()]
-        ax.set_ylim(bottom=0.7 * min(lowest, default=1e-3))
-        ax.yaxis.set_major_formatter("{x:g}")
-        of = [record.name, title, *([record.columns[channel]] if record.ny > 1 else [])]
-        ax.set_title(_literal(", ".join(of)), fontsize=10)
-        ax.set_xlabel(_time_label(record))
-        unit = f" ({record.units[channel]})" if record.units[channel] else ""
-        ax.set_ylabel(f"RMSE up to this time{unit}")
-        ax.grid(True, which="both", color="0.93", lw=0.6)
-    grid[0, -1].legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1))
     return figure
 
 
@@ -302,7 +216,7 @@ def spectrum(
         simulated = periodogram(record.y_sim, record.sampling_rate)
         frequencies, agreement = coherence(record.y, record.y_sim, record.sampling_rate)
         for i, name in enumerate(record.columns):
-            label = f"simulator's {_literal(name)}"
+            label = f"simulator's {literal(name)}"
             style = {"color": PALETTE[(2 + i) % len(PALETTE)], "lw": 1.2}
             axes[0].loglog(
                 simulated.frequencies[1:], simulated.density[1:, i], "--", label=label, **style
@@ -318,7 +232,7 @@ def spectrum(
             ax.axvline(cutoff, color="#D55E00", ls="--", lw=1.2, label=said if first else None)
     if choice is not None:
         _draw_choice(axes[-1], choice)
-    figure.suptitle(f"{_literal(record.name)}: spectrum", fontsize=10)
+    figure.suptitle(f"{literal(record.name)}: spectrum", fontsize=10)
     axes[0].legend(fontsize=8, loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False)
     axes[-1].set_xlabel("frequency (Hz)")
     axes[-1].xaxis.set_major_formatter("{x:g}")
@@ -348,7 +262,7 @@ def _draw_choice(ax: Axes, choice: Choice) -> None:
 def _draw_spectrum(ax: Axes, record: Record, spectrum: Spectrum) -> None:
     for name, density in zip(record.columns, spectrum.density.T, strict=True):
         ax.loglog(
-            spectrum.frequencies[1:], np.maximum(density[1:], 1e-300), lw=1, label=_literal(name)
+            spectrum.frequencies[1:], np.maximum(density[1:], 1e-300), lw=1, label=literal(name)
         )
     top = spectrum.density[1:].max()
     if top > 0:
@@ -357,20 +271,12 @@ def _draw_spectrum(ax: Axes, record: Record, spectrum: Spectrum) -> None:
     ax.grid(True, which="both", color="0.93", lw=0.6)
 
 
-def _from_start(run: Run) -> Array:
-    return run.from_start.y
-
-
-def _forecast(run: Run) -> Array:
-    return run.ahead
-
-
-def _literal(name: str) -> str:
+def literal(name: str) -> str:
     """A user's name, whose dollar signs are not for formulas."""
     return name.replace("$", r"\$")
 
 
-def _times(record: Record) -> npt.NDArray[Any]:
+def times_of(record: Record) -> npt.NDArray[Any]:
     """What is drawn along the axis of time: the time stamps, or seconds from the beginning."""
     return _drawn(pd.Index(record.stamps))
 
@@ -382,7 +288,8 @@ def _drawn(stamps: pd.Index[Any]) -> npt.NDArray[Any]:
     return np.asarray(stamps)
 
 
-def _time_label(record: Record) -> str:
+def time_label(record: Record) -> str:
+    """Return what stands below an axis of time."""
     return "time" if isinstance(record.start, pd.Timestamp) else "time (s)"
 
 

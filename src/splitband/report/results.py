@@ -6,14 +6,16 @@ import math
 import platform
 import statistics
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from splitband.data import Record
@@ -23,17 +25,19 @@ from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.evaluation.protocols import Run
 from splitband.evaluation.saved_settings import SavedSettings
-from splitband.filters.spectrum import periodogram
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.checking import ModelCheck
 from splitband.forecasters.prediction import time_header
-from splitband.report import pictures, tested
+from splitband.forecasters.responses import Responses
 from splitband.report.table import columns, tried
 from splitband.runtime.deadlines import now
 from splitband.runtime.files import replacing
-from splitband.runtime.outputs import staged, write_facts
+from splitband.runtime.outputs import TEST_PREDICTIONS, staged, write_facts
 
 if TYPE_CHECKING:
-    from splitband.report.page.usage import Usage
+    from splitband.report.page.parts import Usage
+
+Array = npt.NDArray[np.float64]
 
 FOUND = "recommended.json"
 """File with the settings of the recommended network, for `--settings`."""
@@ -49,7 +53,7 @@ def save(
 ) -> None:
     """Write all files of a comparison in place of an earlier result; on an error none of them.
 
-    They are predictions.csv and one for each test record, the pictures, the page, the trained
+    They are predictions.csv and one for each test record, rollouts.png, the page, the trained
     model, recommended.json where a network is recommended, and results.json. `facts` go into the
     last one before the others; `usage` is for the page.
     """
@@ -60,26 +64,27 @@ def save(
 def _write(
     comparison: Comparison, folder: Path, facts: dict[str, Any], usage: Usage | None
 ) -> None:
-    record, setup = comparison.record, comparison.setup
     began = now()
-    with replacing(folder / "predictions.csv") as temporary:
-        predictions(comparison).to_csv(temporary, index=False)
+    tables = {"predictions.csv": predictions(comparison)}
+    for i in range(len(comparison.tests)):
+        tables[TEST_PREDICTIONS.format(i + 1)] = predictions_of_test(comparison, i)
+    for name, table in tables.items():
+        with replacing(folder / name) as temporary:
+            table.to_csv(temporary, index=False)
+    pictures, page = _drawing()
     pictures.save(pictures.rollouts(comparison), folder / "rollouts.png")
-    pictures.save(pictures.errors(comparison), folder / "error.png")
-    training_spectrum = periodogram(record[: setup.train].y, record.sampling_rate)
-    spectrum = pictures.spectrum(record, training_spectrum, setup.bands.cutoff, setup.bands.choice)
-    pictures.save(spectrum, folder / "spectrum.png")
-    if any(runs[0].from_start.components for runs in comparison.runs.values()):
-        pictures.save(pictures.components(comparison), folder / "components.png")
-    # It imports this module, and a library that takes its time, so that it is imported only here.
-    page = import_module("splitband.report.page")
     page.of_comparison(comparison, folder / page.NAME, usage)
-    if comparison.tests:
-        tested.save_predictions(comparison, folder)
-    save_found(comparison.forecaster(), record, folder)
+    save_found(comparison.forecaster(), comparison.record, folder)
     comparison.model.save(folder / MODEL)
     comparison.time.phases["writing"] = Phase(now() - began)
     write_facts(folder, facts | results(comparison) | {"time": comparison.time.as_json()})
+
+
+def _drawing() -> tuple[ModuleType, ModuleType]:
+    """Return what draws pictures and pages: libraries that take their time, imported only here."""
+    return import_module("splitband.report.pictures"), import_module(
+        "splitband.report.page.document"
+    )
 
 
 def found_in(forecaster: Forecaster, folder: Path) -> Path | None:
@@ -137,28 +142,60 @@ def results(comparison: Comparison) -> dict[str, Any]:
 
 
 def predictions(comparison: Comparison) -> pd.DataFrame:
-    """What `compare` writes to predictions.csv: the record and the predictions.
+    """Return the record and the predictions, a row for each sample.
 
-    One column for each channel, method and protocol, empty before a prediction begins; of several
-    seeds their mean. The forecast of the recommended method has its interval beside it.
+    There is one column for each channel, and for each channel, method and protocol the mean over
+    seeds, empty before a prediction begins. The forecast of the recommended method has its interval
+    beside it.
     """
-    record = comparison.record
+    sides: dict[str, Array] = {}
+    for name, mean in comparison.means.items():
+        sides[f"{name}, from start"] = mean.from_start.y
+        forecast = comparison.predictions.get(name)
+        sides |= {} if forecast is None else {f"{name}, forecast": forecast.y}
+        if name == comparison.recommended and forecast is not None:
+            assert forecast.lower is not None
+            assert forecast.upper is not None
+            sides |= {f"{name}, lower": forecast.lower, f"{name}, upper": forecast.upper}
+    return _beside(comparison.record, sides)
+
+
+def predictions_of_test(comparison: Comparison, number: int) -> pd.DataFrame:
+    """Return a test record and its simulations, as `predictions` does."""
+    means = {name: mean for name, mean in comparison.means.items() if mean.tests}
+    sides = {f"{name}, from start": mean.tests[number].y for name, mean in means.items()}
+    return _beside(comparison.tests[number], sides)
+
+
+def _beside(record: Record, predicted: Mapping[str, Array]) -> pd.DataFrame:
+    """Return a table of a record and of what was predicted of its last samples, by name."""
     table: dict[str, Any] = {time_header(record.columns): record.stamps}
     for i, column in enumerate(record.columns):
         table[column] = record.seen[:, i]
-        for name, mean in comparison.means.items():
-            sides = {"from start": mean.from_start.y}
-            forecast = comparison.predictions.get(name)
-            sides |= {} if forecast is None else {"forecast": forecast.y}
-            if name == comparison.recommended and forecast is not None:
-                assert forecast.lower is not None
-                assert forecast.upper is not None
-                sides |= {"lower": forecast.lower, "upper": forecast.upper}
-            for protocol, predicted in sides.items():
-                values = np.full(len(record), np.nan)
-                values[len(record) - len(predicted) :] = predicted[:, i]
-                table[f"{column}, {name}, {protocol}"] = values
+        for name, y in predicted.items():
+            values = np.full(len(record), np.nan)
+            values[len(record) - len(y) :] = y[:, i]
+            table[f"{column}, {name}"] = values
     return pd.DataFrame(table)
+
+
+def save_check(
+    check: ModelCheck, folder: Path, kind: str, responses: Responses | None, usage: Usage
+) -> None:
+    """Write results.json and the page of a check of a model in place of an earlier result.
+
+    `kind` says in words what the model is.
+    """
+    _, page = _drawing()
+    facts = check.as_json() | {"kind": kind, "command": usage.asked}
+    if responses is not None:
+        facts["static_gain"] = {
+            column: dict(zip(responses.inputs, map(float, row), strict=True))
+            for column, row in zip(responses.columns, responses.y[-1], strict=True)
+        }
+    with staged(folder) as new:
+        page.of_check(check, new / page.NAME, kind, responses, usage)
+        write_facts(new, facts | {"environment": environment()})
 
 
 def save_forecast(result: Forecast, folder: Path, usage: Usage | None = None) -> None:
@@ -167,7 +204,7 @@ def save_forecast(result: Forecast, folder: Path, usage: Usage | None = None) ->
     They are forecast.csv, its picture, the page, recommended.json where a network was fitted, and
     results.json. `usage` is for the page.
     """
-    page = import_module("splitband.report.page")
+    pictures, page = _drawing()
     with staged(folder) as new:
         with replacing(new / "forecast.csv") as temporary:
             result.prediction.to_frame().to_csv(temporary, index=False)
@@ -213,10 +250,12 @@ def environment() -> dict[str, Any]:
 
 def _test_facts(comparison: Comparison) -> list[dict[str, Any]]:
     return [
-        {"name": test.name, "samples": len(test), "start": as_json(test.start)}
-        | tested.facts(comparison, i)
+        {
+            "name": test.name, "samples": len(test), "start": as_json(test.start),
+            "columns": list(test.columns), "predictions": TEST_PREDICTIONS.format(i + 1),
+        }
         for i, test in enumerate(comparison.tests)
-    ]
+    ]  # fmt: skip
 
 
 def _interval(comparison: Comparison, name: str) -> dict[str, Any]:

@@ -33,18 +33,17 @@ NOTES = {
     "forecast fit %": "100 (1 - |y - prediction| / |y - mean(y)|) of the forecast: 100 is perfect, "
     "0 is as good as the mean of the samples after the training part",
     "test RMSE": "root mean squared error of the simulation of this test record",
-    "forecast RMSE": "root mean squared error of the forecast from the end of the training part",
-    "score": "what the recommendation goes by: the lowest. It is the held-out RMSE in standard "
-    "deviations, of several outputs the root of the sum of squares; a network's is raised by "
-    f"{WORTH_TRAINING:.0%}",
+    "forecast RMSE": "root mean squared error of the forecast after the training part",
+    "score": "the lowest is recommended: the held-out RMSE in standard deviations, of several "
+    f"outputs the root of the sum of squares; networks carry a penalty of {WORTH_TRAINING:.0%}",
     "in interval": f"share of the measured samples in the forecast's interval; {LEVEL:.0%} is "
-    "right",
-    "held-out RMSE": "of forecasts of the last quarter of the training part by fits to the rest",
+    "ideal",
+    "held-out RMSE": "error on the last quarter of the training samples, by models trained on "
+    "the rest",
     "RMSE from the start": "of the simulation from the first samples to the end of the record",
     "fit % from the start": "of the same simulation",
-    "fit (s)": "seconds of one fit, mean over the seeds",
-    "seeds": "trainings, whose predictions are averaged; after ±: the standard deviation of the "
-    "errors of single seeds",
+    "fit (s)": "seconds of one training, on average",
+    "trainings": "how many are averaged; after ±: the standard deviation of their errors",
 }
 """What the columns mean, the most important first: a narrow terminal leaves out the last ones."""
 
@@ -141,7 +140,7 @@ def columns(comparison: Comparison) -> list[Column]:
     runs, record, ahead = comparison.runs, comparison.record, bool(comparison.predictions)
     found: list[Column] = []
     for i, test in enumerate(comparison.tests):
-        tested = _errors(comparison, ("test fit %", "test RMSE"), test, _test(i))
+        tested = _errors(comparison, ("test fit %", "test RMSE"), test, of_test(i))
         found += [replace(column, record=test.name or str(i + 1)) for column in tested]
     if ahead:
         headings = "forecast fit %", "forecast RMSE"
@@ -154,7 +153,7 @@ def columns(comparison: Comparison) -> list[Column]:
         found += _by_channel("in interval", held, record, "share")
     if any(len(of_method) > 1 for of_method in runs.values()):
         counts = {name: float(len(of_method)) for name, of_method in runs.items()}
-        found.append(Column("seeds", "count", counts, ranked=False))
+        found.append(Column("trainings", "count", counts, ranked=False))
     seconds = {name: statistics.mean(r.fit.seconds for r in rs) for name, rs in runs.items()}
     found.append(Column("fit (s)", "seconds", seconds, ranked=False))
     importance = [*NOTES]
@@ -221,7 +220,9 @@ def as_text(comparison: Comparison, width: int = 100) -> str:
     while len(text.partition("\n")[0]) > width and len(table.columns) > 2:
         table = table.iloc[:, :-1]
         text = table.to_string(index=False)
-    return f"{comparison!r}\n\n{text}"
+    failed = {} if comparison.trial is None else comparison.trial.failed
+    said = [f"\n{name} could not be fitted: {reason}" for name, reason in failed.items()]
+    return f"{comparison!r}\n\n{text}{''.join(said)}"
 
 
 def as_html(comparison: Comparison) -> str:
@@ -264,7 +265,7 @@ def _errors(
     return found
 
 
-def _test(i: int) -> Callable[[Run], Prediction | None]:
+def of_test(i: int) -> Callable[[Run], Prediction | None]:
     """Return what takes the prediction of a test record out of a run, None where it has none."""
     return lambda run: run.tests[i] if run.tests else None
 

@@ -24,9 +24,8 @@ FACTS = "results.json"
 """File that says what a result is, and which files belong to it; where it is, so are they."""
 TEST_PREDICTIONS = "predictions-test-{}.csv"
 RESULT_FILES = (
-    FACTS, "predictions.csv", "rollouts.png", "error.png", "spectrum.png", "components.png",
-    "report.html", "recommended.json", "forecast.csv", "forecast.png",
-    "table.csv", "cases.png",
+    FACTS, "predictions.csv", "rollouts.png", "report.html", "recommended.json", "forecast.csv",
+    "forecast.png", "spectrum.png", "table.csv",
 )  # fmt: skip
 """Names of the files of results: no other file is ever removed with an earlier result."""
 MODEL, WEIGHTS = "forecaster.json", "weights-{}.safetensors"

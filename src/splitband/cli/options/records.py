@@ -87,5 +87,5 @@ class TestRecords:
     ] = None
     initial: Annotated[
         int | None,
-        _record("Samples of a test record that are known.", "N", "the warm-up", min=1),
+        _record("Measured samples at the beginning of a test record.", "N", "the warm-up", min=1),
     ] = None

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from urllib.parse import quote
 
 import numpy as np
-from bokeh.models import HoverTool
+from bokeh.models import Scatter, Segment
 
 from splitband.report.benchmark import Row, summary
 from splitband.report.numbers import number, percent
-from splitband.report.page import figures
-from splitband.report.page.about import settings
-from splitband.report.page.parts import Cell, Page, Plot, Section, Table
-from splitband.report.page.usage import Usage
+from splitband.report.page.charts import Axis, Chart, X
+from splitband.report.page.parts import Cell, Page, Plot, Section, Table, Usage
+from splitband.report.page.tables import settings
 
 _NOTES = (
     ("fit %", "100 (1 - error) of the recommended method: 100 is perfect, 0 as good as the mean"),
@@ -25,7 +24,7 @@ _NOTES = (
 
 
 def page(rows: Sequence[Row], used: Usage, own_page: str) -> Page:
-    """All of it; `own_page` is the name of each case's own one, in its folder."""
+    """Return the whole page; `own_page` is the name of each case's own one, in its folder."""
     found = summary(rows)
     text = [
         f"The recommended method was the best one in {found['recommended_is_best']} of "
@@ -39,17 +38,12 @@ def page(rows: Sequence[Row], used: Usage, own_page: str) -> Page:
         facts.append(("median share in the interval", percent(found["median_held"])))
     failed = [f"{row.name}: {row.note}" for row in rows if row.note]
     sections = [
-        Section("answer", "In short", text, failed, facts=facts),
+        Section("answer", "In short", text, failed, facts=facts, plots=_plots(rows)),
         Section("cases", "All cases", tables=[_table(rows, own_page)]),
-        Section("plots", "Errors and regret", plots=_plots(rows)),
         settings([], used),
     ]
-    lead = "Each case is a comparison of its own; its name leads to its page."
-    return Page(f"Benchmark of {len(rows)} cases", lead, [s for s in sections if _full(s)])
-
-
-def _full(section: Section) -> bool:
-    return section.name != "plots" or bool(section.plots)
+    lead = "Each case is a separate comparison; its name links to its page."
+    return Page(f"Benchmark of {len(rows)} cases", lead, sections)
 
 
 def _table(rows: Sequence[Row], own_page: str) -> Table:
@@ -68,49 +62,34 @@ def _table(rows: Sequence[Row], own_page: str) -> Table:
         ]
         for row in rows
     ]
-    headings = [
-        "case",
-        "of",
-        "fit %",
-        "recommended",
-        "best",
-        "error",
-        "regret",
-        "in interval",
-        "seconds",
-        "note",
-    ]
+    headings = ["case", "of", "fit %", "recommended", "best", "error", "regret", "in interval",
+                "seconds", "note"]  # fmt: skip
     caption = "Fit and error of the mean over seeds"
     return Table(caption, headings, cells, notes=_NOTES)
 
 
 def _plots(rows: Sequence[Row]) -> list[Plot]:
-    """The error of the recommended and of the best method, by case."""
-    known = [(i + 1, row) for i, row in enumerate(rows) if row.error and row.best_error]
+    """Return a plot of the error of the recommended and of the best method, by case."""
+    known = [(i, row) for i, row in enumerate(rows) if row.error and row.best_error]
     if not known:
         return []
-    x = np.array([i for i, _ in known], float)
-    errors = np.array([row.error for _, row in known])
-    best = np.array([row.best_error for _, row in known])
-    shown = figures.plain(
-        "RMSE over standard deviation", "case, in the order of the list", y_axis_type="log",
-        x_range=figures.time_range(0.5, len(rows) + 0.5),
-        y_range=figures.between(0.7 * float(best.min()), 1.4 * float(errors.max())),
-    )  # fmt: skip
-    data = figures.source(x, {"recommended": errors, "best": best})
-    data.add([row.name for _, row in known], "case")
-    drawn = shown.segment(figures.X, "recommended", figures.X, "best", source=data, line_width=1.5)
-    drawn.update(tags=["measured"])
-    for name, marker, role in (("best", "diamond", "c2"), ("recommended", "circle", "c0")):
-        dots = shown.scatter(figures.X, name, source=data, marker=marker, size=9, name=name)
-        dots.update(tags=[role])
-    figures.mark(shown, 1.0, "mark", "width")
-    tips = [("", "@case"), ("recommended", "@recommended"), ("best", "@best")]
-    shown.add_tools(HoverTool(tooltips=tips, visible=False))
+    errors, best = np.full((2, len(rows)), np.nan)
+    for i, row in known:
+        errors[i], best[i] = row.error, row.best_error
+    axis = Axis.over(np.arange(1.0, len(rows) + 1), "case, in the order of the list")
+    between = 0.7 * float(np.nanmin(best)), 1.4 * float(np.nanmax(errors))
+    chart = Chart(axis, "RMSE over standard deviation", between, log=True)
+    ends = [chart.column(y) for y in (errors, best)]
+    joined = Segment(x0=X, x1=X, y0=ends[0], y1=ends[1], line_width=1.5)
+    chart.add(joined, "regret", ["measured"])
+    for y, name, marker, role in zip(ends[::-1], ("best", "recommended"), ("diamond", "circle"),
+                                     ("c2", "c0"), strict=True):  # fmt: skip
+        chart.add(Scatter(x=X, y=y, marker=marker, size=9), name, [role])
+    chart.mark(1.0, "mark", "width")
     says = (
         f"Dot plot of the errors of {len(known)} cases with a logarithmic axis: the recommended "
         "method's and the best one's, joined by a line whose length is the regret. At 1 a "
         "prediction is as good as the record's mean."
     )
     caption = "Error of the recommended and of the best method; dashed: as good as the mean"
-    return [Plot(shown, caption, says, key=[("c0", "recommended"), ("c2", "best")])]
+    return [chart.plot(caption, says, key=[("c0", "recommended"), ("c2", "best")])]

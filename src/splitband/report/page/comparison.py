@@ -2,128 +2,113 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.selection import Trial
+from splitband.evaluation.protocols import Run
 from splitband.forecasters.configurable import parts_of
+from splitband.forecasters.prediction import Prediction
 from splitband.report.numbers import number
-from splitband.report.page import horizon, tables, time_plots, usage, words
-from splitband.report.page.about import lead, settings
-from splitband.report.page.ahead import BEFORE, Ahead
-from splitband.report.page.checked import residuals
-from splitband.report.page.parts import Code, MethodStyles, Page, Section, View
-from splitband.report.page.spectra import spectrum
-from splitband.report.page.training import training
-from splitband.report.page.usage import Usage
-from splitband.report.table import ordered
+from splitband.report.page import tables, words
+from splitband.report.page.check import residual_tests
+from splitband.report.page.curves import losses, spectrum
+from splitband.report.page.parts import Method, Page, Plot, Section, Usage, View, method_styles
+from splitband.report.page.predicted import Predicted
+from splitband.report.table import of_test, ordered
 
 Array = npt.NDArray[np.float64]
-
-SHOWN = 3
-"""Methods drawn at first beside the recommended one: the next best on held-out samples."""
 
 
 def page(comparison: Comparison, used: Usage) -> Page:
     """Return the whole page: the answer first, then the other methods, then what experts ask."""
-    record, trial = comparison.record, comparison.require_trial()
-    styles = method_styles(ordered(trial, comparison.runs), trial)
-    most = time_plots.most_points(comparison)
-    frame = time_plots.Frame.of(record, styles, most, "time")
-    train = comparison.setup.train
-    if comparison.predictions:
-        first = max(train - (len(record) - train) // BEFORE, 0)
-        frame.x_range.update(start=frame.axis.values[first], end=frame.axis.values[-1])
-    why = words.why(trial, train)
+    record, trial, best = comparison.record, comparison.require_trial(), comparison.recommended
+    styles = method_styles(ordered(trial, comparison.runs), best)
+    answer, errors = _predicted(comparison, styles)
+    kind = words.in_words(best, comparison.forecasters)
     sections = [
-        _answer(comparison, styles, used),
-        Section("methods", "All methods", [" ".join(why)], tables=[tables.methods(comparison)]),
-        *_over_time(comparison, frame, most),
-        *([residuals(tested, folded=True)] if (tested := comparison.residual_tests()) else []),
+        Section(
+            "answer", f"Recommended: {words.named(best, kind)}", words.afterwards(comparison),
+            [words.sentence(w) for w in (*words.warnings(comparison), *words.of_gaps(record))],
+            facts=words.headline(comparison),
+            plots=[plot for each in answer for plot in (*each.outputs(), *each.inputs())],
+        ),
+        *tables.next_steps(used),
+        Section("methods", "All methods", [" ".join(words.why(trial, comparison.setup.train))],
+                tables=[tables.methods(comparison)]),
+        _residuals(comparison, answer),
+        Section("errors", "Error over horizon", [_HORIZON], plots=errors, folded=True),
+        *_further(comparison, styles),
         _bands(comparison),
         *_trained(comparison, styles),
-        usage.section(
-            comparison.forecaster(), record, used, max(len(record) // 4, 1), bool(comparison.others)
-        ),
-        _settings(comparison, used),
-    ]
-    return Page(
-        record.name or "a record",
-        lead(record),
-        sections,
-        styles.methods,
-        _views(comparison, frame),
-        intervals=bool(comparison.predictions),
-    )
+        tables.settings(tables.flat({**comparison.setup.as_json(), "choice": None}), used),
+    ]  # fmt: skip
+    views = _views(comparison, answer[0])
+    return Page(record.name or "a record", words.lead(record), sections, [*styles.values()], views)
 
 
-def method_styles(names: list[str], trial: Trial) -> MethodStyles:
-    """The methods, the recommended one and the next best drawn at first."""
-    ranked = [name for name in sorted(trial.scores, key=lambda n: trial.scores[n]) if name in names]
-    others = [name for name in ranked if name != trial.recommended]
-    return MethodStyles(names, trial.recommended, frozenset([trial.recommended, *others[:SHOWN]]))
+_HORIZON = (
+    "RMSE up to each horizon: the error of a model that does not drift stays flat. Lines: the mean "
+    "of a method's trainings, which is its prediction; shaded: the range of the single trainings."
+)
 
 
-def _answer(comparison: Comparison, styles: MethodStyles, used: Usage) -> Section:
-    best = comparison.recommended
-    kind = words.in_words(best, comparison.forecasters)
-    text = [" ".join([f"Short name: {best}." if kind else "", *words.afterwards(comparison)])]
-    plots = [plot for each in _achieved(comparison, styles) for plot in each.plots()]
-    return Section(
-        "answer", f"Recommended: {kind or best}", text, words.warnings(comparison),
-        facts=words.headline(comparison),
-        plots=plots, code=[Code(caption, command) for caption, command in used.commands],
-    )  # fmt: skip
+def _predicted(
+    comparison: Comparison, styles: Mapping[str, Method]
+) -> tuple[list[Predicted], list[Plot]]:
+    """Return what was predicted of samples that nothing was fitted to, with plots of its errors.
+
+    That is the test records, or else the forecast; of a comparison without either, all samples.
+    """
+    record, means = comparison.record, comparison.means
+    takes: list[tuple[Callable[[Run], Prediction | None], Predicted]] = []
+    for i, test in enumerate(comparison.tests):
+        tested = {name: mean.tests[i] for name, mean in means.items() if mean.tests}
+        says = f"simulation of the test record {test.name}"
+        if tested:
+            takes.append(
+                (of_test(i), Predicted.of(test, tested, styles, says, name="" if i else "time"))
+            )
+    if not takes and comparison.predictions:
+        says = "forecast after the training part"
+        found = Predicted.of(record, comparison.predictions, styles, says, name="time")
+        takes.append((lambda run: run.forecast, found))
+    if not takes:
+        whole = {name: mean.from_start for name, mean in means.items()}
+        found = Predicted.of(record, whole, styles, "simulation", name="time")
+        takes.append((lambda run: run.from_start, found))
+    plots = []
+    for take, shown in takes:
+        each = {n: [p for r in comparison.runs[n] if (p := take(r))] for n in shown.predictions}
+        plots += shown.errors(each)
+    return [shown for _, shown in takes], plots
 
 
-def _achieved(comparison: Comparison, styles: MethodStyles) -> list[Ahead]:
-    """Return what the recommended method predicted of samples that nothing was fitted to."""
-    best, train = styles.of(comparison.recommended), comparison.setup.train
-    mean = comparison.means[best.name]
-    if mean.tests:
-        return [
-            Ahead(test, len(test) - len(y), y, best, f"simulation of the test record {test.name}")
-            for test, y in zip(comparison.tests, mean.tests, strict=True)
-        ]
-    if best.name in comparison.predictions:
-        forecast = comparison.predictions[best.name]
-        return [Ahead(comparison.record, train, forecast, best, "forecast after the training part")]
-    start = len(comparison.record) - len(mean.from_start)
-    return [Ahead(comparison.record, start, mean.from_start, best, "simulation")]
+def _residuals(comparison: Comparison, answer: list[Predicted]) -> Section:
+    """Return the residuals over time, and what tests of the recommended method's say."""
+    tested = residual_tests(comparison.residual_tests())
+    plots = [*tested.plots, *(plot for each in answer for plot in each.residuals())]
+    return Section("residuals", "Residuals", tested.words, plots=plots, folded=True)
 
 
-def _over_time(comparison: Comparison, frame: time_plots.Frame, most: int) -> list[Section]:
-    """Return the sections of forecasts, test records, errors, simulations and components."""
-    text = ["These plots zoom together. Shaded: the warm-up; dashed: the end of the training part."]
-    if frame.size > 1:
-        text.append(
-            f"The record is longer than a screen is wide: of every {frame.size} samples each line "
-            "shows the lowest and the highest, so that no peak is lost."
-        )
+def _further(comparison: Comparison, styles: Mapping[str, Method]) -> list[Section]:
+    """Return the forecast where test records are the answer, simulations, and components."""
     sections = []
-    if comparison.predictions:
-        plots = time_plots.free_runs(comparison, frame, "forecast")
-        sections.append(Section("forecasts", "Forecasts of all methods", text, plots=plots))
-    if comparison.tests:
-        text = ["Simulated from their first samples; nothing was fitted to them."]
-        plots = time_plots.test_runs(comparison, frame.styles, most)
-        sections.append(Section("tests", "Test records, all methods", text, plots=plots))
-    plots = time_plots.free_runs(comparison, frame, "from the start")
-    title = "Simulations from the start of the record"
-    sections.append(Section("runs", title, text[:1], plots=plots, folded=True))
-    text = [
-        "RMSE of each output up to each horizon: the error of a model that does not drift stays "
-        "flat. Lines: the mean of the seeds' predictions; shaded: the range of single seeds."
-    ]
-    plots = horizon.errors(comparison, frame.styles, most)
-    sections.append(Section("errors", "Error over horizon", text, plots=plots, folded=True))
-    parts = time_plots.components(comparison, frame)
+    if comparison.tests and comparison.predictions:
+        forecast = Predicted.of(comparison.record, comparison.predictions, styles, "forecast")
+        sections.append(Section("forecast", "Forecast", plots=forecast.outputs(), folded=True))
+    whole = {name: mean.from_start for name, mean in comparison.means.items()}
+    says = "simulation from the first samples"
+    simulated = Predicted.of(comparison.record, whole, styles, says)
+    title = "Simulation from the start of the record"
+    sections.append(Section("runs", title, plots=simulated.outputs(), folded=True))
+    parts = simulated.components()
     if parts:
-        text = ["The parts of which a model's output is the sum, each less its mean, and the "
-                "measurement likewise; for the methods that are switched on."]  # fmt: skip
+        names = ", ".join(name for name, mean in whole.items() if mean.components)
+        text = ["A model's output is the sum of these parts. All curves are without their means. "
+                f"Switch on a method to see its parts: {names}."]  # fmt: skip
         title = "Components of hybrid and split models"
         sections.append(Section("components", title, text, plots=parts, folded=True))
     return sections
@@ -138,14 +123,14 @@ def _bands(comparison: Comparison) -> Section:
         text.append(
             f"Models of two bands split the signal at {number(bands.cutoff)} Hz, with filters of "
             f"order {bands.order}; the low band keeps one of {bands.downsampling} samples."
-            + (f" {_sentence(bands.choice.reason)}" if bands.choice else "")
+            + (f" {words.sentence(bands.choice.reason)}" if bands.choice else "")
         )
-    plots = spectrum(part, bands.cutoff, bands.choice, _bases(comparison))
+    plots = spectrum(part, bands.cutoff, _bases(comparison))
     return Section("spectrum", "Spectrum and cut-off", text, plots=plots, folded=True)
 
 
 def _bases(comparison: Comparison) -> dict[str, Array]:
-    """What holds the slow part of a hybrid model in a simulator's place, over the training part.
+    """Return what holds the slow part of hybrid models in a simulator's place, while training.
 
     Its first samples, which are a warm-up, are the record's own.
     """
@@ -162,12 +147,12 @@ def _bases(comparison: Comparison) -> dict[str, Array]:
     return found
 
 
-def _trained(comparison: Comparison, styles: MethodStyles) -> list[Section]:
-    """Training curves and what the search has tried."""
+def _trained(comparison: Comparison, styles: Mapping[str, Method]) -> list[Section]:
+    """Return training curves and what the search has tried."""
     sections = []
-    plots = training(comparison.runs, styles)
+    plots = losses(comparison.runs, styles)
     if plots:
-        text = ["The training loss of each epoch and seed, of the networks that are switched on; a "
+        text = ["Loss over the epochs of each training, for the networks that are switched on. A "
                 "line that still falls at its end would gain from a longer training."]  # fmt: skip
         sections.append(Section("training", "Training", text, plots=plots, folded=True))
     if comparison.attempts:
@@ -177,22 +162,13 @@ def _trained(comparison: Comparison, styles: MethodStyles) -> list[Section]:
     return sections
 
 
-def _settings(comparison: Comparison, used: Usage) -> Section:
-    facts = comparison.setup.as_json()
-    facts.pop("choice", None)
-    return settings(tables.flat(facts), used)
-
-
-def _views(comparison: Comparison, frame: time_plots.Frame) -> list[View]:
-    values, train = frame.axis.values, comparison.setup.train
-    views = [View("Whole record", *frame.axis.whole)]
-    if train < len(values):
+def _views(comparison: Comparison, shown: Predicted) -> list[View]:
+    """Return the parts of the first plots that have a button."""
+    values, train = shown.axis.values, comparison.setup.train
+    views = [View("Whole record", values[0], values[-1])]
+    if shown.record is comparison.record and train < len(values):
         views += [
             View("Training part", values[0], values[train - 1]),
             View("After it", values[train], values[-1]),
         ]
     return views
-
-
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")

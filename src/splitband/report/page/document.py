@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -13,12 +14,40 @@ from bokeh.document import Document
 from bokeh.embed.util import standalone_docs_json_and_render_items
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
+from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.forecast import Forecast
+from splitband.forecasters.checking import ModelCheck
+from splitband.forecasters.responses import Responses
+from splitband.report.benchmark import Row
 from splitband.report.colors import DARK, PALETTE
-from splitband.report.page.parts import Page, Plot
+from splitband.report.page import NAME, cases, check, comparison, forecast
+from splitband.report.page.parts import Page, Plot, Usage
 from splitband.runtime.files import replacing
 
 
-def write(page: Page, path: str | Path) -> None:
+def of_comparison(result: Comparison, path: str | Path, usage: Usage | None = None) -> None:
+    """Write the page of a comparison, whole or not at all; the caller knows the `usage`."""
+    _write(comparison.page(result, usage or Usage()), path)
+
+
+def of_forecast(result: Forecast, path: str | Path, usage: Usage | None = None) -> None:
+    """Write the page of a forecast, see `of_comparison`."""
+    _write(forecast.page(result, usage or Usage()), path)
+
+
+def of_check(
+    result: ModelCheck, path: Path, kind: str, responses: Responses | None, usage: Usage
+) -> None:
+    """Write the page of a check of a model; `kind` says in words what the model is."""
+    _write(check.page(result, kind, responses, usage), path)
+
+
+def of_rows(rows: Sequence[Row], path: str | Path, usage: Usage) -> None:
+    """Write the page of the rows of many comparisons, see `of_comparison`."""
+    _write(cases.page(rows, usage, NAME), path)
+
+
+def _write(page: Page, path: str | Path) -> None:
     """Write a page, whole or not at all."""
     text = html(page)
     with replacing(path) as temporary:

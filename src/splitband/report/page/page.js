@@ -89,14 +89,14 @@
     }
   }
 
-  const switches = all("input[name=method]"), intervals = document.querySelector("input[name=intervals]");
+  const switches = all("input[name=method]");
 
   // Methods: a switch turns a method on and off in all plots.
   function show(method, shown) {
     for (const { figure } of figures)
       for (const renderer of figure.renderers)
         if (renderer.tags.includes("method") && renderer.name === method)
-          renderer.visible = shown && (!renderer.tags.includes("interval") || intervals?.checked);
+          renderer.visible = shown;
     hide();
   }
   function hide() {
@@ -109,11 +109,6 @@
     show(input.value, input.checked);
     say(`${input.value} ${input.checked ? "shown" : "hidden"}`);
   }));
-
-  intervals?.addEventListener("change", () => {
-    switches.forEach((input) => show(input.value, input.checked));
-    say(intervals.checked ? "Intervals of all methods shown" : "Interval of the recommended method shown");
-  });
 
   // Zoom: by buttons for the record, by keys on any plot; ranges that plots share move as one.
   function zoom(range, factor, shift, logarithmic) {

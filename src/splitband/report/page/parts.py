@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
-from splitband.report.colors import place
+from splitband.report.colors import PALETTE
 
 
 @dataclass(frozen=True)
@@ -80,14 +80,6 @@ class Plot:
     small: bool = False
 
 
-@dataclass(frozen=True)
-class Code:
-    """Lines to copy."""
-
-    caption: str
-    text: str
-
-
 @dataclass(frozen=True, eq=False)
 class Section:
     """A part of the page with a heading.
@@ -98,7 +90,8 @@ class Section:
     title : The heading.
     words : Paragraphs.
     items : A list after them.
-    tables, plots, code : After these.
+    tables, plots : After these.
+    code : Lines to copy, each with what they do.
     facts : Pairs of a name and a value.
     folded : Whether it opens by a click.
     """
@@ -109,29 +102,35 @@ class Section:
     items: Sequence[str] = ()
     tables: Sequence[Table] = ()
     plots: Sequence[Plot] = ()
-    code: Sequence[Code] = ()
+    code: Sequence[tuple[str, str]] = ()
     facts: Sequence[tuple[str, str]] = ()
     folded: bool = False
 
 
 @dataclass(frozen=True)
 class Method:
-    """A method that readers switch on and off.
+    """A method that readers switch on and off; the recommended one is drawn at first.
 
     Attributes
     ----------
     name : Of the forecaster.
     color : Its place in the palette.
     dashed : Whether its colour is another one's, too.
-    shown : Whether it is drawn at first.
     recommended : Whether it is the one.
     """
 
     name: str
-    color: int
-    dashed: bool
-    shown: bool
-    recommended: bool
+    color: int = 0
+    dashed: bool = False
+    recommended: bool = True
+
+
+def method_styles(names: Sequence[str], recommended: str) -> dict[str, Method]:
+    """Return how each method is drawn; colours begin again where there are not enough."""
+    return {
+        name: Method(name, i % len(PALETTE), i >= len(PALETTE), name == recommended)
+        for i, name in enumerate(names)
+    }
 
 
 @dataclass(frozen=True)
@@ -150,10 +149,9 @@ class Page:
     Attributes
     ----------
     title, lead : The heading, and the line below it.
-    sections : In their order; what switches methods stands before the first one with plots.
+    sections : In their order; what switches methods stands below the first one.
     methods : Which are drawn.
     views : Parts of the time axis worth a button; the first one is all of it.
-    intervals : Whether methods have intervals, which a switch turns on and off.
     """
 
     title: str
@@ -161,7 +159,6 @@ class Page:
     sections: Sequence[Section]
     methods: Sequence[Method] = ()
     views: Sequence[View] = ()
-    intervals: bool = False
 
     @property
     def plots(self) -> list[Plot]:
@@ -170,28 +167,14 @@ class Page:
 
 
 @dataclass(frozen=True)
-class MethodStyles:
-    """Which methods there are, and how each is drawn.
+class Usage:
+    """What only the caller knows of how a result was asked for.
 
     Attributes
     ----------
-    names : In the order of the comparison, which gives them their colours.
-    recommended : The chosen one.
-    shown : Which are drawn at first.
+    commands : To use the model, from a shell or in Python, each with what it does.
+    asked : The command that made the page.
     """
 
-    names: Sequence[str]
-    recommended: str
-    shown: frozenset[str] = field(default_factory=frozenset)
-
-    @property
-    def methods(self) -> list[Method]:
-        """For the switches, the recommended one first."""
-        first = sorted(self.names, key=lambda n: (n != self.recommended, n not in self.shown))
-        return [self.of(name) for name in first]
-
-    def of(self, name: str) -> Method:
-        """How a method is drawn."""
-        color = place(self.names, name)
-        dashed = [*self.names].index(name) != color
-        return Method(name, color, dashed, name in self.shown, name == self.recommended)
+    commands: Sequence[tuple[str, str]] = ()
+    asked: str = ""

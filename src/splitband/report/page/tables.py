@@ -9,8 +9,9 @@ from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.selection import Trial
 from splitband.evaluation.trials import SearchAttempt
 from splitband.report.numbers import number
-from splitband.report.page.parts import Cell, Table
+from splitband.report.page.parts import Cell, Section, Table, Usage
 from splitband.report.page.words import in_words
+from splitband.report.results import environment
 from splitband.report.table import Column, columns, ordered, remarks
 from splitband.report.table import tried as columns_of_trial
 
@@ -43,21 +44,20 @@ def _of_columns(
     kinds: Mapping[str, str],
     trial: Trial,
 ) -> Table:
-    """Return a table of columns, with what is `said` of each method in a last one, if anything.
+    """Return a table of columns, with what each method is and what is `said` of it below its name.
 
     Of the methods that need no training, all but the best are folded away.
     """
     rows = [
         [
-            Cell(name, says=kinds[name]),
+            Cell(name, says="; ".join(filter(None, [kinds[name], said.get(name)]))),
             *(Cell(c.entry(name), c.values.get(name), name == c.best) for c in listed),
-            *([Cell(said[name])] if said else []),
         ]
         for name in kinds
     ]
     marked, trained = trial.recommended, trial.trained
     explained = dict.fromkeys((column.heading, column.note) for column in listed)
-    headings = ["method", *(column.label for column in listed), *(["settled on"] if said else [])]
+    headings = ["method", *(column.label for column in listed)]
     place = frozenset([[*kinds].index(marked)])
     simple = [i for i, name in enumerate(kinds) if name not in trained and i not in place]
     minor = frozenset(simple[1:])  # the best of them is what the others have to be better than
@@ -78,17 +78,27 @@ def attempts(tried: Sequence[SearchAttempt]) -> Table:
     lowest = min((r[3].value for r in rows if r[3].value is not None), default=None)
     marked = frozenset(i for i, row in enumerate(rows) if row[3].value == lowest)
     return Table(
-        "What was tried, in that order; the score is the RMSE on held-out samples, of channels "
-        "scaled to a deviation of 1",
-        ["method", "training", "seeds", "score"],
+        "What was tried, in that order; the score is the RMSE on held-out samples, in standard "
+        "deviations of each output",
+        ["method", "training", "trainings", "score"],
         rows,
         marked,
     )
 
 
-def plain(caption: str, columns: Sequence[str], values: Sequence[Sequence[float]]) -> Table:
-    """A table of numbers."""
-    return Table(caption, columns, [[Cell(number(v), v) for v in row] for row in values])
+def next_steps(used: Usage) -> list[Section]:
+    """Return the section of the commands that use the model, where there are any."""
+    return [Section("next", "What to do next", code=used.commands)] if used.commands else []
+
+
+def settings(facts: list[tuple[str, str]], used: Usage) -> Section:
+    """Return the section of what the numbers were made with."""
+    made = environment()
+    pairs = [("command", used.asked)] if used.asked else []
+    versions = ", ".join(f"{name} {v}" for name, v in made["versions"].items())
+    pairs += [*facts, ("versions", versions), ("machine", made["machine"])]
+    pairs += [("commit", made["commit"])] if made["commit"] else []
+    return Section("settings", "Settings and versions", facts=pairs, folded=True)
 
 
 def flat(facts: Mapping[str, object], before: str = "") -> list[tuple[str, str]]:

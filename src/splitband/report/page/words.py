@@ -24,6 +24,23 @@ def in_words(name: str, methods: Mapping[str, Forecaster] = NAMES) -> str:
     return "" if method is None else method.in_words()
 
 
+def named(name: str, kind: str) -> str:
+    """Return a method's kind in words, with its name."""
+    return f"{kind} ({name})" if kind else name
+
+
+def lead(record: Record) -> str:
+    """Return the record in a line."""
+    every = f"{record.sampling_time:.6g} s"
+    said = f"{len(record):,} samples every {every}, measured: {', '.join(record.columns)}"
+    return said + (f"; known inputs: {', '.join(record.inputs)}" if record.nu else "")
+
+
+def sentence(text: str) -> str:
+    """Return a text with a capital and a full stop."""
+    return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
+
+
 def achieved(comparison: Comparison) -> list[str]:
     """Return the fit and the error of the recommended method, a line for each output and record.
 
@@ -75,7 +92,7 @@ def why(trial: Trial, train: int) -> list[str]:
         f"first {percent(1 - HELD_OUT)} of them and predicted the rest."
     )
     if trial.trained and set(trial.errors) - trial.trained:
-        words.append(f"A network's score is raised by {percent(WORTH_TRAINING)}.")
+        words.append(f"Networks carry a penalty of {percent(WORTH_TRAINING)}.")
     return words
 
 
@@ -101,7 +118,7 @@ def _hindsight(best: str, fits: Sequence[Column]) -> list[str]:
         return []
     better = [c for c in fits if c.best and c.values[c.best] > c.values[best]]
     if not better:
-        return ["No other method had a better fit there."]
+        return ["No other method had a better fit."]
     said = ", ".join(
         f"{c.best} {c.entry(c.best)} %" + (f" ({of})" if (of := c.record or c.channel) else "")
         for c in better
@@ -132,9 +149,9 @@ def warnings(comparison: Comparison) -> list[str]:
     missed = [c for c in held if c.values[best] < share - POOR]
     if missed:
         said.append(
-            f"The interval of {best} held {_listed(missed, best)} of the samples after the "
-            f"training part in place of {percent(share)}: the record changes, or is longer than "
-            "the training part shows."
+            f"The {percent(share)} interval of {best} held only {_listed(missed, best)} of the "
+            "samples after the training part. Either the system has changed, or the training part "
+            "does not show how errors grow."
         )
     for test, prediction in zip(comparison.tests, comparison.means[best].tests, strict=False):
         said += [f"{test.name}: {message}" for message in prediction.warnings]
@@ -146,11 +163,9 @@ def warnings(comparison: Comparison) -> list[str]:
     if comparison.left_out:
         said.append(
             f"Not tested: {', '.join(comparison.left_out)}; they go on from the training record, "
-            "or need a simulator of the test record."
+            "or need a simulator of the test record (--test-simulator)."
         )
-    said += of_gaps(record)
-    failed = comparison.require_trial().failed
-    return said + [f"{name} could not be fitted: {reason}" for name, reason in failed.items()]
+    return said
 
 
 def of_inputs(beyond: list[Extrapolation], record: Record) -> list[str]:
@@ -167,6 +182,6 @@ def of_gaps(record: Record) -> list[str]:
     if not missing:
         return []
     return [
-        f"{missing:,} of {len(record):,} samples were not measured in whole: lines break there, "
-        "and they count in no error."
+        f"{missing:,} of {len(record):,} samples have missing values: curves break there, and "
+        "errors leave them out."
     ]

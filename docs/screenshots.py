@@ -1,0 +1,33 @@
+"""Draw the pictures of README from the demo: `python -m docs.screenshots`, after `make demo`.
+
+It needs chromium and playwright, as the tests of the page do.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from playwright.sync_api import sync_playwright
+
+ROOT = Path(__file__).parents[1]
+SIZE = {"x": 120.0, "y": 0.0, "width": 1160.0, "height": 1280.0}
+
+
+def main() -> None:
+    """Copy the demo's picture, and draw the top of its page."""
+    images, demo = ROOT / "docs/img", ROOT / "demo"
+    shutil.copy(demo / "rollouts.png", images / "demo.png")
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(
+            executable_path="/usr/bin/chromium", args=["--no-sandbox", "--disable-gpu"]
+        )
+        page = browser.new_page(viewport={"width": 1400, "height": 1280}, color_scheme="light")
+        page.goto((demo / "report.html").as_uri())
+        page.wait_for_selector("html[data-drawn]")
+        page.screenshot(path=images / "report.png", clip=SIZE)
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""Pictures of the paper's runs: how errors grow, and what a prediction is the sum of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.protocols import Run
+from splitband.metrics import cumulative_rmse
+from splitband.report.colors import PALETTE
+from splitband.report.pictures import MEASURED, literal, time_label, times_of
+from splitband.report.table import ordered
+
+Array = npt.NDArray[np.float64]
+
+
+def components(
+    comparison: Comparison, what: Literal["components", "unfiltered"] = "components"
+) -> Figure:
+    """What each prediction from the start is the sum of, a row for each method of several parts.
+
+    With "unfiltered", what the filters of a method were fed with instead.
+    """
+    record, setup, runs = comparison.record, comparison.setup, comparison.runs
+    parts: dict[str, Mapping[str, Array]] = {
+        name: of_method[0].from_start.components
+        if what == "components"
+        else of_method[0].unfiltered
+        for name, of_method in runs.items()
+    }
+    rows = [(name, channel) for name in runs if parts[name] for channel in range(record.ny)]
+    if not rows:
+        raise ValueError(f"none of {', '.join(runs)} has {what} to draw")
+    figure = Figure(figsize=(13, 0.9 + 1.7 * len(rows)), layout="constrained")
+    grid = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+    times = times_of(record)
+    says = "components before they are added" if what == "components" else "before the filters"
+    for ax, (name, channel) in zip(grid, rows, strict=True):
+        warmup = setup.settings.warmup
+        start = len(record) - len(next(iter(parts[name].values())))
+        seen = record.seen[:, channel]
+        ax.plot(times, seen - np.nanmean(seen), color=MEASURED, lw=0.8, label="measured")
+        for color, (part, values) in zip(PALETTE, parts[name].items(), strict=False):
+            y = values[:, channel] - values[:, channel].mean()
+            ax.plot(times[start:], y, color=color, lw=1, label=part)
+        ax.axvspan(times[start - warmup], times[start - 1], color="0.93", zorder=0)
+        if setup.train < len(record):
+            ax.axvline(times[setup.train], color="0.4", ls=":", lw=1)
+        ax.set_title(f"{name}: {says}, each less its mean", fontsize=9, loc="left", pad=3)
+        ax.set_ylabel(literal(record.columns[channel]))
+        ax.margins(x=0.01)
+        ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    grid[-1].set_xlabel(time_label(record))
+    return figure
+
+
+def errors(comparison: Comparison) -> Figure:
+    """Return a picture of the RMSE up to each time, a row for each channel.
+
+    Lines are of the mean of the seeds' predictions, shaded is the range of the single seeds.
+    """
+    record, setup, runs = comparison.record, comparison.setup, comparison.runs
+    figure = Figure(figsize=(13, 0.6 + 4 * record.ny), layout="constrained")
+    protocols = [("from the start", _from_start), ("forecast", _forecast)]
+    times, end = times_of(record), setup.train
+    names = ordered(comparison.trial, runs)
+    if end == len(record):  # nothing is forecast
+        protocols = protocols[:1]
+    grid = figure.subplots(record.ny, len(protocols), squeeze=False)
+    sides = [(channel, side) for channel in range(record.ny) for side in protocols]
+    for ax, (channel, (title, prediction)) in zip(grid.flat, sides, strict=True):
+        for name, of_method in runs.items():
+            steps = len(prediction(of_method[0]))
+            truth, time = record.truth[-steps:, channel], times[-steps:]
+            mean, *each = (
+                cumulative_rmse(truth, prediction(run)[:, channel])
+                for run in (comparison.means[name], *of_method)
+            )
+            color = PALETTE[names.index(name) % len(PALETTE)]
+            ax.plot(time, mean, color=color, lw=1.4, label=name)
+            if len(each) > 1:
+                low, high = np.min(each, axis=0), np.max(each, axis=0)
+                ax.fill_between(time, low, high, color=color, alpha=0.15, lw=0)
+        if end < len(record):
+            ax.axvline(times[end], color="0.4", ls=":", lw=1)
+        ax.set_yscale("log")
+        # The first errors after a warm-up vary too much to set the scale by them.
+        settled = [line.get_ydata()[10:] for line in ax.lines if len(line.get_ydata()) > 20]
+        lowest = [float(y[y > 0].min()) for y in map(np.asarray, settled) if (y > 0).any()]
+        ax.set_ylim(bottom=0.7 * min(lowest, default=1e-3))
+        ax.yaxis.set_major_formatter("{x:g}")
+        of = [record.name, title, *([record.columns[channel]] if record.ny > 1 else [])]
+        ax.set_title(literal(", ".join(of)), fontsize=10)
+        ax.set_xlabel(time_label(record))
+        unit = f" ({record.units[channel]})" if record.units[channel] else ""
+        ax.set_ylabel(f"RMSE up to this time{unit}")
+        ax.grid(True, which="both", color="0.93", lw=0.6)
+    grid[0, -1].legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1))
+    return figure
+
+
+def _from_start(run: Run) -> Array:
+    return run.from_start.y
+
+
+def _forecast(run: Run) -> Array:
+    return run.ahead
