@@ -11,7 +11,8 @@ from pathlib import Path
 from playwright.sync_api import sync_playwright
 
 ROOT = Path(__file__).parents[1]
-SIZE = {"x": 120.0, "y": 0.0, "width": 1160.0, "height": 1280.0}
+LEFT, WIDTH, HEIGHT = 120, 1160, 1280
+"""Pixels of the page."""
 
 
 def main() -> None:
@@ -22,10 +23,13 @@ def main() -> None:
         browser = driver.chromium.launch(
             executable_path="/usr/bin/chromium", args=["--no-sandbox", "--disable-gpu"]
         )
-        page = browser.new_page(viewport={"width": 1400, "height": 1280}, color_scheme="light")
+        page = browser.new_page(viewport={"width": 1400, "height": HEIGHT}, color_scheme="light")
         page.goto((demo / "report.html").as_uri())
         page.wait_for_selector("html[data-drawn]")
-        page.screenshot(path=images / "report.png", clip=SIZE)
+        page.screenshot(
+            path=images / "report.png",
+            clip={"x": LEFT, "y": 0, "width": WIDTH, "height": HEIGHT},
+        )
         browser.close()
 
 

@@ -83,7 +83,7 @@ def benchmark(
     A row of LIST is a case, which is compared as by `splitband compare`; the columns are options of
     that command. Files are relative to the list's folder; several of them (test, more and their
     simulators) are separated by ";". A case is called by its name, or after its record. The options
-    of this command hold for all cases; a warm-up in the list comes before --warmup.
+    of this command hold for all cases; a warm-up in LIST overrides --warmup.
 
     OUT/NAME has for each case what `compare` writes. The table over all of them (table.csv,
     results.json, report.html) has the error of the recommended method, on the test
