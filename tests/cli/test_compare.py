@@ -241,7 +241,7 @@ def test_the_recommendation_says_what_it_was_chosen_by(capsys: pytest.CaptureFix
 
 @pytest.mark.usefixtures("drawn")
 def test_the_command_of_the_page_fits_the_recommended_method_again(tmp_path: Path) -> None:
-    """With all its options, quoted, and the further records; so does the page's Python."""
+    """With all its options, quoted, and the further records."""
     out = tmp_path / "my results"
     call(f"compare record.csv --columns a --inputs force --more record.csv "
          f"--methods gru {QUICK} --seeds 1 --jobs 1", out)  # fmt: skip
@@ -250,5 +250,3 @@ def test_the_command_of_the_page_fits_the_recommended_method_again(tmp_path: Pat
     words = shlex.split(line.replace("\\\n", " "))
     call(shlex.join(words[: words.index("--out")]), tmp_path / "model")
     assert results(tmp_path / "model")["more"] == ["record.csv"]
-    assert "sb.read('record.csv', columns=['a'], inputs=['force'])," in page
-    assert "model.fit(record, *more)" in page

@@ -75,6 +75,7 @@ def test_finished_runs_are_not_repeated(folder: Path) -> None:
     assert {p: p.stat().st_mtime_ns for p in (folder / "runs").rglob("*.json")} == before
 
 
+@pytest.mark.usefixtures("drawn")
 @pytest.mark.parametrize("name", ["rollouts", "components", "errors", "spectrum"])
 def test_figures_are_drawn_from_the_runs(name: str, folder: Path) -> None:
     chosen = ["--methods", "split-gru,harmonic"]
