@@ -226,6 +226,11 @@ class Network(Forecaster):
             record, settings = new.fitted.record, new.trained_by
             assert settings is not None
             new.model = with_weights(lambda: new._built(record, settings, seed=0), weights)
+            of_model = settings.warmup, new.model.ny + new.model.nu
+            if new.prehistory is not None and new.prehistory.mean.shape != of_model:
+                raise ValueError(
+                    f"mean of the prehistory must be {of_model}, got {new.prehistory.mean.shape}"
+                )
         return new
 
     def first_needed(self) -> int:
