@@ -87,7 +87,7 @@ def question_of(
 def run(name: str, record: Record, setup: Setup, seed: int = 0) -> Run:
     """One method with one seed under both protocols."""
     done = asked(name, record, setup, seed)
-    return run_of(name, question_of(name, record, setup), setup.train, done)
+    return run_of(Plan.of(record, (), setup), name, question_of(name, record, setup), done)
 
 
 def compare(

@@ -30,6 +30,12 @@ def rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
     return float(np.sqrt(np.mean(squared.sum(axis=1))))
 
 
+def channel_rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
+    """Return the RMSE of each channel by itself, `(ny,)`; NaN for one that was not measured."""
+    y, prediction = np.asarray(y, float), np.asarray(prediction, float)
+    return np.array([rmse(*channel) for channel in zip(y.T, prediction.T, strict=True)])
+
+
 def cumulative_rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
     """Return sqrt(sum_{k<=n} ||y_k - prediction_k||^2 / (n + 1)), `(time,)` (paper, Sec. 5)."""
     return _cumulative(_squared_errors(y, prediction), np.asarray(y, float))

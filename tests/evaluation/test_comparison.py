@@ -9,7 +9,7 @@ import scipy
 from splitband import Record, Settings
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.protocols import Errors, Run, by_channel, mean_run
+from splitband.evaluation.protocols import Errors, Run, mean_run
 from splitband.evaluation.selection import Trial
 from splitband.evaluation.setup import Options, Setup, default_names, usual_names
 from splitband.forecasters.backtest import Origin, Question, backtest, for_trial, held_out_origins
@@ -18,6 +18,7 @@ from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.names import HYBRIDS, Sizes
 from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
+from splitband.metrics import channel_rmse
 from splitband.report.pictures import rollouts
 from tests.support import compare, forecasters, settled, try_out
 
@@ -225,7 +226,7 @@ def test_errors_of_several_seeds_cancel_in_their_mean() -> None:
         )
         for seed, (a, b) in enumerate(off)
     ]
-    mean = mean_run(runs, r, TRAIN)
+    mean = mean_run(Plan.of(r, (), SETUP), runs)
     np.testing.assert_allclose(mean.from_start.y, start, atol=1e-12)
     np.testing.assert_allclose(mean.ahead, ahead + 0.1, atol=1e-12)
     assert mean.total_rmse == pytest.approx(0, abs=1e-12)
@@ -239,7 +240,7 @@ def test_channels_of_different_units_have_errors_and_scales_of_their_own() -> No
     both = Record(np.hstack([r.y, r.y[::-1]]) * units + [0, 1e5], DT, columns=("V", "Pa"))
     runs = compare(both, ["mean", "harmonic"], SETUP)
     for (found,) in runs.values():
-        of_channels = by_channel(both, found.from_start.y)
+        of_channels = channel_rmse(both.y[-len(found.from_start) :], found.from_start.y)
         assert np.linalg.norm(of_channels) == pytest.approx(found.total_rmse)
         left = both.y[-len(found.from_start) :] - found.from_start.y
         np.testing.assert_allclose(of_channels, np.sqrt(np.mean(left**2, axis=0)))

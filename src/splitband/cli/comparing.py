@@ -27,7 +27,7 @@ from splitband.data import Record
 from splitband.data.named import RECORDS
 from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.plan import Plan, check_train, plan
+from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.run import run
 from splitband.evaluation.saved_settings import SavedSettings
 from splitband.evaluation.setup import default_names
@@ -126,11 +126,7 @@ def planned(
         record = replace(record, u_beyond=u)
     _check_needs(expected, record)
     others, tests = _further(asked, simulator, record, expected)
-    train = len(record) if steps else asked.train
-    if fitting:
-        train = len(record) if train is None else train
-        check_train(record, train, 0)
-        record = record[:train]
+    train = len(record) if steps or (fitting and asked.train is None) else asked.train
     if train is None and not tests and asked.record in RECORDS:
         train = RECORDS[asked.record].train
     found = plan(

@@ -14,7 +14,7 @@ import pandas as pd
 from splitband.data import Record
 from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.protocols import Run, Runs, inputs_beyond, mean_run
+from splitband.evaluation.protocols import Run, Runs, mean_run
 from splitband.evaluation.selection import LEVEL, Trial
 from splitband.evaluation.setup import Setup
 from splitband.evaluation.trials import SearchAttempt
@@ -22,7 +22,7 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.checking import LAGS, ResidualTests, residual_tests
 from splitband.forecasters.ensemble import handed_out, over_seeds
 from splitband.forecasters.prediction import Prediction
-from splitband.metrics import Extrapolation
+from splitband.metrics import Extrapolation, extrapolations, input_range
 from splitband.runtime.provided import provided
 
 if TYPE_CHECKING:
@@ -122,10 +122,7 @@ class Comparison:
     @cached_property
     def means(self) -> dict[str, Run]:
         """The mean over seeds of each method, which is what is handed out."""
-        train = self.setup.train
-        return {
-            name: mean_run(runs, self.record, train, self.tests) for name, runs in self.runs.items()
-        }
+        return {name: mean_run(self.plan, runs) for name, runs in self.runs.items()}
 
     @property
     def left_out(self) -> list[str]:
@@ -191,9 +188,9 @@ class Comparison:
     @property
     def inputs_beyond_training(self) -> list[Extrapolation]:
         """Which inputs after the training part go beyond those that were trained on."""
-        train, u = self.setup.train, self.record.u
-        training = [self.record[:train], *self.others]
-        return inputs_beyond(training, None if u is None else u[train:])
+        u, training = self.record.u, [self.plan.training, *self.others]
+        seen = [record.u for record in training if record.u is not None]
+        return [] if u is None else extrapolations(*input_range(seen), u[self.setup.train :])
 
     def require_trial(self) -> Trial:
         """The trial; raises ValueError where none has been made."""

@@ -12,7 +12,7 @@ from splitband.data import Record
 from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.choosing import choose
 from splitband.evaluation.plan import Plan, plan
-from splitband.evaluation.protocols import inputs_beyond, models_of
+from splitband.evaluation.protocols import models_of
 from splitband.evaluation.run import begun, last_fits
 from splitband.evaluation.selection import LEVEL, Trial
 from splitband.evaluation.work import Work
@@ -141,14 +141,15 @@ def run_forecast(plan: Plan, work: Work | None = None) -> Forecast:
     mean, done = mean_of(forecasts[best]), [*backtests[best].values()]
     half = trial.intervals[best].half_widths(steps)
     left = [leaves_range(each.y_range, each.predictions[origin].y) for each in done]
+    model = handed_out(models_of(plan, backtests)[best], trial.held_out.get(best))
     u = record.u_beyond
     return Forecast(
         plan,
-        handed_out(models_of(plan, backtests)[best], trial.held_out.get(best)),
+        model,
         replace(mean, lower=mean.y - half, upper=mean.y + half, level=LEVEL),
         trial,
         done[0].description,
         min((samples for samples in left if samples is not None), default=None),
-        inputs_beyond([record, *plan.others], None if u is None else u[:steps]),
+        model.require_fitted().inputs_beyond(None if u is None else u[:steps]),
         staff.time,
     )

@@ -176,10 +176,10 @@ def check(plan: Plan) -> None:
 def _reaching(record: Record, train: int, horizon: int | None, tested: bool) -> tuple[Record, int]:
     """The record to the last sample that is predicted, and how many of these are not trained on."""
     beyond = horizon is not None and train == len(record)
-    check_train(record, train, 0 if tested or beyond else 1)
+    check_train(record, train, 0 if tested or beyond or horizon == 0 else 1)
     if horizon is None:
         return record, len(record) - train
-    whole("horizon", horizon, 0 if beyond else 1)
+    whole("horizon", horizon, 0)
     if beyond:
         for what, known, coming in (
             ("known inputs", record.u, record.u_beyond),

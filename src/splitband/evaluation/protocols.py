@@ -20,15 +20,7 @@ from splitband.forecasters.backtest import Backtest, Origin, Question, first_ori
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.prediction import Prediction, mean_of
-from splitband.metrics import (
-    Extrapolation,
-    extrapolations,
-    fit_percent,
-    input_range,
-    leaves_range,
-    rmse,
-    spread,
-)
+from splitband.metrics import leaves_range, rmse, spread
 
 Array = npt.NDArray[np.float64]
 
@@ -51,17 +43,16 @@ class Errors:
     @classmethod
     def of(
         cls,
-        record: Record,
-        train: int,
-        tests: Sequence[Record],
+        plan: Plan,
         from_start: Prediction,
         forecast: Prediction | None,
-        tested: Sequence[Prediction],
+        tests: Sequence[Prediction],
     ) -> Errors:
         """Return those of predictions, against the truth where it is known."""
-        total = rmse(record.truth[-len(from_start) :], from_start.y)
-        ahead = None if forecast is None else rmse(record.truth[train:], forecast.y)
-        of_tests = zip(tests if tested else (), tested, strict=True)
+        truth = plan.record.truth
+        total = rmse(truth[-len(from_start) :], from_start.y)
+        ahead = None if forecast is None else rmse(truth[plan.train :], forecast.y)
+        of_tests = zip(plan.tests if tests else (), tests, strict=True)
         return cls(total, ahead, tuple(rmse(t.truth[-len(p) :], p.y) for t, p in of_tests))
 
 
@@ -166,7 +157,7 @@ def runs_of(
 ) -> Runs:
     """Return what methods have said, by name and seed, with its errors."""
     runs = {
-        name: [as_run(name, questions[name], plan.train, each) for each in done.values()]
+        name: [as_run(plan, name, questions[name], each) for each in done.values()]
         for name, done in backtests.items()
         if done
     }
@@ -176,15 +167,15 @@ def runs_of(
     return Runs(runs, failures, models_of(plan, backtests))
 
 
-def as_run(name: str, question: Question, train: int, done: Backtest) -> Run:
+def as_run(plan: Plan, name: str, question: Question, done: Backtest) -> Run:
     """Return what a forecaster has said, with its errors."""
-    ahead = Origin(train, train)
+    ahead = Origin(plan.train, plan.train)
     # The first warm-up without a gap may lie after the training part.
     first = next((origin for origin in question.origins if origin != ahead), ahead)
     from_start = done.predictions[first]
-    forecast = done.predictions.get(ahead) if train < question.end else None
+    forecast = done.predictions.get(ahead) if plan.train < question.end else None
     said = from_start, forecast, tuple(done.tests)
-    errors = Errors.of(question.record, train, question.tests, *said)
+    errors = Errors.of(plan, *said)
     leaves = None if forecast is None else leaves_range(done.y_range, forecast.y)
     unfiltered = done.unfiltered.get(first, {})
     return Run(name, errors, *said, leaves, done.report, done.description, unfiltered)
@@ -204,7 +195,7 @@ def models_of(
     return models
 
 
-def mean_run(runs: Sequence[Run], record: Record, train: int, tests: Sequence[Record] = ()) -> Run:
+def mean_run(plan: Plan, runs: Sequence[Run]) -> Run:
     """Return the mean of the predictions of several seeds, with its own errors."""
     first = runs[0]
     if len(runs) == 1:
@@ -216,7 +207,7 @@ def mean_run(runs: Sequence[Run], record: Record, train: int, tests: Sequence[Re
         tuple(mean_of(of_test) for of_test in zip(*(run.tests for run in runs), strict=True)),
     )
     fit = replace(first.fit, seconds=sum(run.fit.seconds for run in runs))
-    return Run(first.method, Errors.of(record, train, tests, *said), *said, fit=fit)
+    return Run(first.method, Errors.of(plan, *said), *said, fit=fit)
 
 
 def without_failed(runs: Runs, training: Record) -> Runs:
@@ -261,27 +252,3 @@ def _noted(runs: Sequence[Run], *notes: str) -> list[Run]:
     first, *rest = runs
     said = "; ".join(filter(None, (first.description, *notes)))
     return [replace(first, description=said), *rest]
-
-
-def by_channel(record: Record, predicted: Array) -> list[float]:
-    """Return the RMSE of each output, of a prediction `(time, ny)` that ends with the record.
-
-    NaN where it was not measured.
-    """
-    truth = record.truth[len(record) - len(predicted) :]
-    return [rmse(y, x) for y, x in zip(truth.T, predicted.T, strict=True)]
-
-
-def fit_by_channel(record: Record, predicted: Array) -> list[float]:
-    """Return the fit in percent of each output, of a prediction that ends with the record.
-
-    NaN where it is constant, or was not measured.
-    """
-    truth = record.truth[len(record) - len(predicted) :]
-    return [float(fit) for fit in np.atleast_1d(fit_percent(truth, predicted))]
-
-
-def inputs_beyond(training: Sequence[Record], u: Array | None) -> list[Extrapolation]:
-    """Return which inputs `u` `(time, nu)` ahead go beyond those of the training records."""
-    seen = [record.u for record in training if record.u is not None]
-    return [] if u is None or not seen else extrapolations(*input_range(seen), u)

@@ -17,7 +17,6 @@ from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import (
     Backtest,
     Question,
-    channel_errors,
     for_trial,
     held_out,
     held_out_errors,
@@ -27,7 +26,7 @@ from splitband.forecasters.backtest import (
 )
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.intervals import HeldOut, Interval
-from splitband.metrics import spread
+from splitband.metrics import channel_rmse, spread
 
 Array = npt.NDArray[np.float64]
 
@@ -173,7 +172,7 @@ def try_out(
     known = {name: held_out(record, y) for name, y in forecasts.items()}
     trained = frozenset(f.name for f in shorter if f.random)
     return Trial(
-        {name: channel_errors(e) for name, e in scored.items()},
+        {name: _of_channels(e) for name, e in scored.items()},
         {name: root_mean_square([error / scale for error in e]) for name, e in scored.items()},
         trained,
         failed={f.method: f.reason for f in failures[::-1] if f.method not in forecasts},
@@ -183,3 +182,9 @@ def try_out(
             for name in trained & forecasts.keys()
         },
     )
+
+
+def _of_channels(errors: Sequence[Array]) -> tuple[float, ...]:
+    """Return the RMSE of each channel, of the errors `(time, ny)` of several forecasts."""
+    every = np.concatenate(errors)
+    return tuple(map(float, channel_rmse(every, np.zeros_like(every))))

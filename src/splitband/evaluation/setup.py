@@ -161,18 +161,19 @@ class Options:
         tests : Records to be simulated; a warm-up that is left open takes a third of the shortest
             at most. Only their lengths are looked at.
         """
-        settings = self._settings(record[:train], tests)
-        if methods is None:
-            methods = default_names(record.y_sim is not None)
-        bands = self._bands(record, train, settings, methods)
+        training = record[:train]
+        settings = self._settings(recipe_settings(self.recipe, training), tests)
+        names = default_names(record.y_sim is not None) if methods is None else methods
+        made = [named(each) if isinstance(each, str) else each for each in names]
+        bands = self._bands(training, settings, made)
         sizes = Sizes() if self.recipe == "paper" else Sizes(hidden_high=32, hidden_low=16)
         sizes = self.sizes or sizes
         found = Setup(train, settings, bands, sizes, self._search(), self.simulator)
         return replace(found, initial=self.initial)
 
-    def _settings(self, training: Record, tests: Sequence[Record]) -> Settings:
-        """How networks are trained to begin with."""
-        settings, said = self.settings or recipe_settings(self.recipe, training), {**self.changes}
+    def _settings(self, usual: Settings, tests: Sequence[Record]) -> Settings:
+        """Return how networks are trained to begin with; `usual` is where none are given."""
+        settings, said = self.settings or usual, {**self.changes}
         if "window" in said:
             said.setdefault("warmup", default_warmup(said["window"], settings.warmup))
         if "milestones" in said:
@@ -196,32 +197,20 @@ class Options:
         search = self.search or Search.usual()
         return replace(search, sizes=search.sizes and self.sizes is None)
 
-    def _bands(
-        self,
-        record: Record,
-        train: int,
-        settings: Settings,
-        methods: Sequence[Forecaster | str],
-    ) -> Bands:
-        """The bands: for hybrid models, if there are any and the simulator helps, or networks."""
-        beside = [base for method in _made(methods) for base in _simulators_in(method)]
-        y_sim = None
-        if record.y_sim is not None and beside:
-            simulation = next((f for f in beside if f.calibrates), beside[0]).clone()
-            simulation.fit(record[:train])
-            y_sim = simulation.on(record[:train]).y_sim
+    def _bands(self, training: Record, settings: Settings, methods: Sequence[Forecaster]) -> Bands:
+        """Return the bands: for hybrids where the simulator helps, else for networks alone."""
         given = self.bands.cutoff is not None
-        if not given and not any(each.shares_bands for each in _made(methods)):
+        if not given and not any(each.shares_bands for each in methods):
             return self.bands
+        y_sim, beside = None, [base for method in methods for base in _simulators_in(method)]
+        if training.y_sim is not None and beside:
+            simulation = next((f for f in beside if f.calibrates), beside[0]).clone()
+            y_sim = simulation.fit(training).on(training).y_sim
         # A record without a band to split off concerns the methods that need one: they say so.
         with nullcontext() if given else suppress(ValueError):
-            part = record[:train]
-            return self.bands.chosen(part.y, record.sampling_rate, settings.warmup, y_sim)
+            rate = training.sampling_rate
+            return self.bands.chosen(training.y, rate, settings.warmup, y_sim)
         return self.bands
-
-
-def _made(methods: Sequence[Forecaster | str]) -> list[Forecaster]:
-    return [named(each) if isinstance(each, str) else each for each in methods]
 
 
 def _simulators_in(forecaster: Forecaster) -> Iterator[Forecaster]:

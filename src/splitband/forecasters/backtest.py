@@ -238,18 +238,26 @@ def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
     return [Origin(end, end) for end in (*(end for end in ends if end >= fitted), *early)]
 
 
-def held_out_errors(record: Record, forecasts: Mapping[Origin, Array]) -> list[Array]:
-    """Return, by horizon, the errors of a record's last quarter that count in a score."""
-    first = held_out_from(len(record))
-    return [e for at, e in _errors(record, forecasts) if at >= first]
+def held_out_errors(
+    record: Record, forecasts: Mapping[Origin, Array], earlier: bool = False
+) -> list[Array]:
+    """Return the errors of forecasts from a record's last quarter on, which count in a score.
+
+    They are by horizon, in the order of their origins; with `earlier`, those of the forecasts that
+    begin before that quarter.
+    """
+    seen, first = record.seen, held_out_from(len(record))
+    return [
+        seen[origin.at :] - y[: len(record) - origin.at]
+        for origin, y in sorted(forecasts.items(), key=lambda pair: pair[0].at)
+        if (origin.at < first) == earlier
+    ]
 
 
 def held_out(record: Record, forecasts: Mapping[Origin, Array]) -> HeldOut:
     """Return what intervals beyond a record follow from: how well its last part was forecast."""
-    first = held_out_from(len(record))
-    errors = _errors(record, forecasts)
-    scored = [e for at, e in errors if at >= first]
-    longer = [e for at, e in reversed(errors) if at < first]
+    scored = held_out_errors(record, forecasts)
+    longer = held_out_errors(record, forecasts, earlier=True)[::-1]
     return HeldOut.of(_sound(scored, longer, spread(record.seen)), record.seen)
 
 
@@ -284,20 +292,6 @@ def root_mean_square(errors: Sequence[Array]) -> float:
     """Return that of all errors `(time, ny)` of several forecasts; NaN does not count."""
     every = np.concatenate(errors)
     return rmse(every, np.zeros_like(every))
-
-
-def channel_errors(errors: Sequence[Array]) -> tuple[float, ...]:
-    """Return the RMSE of each channel, of errors `(time, ny)` of several forecasts together."""
-    return tuple(root_mean_square([error]) for error in np.concatenate(errors).T[:, :, None])
-
-
-def _errors(record: Record, forecasts: Mapping[Origin, Array]) -> list[tuple[int, Array]]:
-    """Return the errors by the index of their first sample, in its order."""
-    seen = record.seen
-    return [
-        (origin.at, seen[origin.at :] - y[: len(record) - origin.at])
-        for origin, y in sorted(forecasts.items(), key=lambda pair: pair[0].at)
-    ]
 
 
 def _sound(scored: Sequence[Array], longer: Sequence[Array], scale: Array) -> list[Array]:

@@ -17,10 +17,10 @@ from matplotlib.figure import Figure
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
-from splitband.evaluation.protocols import by_channel, fit_by_channel
 from splitband.filters.cutoff import LEAST_PASSED, Choice
 from splitband.filters.spectrum import Spectrum, coherence, periodogram
 from splitband.forecasters.prediction import Prediction
+from splitband.metrics import fit_percent, rmse
 from splitband.report.colors import PALETTE
 from splitband.report.numbers import number, squared
 from splitband.report.table import FARTHEST, ordered
@@ -130,7 +130,8 @@ def _draw_large(ax: Axes, side: _Side, channel: int, name: str) -> None:
             edges = predicted.lower[:, channel], predicted.upper[:, channel]
             ax.fill_between(at, *edges, color=PALETTE[0], alpha=0.18, lw=0, label=label)
         ax.plot(at, y, color=PALETTE[0], lw=3, label="predicted")  # seen around what agrees
-        fit, error = (of(record, predicted.y)[channel] for of in (fit_by_channel, by_channel))
+        truth = record.truth[len(times) - len(y) :, channel]
+        fit, error = fit_percent(truth, y), rmse(truth, y)
         unit = f" {record.units[channel]}".rstrip()
         title = f"{side.what}: fit {fit:.1f} %, RMSE {number(error)}{unit}"
     seen = record.seen[side.first :, channel]
@@ -150,7 +151,7 @@ def _draw_small(ax: Axes, side: _Side, channel: int, name: str, color: str) -> N
     if predicted is not None:
         y = predicted.y[:, channel]
         ax.plot(times[len(times) - len(y) :], y, color=color, lw=2)
-        fit = fit_by_channel(record, predicted.y)[channel]
+        fit = fit_percent(record.truth[len(times) - len(y) :, channel], y)
         said = f"fit {round(fit) + 0} %" if fit > FARTHEST else f"fit < {FARTHEST:.0f} %"
     ax.plot(times[side.first :], seen, color=MEASURED, lw=0.6)
     ax.set_ylim(*_limits(seen))

@@ -16,11 +16,12 @@ import pandas as pd
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.protocols import Run, by_channel, fit_by_channel
+from splitband.evaluation.protocols import Run
 from splitband.evaluation.selection import LEVEL, WORTH_TRAINING, Trial
 from splitband.forecasters.prediction import Prediction
-from splitband.metrics import leaving
+from splitband.metrics import channel_rmse, fit_percent, leaving
 from splitband.report.numbers import aligned, decimals, number, percent
+from splitband.runtime.arrays import Array
 
 Unit = Literal["percent", "record", "deviation", "share", "seconds", "count"]
 """Of a column: percent, the output's own unit, its standard deviation, 0 to 1, seconds, none."""
@@ -248,21 +249,21 @@ def _errors(
     predicted: Callable[[Run], Prediction | None],
 ) -> list[Column]:
     """Return the fit and the RMSE on a record of the mean of each method's seeds."""
-    found: list[Column] = []
-    measures = fit_by_channel, by_channel
-    units: tuple[Unit, Unit] = "percent", "record"
-    for heading, measure, unit in zip(headings, measures, units, strict=True):
-        means, spreads = {}, {}
-        for name, runs in comparison.runs.items():
-            of_mean = predicted(comparison.means[name])
-            if of_mean is None:
-                continue
-            means[name] = measure(record, of_mean.y)
-            each = [measure(record, p.y) for run in runs if (p := predicted(run)) is not None]
-            if len(each) > 1 and unit == "record":
-                spreads[name] = [statistics.stdev(errors) for errors in zip(*each, strict=True)]
-        found += _by_channel(heading, means, record, unit, spreads)
-    return found
+    fits, errors, spreads = {}, {}, {}
+    for name, runs in comparison.runs.items():
+        mean = predicted(comparison.means[name])
+        if mean is None:
+            continue
+        truth = record.truth[len(record) - len(mean) :]
+        fits[name], errors[name] = fit_percent(truth, mean.y), channel_rmse(truth, mean.y)
+        each = [channel_rmse(truth, p.y) for run in runs if (p := predicted(run)) is not None]
+        if len(each) > 1:
+            spreads[name] = [statistics.stdev(of_seeds) for of_seeds in zip(*each, strict=True)]
+    fit, error = headings
+    return [
+        *_by_channel(fit, fits, record, "percent"),
+        *_by_channel(error, errors, record, "record", spreads),
+    ]
 
 
 def of_test(i: int) -> Callable[[Run], Prediction | None]:
@@ -272,7 +273,7 @@ def of_test(i: int) -> Callable[[Run], Prediction | None]:
 
 def _by_channel(
     heading: str,
-    values: Mapping[str, Sequence[float]],
+    values: Mapping[str, Sequence[float] | Array],
     record: Record,
     unit: Unit = "record",
     spreads: Mapping[str, Sequence[float]] | None = None,
