@@ -19,6 +19,7 @@ import numpy.typing as npt
 from reproduction.jobs import ORACLE, Job
 from reproduction.systems import MassSpringOracle
 from splitband.data import Record
+from splitband.evaluation.plan import Plan
 from splitband.evaluation.protocols import Errors, Run
 from splitband.evaluation.protocols import as_run as run_of
 from splitband.evaluation.setup import Setup
@@ -231,7 +232,7 @@ def run(
 
     question = Question(record, [first, forecast], len(record))
     done = backtest(forecaster, question, job.seed, watch, checkpoint)
-    return run_of(job.method, question, setup.train, done)
+    return run_of(Plan.of(record, [forecaster], setup), job.method, question, done)
 
 
 def _results(job: Job, done: Run) -> dict[str, Any]:
