@@ -12,6 +12,7 @@ from torch import Tensor
 from splitband import Record, Settings
 from splitband.models import Model
 from splitband.training import fit
+from splitband.training.optimizers import Adam
 from tests.records import (
     QUICK,
     SETUP,
@@ -31,13 +32,13 @@ def seen_by_adam(
 ) -> list[Any]:
     """What `look` finds in the optimizer's parameter group before each step."""
     seen: list[Any] = []
-    step = torch.optim.Adam.step
+    step = Adam.step
 
-    def watched(self: torch.optim.Adam, *arguments: Any, **options: Any) -> Any:
+    def watched(self: Adam, *arguments: Any, **options: Any) -> Any:
         seen.append(look(self.param_groups[0]))
         return step(self, *arguments, **options)
 
-    monkeypatch.setattr(torch.optim.Adam, "step", watched)
+    monkeypatch.setattr(Adam, "step", watched)
     return seen
 
 

@@ -14,12 +14,12 @@ from torch import Tensor, nn
 
 from splitband.data import Record
 from splitband.models import Model, Task
-from splitband.runtime.compiler import leave_no_folder
 from splitband.runtime.deadlines import Deadline, current
 from splitband.runtime.memory import freed_memory_kept
 from splitband.runtime.threads import one_torch_thread
 from splitband.training import quasi_newton
 from splitband.training.checkpoints import Checkpoint, State, key_of
+from splitband.training.optimizers import Adam
 from splitband.training.settings import Settings
 from splitband.training.windows import WindowSet, joined, select, targets, windows, windows_in
 
@@ -188,8 +188,7 @@ class _Training:
         if places.measured is not None:
             self.measured = targets(places.measured, task, settings.window, settings.warmup)
         parameters = [*task.network.parameters()]
-        leave_no_folder()
-        self.optimizer = torch.optim.Adam(parameters, lr=settings.learning_rate)
+        self.optimizer = Adam(parameters, lr=settings.learning_rate)
         self.generator = torch.Generator().manual_seed(seed)
         size = float(torch.linalg.vector_norm(task.target)) / task.target.numel() ** 0.5
         self.target_rms = size or 1.0

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from splitband.runtime.deadlines import Deadline
 from splitband.training.checkpoints import State
+from splitband.training.optimizers import LBFGS
 
 ROUND = 20
 """Iterations of a round. Checkpoints are written between rounds, not within them."""
@@ -92,7 +93,7 @@ class QuasiNewton:
         """Mean square at the beginning, by which the loss is divided: torch's tolerances suit a
         loss of about 1."""
         self.settled = self._stuck = False
-        self._optimizer = torch.optim.LBFGS(
+        self._optimizer: torch.optim.LBFGS = LBFGS(
             self.parameters,
             max_iter=ROUND,
             max_eval=2 * ROUND,

@@ -1,0 +1,32 @@
+"""The optimizers of torch without its compiler, which takes longer to load than a short training.
+
+Torch loads it as soon as an optimizer is made, only to exempt the optimizer's methods from being
+compiled. These classes take the methods as they are below that exemption: their steps are the
+same, to the bit.
+"""
+
+from __future__ import annotations
+
+from inspect import unwrap
+
+import torch
+from torch.optim import Optimizer
+
+
+class _Plain(Optimizer):
+    """Have what all optimizers share, as it is below torch's exemption."""
+
+    add_param_group = unwrap(Optimizer.add_param_group)
+    load_state_dict = unwrap(Optimizer.load_state_dict)
+    state_dict = unwrap(Optimizer.state_dict)
+    zero_grad = unwrap(Optimizer.zero_grad)
+
+
+class Adam(_Plain, torch.optim.Adam):
+    """Take the steps of `torch.optim.Adam`."""
+
+    step = torch.no_grad()(unwrap(torch.optim.Adam.step))
+
+
+class LBFGS(_Plain, torch.optim.LBFGS):
+    """Take the steps of `torch.optim.LBFGS`."""
