@@ -82,7 +82,8 @@ def spread(y: npt.ArrayLike) -> Array:
 
 
 FARTHEST = 3.0
-"""How far from the middle of the training samples a prediction may go, in their own reach."""
+"""How far from the middle of the training samples a prediction may go, in multiples of their own
+reach. By eye."""
 
 
 def leaves_range(training: Array, prediction: Array) -> int | None:
@@ -108,7 +109,8 @@ def leaving(samples: int) -> str:
 
 
 BEYOND = 0.1
-"""How far an input may go beyond what was seen of it in training, as a share of its range there."""
+"""How far an input may go beyond what was seen of it in training, as a share of its range there.
+By eye."""
 
 
 class ExtrapolationWarning(UserWarning):

@@ -18,7 +18,7 @@ from splitband import Record, Settings
 from splitband.evaluation import candidates, trials
 from splitband.evaluation.costs import reference_seconds, training_cost
 from splitband.evaluation.jobs import failed_seeds
-from splitband.evaluation.protocols import Errors, Run, sound_runs
+from splitband.evaluation.protocols import Errors, Run, Runs, without_failed
 from splitband.evaluation.search import (
     Search,
     SearchResult,
@@ -159,11 +159,15 @@ def test_seeds_that_failed_in_training_do_not_count() -> None:
         Run("gru", Errors(1.0, None), said, None, fit=FitReport(s, losses={"network": [1.0]}))
         for s, said in enumerate([sound, wild, sound])
     ]
-    kept = sound_runs(runs, training)
+
+    def sound(runs: list[Run]) -> list[Run]:
+        return without_failed(Runs({"gru": runs}), training)["gru"]
+
+    kept = sound(runs)
     assert [run.seed for run in kept] == [0, 2]
     assert kept[0].description.startswith("seed 1 left out: training error ")
-    assert sound_runs(runs[:1], training) == runs[:1]
-    (alone,) = sound_runs([replace(runs[0], fit=replace(runs[0].fit, stable=False))], training)
+    assert sound(runs[:1]) == runs[:1]
+    (alone,) = sound([replace(runs[0], fit=replace(runs[0].fit, stable=False))])
     assert alone.description == "unstable: a simulation may grow without bound"
 
 

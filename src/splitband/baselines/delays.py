@@ -16,17 +16,17 @@ from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 
 SHORTEST = 4
-"""Samples: a shorter delay is left to a model's own coefficients."""
+"""Samples: a shorter delay is left to a model's own coefficients. By eye."""
 LONGEST_DELAY = 200
-"""Samples: no longer delay is looked for."""
+"""Samples: no longer delay is looked for. By eye."""
 _COEFFICIENTS = 400
-"""Most coefficients of the model in which delays are looked for."""
+"""Most coefficients of the model in which delays are looked for: it bounds the time. By eye."""
 _SAMPLES_EACH = 5
-"""Fewest samples for each of them."""
+"""Fewest samples for each of them. By eye."""
 _PAST = 4
-"""Past outputs in that model."""
+"""Past outputs in that model. By eye."""
 _CHANCE = 1e-3
-"""Probability that an input without any effect is found to have one."""
+"""Probability that an input without any effect is found to have one. By eye."""
 
 
 def check_delays(delays: Sequence[int], inputs: int) -> None:

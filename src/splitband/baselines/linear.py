@@ -26,17 +26,19 @@ from splitband.runtime.deadlines import OverError, check, current
 from splitband.runtime.options import saved
 
 ORDERS = (1, 2, 3, 4, 6, 8)
-"""Numbers of poles that are tried."""
+"""Numbers of poles that are tried. By eye; which of them is taken is decided over rolling
+origins."""
 ROUNDS = 20
-"""Iterations that look for a denominator, at most; the search goes on from the best one."""
+"""Iterations that look for a denominator, at most; the search goes on from the best one. By eye."""
 CONVERGED = 1e-9
-"""The iteration ends where no coefficient changes by more than this."""
+"""The iteration ends where no coefficient changes by more than this, far above rounding. By eye."""
 FARTHEST_POLE = 0.9999
-"""Largest absolute value of a pole: a record hardly tells a slower decay from growth."""
+"""Largest absolute value of a pole: a record hardly tells a slower decay from growth. By eye."""
 _RANK = 1e-10
-"""Singular values below this share of the largest one are cut."""
+"""Singular values below this share of the largest one are cut: they are those of rounding."""
 _DECAYED_SHARE = 0.1
-"""A response to the initial state below this share of its peak is taken to have died out."""
+"""A response to the initial state below this share of its peak is taken to have died out.
+By eye."""
 
 
 @saved

@@ -15,13 +15,16 @@ from splitband.runtime.deadlines import check
 from splitband.runtime.options import saved
 
 RESOLUTION = 0.1
-"""Sinusoids too close to be told apart are fitted as one: singular values below this are cut."""
+"""Sinusoids too close to be told apart are fitted as one: singular values below this are cut.
+By eye."""
 AS_HIGH = 0.95
-"""Peaks of the spectrum of at least this share of the highest one's power count as equally high."""
+"""Peaks of the spectrum of at least this share of the highest one's power count as equally high.
+By eye."""
 FASTEST_DECAY = 20.0
-"""E-foldings of a sinusoid within the record, at most: there is little to fit of a faster one."""
+"""E-foldings of a sinusoid within the record, at most: there is little to fit of a faster one.
+By eye."""
 FEWEST_CYCLES = 0.5
-"""Of a sinusoid within the record: a constant would be hard to tell from a slower one."""
+"""Of a sinusoid within the record: a constant would be hard to tell from a slower one. By eye."""
 
 
 @saved

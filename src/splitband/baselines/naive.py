@@ -14,9 +14,10 @@ import numpy.typing as npt
 from splitband.runtime.arrays import Array
 
 LONGEST = 4000
-"""Measured samples of a channel that least squares fits use at most, to bound their time."""
+"""Measured samples of a channel that least squares fits use at most, to bound their time.
+By eye."""
 FARTHEST_BACK = 10 * LONGEST
-"""Rows before the end of a record in which these are looked for, where there are gaps."""
+"""Rows before the end of a record in which these are looked for, where there are gaps. By eye."""
 
 
 class ByTime(Protocol):

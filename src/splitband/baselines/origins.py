@@ -15,7 +15,7 @@ HELD_OUT = (0.5, 0.375, 0.25, 0.2, 0.15, 0.1)
 how errors grow; a tenth is forecast by nearly the final fit. By the regret of trends, periods and
 poles on development records, also with the last four alone (docs/results/rules.md)."""
 NEGLIGIBLE = 1e-8
-"""RMSE, of a channel whose range is about 1, below which it is that of rounding."""
+"""RMSE, of a channel whose range is about 1, below which it is that of rounding. By eye."""
 
 
 def origins(samples: int) -> list[int]:

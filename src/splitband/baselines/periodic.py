@@ -22,10 +22,11 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
 MOST_HARMONICS = 30
+"""Largest number of harmonics of a period. By eye."""
 VIBRATIONS = 4
-"""Largest number of decaying sinusoids."""
+"""Largest number of decaying sinusoids. By eye."""
 LAGS = 4
-"""At which a record resembles itself, that are tried as periods."""
+"""At which a record resembles itself, that are tried as periods. By eye."""
 
 
 @saved

@@ -17,11 +17,11 @@ from splitband.baselines.linear import Channel, OutputError
 from splitband.runtime.arrays import Array
 
 _FASTEST, _SLOWEST = 0.5, 0.95
-"""Poles of states that the linear model does not need."""
+"""Poles of states that the linear model does not need. By eye."""
 _RANK = 1e-6
-"""Share of the largest variance below which a state is not scaled up any more."""
+"""Share of the largest variance below which a state is not scaled up any more. By eye."""
 _RIDGE = 1e-6
-"""Of the least squares for the first state, as a share of the regressors' mean square."""
+"""Of the least squares for the first state, as a share of the regressors' mean square. By eye."""
 
 
 class Realisation(NamedTuple):

@@ -17,7 +17,7 @@ from splitband.runtime.options import saved
 
 ENOUGH_PAIRS = 0.25
 """Share of the largest number of pairs of measured samples at any lag. A lag with fewer pairs is
-left out: they may agree by chance."""
+left out: they may agree by chance. By eye."""
 
 
 @saved

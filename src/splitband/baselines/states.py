@@ -18,12 +18,14 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
 FACTORS = np.geomspace(1e-4, 1e6, 41)
-"""Multiples of the usual covariance by which an initial state may differ from what is expected."""
+"""Multiples of the usual covariance by which an initial state may differ from what is expected.
+By eye."""
 SURPRISING = 8.0
-"""By how much twice the log-likelihood must rise for a factor other than the usual one."""
+"""By how much twice the log-likelihood must rise for a factor other than the usual one. By eye."""
 EXACT = 1e-9
 """Of the usual response to a state: a smaller error of a model is that of rounding."""
 _MOST_CORRELATED = 0.999
+"""Largest correlation of successive errors of a model that is believed. By eye."""
 
 
 @saved

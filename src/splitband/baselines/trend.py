@@ -21,21 +21,21 @@ from splitband.runtime.options import saved
 
 SLOWEST, FASTEST = 0.5, 20.0
 """E-foldings of an exponential within the record. A slower one is as good as a straight line, a
-faster one is over before there is much to fit."""
+faster one is over before there is much to fit. By eye."""
 MOST_BLOCKS = 256
-"""A trend is slow: means over so many blocks show it, at a small part of the work."""
+"""A trend is slow: means over so many blocks show it, at a small part of the work. By eye."""
 FEWEST = 15
-"""Smallest number of blocks for held-out tests; with fewer there is no trend."""
+"""Smallest number of blocks for held-out tests; with fewer there is no trend. By eye."""
 SINUSOIDS = 6
-"""Largest number of sinusoids that are fitted along with a trend."""
+"""Largest number of sinusoids that are fitted along with a trend. By eye."""
 EVIDENCE = 3.0
 """Of a sinusoid or of the trend itself, per logarithm of the number of blocks: its power, against
 that of what is left. Noise alone has peaks, too, and what sinusoids leave of a period that they do
-not fit to the end has a slope."""
+not fit to the end has a slope. By eye."""
 NEGLIGIBLE = 1e-16
 """Mean square that counts as zero, in units of the record's range squared."""
 _RANK = 0.03
-"""Of the sinusoids fitted along with a trend: singular values below this share are cut."""
+"""Of the sinusoids fitted along with a trend: singular values below this share are cut. By eye."""
 
 
 @saved

@@ -34,9 +34,10 @@ from splitband.runtime.processes import over
 from splitband.runtime.threads import available_cores
 
 CORES_OF_A_CASE = 2
-"""Cores that the work of a comparison is planned for by default (`evaluation.search`)."""
+"""Cores that the work of a comparison is planned for by default (`evaluation.search`). By eye."""
 PROCESSES_OF_A_CORE = 4
-"""Cases of a cluster for each core of this machine, which reads records and draws pictures."""
+"""Cases of a cluster for each core of this machine, which reads records and draws pictures.
+By eye."""
 
 
 @with_groups

@@ -42,11 +42,12 @@ from splitband.runtime.threads import available_cores
 
 WRITING, AS_STARTING = 2.0, 1.5
 """Seconds for pictures and page, besides so many times what the command took to start: both are
-work of the same kind on the same machine, whatever else it does."""
+work of the same kind on the same machine, whatever else it does. By eye, held against `python -m
+benchmarks.budget`."""
 NUMBER, USUAL_START = 3e-6, 3.0
-"""Seconds for a number in the tables, where a command starts within so many."""
+"""Seconds for a number in the tables, where a command starts within so many. By eye."""
 MOST = 0.4
-"""Share of the time that is kept for writing, at most."""
+"""Share of the time that is kept for writing, at most. By eye."""
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,9 @@ METHODS = [*ALONE, "filtered-gru-conditioned", BOTH, "persistence"]
 RECIPE: dict[str, Any] = {"window": 150, "warmup": 30, "epochs": 5, "quasi_newton": 400}
 """Chosen on the cranes of seeds 1 to 3, so that the demo needs no search."""
 SIZES = Sizes(hidden_high=20, hidden_low=12)
+"""Hidden units of the networks: small, so that the demo ends within a minute. By eye."""
 STRETCH = 30.0
-"""Seconds at either end of the forecast whose errors are set side by side."""
+"""Seconds at either end of the forecast whose errors are set side by side. By eye."""
 
 
 def demo(

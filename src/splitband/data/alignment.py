@@ -12,7 +12,7 @@ from splitband.data.timing import Grid, same_sampling, seconds_between
 from splitband.runtime.arrays import Array
 
 NEAR = 0.01
-"""Fraction of a step within which times count as equal, as stamps are rounded."""
+"""Fraction of a step within which times count as equal, as stamps are rounded. By eye."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,15 +9,15 @@ from splitband.data.record import Record
 from splitband.runtime.arrays import Array
 
 STEP = 0.1
-"""Sampling time, s."""
+"""Sampling time, s. The crane is made up, and so are its numbers."""
 GRAVITY = 9.81
-"""m/s^2."""
+"""Acceleration of gravity, m/s^2."""
 DRIVE_LAG = 0.4
-"""Time constant of the trolley's drive, s."""
+"""Time constant of the trolley's drive, s. By eye."""
 DAMPING, DRAG = 0.2, 0.05
-"""Damping of the swing: linear in 1/s, and quadratic per radian."""
+"""Damping of the swing: linear in 1/s, and quadratic per radian. By eye."""
 FASTEST_TROLLEY, FASTEST_HOIST = 2.0, 0.5
-"""m/s."""
+"""Highest speeds of the trolley and of the hoist, m/s. By eye."""
 
 
 def overhead_crane(samples: int = 4000, noise: float = 0.02, seed: int = 0) -> Record:

@@ -29,7 +29,7 @@ from splitband.data.timing import same_sampling
 from splitband.runtime.arrays import Array
 
 MOST_BYTES = 2**31
-"""Limit of the size of a file's numbers in memory, in bytes."""
+"""Limit of the size of a file's numbers in memory, in bytes. By eye."""
 
 _MAT_NUMBERS = (
     "double", "single", "logical", *(f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)),

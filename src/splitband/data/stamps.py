@@ -18,7 +18,7 @@ from splitband.data.timing import Stamp, stamp_after
 from splitband.runtime.arrays import Array
 
 MOST_MISSING = 0.9
-"""Share of a record's rows that may be missing between its time stamps."""
+"""Share of a record's rows that may be missing between its time stamps. By eye."""
 TIME_NAMES = ("time", "t", "timestamp", "datetime", "date")
 _CLOCK_STEPS = (
     *(n * unit for unit in (1, 60) for n in (1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30)), 3600, 7200,

@@ -16,26 +16,28 @@ from splitband.evaluation.costs import speed
 from splitband.runtime.deadlines import Deadline, now
 
 BASELINES = 0.3
-"""Share of the time that baselines may take."""
+"""Share of the time that baselines may take. These shares are by eye, held against `python -m
+benchmarks.budget`."""
 SEARCH, TRIAL, BASE = 0.5, 0.65, 0.7
 """Shares of the time after them when the search for trainings must be over, the trial of all
 methods on three quarters, and that of a network on a baseline; the rest is for final trainings."""
 ONE = 0.3
-"""Share of the time that a single training of a candidate may take."""
+"""Share of the time that a single training of a candidate may take. By eye."""
 SLOWER = 2.0
 """By how much trainings are taken to be slower than the gradient by which a core is measured, until
-they have been measured themselves."""
+they have been measured themselves. By eye."""
 START = "start"
 """The phase before a comparison: loading the package, reading the record."""
 PROCESSES = 1.5
 """Multiples of what the command took to start that must be left for other processes to be worth
-starting, too."""
+starting, too. By eye."""
 BUSY = 0.8
-"""Share of the time of all cores that trainings side by side make use of."""
+"""Share of the time of all cores that trainings side by side make use of. By eye."""
 SUPPOSED = 5.0
-"""Seconds of a reference core of trainings that count as much as what was supposed of the pace."""
+"""Seconds of a reference core of trainings that count as much as what was supposed of the pace.
+By eye."""
 NAMED = 6
-"""Changes by the clock that are named in a line."""
+"""Changes by the clock that are named in a line. By eye."""
 
 
 @dataclass

@@ -29,7 +29,7 @@ from splitband.forecasters.network import Network
 TRIAL = "held-out fit"
 """The stage in which methods are fitted to three quarters of the training part."""
 AFTER_BASELINES, AFTER_SEARCH, AFTER_TRIAL = 0.1, 0.6, 0.7
-"""Shares of a command that are done after these stages, for progress bars."""
+"""Shares of a command that are done after these stages, for progress bars. By eye."""
 
 
 def choose(plan: Plan, work: Work) -> tuple[Trial, SearchResult]:

@@ -20,15 +20,16 @@ from splitband.training.quasi_newton import samples_in_a_step
 FOR_TRAINING, STARTING = 0.4, 8.0
 """Share of a budget of wall time that is planned for networks, and the seconds of it in which the
 command begins and writes its results. The rest is for all other work, and for what trainings take
-longer than estimated."""
+longer than estimated. By eye, held against `python -m benchmarks.budget`."""
 REFERENCE_SIZE, REFERENCE_BATCH, REFERENCE_STEPS = 32, 25, 400
-"""Hidden units, windows and samples of the gradient by which a machine's speed is measured."""
+"""Hidden units, windows and samples of the gradient by which a machine's speed is measured.
+By eye."""
 SAMPLE, WEIGHT = 0.09e-6, 0.25e-9
 """Seconds of a reference core for a sample, forwards and backwards, and as much more per weight."""
 GRADIENT = 4e-3
 """Seconds of a reference core for each gradient besides that, however small it is."""
 QUICK = 0.5
-"""Seconds of a reference core for a fit in closed form, for progress bars."""
+"""Seconds of a reference core for a fit in closed form, for progress bars. By eye."""
 EVALUATIONS = 1.2
 """Gradients to an iteration of L-BFGS."""
 

@@ -211,29 +211,23 @@ def mean_run(plan: Plan, runs: Sequence[Run]) -> Run:
 
 
 def without_failed(runs: Runs, training: Record) -> Runs:
-    """Return the runs and the models of the seeds that count."""
-    kept = {name: sound_runs(each, training) for name, each in runs.items()}
-    models = {}
-    for name, of_method in runs.models.items():
-        seeds = {run.seed for run in kept.get(name, [])}
-        models[name] = [m for m in of_method if m.require_fitted().report.seed in seeds]
-    return Runs(kept, runs.failures, models)
+    """Return the runs and the models without the seeds that failed on the training record.
 
-
-def sound_runs(runs: Sequence[Run], training: Record) -> list[Run]:
-    """Return the runs of a method without the seeds that failed on the training record.
-
-    What counts is the last training loss, of windows, and the error of a free run from the first
-    samples to the end of the training record. The description of the first run says which seeds
-    have been left out.
+    What counts is the error of a free run from its first samples to its end. The description of a
+    method's first run says which seeds have been left out.
     """
-    errors = {run.seed: _from_start(run, training) for run in runs}
-    failed = failed_seeds({run.seed: run.fit for run in runs}, errors)
-    kept = [run for run in runs if run.seed not in failed]
-    said = [f"seed {seed} left out: {why}" for seed, why in failed.items()]
-    if not any(run.fit.stable for run in kept):
-        said.append("unstable: a simulation may grow without bound")
-    return _noted(kept, *said)
+    kept, models = {}, {}
+    for name, each in runs.items():
+        errors = {run.seed: _from_start(run, training) for run in each}
+        failed = failed_seeds({run.seed: run.fit for run in each}, errors)
+        sound = [run for run in each if run.seed not in failed]
+        said = [f"seed {seed} left out: {why}" for seed, why in failed.items()]
+        if not any(run.fit.stable for run in sound):
+            said.append("unstable: a simulation may grow without bound")
+        kept[name] = _noted(sound, *said)
+        of_method = runs.models.get(name, ())
+        models[name] = [m for m in of_method if m.require_fitted().report.seed not in failed]
+    return Runs(kept, runs.failures, models)
 
 
 def _from_start(run: Run, training: Record) -> float:

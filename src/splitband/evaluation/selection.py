@@ -31,11 +31,12 @@ from splitband.metrics import channel_rmse, spread
 Array = npt.NDArray[np.float64]
 
 LEVEL = 0.9
-"""Share of the samples that an interval should hold."""
+"""Share of the samples that an interval should hold, 0 to 1. A convention."""
 MOST_TRIAL_SEEDS = 2
-"""Seeds of each network that are tried out, where more are asked for in the end."""
+"""Seeds of each network that are tried out, where more are asked for in the end. It bounds the
+time. By eye."""
 WORTH_TRAINING = 0.1
-"""By how much a network's score must be lower than that of what needs no training."""
+"""By how much a network's score must be lower than that of what needs no training. By eye."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from splitband.runtime.deadlines import Deadline
 from splitband.runtime.processes import Processes
 
 HALF = 0.5
-"""Share of the time until which what is shared by several jobs must be computed."""
+"""Share of the time until which what is shared by several jobs must be computed. By eye."""
 
 
 @dataclass(frozen=True)

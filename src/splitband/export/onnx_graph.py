@@ -19,7 +19,7 @@ except ImportError:
     raise ValueError("ONNX needs the package onnx: pip install 'splitband[onnx]'") from None
 
 OPSET, IR_VERSION = 18, 9
-"""Of the files; onnxruntime reads them since 1.16."""
+"""Versions of the operators and of the format of the files; onnxruntime reads them since 1.16."""
 _OPERATORS = {
     "add": "Add", "sub": "Sub", "mul": "Mul", "div": "Div", "neg": "Neg", "tanh": "Tanh",
     "exp": "Exp", "log": "Log", "sqrt": "Sqrt", "sin": "Sin", "cos": "Cos", "abs": "Abs",

@@ -24,20 +24,26 @@ ORDERS = (1, 2)
 """The second only where the first does not do: on held-out samples it is no better, on the
 simulated pendulum (iii) and on (vi) it is worse (0.31 and 0.17, 0.35 and 0.28)."""
 MOST_DOWNSAMPLING = 10
+"""Most samples of which one is kept in the low band. By eye."""
 LEAST_WARMUP = 10
-"""Smallest number of warm-up samples of the down-sampled low band."""
+"""Smallest number of warm-up samples of the down-sampled low band. By eye."""
 LEAST_PASSED = 0.5
-"""Smallest share of the power that the low-pass filter must pass."""
+"""Smallest share of the power that the low-pass filter must pass. By eye."""
 MOST_LOST = 0.15
-"""Largest share of the power lost to the overlap of the bands and to the ends of warm-ups."""
+"""Largest share of the power lost to the overlap of the bands and to the ends of warm-ups.
+By eye."""
 MOST_ALIASED = 1e-3
-"""Largest share of the power beyond the Nyquist frequency of the down-sampled low band."""
+"""Largest share of the power beyond the Nyquist frequency of the down-sampled low band. By eye."""
 LEFT_BY_NETWORK = 0.02
-"""Share of the power that a network conditioned on the simulator is expected not to predict."""
+"""Share of the power that a network conditioned on the simulator is expected not to predict. From
+held-out errors of hybrids on (v) and (vi) (docs/results/rules.md)."""
 WORTH_USING = 0.5
-"""A simulator's low band must be wrong by less than this share of the power that is there."""
+"""A simulator's low band must be wrong by less than this share of the power that is there.
+By eye."""
 _CUTOFFS = 24
+"""Cut-offs that are tried, at even ratios. By eye."""
 _NYQUIST_MARGIN = 0.8
+"""Highest cut-off, as a share of the Nyquist frequency of the down-sampled low band. By eye."""
 
 
 @saved

@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 
 
 SHORT = 20_000
-"""Samples of a training record with a simulator that is saved as a whole."""
+"""Samples of a training record with a simulator that is saved as a whole. By eye."""
 OVERFLOWED = 1e100
-"""Stands for predicted values that are not finite, so that their errors are finite, and huge."""
+"""Stands for predicted values that are not finite, so that their errors are finite, and huge. Its
+square is finite, too."""
 
 
 def first_needed(forecaster: Forecaster) -> int:

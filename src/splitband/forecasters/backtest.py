@@ -30,12 +30,13 @@ from splitband.training import Checkpoint, Progress
 AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
 
 HELD_OUT = 0.25
-"""Share of the training part that is forecast, for a trial, by what is fitted to the rest."""
+"""Share of the training part that is forecast, for a trial, by what is fitted to the rest. A
+convention; longer parts chose no better (docs/results/rules.md)."""
 FEWEST_FITTED = 20
-"""Measured samples of each channel that a baseline is fitted to for the intervals."""
+"""Measured samples of each channel that a baseline is fitted to for the intervals. By eye."""
 FAILED_FIT_RATIO = 5.0
 """A fit has failed, and tells nothing about the errors of others, if the error of its first
-forecast samples is above this multiple of the method's usual one."""
+forecast samples is above this multiple of the method's usual one. By eye."""
 
 
 @dataclass(frozen=True, order=True)

@@ -30,19 +30,20 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.threads import without_warnings
 
 LEVEL = 0.99
-"""Of the bands; a test is rejected where chance alone exceeds it in fewer than 1 of 100 records."""
+"""Probability that what is tested lies within the bands: a test is rejected where chance alone
+exceeds it in fewer than 1 of 100 records. As MATLAB's `resid` has it."""
 LAGS = 25
 """Samples back that residuals are compared with, as MATLAB's `resid` does."""
 AHEAD = (1, 10)
-"""Horizons in samples of the predictions from within the record."""
+"""Horizons in samples of the predictions from within the record. By eye."""
 ORIGINS = 100
-"""From which these predictions are made, at even distances."""
+"""From which these predictions are made, at even distances. By eye."""
 LONGER = 10
-"""Times the record: the length of the free run that must stay in range."""
+"""Times the record: the length of the free run that must stay in range. By eye."""
 WARMUP = 50
-"""Samples before the simulation, of a forecaster that does not say how many it needs."""
+"""Samples before the simulation, of a forecaster that does not say how many it needs. By eye."""
 _MOST_ORDER = 20
-"""Of the autoregressive models that whiten a signal."""
+"""Largest order of the autoregressive models that whiten a signal. By eye."""
 
 
 @dataclass(frozen=True, eq=False)

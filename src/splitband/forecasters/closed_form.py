@@ -27,9 +27,10 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
 
 SEVERAL = 3.0
-"""Multiple of its error in training from which on a function of time disagrees with a history."""
+"""Multiple of its error in training from which on a function of time disagrees with a history.
+By eye."""
 _EXACT = 1e-6
-"""Of the range of a channel: a smaller error in training is that of rounding."""
+"""Of the range of a channel: a smaller error in training is that of rounding. By eye."""
 
 
 @final

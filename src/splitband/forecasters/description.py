@@ -26,7 +26,8 @@ Tensors = dict[str, Tensor]
 
 _PACKAGE = __name__.partition(".")[0]
 _LARGEST = 1_000_000
-"""Of a whole number that a cell is made from."""
+"""Largest whole number that a cell is made from: a description that asks for more is a forgery.
+By eye."""
 
 
 def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PLR0911, PLR0912  a line a kind

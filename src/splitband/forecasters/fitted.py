@@ -16,7 +16,8 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
 NEAR_ROW = 1e-3
-"""Of a sample: a history that begins so close to a sample of the training record begins there."""
+"""Of a sample: a history that begins so close to a sample of the training record begins there.
+By eye."""
 
 
 @saved

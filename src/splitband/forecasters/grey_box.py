@@ -26,9 +26,14 @@ from splitband.simulators.identification import Effort, identify
 from splitband.simulators.shooting import Adjustable, Experiment, fit_key
 
 STARTS = 0.5, 2 / 3, 5 / 6
-"""Shares of the training record, from which on forecasts are compared to choose the `memory`."""
+"""Shares of the training record, from which on forecasts are compared to choose the `memory`.
+By eye."""
 SHORTEST, GROWTH = 20, 4
+"""Samples of the shortest `memory` that is tried, and by how much each one is longer than the one
+before. By eye."""
 _PAYS = 0.9
+"""Share of the error of the run from the record's beginning below which a memory replaces it.
+By eye."""
 
 
 @dataclass(frozen=True, eq=False)

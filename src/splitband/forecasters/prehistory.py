@@ -23,11 +23,12 @@ from splitband.runtime.options import saved
 from splitband.training.windows import window_starts
 
 COMPONENTS = 16
-"""Most directions in which the rows may differ from their mean."""
+"""Most directions in which the rows may differ from their mean. By eye."""
 MOST_WINDOWS = 2000
-"""Warm-ups of the training records that are looked at."""
+"""Warm-ups of the training records that are looked at, at most: it bounds the time. By eye."""
 SMALLEST_ERROR = 1e-3
-"""Of a simulation, as a share of the deviation: a smaller training error is not relied on."""
+"""Of a simulation, as a share of the deviation: a smaller training error is not relied on.
+By eye."""
 
 
 @saved

@@ -13,10 +13,8 @@ from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.threads import without_warnings
 
-STEPS = 500
-"""Samples of a response, and of the settling before it, where nothing else is asked for."""
 SHARE = 0.1
-"""The size of the step, as a share of the input's range in training."""
+"""The size of the step, as a share of the input's range in training. By eye."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +53,7 @@ class Responses:
 
 
 def respond(
-    forecaster: Forecaster,
-    steps: int = STEPS,
-    at: npt.ArrayLike | None = None,
-    size: npt.ArrayLike | None = None,
+    forecaster: Forecaster, steps: int, at: npt.ArrayLike | None, size: npt.ArrayLike | None
 ) -> Responses:
     """Return the responses of a fitted forecaster; see `Forecaster.step_responses`."""
     fitted = forecaster.require_fitted()

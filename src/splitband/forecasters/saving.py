@@ -29,11 +29,12 @@ from splitband.simulators import Simulator
 from splitband.simulators.absent import Absent
 
 FORMAT = 3
+"""Version of the folder's format, which changes with what `to_dict` says."""
 FILE, WEIGHTS = outputs.MODEL, outputs.WEIGHTS
 LARGEST_DESCRIPTION = 2**28
-"""Bytes of a description."""
+"""Bytes of a description, at most: it bounds the memory. By eye."""
 _DIGITS = 16
-"""Of the weights' SHA-256 in the name of their file."""
+"""Digits of the weights' SHA-256 in the name of their file: enough that no two are the same."""
 _UNFIT = (
     RuntimeError, TypeError, LookupError, ValueError, AttributeError, ArithmeticError, MemoryError,
     AssertionError, safetensors.SafetensorError,

@@ -27,9 +27,11 @@ from splitband.simulators.calibration import Calibration, Term, calibrate, sampl
 CALIBRATIONS = Remembered(calibrate)
 """Several forecasters, seeds and trials ask for the same calibration, which takes seconds."""
 LONGEST = 10**8
-"""Samples, from the training record's first one on, over which a simulator is run."""
+"""Samples, from the training record's first one on, over which a simulator is run: it bounds the
+memory. By eye."""
 NEAR_PLACE = 1e-6
-"""Of a sample: a simulator's output so close to a sample is that sample's, but for rounding."""
+"""Of a sample: a simulator's output so close to a sample is that sample's, but for rounding.
+By eye."""
 AFFINE: tuple[Term, ...] = ("gain", "offset")
 
 

@@ -19,7 +19,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.tracing import cond
 
 _SMALLEST = 1e-200
-"""Of a variance."""
+"""Smallest variance that is divided by, far below any that is measured."""
 
 
 class Driven(Part):

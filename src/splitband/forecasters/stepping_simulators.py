@@ -45,7 +45,8 @@ class Given(Part):
 
 
 MARGIN = 30
-"""Samples at the end of a run that are not used: splines and solvers end differently there."""
+"""Samples at the end of a run that are not used: splines and solvers end differently there.
+By eye."""
 
 
 class RunAhead(Part):

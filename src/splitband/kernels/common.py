@@ -21,8 +21,10 @@ Array = NDArray[Any]
 _LOG = logging.getLogger("splitband")
 F = TypeVar("F", bound=Callable[..., Any])
 
-PAD = 16  # the last axis of a buffer is padded to a multiple: vector loops need no remainder
-_WORTH_A_THREAD = 1e7  # multiplications that take as long as waking a thread
+PAD = 16
+"""The last axis of a buffer is padded to a multiple of this: vector loops need no remainder."""
+_WORTH_A_THREAD = 1e7
+"""Multiplications that take as long as waking a thread."""
 
 # Numba's own threads may not be entered from several threads at once on every platform.
 _POOL = ThreadPoolExecutor(os.cpu_count(), "splitband")

@@ -36,7 +36,8 @@ from splitband.kernels.common import (
 from splitband.kernels.matmul import matmul
 from splitband.kernels.state_space_lanes import tanh_back, tanh_of
 
-_GRADIENT_ROWS = 64  # rows of gradients worth a product with them
+_GRADIENT_ROWS = 64
+"""Rows of gradients worth a product with them."""
 
 
 def euler_rollout(

@@ -37,7 +37,9 @@ from splitband.kernels.common import (
 from splitband.kernels.matmul import matmul
 
 _W_PLANES = [0, 1, 3]
-_GRADIENT_ROWS = 64  # rows of gate gradients worth a product with them
+"""Planes of gates that W has, out of r, z, m and n."""
+_GRADIENT_ROWS = 64
+"""Rows of gate gradients worth a product with them."""
 
 
 def gru_rollout(

@@ -19,6 +19,7 @@ from splitband.kernels.common import Array, part
 
 cgutils: Any = _cgutils  # its helpers have no types
 _VECTOR_BYTES = 64
+"""Bytes of the widest vectors, those of AVX-512."""
 # Vectors by rows of a block of sums: 16 of the 32 registers of AVX-512, or 12 of 16 half as wide.
 # The smaller ones take what is left over.
 _WIDE = ((4, (4, 1)), (2, (8, 4, 1)), (1, (8, 4, 1)))

@@ -6,7 +6,8 @@ import numpy as np
 
 from splitband.kernels.common import Array, kernel, part
 
-_LANES = 8  # rows that run side by side, in one vector
+_LANES = 8
+"""Rows that run side by side, in one vector."""
 
 
 @kernel

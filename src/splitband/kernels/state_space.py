@@ -33,8 +33,10 @@ from splitband.kernels.common import (
     zeros,
 )
 
-_MOST_LANES = 128  # rows of a job: so many that its steps stay in the cache
-_FEW = 4  # rows that take less time one after the other
+_MOST_LANES = 128
+"""Rows of a job: so many that its steps stay in the cache."""
+_FEW = 4
+"""Rows that take less time one after the other."""
 
 
 def state_space_rollout(

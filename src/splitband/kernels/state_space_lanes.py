@@ -11,9 +11,8 @@ import numpy as np
 from splitband.kernels.common import Array, kernel, part, tanh
 from splitband.kernels.matmul import add_products, matmul
 
-_GRADIENT_STEPS = (
-    16  # steps whose gradients are kept until they are multiplied with what they belong to
-)
+_GRADIENT_STEPS = 16
+"""Steps whose gradients are kept until they are multiplied with what they belong to."""
 
 
 def size_of_kept(slots: int, width: int, hidden: int, warm: int) -> int:

@@ -13,7 +13,8 @@ from splitband.kernels.common import PAD, Array, copy, kernel, padded, part
 from splitband.kernels.matmul import matmul
 from splitband.kernels.state_space_lanes import tanh_back, tanh_of
 
-CHUNK = 64  # samples whose outputs, and gradients of weights, are computed at once
+CHUNK = 64
+"""Samples whose outputs, and gradients of weights, are computed at once."""
 
 
 def size_of_kept(slots: int, width: int, hidden: int, warmup: int, ny: int) -> int:

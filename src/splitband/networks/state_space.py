@@ -19,18 +19,20 @@ if TYPE_CHECKING:
     from splitband.baselines.realisation import Realisation
 
 _RADIUS = 0.95
-"""Of the poles of a cell that begins with random weights."""
+"""Absolute value of the poles of a cell that begins with random weights. By eye."""
 _TURN = 0.3
-"""Standard deviation of the angles, in radians a sample, by which its states turn into others."""
+"""Standard deviation of the angles, in radians a sample, by which its states turn into others.
+By eye."""
 _OBSERVED = 0.5
-"""Share of a prediction error by which its observer moves the predicted output."""
+"""Share of a prediction error by which its observer moves the predicted output. By eye."""
 MOST_LAYERS = 100
-"""Of f and g each: a description that asks for more is a forgery, and would take time to build."""
+"""Layers of f and g each: a description that asks for more is a forgery, and would take time to
+build. By eye."""
 MOST_ENCODED = 10
-"""Samples of the warm-up that the first state is estimated from at most."""
+"""Samples of the warm-up that the first state is estimated from at most. By eye."""
 _NONLINEAR = 0.1
 """The weights of f and g at the output, as a share of torch's initial values, and once more where
-the cell begins as a linear model: without any, all units would begin alike."""
+the cell begins as a linear model: without any, all units would begin alike. By eye."""
 
 
 class StateSpace(Written, nn.Module):

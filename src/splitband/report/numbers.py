@@ -9,6 +9,7 @@ from splitband.data import Record
 
 _MISSING = "–"  # noqa: RUF001
 _SMALLEST, _LARGEST = 1e-3, 1e5
+"""Numbers from the one to the other are written without an exponent."""
 
 
 def number(value: float | None) -> str:

@@ -97,7 +97,7 @@ def rollouts(comparison: Comparison) -> Figure:
 
 
 SMALL_ACROSS = 4
-"""Small panels in a row."""
+"""Small panels in a row. By eye."""
 
 
 def _panels(sides: Sequence[_Side], ny: int) -> list[tuple[_Side, int]]:

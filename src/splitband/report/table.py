@@ -26,7 +26,7 @@ from splitband.runtime.arrays import Array
 Unit = Literal["percent", "record", "deviation", "share", "seconds", "count"]
 """Of a column: percent, the output's own unit, its standard deviation, 0 to 1, seconds, none."""
 FARTHEST = -999.0
-"""A worse fit is not told apart."""
+"""Percent: a worse fit is not told apart."""
 
 NOTES = {
     "test fit %": "100 (1 - |y - prediction| / |y - mean(y)|) of the simulation of this test "

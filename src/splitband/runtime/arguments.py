@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from typing import Any
 
 LARGEST_SIZE = 10_000
-"""Of an order, a down-sampling or a network."""
+"""Largest order, down-sampling or size of a network: larger ones are mistakes. By eye."""
 
 
 def whole(name: str, value: Any, least: int | None = 1, most: int | None = None) -> int:

@@ -16,13 +16,13 @@ from typing import Any, final
 from splitband.runtime.executors import Parameters, Report, Result, Workers
 
 PATIENCE = 5.0
-"""Seconds after which a scheduler that does not answer is given up on."""
+"""Seconds after which a scheduler that does not answer is given up on. By eye."""
 BETWEEN_REPORTS = 1.0
-"""Seconds between two reports of a job, as all of them pass through the scheduler."""
+"""Seconds between two reports of a job, as all of them pass through the scheduler. By eye."""
 COMPARED = ("python", "splitband", "torch", "numpy", "distributed")
 """What must have the same version everywhere: of Python the first two parts of it."""
 NAMED = 3
-"""How many of the workers with other versions are named in an error."""
+"""How many of the workers with other versions are named in an error. By eye."""
 
 
 @final

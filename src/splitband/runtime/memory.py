@@ -7,9 +7,11 @@ import platform
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of malloc.h
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+"""Numbers of M_TRIM_THRESHOLD and M_MMAP_THRESHOLD in malloc.h."""
 _KEPT = 2**30
-"""Bytes: arrays up to this size, and as much free memory at the end of the heap, are kept."""
+"""Bytes: arrays up to this size, and as much free memory at the end of the heap, are kept. By
+`python -m benchmarks.allocation`."""
 
 _USUAL = 2**22
 """Bytes: the first threshold after a training, so that arrays of long records are returned at once;

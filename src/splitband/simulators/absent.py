@@ -11,7 +11,7 @@ import splitband
 from splitband.runtime.options import saved
 
 _SHOWN = 300
-"""Characters of a text of a file that are shown."""
+"""Characters of a text of a file that are shown. By eye."""
 
 
 @saved

@@ -15,9 +15,13 @@ from splitband.simulators.estimate import Estimate
 from splitband.simulators.shooting import BAD, STATE_STEP, Adjustable, Experiment
 
 MOST_STATES = 500
-"""States of the training records that are kept, for what is usual and to begin searches with."""
+"""States of the training records that are kept, for what is usual and to begin searches with.
+By eye."""
 _TRIED = 3
+"""Kept states nearest to the measured samples that a search for an initial state begins with.
+By eye."""
 _LEAST_NOISE = 1e-3
+"""Least error that a simulator is taken to have, as a share of a channel's deviation. By eye."""
 
 
 @saved

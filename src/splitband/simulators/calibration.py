@@ -22,11 +22,12 @@ Term = Literal["gain", "offset", "delay", "clock"]
 TERMS: tuple[Term, ...] = get_args(Term)
 
 MOST_DELAY = 0.1
-"""Largest delay or advance of a simulator, as a share of the training part's duration."""
+"""Largest delay or advance of a simulator, as a share of the training part's duration. By eye."""
 MOST_CLOCK = 0.05
-"""Largest relative deviation of the simulator's clock from 1."""
+"""Largest relative deviation of the simulator's clock from 1. By eye."""
 _STILL = {"delay": 0.0, "clock": 1.0}
-_WORTH = 0.98  # a set of terms replaces a smaller one below this share of its error
+_WORTH = 0.98
+"""A set of terms replaces a smaller one below this share of its error. By eye."""
 _SETS: tuple[tuple[Term, ...], ...] = (
     (),
     ("offset",),

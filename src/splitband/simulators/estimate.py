@@ -17,14 +17,16 @@ Name = tuple[str, int]
 """A parameter, and the number of the record whose it is; -1 for all."""
 
 AT_BOUND = 2e-3
-"""Distance from the end of a range, as a share of it, at which a parameter lies there."""
+"""Distance from the end of a range, as a share of it, at which a parameter lies there. By eye."""
 UNKNOWN = 0.25
-"""Standard error, as a share of the range, from which on a direction is not identifiable."""
+"""Standard error, as a share of the range, from which on a direction is not identifiable.
+By eye."""
 QUIETEST = 1e-3
-"""Least error, in deviations of the record, that a model is taken to have."""
+"""Least error, in deviations of the record, that a model is taken to have. By eye."""
 INVOLVED = 0.2
-"""Least component of a parameter in a direction that is named with it."""
+"""Least component of a parameter in a direction that is named with it. By eye."""
 _MOST_LAGS = 0.1
+"""Longest lag of the residuals' autocorrelation that counts, as a share of a record. By eye."""
 
 
 @saved

@@ -28,22 +28,32 @@ from splitband.simulators.estimate import Curvature, Estimate, labelled
 from splitband.simulators.shooting import BAD, Adjustable, Experiment, Shooting, fit_key
 
 STARTS = 32
-"""Starting points at most."""
+"""Starting points, at most. By eye."""
 ENOUGH = 4
-"""Starts that lead to the same error, after which no others are tried."""
+"""Starts that lead to the same error, after which no others are tried. By eye."""
 PATIENCE, _HARDLY_BETTER = 8, 0.02
-"""Starts after which no others are tried, where they have hardly lowered the error (relative)."""
+"""Starts after which no others are tried, where they have hardly lowered the error (relative).
+By eye."""
 _BATCH = 4
-_SAME_ERROR = 1e-3  # relative
-_SAME_PLACE = 0.02  # share of a range
+"""Starting points that are tried side by side. By eye; it does not follow the number of processes,
+so that the result does not."""
+_SAME_ERROR = 1e-3
+"""Relative difference of errors that count as the same. By eye."""
+_SAME_PLACE = 0.02
+"""Distance, as a share of a range, within which values count as the same. By eye."""
 SHORTEST = 16
-"""Samples of the shortest windows."""
+"""Samples of the shortest windows. By eye."""
 _GROWTH = 4
+"""By how much windows are longer from stage to stage. By eye."""
 _WINDOWS = 32
+"""Windows of the longest record from which on they are not made shorter. By eye."""
 _ROUNDS, _LAST_ROUNDS = 30, 100
+"""Iterations of a search, and of the last one from the best place, at most. By eye."""
 HOPELESS = 0.6
-"""Error of the simulation of whole records, in deviations, from which on it is done in windows."""
-_WORTH_WINDOWS = 0.3  # of that error
+"""Error of the simulation of whole records, in deviations, from which on it is done in windows.
+By eye."""
+_WORTH_WINDOWS = 0.3
+"""Share of the error over whole records below which the error over windows decides. By eye."""
 
 
 @dataclass(frozen=True)

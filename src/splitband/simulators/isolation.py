@@ -31,9 +31,10 @@ from splitband.simulators.fmu import Fmu
 from splitband.simulators.sources import digest, source_files
 
 _START = 20.0
-"""Seconds in which such a process must have begun, beside the simulator's own."""
+"""Seconds in which such a process must have begun, beside the simulator's own. By eye."""
 _STDERR = 2
-"""Where the simulator's prints go, those of its C code too: results are printed to stdout."""
+"""File descriptor where the simulator's prints go, those of its C code too: results are printed to
+stdout."""
 _TASK, _TIME, _VALUES, _FAILURE = "task.json", "time.npy", "values.npy", "failure.json"
 
 

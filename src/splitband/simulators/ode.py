@@ -20,9 +20,10 @@ Response = tuple[Array, Array]
 """Measured channels `(time, ny)` and states `(time, nx)`."""
 
 PRECISE = 1e-6, 1e-8
-"""Relative and absolute tolerance, at most, for standard errors."""
+"""Relative and absolute tolerance, at most, for standard errors. With 1e-4 errors came out up to
+270 times too small."""
 WORTH_COMPILING = 30_000
-"""Steps that take about as long as compiling the equation; it is compiled after them."""
+"""Steps that take about as long as compiling the equation; it is compiled after them. By eye."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -16,7 +16,8 @@ Given = Mapping[str, float | tuple[float, float]]
 INITIAL = "x0_"
 """What the names of initial values begin with; each record has its own."""
 DECADE = 10.0
-"""A range is searched on a logarithmic scale if its ends differ by more than this factor."""
+"""A range is searched on a logarithmic scale if its ends differ by more than this factor.
+By eye."""
 
 
 @cache

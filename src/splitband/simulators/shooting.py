@@ -24,13 +24,15 @@ from splitband.simulators.parameters import Parameters
 Point = tuple[Mapping[str, float], Any]
 
 BAD = 1e3
-"""Residual, in deviations of a channel, of a run that failed; none is larger."""
+"""Residual, in deviations of a channel, of a run that failed; none is larger. By eye."""
 STATE_STEP = 1e-6
-"""Relative step of finite differences with respect to a state."""
+"""Relative step of finite differences with respect to a state. By eye."""
 WORTH_A_ROUND = 1e-3
-"""Share of the squared error that the search for a window's state has to gain to go on."""
+"""Share of the squared error that the search for a window's state has to gain to go on. By eye."""
 _ROUNDS = 6
+"""Rounds of a search for a window's state, at most. By eye."""
 _DAMPINGS = (1e-8, 1e-4, 1e-1, 1e1)
+"""Levenberg-Marquardt dampings that are tried in a round, relative to the diagonal. By eye."""
 
 
 class Adjustable(Protocol):

@@ -16,7 +16,7 @@ _SIMULATOR = (
     f"or one of {', '.join(SIMULATORS)}."
 )
 PATIENCE = 600.0
-"""Of a simulator, in s."""
+"""Seconds after which a simulator is given up, by default. By eye."""
 Calibrate = Annotated[
     bool, _simulator("Fit its gain, offset, delay and clock first.", None, True, "--calibrate")
 ]

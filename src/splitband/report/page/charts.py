@@ -38,14 +38,16 @@ from splitband.report.page.thinning import bin_size, envelope, places, thinned
 Array = npt.NDArray[np.float64]
 
 WIDTH, TALL, LOW, SMALL = 800, 270, 210, 150
+"""Pixels: the width of plots, and the heights of large, low and small ones."""
 LEFT = 70
 """Pixels for the numbers beside an axis, so that the axes of time lie below each other."""
 X = "x"
 """The column of a chart's source along its axis."""
 MOST = 4_000
-"""Points of one curve."""
+"""Points of one curve, at most: more than a screen has columns."""
 FARTHEST = 1e3
-"""Times the height of a plot: how far out a curve is drawn, as a canvas takes no larger numbers."""
+"""Times the height of a plot: how far out a curve is drawn, as a canvas takes no larger numbers.
+By eye."""
 DATES: dict[str, Any] = {
     "milliseconds": "%H:%M:%S.%3N", "seconds": "%H:%M:%S", "minsec": "%H:%M:%S",
     "minutes": "%H:%M", "hourmin": "%H:%M", "hours": "%d %b %H:%M", "days": "%d %b",

@@ -18,7 +18,7 @@ from splitband.report.page.parts import Method, Plot
 Array = npt.NDArray[np.float64]
 
 POINTS = 2000
-"""Of a curve over frequency."""
+"""Points of a curve over frequency. By eye."""
 
 
 def spectrum(record: Record, cutoff: float | None, bases: Mapping[str, Array]) -> list[Plot]:

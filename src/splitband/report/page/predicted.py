@@ -18,11 +18,11 @@ from splitband.report.page.parts import Method, Plot
 Array = npt.NDArray[np.float64]
 
 BEFORE = 8
-"""The plots begin this fraction of the prediction's length before it."""
+"""The plots begin this fraction of the prediction's length before it. By eye."""
 FEW = 2
-"""Outputs and inputs that have plots of full size."""
+"""Outputs and inputs that have plots of full size. By eye."""
 TRANSIENT = 10
-"""First samples of a prediction, whose errors vary too much to set a scale by them."""
+"""First samples of a prediction, whose errors vary too much to set a scale by them. By eye."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,8 @@ from splitband.report.numbers import number, percent
 from splitband.report.table import Column, columns
 
 POOR = 0.15
-"""By how much an interval may miss the share that it should hold before the page warns of it."""
+"""By how much an interval may miss the share that it should hold before the page warns of it.
+By eye."""
 
 
 def in_words(name: str, methods: Mapping[str, Forecaster] = NAMES) -> str:
