@@ -160,14 +160,14 @@ def test_seeds_that_failed_in_training_do_not_count() -> None:
         for s, said in enumerate([sound, wild, sound])
     ]
 
-    def sound(runs: list[Run]) -> list[Run]:
+    def that_count(runs: list[Run]) -> list[Run]:
         return without_failed(Runs({"gru": runs}), training)["gru"]
 
-    kept = sound(runs)
+    kept = that_count(runs)
     assert [run.seed for run in kept] == [0, 2]
     assert kept[0].description.startswith("seed 1 left out: training error ")
-    assert sound(runs[:1]) == runs[:1]
-    (alone,) = sound([replace(runs[0], fit=replace(runs[0].fit, stable=False))])
+    assert that_count(runs[:1]) == runs[:1]
+    (alone,) = that_count([replace(runs[0], fit=replace(runs[0].fit, stable=False))])
     assert alone.description == "unstable: a simulation may grow without bound"
 
 
