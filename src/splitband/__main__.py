@@ -1,10 +1,10 @@
-"""`splitband` and `python -m splitband`: the command line, which Ctrl-C may stop while it loads."""
+"""Run the command line as `splitband` and `python -m splitband`; Ctrl-C may stop its loading."""
 
 import sys
 
 
 def main() -> int:
-    """The exit status of the command line."""
+    """Return the exit status of the command line."""
     try:
         from splitband.cli import main as run  # noqa: PLC0415  takes seconds, and may be stopped
     except KeyboardInterrupt:

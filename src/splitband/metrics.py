@@ -114,7 +114,7 @@ By eye."""
 
 
 class ExtrapolationWarning(UserWarning):
-    """A model is asked about inputs that it has not been trained on."""
+    """Report that a model is asked about inputs that it has not been trained on."""
 
 
 @dataclass(frozen=True)

@@ -123,7 +123,7 @@ def state_estimator(
 
 
 def _canonical(channel: Channel) -> tuple[Array, Array, Array, Array]:
-    """The observer canonical form, whose initial state is the polynomial C."""
+    """Return the observer canonical form, whose initial state is the polynomial C."""
     n = len(channel.a) - 1
     a = np.eye(n, k=1)
     a[:, 0] -= channel.a[1:]
@@ -132,7 +132,7 @@ def _canonical(channel: Channel) -> tuple[Array, Array, Array, Array]:
 
 
 def _simulated(a: Array, b: Array, x: Array, u: Array) -> Array:
-    """The states, `(time, states)`."""
+    """Return the states, `(time, states)`."""
     forced, found = u @ b.T, np.empty((len(u), len(a)))
     for n in range(len(u)):
         found[n] = x
@@ -141,7 +141,7 @@ def _simulated(a: Array, b: Array, x: Array, u: Array) -> Array:
 
 
 def _reduction(a: Array, b: Array, c: Array, states: int) -> tuple[Array, Array]:
-    """The maps into the most important states and back (Moore, 1981; square roots of Gramians)."""
+    """Return maps into the most important states and back (Moore, 1981; roots of Gramians)."""
     reach = scipy.linalg.solve_discrete_lyapunov(a, b @ b.T)
     seen = scipy.linalg.solve_discrete_lyapunov(a.T, c.T @ c)
     roots = []

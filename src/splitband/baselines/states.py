@@ -114,7 +114,7 @@ class States(NamedTuple):
         return np.asarray(answers @ (inner.T @ (factor * size * seen / (noise + factor * size**2))))
 
     def _whitened(self, x: Array, rows: npt.NDArray[np.int_]) -> Array:
-        """Samples at these rows, `(rows, any)`, without what the error before makes probable."""
+        """Return samples at these rows, `(rows, any)`, less what the last error predicts."""
         kept = self.correlation ** np.diff(rows)[:, None]
         return np.concatenate([x[:1], (x[1:] - kept * x[:-1]) / np.sqrt(1 - kept**2)])
 

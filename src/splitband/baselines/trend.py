@@ -53,7 +53,7 @@ class Shape(NamedTuple):
     samples: int
 
     def __call__(self, index: npt.NDArray[np.number]) -> Array:
-        """At these samples, `(len(index),)`."""
+        """Return its values at these samples, `(len(index),)`."""
         elapsed = np.maximum(index - self.begin, 0) / self.samples
         folds = self.rate * self.samples
         if not folds:
@@ -90,7 +90,7 @@ class Trend(NamedTuple):
     size: float
 
     def predict(self, index: npt.NDArray[np.number]) -> Array:
-        """At these samples, `(len(index),)`."""
+        """Return its values at these samples, `(len(index),)`."""
         return self.offset + self.size * self.shape(index)
 
 

@@ -1,4 +1,4 @@
-"""The command line; the only part of the package that prints."""
+"""Define the command line; nothing else of the package prints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`splitband benchmark`."""
+"""Define `splitband benchmark`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from splitband.cli import clock, in_words, setups, showing
 from splitband.cli.cases import COLUMNS, OVERALL, Case, read_cases
 from splitband.cli.comparing import Request, command_of, compared, planned, save, workers
 from splitband.cli.options.groups import with_groups
-from splitband.cli.options.models import Cluster, Conditioned, Jobs, ModelOptions, Seeds
+from splitband.cli.options.models import Cluster, Conditioned, Jobs, Methods, ModelOptions, Seeds
 from splitband.cli.options.simulators import Calibrate
 from splitband.cli.output import refuse_inputs, replaced
 from splitband.cli.usage import usage
@@ -53,13 +53,7 @@ def benchmark(
         ),
     ],
     model: ModelOptions,
-    methods: Annotated[
-        str | None,
-        typer.Option(
-            help="What to compare, separated by commas; `splitband methods` lists what there is.",
-            show_default="for each case what `compare` takes",
-        ),
-    ] = None,
+    methods: Methods = None,
     seeds: Seeds = None,
     jobs: Jobs = None,
     out: Annotated[

@@ -1,4 +1,4 @@
-"""The list of `splitband benchmark`: a row is a case, a column an option of `compare`."""
+"""Read the list of `splitband benchmark`: a row is a case, a column an option of `compare`."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ OVERALL = ("results.json", "table.csv", "report.html")
 
 @dataclass(frozen=True)
 class Case:
-    """A row of the list.
+    """Hold a row of the list.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""`splitband check`."""
+"""Define `splitband check`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When a command began, and how long it took to load; light, as it is asked before that."""
+"""Tell when a command began, and how long it took to load; light, as it is loaded first."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`splitband compare`."""
+"""Define `splitband compare`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the options of a command to a plan, and to its results, for every command that fits."""
+"""Make a plan of the options of a command, and carry it out, for every command that fits."""
 
 from __future__ import annotations
 
@@ -13,7 +13,14 @@ import typer
 
 from splitband.cli import clock, records, setups, showing
 from splitband.cli.options.groups import panel
-from splitband.cli.options.models import AUTO, Conditioned, ModelOptions, Seeds, SettingsFile
+from splitband.cli.options.models import (
+    AUTO,
+    Conditioned,
+    Methods,
+    ModelOptions,
+    Seeds,
+    SettingsFile,
+)
 from splitband.cli.options.records import (
     FurtherRecords,
     RecordArgument,
@@ -52,7 +59,7 @@ MOST = 0.4
 
 @dataclass(frozen=True)
 class Request:
-    """What is to be compared: the options of `compare`, but for where its results go."""
+    """Say what is to be compared: the options of `compare`, but for where its results go."""
 
     record: RecordArgument
     reading: RecordOptions = field(default_factory=RecordOptions)
@@ -72,14 +79,7 @@ class Request:
             show_default="all",
         ),
     ] = None
-    methods: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAMES",
-            help="Methods, separated by commas; see splitband methods.",
-            show_default="what suits the record",
-        ),
-    ] = None
+    methods: Methods = None
     seeds: Seeds = None
     calibrate: Calibrate = False
     conditioned: Conditioned = False

@@ -1,4 +1,4 @@
-"""`splitband data`: the public records of the paper."""
+"""Define `splitband data`: the public records of the paper."""
 
 from __future__ import annotations
 

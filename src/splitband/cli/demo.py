@@ -1,4 +1,4 @@
-"""`splitband demo`."""
+"""Define `splitband demo`."""
 
 from __future__ import annotations
 

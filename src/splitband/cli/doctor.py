@@ -1,4 +1,4 @@
-"""`splitband doctor`: whether this machine has what the package needs."""
+"""Define `splitband doctor`: whether this machine has what the package needs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`splitband export`."""
+"""Define `splitband export`."""
 
 from __future__ import annotations
 

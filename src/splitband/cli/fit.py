@@ -1,4 +1,4 @@
-"""`splitband fit`."""
+"""Define `splitband fit`."""
 
 from __future__ import annotations
 

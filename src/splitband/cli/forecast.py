@@ -1,4 +1,4 @@
-"""`splitband forecast`: what comes after the end of a record."""
+"""Define `splitband forecast`: what comes after the end of a record."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`splitband methods`: what there is to choose from, grouped and explained."""
+"""Define `splitband methods`: what there is to choose from, grouped and explained."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from splitband.forecasters.names import BASED, HYBRIDS, NAMES, QUICK, variants
 
 
 class Group(NamedTuple):
-    """Methods of one kind: what they are, for which record they are worth trying, their names."""
+    """Group methods of one kind: what they are, and for which record they are worth trying."""
 
     title: str
     when: str

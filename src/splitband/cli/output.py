@@ -1,4 +1,4 @@
-"""What --out may be: nothing that a command reads, and no folder that another command uses."""
+"""Check --out: it is nothing that a command reads, and no folder of another command."""
 
 from __future__ import annotations
 

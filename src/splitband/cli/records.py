@@ -1,4 +1,4 @@
-"""The records and known inputs that options name, read and put beside each other."""
+"""Read the records and known inputs that options name, and put them beside each other."""
 
 from __future__ import annotations
 

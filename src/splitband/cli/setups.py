@@ -1,4 +1,4 @@
-"""What the options of a command say of models and their training."""
+"""Read what the options of a command say of models and their training."""
 
 from __future__ import annotations
 

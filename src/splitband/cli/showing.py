@@ -1,4 +1,4 @@
-"""Tables and progress bars for people."""
+"""Print tables and progress bars for people."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _errors = Console(stderr=True, soft_wrap=True, markup=False, emoji=False, highli
 
 @dataclass
 class _Mode:
-    """Where results go as JSON; None where a command prints tables for people, or nothing."""
+    """Say where results go as JSON; None where a command prints tables for people, or nothing."""
 
     results: TextIO | None = None
 
@@ -223,7 +223,7 @@ def warn_of_inputs(extrapolations: Sequence[Extrapolation], names: Sequence[str]
 
 @contextmanager
 def without_warnings() -> Iterator[None]:
-    """Without the library's warnings of extrapolation, where the command says so itself."""
+    """Silence the library's warnings of extrapolation, where the command says so itself."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExtrapolationWarning)
         yield

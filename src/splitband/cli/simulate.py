@@ -1,4 +1,4 @@
-"""`splitband simulate`."""
+"""Define `splitband simulate`."""
 
 from __future__ import annotations
 

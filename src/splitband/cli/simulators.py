@@ -1,4 +1,4 @@
-"""What --simulator names: a file or a name becomes the record's simulated trajectory."""
+"""Run what --simulator names: a file or a name becomes the record's `y_sim`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`splitband spectrum`."""
+"""Define `splitband spectrum`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the page of a result says it can be used."""
+"""Say on the page of a result how it can be used."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def _python(out: Path, plan: Plan) -> str:
 
 
 def _simulate(given: Mapping[str, Any], out: Path, plan: Plan, model: Forecaster) -> str:
-    """The command that goes on from where the model was fitted, by what is known of the time."""
+    """Return the command that goes on from where the model was fitted."""
     ahead = 0 if plan.refit else len(plan.record) - plan.train
     steps = min(plan.horizon or STEPS, STEPS)
     options: dict[str, Any] = {"time_column": given.get("time_column")}

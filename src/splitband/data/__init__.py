@@ -1,4 +1,4 @@
-"""Measured records: the data container, readers for the usual files, and the public records."""
+"""Hold measured records: the container, readers for the usual files, the public records."""
 
 from splitband.data.alignment import Aligned, aligned, resampled
 from splitband.data.public import PUBLIC, PublicFile, double_torsion, drill_string, fetch

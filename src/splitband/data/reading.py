@@ -47,11 +47,11 @@ _Names: TypeAlias = str | int | Sequence[str | int]
 
 
 class ColumnError(ValueError):
-    """A requested column is missing, or no column is left to model."""
+    """Report that a requested column is missing, or that no column is left to model."""
 
 
 class ReadingWarning(UserWarning):
-    """A column of a file is left out, or its meaning was inferred."""
+    """Report that a column of a file is left out, or that its meaning was inferred."""
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""Comparing forecasters: protocols, trials on held-out samples, recommendation."""
+"""Compare forecasters: protocols, trials on held-out samples, recommendation."""

@@ -1,4 +1,4 @@
-"""How the time of a comparison is spent: until when it must be done, what is left, what it took.
+"""Spend the time of a comparison: until when what must be done, what is left, what it took.
 
 Costs of trainings are estimated in seconds of a reference core (`evaluation.costs`). What such a
 second takes on this machine, with whatever else runs on it, is measured by the trainings of the
@@ -42,7 +42,7 @@ NAMED = 6
 
 @dataclass
 class Phase:
-    """A part of a command: seconds that it `used`, and could when it began, if that was limited."""
+    """Hold a part of a command: seconds that it `used`, and could when it began, if limited."""
 
     used: float = 0.0
     planned: float | None = None
@@ -50,7 +50,7 @@ class Phase:
 
 @dataclass
 class Pace:
-    """How long trainings take on this machine.
+    """Say how long trainings take on this machine.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Pace:
 
 @dataclass(eq=False)
 class TimeBudget:
-    """The time of one command, and where it went.
+    """Hold the time of one command, and where it went.
 
     Attributes
     ----------

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
-    """What forecasters did on a record, and which of them is recommended.
+    """Hold what forecasters did on a record, and which of them is recommended.
 
     Attributes
     ----------
@@ -54,32 +54,32 @@ class Comparison:
 
     @property
     def record(self) -> Record:
-        """The whole of it."""
+        """Return the whole record."""
         return self.plan.record
 
     @property
     def setup(self) -> Setup:
-        """What the methods shared."""
+        """Return what the methods shared."""
         return self.plan.setup
 
     @property
     def others(self) -> tuple[Record, ...]:
-        """Further records that were trained on."""
+        """Return further records that were trained on."""
         return self.plan.others
 
     @property
     def tests(self) -> tuple[Record, ...]:
-        """Records that nothing was fitted to, simulated from their first samples."""
+        """Return records that nothing was fitted to, simulated from their first samples."""
         return self.plan.tests
 
     @property
     def recommended(self) -> str:
-        """The method to use, chosen by training samples alone."""
+        """Return the method to use, chosen by training samples alone."""
         return self.require_trial().recommended
 
     @cached_property
     def model(self) -> Forecaster:
-        """The recommended method as it was trained here, ready to predict and to be saved.
+        """Return the recommended method as it was trained here, ready to predict and to be saved.
 
         It is fitted to the training part, with `refit` to the whole record. Of what is random it is
         the mean over the seeds.
@@ -100,7 +100,7 @@ class Comparison:
         return handed_out(self.runs.models[name], self.require_trial().held_out.get(name))
 
     def forecaster(self, name: str | None = None) -> Forecaster:
-        """A method as it has been trained here, not fitted: to be fitted to a record and saved.
+        """Return a method as it was trained here, not fitted: to be fitted to a record and saved.
 
         Of what is random it is the mean of the same seeds. Fitted with seed 0 to the training part,
         it says what it has said here.
@@ -121,17 +121,17 @@ class Comparison:
 
     @cached_property
     def means(self) -> dict[str, Run]:
-        """The mean over seeds of each method, which is what is handed out."""
+        """Return the mean over seeds of each method, which is what is handed out."""
         return {name: mean_run(self.plan, runs) for name, runs in self.runs.items()}
 
     @property
     def left_out(self) -> list[str]:
-        """Methods that have nothing to say about the test records."""
+        """Return methods that have nothing to say about the test records."""
         return [name for name, mean in self.means.items() if self.tests and not mean.tests]
 
     @cached_property
     def predictions(self) -> dict[str, Prediction]:
-        """The forecast of each method beyond the training part, with its interval."""
+        """Return the forecast of each method beyond the training part, with its interval."""
         intervals = {} if self.trial is None else self.trial.intervals
         predictions = {}
         for name, run in self.means.items():
@@ -147,7 +147,7 @@ class Comparison:
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        """A row for each method, with the columns that `splitband compare` shows.
+        """Return a row for each method, with the columns that `splitband compare` shows.
 
         Errors are of the mean of the seeds' predictions, each channel by itself; columns that end
         in "spread" hold the standard deviation of the seeds' errors.
@@ -156,7 +156,7 @@ class Comparison:
         return table
 
     def covers(self, name: str) -> float:
-        """The share of the measured samples that a method's interval holds, 0 to 1.
+        """Return the share of the measured samples that a method's interval holds, 0 to 1.
 
         NaN where there is no forecast.
         """
@@ -187,13 +187,13 @@ class Comparison:
 
     @property
     def inputs_beyond_training(self) -> list[Extrapolation]:
-        """Which inputs after the training part go beyond those that were trained on."""
+        """Return which inputs after the training part go beyond those that were trained on."""
         u, training = self.record.u, [self.plan.training, *self.others]
         seen = [record.u for record in training if record.u is not None]
         return [] if u is None else extrapolations(*input_range(seen), u[self.setup.train :])
 
     def require_trial(self) -> Trial:
-        """The trial; raises ValueError where none has been made."""
+        """Return the trial; raises ValueError where none has been made."""
         if self.trial is None:
             raise ValueError("nothing has been tried on held-out samples in this comparison")
         return self.trial
@@ -213,7 +213,7 @@ class Comparison:
         return html
 
     def plot(self) -> Figure:
-        """Every method's predictions over the record, with intervals."""
+        """Draw every method's predictions over the record, with intervals."""
         figure: Figure = provided("picture of a comparison")(self)
         return figure
 

@@ -1,4 +1,4 @@
-"""What a training costs, in seconds of a reference core, and what a wall time is in these."""
+"""Estimate what a training costs, in seconds of a reference core, and what these take here."""
 
 from __future__ import annotations
 

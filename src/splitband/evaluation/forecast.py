@@ -27,7 +27,7 @@ from splitband.runtime.provided import provided
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Forecast:
-    """What comes after the end of a record.
+    """Hold what comes after the end of a record.
 
     Attributes
     ----------
@@ -52,22 +52,22 @@ class Forecast:
 
     @property
     def forecaster(self) -> Forecaster:
-        """The recommended method, not fitted: to be fitted again."""
+        """Return the recommended method, not fitted: to be fitted again."""
         return self.model.clone()
 
     @property
     def record(self) -> Record:
-        """It goes on from."""
+        """Return the record that it goes on from."""
         return self.plan.record
 
     @property
     def seeds(self) -> tuple[int, ...]:
-        """Of the recommended method."""
+        """Return the seeds of the recommended method."""
         return self.model.seeds
 
     @property
     def method(self) -> str:
-        """The name of the recommended method."""
+        """Return the name of the recommended method."""
         return self.model.name
 
     def __repr__(self) -> str:
@@ -91,7 +91,7 @@ def forecast(
     work: Work | None = None,
     **options: Any,
 ) -> Forecast:
-    """What comes after the end of a record, by the method that its own last quarter recommends.
+    """Forecast beyond the end of a record, by the method that its last quarter recommends.
 
     Parameters
     ----------

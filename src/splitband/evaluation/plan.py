@@ -1,4 +1,4 @@
-"""Deciding all of a comparison, and checking it, before anything is computed."""
+"""Decide all of a comparison, and check it, before anything is computed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TRAINING_SHARE = 0.75
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What is to be computed, decided and checked; `run` computes it.
+    """Say what is to be computed, decided and checked; `run` computes it.
 
     Attributes
     ----------
@@ -58,17 +58,17 @@ class Plan:
 
     @property
     def train(self) -> int:
-        """Samples at the beginning of the record that are trained on."""
+        """Return how many samples at the beginning of the record are trained on."""
         return self.setup.train
 
     @property
     def training(self) -> Record:
-        """The training part of the record."""
+        """Return the training part of the record."""
         return self.record[: self.train]
 
     @property
     def names(self) -> list[str]:
-        """Of the methods."""
+        """Return the names of the methods."""
         return [method.name for method in self.methods]
 
 
@@ -174,7 +174,7 @@ def check(plan: Plan) -> None:
 
 
 def _reaching(record: Record, train: int, horizon: int | None, tested: bool) -> tuple[Record, int]:
-    """The record to the last sample that is predicted, and how many of these are not trained on."""
+    """Return the record to its last sample that is predicted, and how many are not trained on."""
     beyond = horizon is not None and train == len(record)
     check_train(record, train, 0 if tested or beyond or horizon == 0 else 1)
     if horizon is None:
@@ -247,7 +247,7 @@ def _check_trial(plan: Plan) -> None:
 
 
 def _called_apart(tests: Sequence[Record]) -> tuple[Record, ...]:
-    """The test records, each with a name of its own: those that share one are counted."""
+    """Return the test records, each with a name of its own: those that share one are counted."""
     names: list[str] = []
     for i, test in enumerate(tests):
         name, count = test.name or str(i + 1), 1

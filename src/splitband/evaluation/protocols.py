@@ -1,4 +1,4 @@
-"""Comparing forecasters on a record, under both protocols.
+"""Compare forecasters on a record, under both protocols.
 
 *From the start*: warm up on the first R samples, simulate to the end; the error counts everything
 after the warm-up. *Forecast*: warm up on the last R training samples, simulate beyond them. *Test
@@ -27,7 +27,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Errors:
-    """RMSE of predictions, in the record's unit.
+    """Hold the RMSE of predictions, in the record's unit.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Errors:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One forecaster with one seed, under every protocol.
+    """Hold what one forecaster with one seed did, under every protocol.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Run:
 
 
 class Runs(dict[str, list[Run]]):
-    """The runs of each method, in the order of the seeds, without those that failed.
+    """Map each method to its runs, in the order of the seeds, without those that failed.
 
     A method of which every run failed is not among the keys.
 

@@ -1,4 +1,4 @@
-"""How a network is to be trained, as a file that people read and commands write and take."""
+"""Say how a network is trained, in a file that people read and commands write and take."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Section = TypeVar("Section", Sizes, Settings, Bands)
 
 @dataclass(frozen=True)
 class SavedSettings:
-    """One network, and how it is trained.
+    """Hold one network, and how it is trained.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class SavedSettings:
             )
 
     def forecaster(self) -> Network:
-        """The network, not fitted; a comparison trains it as it is."""
+        """Return the network, not fitted; a comparison trains it as it is."""
         network = named(self.method, self.sizes).with_defaults(self.settings, self.bands).network
         assert network is not None
         network.tunable = False
@@ -77,7 +77,7 @@ class SavedSettings:
             )
 
     def as_json(self) -> dict[str, Any]:
-        """What `save` writes."""
+        """Return what `save` writes."""
         bands = asdict(self.bands)
         return {
             "format": FORMAT,
@@ -94,7 +94,7 @@ class SavedSettings:
 
     @classmethod
     def of_forecaster(cls, forecaster: Forecaster) -> SavedSettings | None:
-        """How a network of a known name is trained; None for everything else.
+        """Return how a network of a known name is trained; None for everything else.
 
         Of a mean of several it is that of the first member.
         """
@@ -111,7 +111,7 @@ class SavedSettings:
 
     @classmethod
     def of(cls, facts: Any) -> SavedSettings:
-        """From what `as_json` returns; raises ValueError that names the key that is wrong."""
+        """Return settings from what `as_json` returns; ValueError names a wrong key."""
         _check_keys("", facts, {"format", "version", "method", "sizes", "bands", "training"})
         if (facts["format"], facts["version"]) != (FORMAT, VERSION):
             raise ValueError(
@@ -131,7 +131,7 @@ class SavedSettings:
 
     @classmethod
     def read(cls, path: str | Path) -> SavedSettings:
-        """What `save` wrote, or somebody by hand.
+        """Return what `save` wrote, or somebody by hand.
 
         Raises
         ------
@@ -151,7 +151,7 @@ class SavedSettings:
 
 
 def _sizes(network: Network) -> Sizes:
-    """Of its cells; a network of one cell has the sum of what the two of a split model have."""
+    """Return the sizes of its cells; one cell has the sum of the two of a split model."""
     cells = [getattr(network, name) for name in network.cells]
     hidden = [getattr(cell, "hidden_size", 0) for cell in cells]
     if hasattr(cells[0], "step_size"):
@@ -165,7 +165,7 @@ def _refused(constant: str) -> float:
 
 
 def _names(section: type[Section]) -> list[str]:
-    """The keys of a section: `Bands.choice` says why, which is no setting."""
+    """Return the keys of a section: `Bands.choice` says why, which is no setting."""
     return [each.name for each in fields(section) if each.name != "choice"]
 
 
@@ -200,7 +200,7 @@ def _section(where: str, given: Any, section: type[Section]) -> Section:
 
 
 def _value(name: str, value: Any, hint: Any) -> Any:
-    """A value as the type of its field has it."""
+    """Return a value as the type of its field has it."""
     if name.endswith("milestones"):
         return _milestones(name, value)
     allowed = getattr(hint, "__args__", (hint,))

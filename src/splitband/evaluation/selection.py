@@ -1,4 +1,4 @@
-"""Trying methods out on the end of the training part: which to recommend, and how sure it is.
+"""Try methods out on the end of the training part, to recommend one and say how sure it is.
 
 Not in the paper. No measured sample after the training part is looked at.
 """
@@ -41,7 +41,7 @@ WORTH_TRAINING = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """How each method did on the held-out last quarter of the training samples.
+    """Say how each method did on the held-out last quarter of the training samples.
 
     Of a network that is trained with several seeds, the mean of their forecasts counts.
 
@@ -75,7 +75,7 @@ class Trial:
     doubt: Mapping[str, Array] = field(default_factory=dict)
 
     def settled(self, final: Mapping[str, Sequence[Array]], failed: Mapping[str, str]) -> Trial:
-        """With what the methods forecast after all, out of which one is recommended.
+        """Return it with what the methods forecast in the end, out of which one is recommended.
 
         Parameters
         ----------
@@ -91,7 +91,7 @@ class Trial:
         return replace(self, final=means, doubt=doubt, failed={**self.failed, **failed})
 
     def joined(self, other: Trial) -> Trial:
-        """With the methods of another trial of the same record."""
+        """Return it with the methods of another trial of the same record."""
         return replace(
             self,
             errors={**self.errors, **other.errors},
@@ -114,7 +114,7 @@ class Trial:
 
     @property
     def recommended(self) -> str:
-        """The method with the lowest held-out error; a network needs `WORTH_TRAINING` to win.
+        """Return the method of least held-out error; a network needs `WORTH_TRAINING` to win.
 
         Of two methods that do equally well on a short held-out part, the simpler one is less likely
         to fail later. What was also tried: to count how much a forecast changes once the held-out
@@ -127,7 +127,7 @@ class Trial:
 
     @property
     def best_network(self) -> str | None:
-        """Of the networks, the one with the lowest score."""
+        """Return the network with the lowest score."""
         networks = [method for method in self.scores if method in self.trained]
         return min(networks, key=lambda method: self.scores[method], default=None)
 

@@ -1,4 +1,4 @@
-"""What the forecasters of a comparison share."""
+"""Say what the forecasters of a comparison share."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ AS_GIVEN = "simulator-as-given"
 
 @dataclass(frozen=True)
 class Setup:
-    """What the forecasters of a comparison share where they do not say otherwise.
+    """Hold what the forecasters of a comparison share where they do not say otherwise.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Setup:
     initial: int | None = None
 
     def forecaster(self, name: str) -> Forecaster:
-        """The forecaster of a name, with nothing left open but what the bands do."""
+        """Return the forecaster of a name, with nothing left open but what the bands do."""
         forecaster = named(name, self.sizes).with_defaults(self.settings, self.bands)
         forecaster = forecaster if self.simulator is None else forecaster.given(self.simulator)
         if forecaster.network is not None:
@@ -76,7 +76,7 @@ class Setup:
         return [*names[:at], GreyBox(middle, name=AS_GIVEN), *names[at:]]
 
     def as_json(self) -> dict[str, Any]:
-        """For a result file: flat, and with the settings that each of them is made of."""
+        """Return it for a result file: flat, and with the settings that each of them is made of."""
         bands, sizes = asdict(self.bands), asdict(self.sizes)
         return (
             {"train": self.train, "settings": asdict(self.settings)}
@@ -89,7 +89,7 @@ class Setup:
 
 
 def default_names(with_simulator: bool, with_inputs: bool = False) -> list[str]:
-    """What is worth comparing in a reasonable time, with a simulator that helps or without.
+    """Return what is worth comparing in a reasonable time, with a simulator that helps or without.
 
     What knows no inputs is asked even where there are some: they may not matter.
     """
@@ -108,7 +108,7 @@ def default_names(with_simulator: bool, with_inputs: bool = False) -> list[str]:
 
 
 def usual_names(record: Record, bands: Bands) -> list[str]:
-    """`default_names`, with the learned models where the record's simulator does not help."""
+    """Return `default_names`, without hybrids where the record's simulator does not help."""
     names = default_names(record.y_sim is not None, record.nu > 0)
     if bands.choice is None or bands.choice.simulator_helps is not False:
         return names
@@ -120,7 +120,7 @@ def usual_names(record: Record, bands: Bands) -> list[str]:
 
 @dataclass(frozen=True)
 class Options:
-    """What a user decides of a `Setup`; the rest is chosen by the training samples.
+    """Say what a user decides of a `Setup`; the rest is chosen by the training samples.
 
     Attributes
     ----------

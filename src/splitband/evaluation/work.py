@@ -18,7 +18,7 @@ HALF = 0.5
 
 @dataclass(frozen=True)
 class RunProgress:
-    """An epoch of one run is over; `share` of the run's training is done.
+    """Tell that an epoch of one run is over; `share` of the run's training is done.
 
     `stage` is "search" and a number where ways to train are tried, "held-out fit" where methods
     are, "on a baseline" where a network is put on one of them, and "final fit" where a method is
@@ -35,7 +35,7 @@ class RunProgress:
 
 @dataclass(frozen=True)
 class Work:
-    """How a comparison is computed; none of it changes a number by more than rounding.
+    """Say how a comparison is computed; none of it changes a number by more than rounding.
 
     Attributes
     ----------

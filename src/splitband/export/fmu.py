@@ -28,7 +28,7 @@ COMPILERS = "cc", "gcc", "clang"
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of an FMU; those that are numbers are referred to by their place.
+    """Hold a variable of an FMU; those that are numbers are referred to by their place.
 
     Attributes
     ----------

@@ -19,7 +19,7 @@ from splitband.runtime.tracing import Block, Node, Symbol, named_leaves, trace
 
 @dataclass(frozen=True, eq=False)
 class Leaf:
-    """An array of the state.
+    """Hold an array of the state.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Leaf:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """What is done with a sample.
+    """Say what is done with a sample.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Complementary filters: IIR design, exact differentiable filtering, low/high pairs.
+"""Split signals into bands: IIR design, exact differentiable filtering, low/high pairs.
 
 Signals are `(time,)`, `(time, ny)` or `(batch, time, ny)`; `dim` names another time axis.
 NumPy in, NumPy out; torch in, torch out.

@@ -1,4 +1,4 @@
-"""A simulator with fitted parameters as a forecaster."""
+"""Forecast by a simulator with fitted parameters."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ By eye."""
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A fit that several forecasters ask for; `repr` is all that its result depends on."""
+    """Describe a fit that several forecasters ask for; its result depends on its `repr` alone."""
 
     simulator: Any
     records: tuple[Record, ...]
@@ -59,7 +59,7 @@ ESTIMATES: Remembered[Estimate] = Remembered(_Fit.result)
 
 @final
 class GreyBox(Forecaster):
-    """A simulator whose parameters are fitted to the training samples.
+    """Fit the parameters of a simulator to the training samples, and run it.
 
     Parameters
     ----------

@@ -189,7 +189,7 @@ def _tensors(folder: Path, facts: Mapping[str, Any]) -> Tensors:
 
 
 def _give(forecaster: Forecaster, simulator: Simulator) -> None:
-    """Have it run this simulator; warn of one that is not the one it was saved with."""
+    """Let it run this simulator; warn of one that is not the one it was saved with."""
     simulations = [*_simulations(forecaster)]
     if not simulations:
         raise ValueError(f"simulator must be left out for {forecaster.name}, which asks for none")

@@ -27,11 +27,11 @@ State = dict[str, Any]
 
 
 class NotSteppedError(ValueError):
-    """A forecaster has no form sample by sample; the message says why."""
+    """Report that a forecaster has no form sample by sample; the message says why."""
 
 
 class Recursion(ABC):
-    """What a forecaster does with each sample.
+    """Define what a forecaster does with each sample.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class Recursion(ABC):
 
 
 class Part(ABC):
-    """Something that says a value for each sample, by itself or as the slow part of a hybrid.
+    """Say a value for each sample, by itself or as the slow part of a hybrid.
 
     What it says of a sample is a row for each channel: a value, and by how much that changes with
     each number that is estimated from the history. Those are settled where a forecast begins.
@@ -127,7 +127,7 @@ def read(rows: Array, settled: Array) -> Array:
 
 
 class Extrapolated(Recursion):
-    """A part by itself."""
+    """Run a part by itself."""
 
     part: Part
 
@@ -156,7 +156,7 @@ class Extrapolated(Recursion):
 
 @dataclass(frozen=True)
 class DelayLine:
-    """Inputs that act late, each by so many samples; at first they have been what they are."""
+    """Delay inputs, each by so many samples; at first they have been what they are."""
 
     delays: tuple[int, ...]
 
@@ -178,7 +178,7 @@ class DelayLine:
 
 
 class Warmed(Recursion):
-    """A trained model, which warms up on the last measured samples; with a slow part or without.
+    """Run a trained model, which warms up on the last measured samples, with a slow part or not.
 
     It keeps as many samples as it warms up on. When a sample is not measured any more, the free
     run begins from those; it goes on until as many have been measured in a row again.
@@ -269,7 +269,7 @@ class Warmed(Recursion):
 
 
 class Averaged(Recursion):
-    """The mean of several."""
+    """Average several."""
 
     def __init__(self, members: Sequence[Recursion]) -> None:
         self.members = [*members]

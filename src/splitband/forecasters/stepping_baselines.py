@@ -15,7 +15,7 @@ ByTime = Callable[[float, int], Array]
 
 
 class Constant(Part):
-    """The same value for every sample."""
+    """Say the same value for every sample."""
 
     def __init__(self, level: Array) -> None:
         self.level = level
@@ -30,7 +30,7 @@ class Constant(Part):
 
 
 class Held(Part):
-    """The last measured value of each channel."""
+    """Hold the last measured value of each channel."""
 
     def __init__(self, ny: int) -> None:
         self.ny = ny
@@ -53,7 +53,7 @@ class Held(Part):
 
 
 class InTime(Part):
-    """A function of time."""
+    """Follow a function of time."""
 
     def __init__(self, predict: ByTime) -> None:
         self.predict = predict

@@ -50,7 +50,7 @@ By eye."""
 
 
 class RunAhead(Part):
-    """A simulator that is run over twice the time whenever its output does not reach far enough.
+    """Run a simulator over twice the time whenever its output does not reach far enough.
 
     Recorded output, which ends somewhere, is read as far as it is asked for.
 

@@ -165,7 +165,7 @@ class _Product:
 
 
 class _SumOfProducts(_Product):
-    """Emits products of rows, summed over lanes and over the first axis; `w` is b."""
+    """Emit products of rows, summed over lanes and over the first axis; `w` is b."""
 
     def emit(self) -> None:
         rows, columns = cgutils.unpack_tuple(self.builder, self.out.shape)
@@ -208,7 +208,7 @@ class _SumOfProducts(_Product):
             self.builder.store(self.builder.fadd(total, self.builder.load(target)), target)
 
     def total(self, vector: Any) -> Any:
-        """The sum of a vector, by halves."""
+        """Return the sum of a vector, by halves."""
         count = self.vector.count
         while count > 1:
             count //= 2

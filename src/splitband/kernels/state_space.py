@@ -1,4 +1,4 @@
-"""The rollout of a state-space network in innovations form, forward and backward, compiled.
+"""Roll out a state-space network in innovations form, forward and backward, compiled.
 
 With z_n = [x_n, 1, u_n], s_n = [u_{n-1}, x_n, 1], and u_0 in place of u_{-1},
 
@@ -134,7 +134,7 @@ class _Rollout(torch.autograd.Function):
 def _simulate(
     x0: Tensor, y_warmup: Tensor, u: Tensor, steps: int, weights: tuple[Tensor, ...], keep: bool
 ) -> tuple[Tensor, list[slice], list[Tensor]]:
-    """The samples, the rows of each job, and for each what the way back needs."""
+    """Return the samples, the rows of each job, and for each what the way back needs."""
     packed = _pack(*(array(w) for w in weights))
     batch, warmup, ny = y_warmup.shape
     last, width, hidden = warmup + steps - 1, packed[0].shape[1], packed[1].shape[1]
@@ -163,7 +163,7 @@ def _simulate(
 
 
 def _split(batch: int, few: bool, work: float) -> list[slice]:
-    """The rows of each job: one, or as many as suit the threads and the cache."""
+    """Return the rows of each job: one, or as many as suit the threads and the cache."""
     n = batch if few else max(len(split_rows(batch, work)), -(-batch // _MOST_LANES))
     return [slice(batch * i // n, batch * (i + 1) // n) for i in range(n)]
 
@@ -179,7 +179,7 @@ def _pack(
     bias_y: Array,
     gain: Array,
 ) -> tuple[Tensor, ...]:
-    """[F; A a B], W_f, [G; D C c], W_g, K, with the columns of z and of s."""
+    """Return [F; A a B], W_f, [G; D C c], W_g, K, with the columns of z and of s."""
     size, seen = gain.shape[0], weight_f.shape[1]
     f = np.concatenate([weight_f, weight_x[:, :seen]])
     g = np.concatenate([weight_g, weight_y[:, :seen]])
@@ -192,7 +192,7 @@ def _pack(
 
 
 def _unpack(size: int, dz: Array, dwx: Array, ds: Array, dwy: Array, dgain: Array) -> list[Tensor]:
-    """The gradients in the order and shapes of the weights."""
+    """Return the gradients in the order and shapes of the weights."""
     hidden, nu = dwx.shape[1], dz.shape[1] - size - 1
     f = np.concatenate([dz[:, :size], dz[:, size + 1 :]], axis=1)
     g = np.concatenate([ds[:, nu:-1], ds[:, :nu]], axis=1)

@@ -1,4 +1,4 @@
-"""The rollout of a state-space network with the rows of a batch as lanes of vectors.
+"""Roll out a state-space network with the rows of a batch as lanes of vectors.
 
 Each quantity is an array (quantities, rows). All z and s are views of one stream of such
 quantities, ..., u_{n-1}, x_n, 1, u_n, x_{n+1}, 1, ... See `state_space` for the formulas.
@@ -16,13 +16,13 @@ _GRADIENT_STEPS = 16
 
 
 def size_of_kept(slots: int, width: int, hidden: int, warm: int) -> int:
-    """How many quantities `forward` keeps of so many steps, and `warm` errors."""
+    """Return how many quantities `forward` keeps of so many steps, and `warm` errors."""
     return (slots + 1) * (width + 2 * hidden) + warm
 
 
 @part
 def _parts(kept: Array, width: int, hidden: int, warm: int) -> tuple[Array, Array, Array, Array]:
-    """The stream, the units of f and of g, and the errors of the warm-up."""
+    """Return the stream, the units of f and of g, and the errors of the warm-up."""
     slots, lanes = (len(kept) - warm) // (width + 2 * hidden), kept.shape[1]
     a, b = slots * width, slots * (width + hidden)
     c = b + slots * hidden
@@ -158,7 +158,7 @@ def backward(
 
 @part
 def _to_lanes(out: Array, values: Array) -> None:
-    """Lanes that are left over follow the last row, so that nothing overflows in them alone."""
+    """Copy rows to lanes; left-over lanes follow the last row, so that none overflows alone."""
     rows = len(values)
     for i in range(out.shape[1]):
         for j in range(out.shape[0]):

@@ -1,4 +1,4 @@
-"""The rollout of a state-space network for one row of a batch, with its quantities as lanes.
+"""Roll out a state-space network for one row of a batch, with its quantities as lanes.
 
 Row t + 1 of `xs` is z_t = [x_t, 1, u_t], padded; row 0 holds u_{-1}. In a free run nothing depends
 on the outputs, so that those of a chunk of samples are products of matrices, and the state equation
@@ -18,7 +18,7 @@ CHUNK = 64
 
 
 def size_of_kept(slots: int, width: int, hidden: int, warmup: int, ny: int) -> int:
-    """How many times `PAD` numbers `forward` keeps of so many samples."""
+    """Return how many times `PAD` numbers `forward` keeps of so many samples."""
     wide = (slots + 2) * padded(width) + 2 * slots * padded(hidden) + warmup * padded(ny)
     return wide // PAD
 
@@ -32,7 +32,7 @@ def _to_pad(n: int) -> int:
 def _parts(
     kept: Array, slots: int, width: int, hidden: int, shape: tuple[int, int]
 ) -> tuple[Array, Array, Array, Array]:
-    """All z, the units of f and of g, and the errors of the warm-up."""
+    """Return all z, the units of f and of g, and the errors of the warm-up."""
     flat, (warmup, ny) = kept.reshape(-1), shape
     width, hidden = -(-width // PAD) * PAD, -(-hidden // PAD) * PAD
     a = (slots + 2) * width
@@ -50,7 +50,7 @@ def _parts(
 
 @part
 def _wide(w: Array) -> Array:
-    """A copy whose rows are padded with zeros."""
+    """Return a copy whose rows are padded with zeros."""
     out = np.zeros((w.shape[0], _to_pad(w.shape[1])), w.dtype)
     copy(out, w)
     return out
@@ -117,7 +117,7 @@ def forward(
 
 @part
 def _units(g: Array, xs: Array, i: int, ones: int, of_x: Array, of_u: Array) -> None:
-    """The units of g for the samples from slot i on."""
+    """Return the units of g for the samples from slot i on."""
     matmul(g, xs[i + 1 : i + 1 + len(g), :ones], of_x, False)
     matmul(g, xs[i : i + len(g), ones : ones + len(of_u)], of_u, True)
     tanh_of(g.reshape(-1))

@@ -73,7 +73,7 @@ class Hybrid(Model):
 
 
 class SteppedFiltered(Stepped):
-    """Something slower in the low band, a network in the high band."""
+    """Step something slower in the low band, and a network in the high band."""
 
     def __init__(self, model: Any) -> None:
         super().__init__(model)
@@ -167,7 +167,7 @@ class Filtered(Hybrid):
 
 
 class SteppedResidual(Stepped):
-    """A network for what something slower leaves."""
+    """Step a network for what something slower leaves."""
 
     def __init__(self, model: Any) -> None:
         super().__init__(model)

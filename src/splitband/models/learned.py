@@ -40,7 +40,7 @@ LOW, HIGH = "low band", "high band"
 
 
 class SteppedRecurrent(Stepped):
-    """One network on the whole band."""
+    """Step one network on the whole band."""
 
     def __init__(self, model: Any) -> None:
         super().__init__(model)
@@ -84,7 +84,7 @@ class Recurrent(Model):
 
 
 class SteppedSplit(Stepped):
-    """Two networks, each on its band.
+    """Step two networks, each on its band.
 
     The slow one is a sample of its own ahead, between which and the one before the low band is
     interpolated. That needs no input to come, see `models.Split`.

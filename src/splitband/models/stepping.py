@@ -93,7 +93,7 @@ class Stepped(ABC):
 
 
 class SteppedCell:
-    """A cell with what it predicted last."""
+    """Step a cell, with what it predicted last."""
 
     def __init__(self, cell: Cell) -> None:
         self.cell = in_numpy(cell)

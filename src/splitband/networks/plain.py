@@ -102,7 +102,7 @@ class PlainStateSpace(NamedTuple):
 
 
 class TorchCell:
-    """A cell of the user's own, called through torch."""
+    """Call a cell of the user's own through torch."""
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell

@@ -1,4 +1,4 @@
-"""A state-space network in innovations form: a linear model with layers of tanh units beside it."""
+"""Define a state-space network in innovations form: a linear model and layers of tanh units."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ the cell begins as a linear model: without any, all units would begin alike. By 
 
 
 class StateSpace(Written, nn.Module):
-    """A linear state-space model with a layer of tanh units beside each of its equations.
+    """Add a layer of tanh units to each equation of a linear state-space model.
 
     x_{n+1} = A x_n + B u_n + f(x_n, u_n) + a + K e_n and y_{n+1} = C x_{n+1} + D u_n +
     g(x_{n+1}, u_n) + c, where u_n is the row of inputs that acts on the step from n to n + 1. A
@@ -94,7 +94,7 @@ class StateSpace(Written, nn.Module):
         self._begin()
 
     def sized(self, ny: int, nu: int, warmup: int) -> StateSpace:
-        """A new one with as many states, units and layers, for warm-ups of `warmup` samples."""
+        """Return a new one with as many states, units and layers, for such warm-ups."""
         encoded = min(warmup, MOST_ENCODED)
         return StateSpace(self.states, self.hidden, ny, nu, self.layers, encoded)
 
@@ -203,17 +203,17 @@ class StateSpace(Written, nn.Module):
         return nn.functional.linear(seen.flatten(1), self.first, self.first_bias)
 
     def step(self, h: Tensor, y: Tensor, u: Tensor | None = None) -> Tensor:
-        """One step of [x, the predicted y], shape `(batch, states + ny)`."""
+        """Take one step of [x, the predicted y], shape `(batch, states + ny)`."""
         x, predicted = h.split([self.states, self.ny], dim=-1)
         moved = _beside(self.f, self.transition, x, u)
         return self._with_output(moved + (y - predicted) @ self.gain.T, u)
 
     def observe(self, h: Tensor) -> Tensor:
-        """The predicted y."""
+        """Return the predicted y."""
         return h[:, self.states :]
 
     def fusable(self) -> bool:
-        """Whether the parts are what they were built as, with at most one layer of units."""
+        """Return whether the parts are what they were built as, with at most one layer of units."""
         kinds = (nn.Linear, nn.Tanh) if self.hidden else ()
         layers = [*self.f.children(), *self.g.children()]
         return len(self.f) == len(self.g) == len(kinds) and are_plain(
@@ -236,7 +236,7 @@ class StateSpace(Written, nn.Module):
         return plain.PlainStateSpace(f, g, *linear, gain, first, self.encoded)
 
     def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
-        """What `splitband.rollout` computes step by step, in one compiled call on the CPU."""
+        """Return what `splitband.rollout` computes, in one compiled call on the CPU."""
         from splitband.kernels import state_space_rollout  # noqa: PLC0415  numba loads on first use
 
         x0, none = self.first_state(y_warmup, u), self.gain.new_empty
@@ -247,7 +247,7 @@ class StateSpace(Written, nn.Module):
         return state_space_rollout(x0, y_warmup, steps, u, *weights)
 
     def _layers(self, width: int) -> nn.Sequential:
-        """The hidden layers of f or g."""
+        """Return the hidden layers of f or g."""
         layers: list[nn.Module] = []
         for i in range(self.layers if self.hidden else 0):
             layers += [nn.Linear(self.hidden if i else width, self.hidden), nn.Tanh()]
@@ -267,11 +267,11 @@ class StateSpace(Written, nn.Module):
             self.gain.copy_(_OBSERVED * a @ torch.linalg.pinv(c))
 
     def _with_output(self, x: Tensor, u: Tensor | None) -> Tensor:
-        """The state that is passed."""
+        """Return the state that is passed."""
         return torch.cat([x, _beside(self.g, self.observation, x, u)], dim=-1)
 
 
 def _beside(layers: nn.Sequential, out: nn.Linear, x: Tensor, u: Tensor | None) -> Tensor:
-    """A linear map of x and u, and the units that see both."""
+    """Return a linear map of x and u, and the units that see both."""
     seen = x if u is None else torch.cat([x, u], dim=-1)
     return out(torch.cat([seen, layers(seen)], dim=-1) if len(layers) else seen)

@@ -1,1 +1,1 @@
-"""Results as JSON and tables, and pictures of them."""
+"""Write results as JSON, tables, pictures and a page."""

@@ -1,4 +1,4 @@
-"""What comparisons of many records come to: a row each, and what all of them say."""
+"""Sum up comparisons of many records: a row each, and what all of them say."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pandas as pd
 
 @dataclass(frozen=True)
 class Row:
-    """What the comparison of one case came to.
+    """Hold what the comparison of one case came to.
 
     Errors are RMSE of the mean over seeds, as multiples of the standard deviation of the predicted
     samples: 1 is as good as their mean. Of several outputs it is the root mean square of theirs.
@@ -52,7 +52,7 @@ class Row:
 
     @property
     def regret(self) -> float | None:
-        """How many times the best method's error the recommended one has; 1 is ideal.
+        """Return how many times the best method's error the recommended one has; 1 is ideal.
 
         None where one is missing, or only the best one is 0.
         """
@@ -64,7 +64,7 @@ class Row:
 
     @classmethod
     def of(cls, name: str, facts: Mapping[str, Any]) -> Row:
-        """From what is in a comparison's results.json, and `seconds` beside it.
+        """Return the row of a comparison's results.json, with `seconds` beside it.
 
         Raises
         ------
@@ -90,7 +90,7 @@ class Row:
 
     @property
     def note(self) -> str:
-        """What stands in place of numbers that are missing."""
+        """Return what stands in place of numbers that are missing."""
         if self.failed:
             return f"failed: {self.failed}"
         if self.protocol == "test" and self.error is None:
@@ -98,7 +98,7 @@ class Row:
         return ""
 
     def as_json(self) -> dict[str, Any]:
-        """For results.json and a line of table.csv."""
+        """Return it for results.json and a line of table.csv."""
         return {**vars(self), "fit": self.fit, "regret": self.regret}
 
 
@@ -114,12 +114,12 @@ def _error(fits: Sequence[Mapping[str, Any]], method: str) -> float | None:
 
 
 def table(rows: Sequence[Row]) -> pd.DataFrame:
-    """A line for each case, as in table.csv."""
+    """Return a line for each case, as in table.csv."""
     return pd.DataFrame([row.as_json() for row in rows]).set_index("name")
 
 
 def summary(rows: Sequence[Row]) -> dict[str, Any]:
-    """Medians over all cases that have the number in question; None where none has."""
+    """Return medians over all cases that have the number in question; None where none has."""
     done = [row for row in rows if not row.failed]
     return {
         "cases": len(rows),

@@ -1,4 +1,4 @@
-"""The colour of each method: the same in every picture and every plot of the page."""
+"""Give each method a colour: the same in every picture and every plot of the page."""
 
 PALETTE = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#B27A00", "#6A3D9A",

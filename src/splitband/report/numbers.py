@@ -1,4 +1,4 @@
-"""Numbers as tables and sentences show them."""
+"""Write numbers as tables and sentences show them."""
 
 from __future__ import annotations
 

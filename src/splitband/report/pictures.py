@@ -1,4 +1,4 @@
-"""Pictures of comparisons and spectra; the only importer of matplotlib."""
+"""Draw pictures of comparisons and spectra; nothing else imports matplotlib."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def save(figure: Figure, path: str | Path) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Side:
-    """What is predicted in one panel.
+    """Say what is predicted in one panel.
 
     Attributes
     ----------
@@ -163,14 +163,14 @@ def _draw_small(ax: Axes, side: _Side, channel: int, name: str, color: str) -> N
 
 
 def forecast(result: Forecast) -> Figure:
-    """The end of a record and what comes after it."""
+    """Draw the end of a record and what comes after it."""
     return prediction(result.prediction, result.record, result.method)
 
 
 def prediction(
     predicted: Prediction, record: Record | None = None, method: str = "prediction"
 ) -> Figure:
-    """A prediction with its interval, after the end of a record if one is given."""
+    """Draw a prediction with its interval, after the end of a record if one is given."""
     figure = Figure(figsize=(11, 0.8 + 2.2 * len(predicted.columns)), layout="constrained")
     grid = figure.subplots(len(predicted.columns), 1, sharex=True, squeeze=False)[:, 0]
     ahead = _drawn(pd.Index(predicted.time))
@@ -204,7 +204,7 @@ def spectrum(
     cutoff: float | None,
     choice: Choice | None = None,
 ) -> Figure:
-    """The power spectral density of every channel with the cut-off marked.
+    """Draw the power spectral density of every channel with the cut-off marked.
 
     With a simulator, its spectrum beside them and the coherence of both below; with a `choice`,
     what each cut-off that was looked at would lose.
@@ -241,7 +241,7 @@ def spectrum(
 
 
 def _draw_choice(ax: Axes, choice: Choice) -> None:
-    """What each candidate would lose, and where the low band would not hold enough."""
+    """Draw what each candidate would lose, and where the low band would not hold enough."""
     for order in sorted({c.order for c in choice.candidates}):
         of_order = [c for c in choice.candidates if c.order == order]
         enough = [c.passed >= LEAST_PASSED or choice.simulator_helps is True for c in of_order]
@@ -273,12 +273,12 @@ def _draw_spectrum(ax: Axes, record: Record, spectrum: Spectrum) -> None:
 
 
 def literal(name: str) -> str:
-    """A user's name, whose dollar signs are not for formulas."""
+    """Return a user's name, whose dollar signs are not for formulas."""
     return name.replace("$", r"\$")
 
 
 def times_of(record: Record) -> npt.NDArray[Any]:
-    """What is drawn along the axis of time: the time stamps, or seconds from the beginning."""
+    """Return the axis of time: the time stamps, or seconds from the beginning."""
     return _drawn(pd.Index(record.stamps))
 
 

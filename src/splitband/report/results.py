@@ -1,4 +1,4 @@
-"""Results as JSON: every number with what is needed to make it again."""
+"""Write results as JSON: every number with what is needed to make it again."""
 
 from __future__ import annotations
 
@@ -217,7 +217,7 @@ def save_forecast(result: Forecast, folder: Path, usage: Usage | None = None) ->
 
 
 def forecast_facts(result: Forecast) -> dict[str, Any]:
-    """What `forecast` writes to results.json."""
+    """Return what `forecast` writes to results.json."""
     record, trial = result.record, result.trial
     return {
         "record": record.name,
@@ -239,7 +239,7 @@ def forecast_facts(result: Forecast) -> dict[str, Any]:
 
 
 def environment() -> dict[str, Any]:
-    """Versions, machine and, in a checkout, the commit."""
+    """Return versions, machine and, in a checkout, the commit."""
     packages = ("splitband", "torch", "numpy", "scipy", "numba")
     return {
         "versions": {"python": platform.python_version()} | {p: version(p) for p in packages},
@@ -259,7 +259,7 @@ def _test_facts(comparison: Comparison) -> list[dict[str, Any]]:
 
 
 def _interval(comparison: Comparison, name: str) -> dict[str, Any]:
-    """The forecast's interval, and how many of the measured samples it really holds."""
+    """Return the forecast's interval, and how many of the measured samples it really holds."""
     interval = comparison.require_trial().intervals[name]
     ahead = len(comparison.means[name].ahead)
     if not ahead:
@@ -305,7 +305,7 @@ def _method(runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def _commit() -> str | None:
-    """The commit of the checkout that the package runs from, if it runs from one."""
+    """Return the commit of the checkout that the package runs from, if it runs from one."""
     folder = Path(__file__).resolve().parent
     package = folder.parent
     if not (package.parents[1] / ".git").exists():

@@ -1,4 +1,4 @@
-"""The table of a comparison: one list of columns that every renderer shows.
+"""Make the table of a comparison: one list of columns that every renderer shows.
 
 The command line, the page, results.json and `Comparison.table` all read it, so that they agree.
 """
@@ -51,7 +51,7 @@ NOTES = {
 
 @dataclass(frozen=True)
 class Column:
-    """A column: a number for each method, of one channel or of all.
+    """Hold a column: a number for each method, of one channel or of all.
 
     Attributes
     ----------
@@ -76,24 +76,24 @@ class Column:
 
     @property
     def title(self) -> str:
-        """The heading with the test record and the channel."""
+        """Return the heading with the test record and the channel."""
         what = f"{self.heading} {self.record}" if self.record else self.heading
         return f"{what}, {self.channel}" if self.channel else what
 
     @property
     def note(self) -> str:
-        """What it means."""
+        """Return what it means."""
         return NOTES[self.heading]
 
     @property
     def label(self) -> str:
-        """The title with the unit, unless the channel's name says it."""
+        """Return the title with the unit, unless the channel's name says it."""
         said = self.measure and self.unit == "record" and not self.channel
         return f"{self.title} ({self.measure})" if said else self.title
 
     @property
     def best(self) -> str:
-        """The best method; empty where numbers are not ranked."""
+        """Return the best method; empty where numbers are not ranked."""
         known = {name: value for name, value in self.values.items() if value == value}  # noqa: PLR0124
         if not (known and self.ranked):
             return ""

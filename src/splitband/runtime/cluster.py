@@ -149,7 +149,7 @@ class Cluster(Workers):
 
 
 async def _is_scheduler(address: str) -> bool:
-    """Whether one answers; a client would wait for ever for what is none."""
+    """Return whether a scheduler answers; a client would wait for ever for what is none."""
     from distributed.comm.core import connect  # noqa: PLC0415
     from distributed.core import send_recv  # noqa: PLC0415
     from distributed.security import Security  # noqa: PLC0415
@@ -190,7 +190,7 @@ def _difference(here: Mapping[str, str | None], there: Mapping[str, str | None])
 
 
 class _ToScheduler:
-    """Reports of one job, through the scheduler to whoever has subscribed to the topic."""
+    """Send reports of one job through the scheduler to whoever has subscribed to the topic."""
 
     def __init__(self, topic: str) -> None:
         self._topic, self._next = topic, 0.0

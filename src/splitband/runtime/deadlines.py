@@ -18,7 +18,7 @@ def now() -> float:
 
 
 class OverError(Exception):
-    """The time of a job is over, and it has nothing to hand out."""
+    """Report that the time of a job is over, and that it has nothing to hand out."""
 
     def __init__(self) -> None:
         super().__init__("the time was over before its fit was done")
@@ -40,7 +40,7 @@ def process_began() -> float:
 
 @dataclass(frozen=True, order=True)
 class Deadline:
-    """A time at which work has to end with what there is; by default never.
+    """Say when work has to end with what there is; by default never.
 
     `at`: by the clock of `now`, in s.
     """

@@ -1,4 +1,4 @@
-"""Jobs given to an executor, whichever it is, and what they report on their way."""
+"""Give jobs to an executor, whichever it is, and hear what they report on their way."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options: what a constructor takes, kept under attributes of the same names.
+"""Keep options: what a constructor takes, under attributes of the same names.
 
 Where such an attribute is a property, because it says more than was given, as a derived `name`
 does, the value given is kept with an underscore before its name.
@@ -30,7 +30,7 @@ def saved(kind: Kind) -> Kind:
 
 
 class Written:
-    """Something whose `repr` is the Python that makes it, with `sb` for the package."""
+    """Define a `repr` that is the Python that makes an object, with `sb` for the package."""
 
     def __repr__(self) -> str:
         return expression(self)
@@ -102,7 +102,7 @@ def _call(value: object) -> str:
 
 
 def _parameters(value: object) -> list[inspect.Parameter]:
-    """The constructor's; fields of a dataclass that its `repr` leaves out are none of them."""
+    """Return the constructor's parameters, without fields that a dataclass's `repr` leaves out."""
     left = {f.name for f in fields(value) if not f.repr} if is_dataclass(value) else set()
     if type(value).__init__ is object.__init__:
         return []
@@ -110,12 +110,12 @@ def _parameters(value: object) -> list[inspect.Parameter]:
 
 
 def _is_own(value: object) -> bool:
-    """Whether it is a cell of the user's own."""
+    """Return whether it is a cell of the user's own."""
     return callable(getattr(value, "sized", None)) and not isinstance(value, type)
 
 
 def _same(value: Any, other: Any) -> bool:
-    """Whether two options are equal; False for what cannot be compared at once, such as arrays."""
+    """Return whether two options are equal; False where they cannot be compared, as arrays."""
     try:
         return value is other or (type(value) is type(other) and bool(value == other))
     except (TypeError, ValueError):

@@ -157,7 +157,7 @@ def _to_parent(message: Any) -> bool:
 
 @contextlib.contextmanager
 def _no_interrupts() -> Iterator[None]:
-    """A process begun in here does not hear Ctrl-C, not even while it imports; it inherits that."""
+    """Keep Ctrl-C from processes that begin in here, even while they import; they inherit it."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

@@ -34,7 +34,7 @@ def one_thread() -> Iterator[None]:
 
 
 class _OneBlasThread:
-    """BLAS has one count for the whole process: the last to leave restores the first one's."""
+    """Hold BLAS to one thread, whose count is the process's: the last to leave restores it."""
 
     def __init__(self) -> None:
         self._lock, self._inside = threading.Lock(), 0
@@ -60,7 +60,7 @@ class _OneBlasThread:
 
 
 def _let_this_thread_set_blas() -> None:
-    """Later versions of threadpoolctl ignore, without a word, all threads but the first one."""
+    """Let this thread set BLAS's count: later threadpoolctl ignores all but the first one."""
     clear = getattr(threadpoolctl.OpenBLASController, "clear_controlling_thread", None)
     if clear is not None:
         clear(force=True)
@@ -93,12 +93,12 @@ def drawn_from(seed: int) -> Iterator[None]:
 
 @contextmanager
 def without_warnings(category: type[Warning]) -> Iterator[None]:
-    """Without warnings of a kind; one thread at a time, as the filters are those of the process."""
+    """Silence warnings of a kind; one thread at a time, as the filters are the process's."""
     with _WARNING, warnings.catch_warnings():
         warnings.simplefilter("ignore", category)
         yield
 
 
 def available_cores() -> int:
-    """Cores this process may run on."""
+    """Return cores this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -34,7 +34,7 @@ FLAGS = {"isnan", "lt", "gt", "le", "ge", "eq", "and", "or", "not"}
 
 @dataclass(eq=False)
 class Node:
-    """An operation of a graph.
+    """Hold an operation of a graph.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Node:
 
 @dataclass(eq=False)
 class Block:
-    """Operations in their order, with what goes in and what comes out."""
+    """Hold operations in their order, with what goes in and what comes out."""
 
     inputs: list[Symbol] = field(default_factory=list)
     nodes: list[Node] = field(default_factory=list)
@@ -63,7 +63,7 @@ class Block:
 
 
 class Trace:
-    """Where the operations on symbols are recorded."""
+    """Record the operations on symbols."""
 
     def __init__(self) -> None:
         self.blocks = [Block()]

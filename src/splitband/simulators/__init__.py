@@ -1,4 +1,4 @@
-"""Black-box simulators: recorded, function, ODE, FMU, in a process of their own; calibration."""
+"""Run black-box simulators: recorded, function, ODE, FMU, isolated; calibrate them."""
 
 from splitband.simulators.base import Simulator, SimulatorError, SimulatorTimeoutError, run, within
 from splitband.simulators.estimate import Estimate

@@ -1,4 +1,4 @@
-"""A simulator whose parameters have been fitted: it runs from the state that a history tells."""
+"""Run a simulator with fitted parameters, from the state that a history tells."""
 
 from __future__ import annotations
 

@@ -23,18 +23,18 @@ from splitband.simulators.recorded import Recorded
 
 
 class SimulatorError(RuntimeError):
-    """A simulator has failed; the message says why."""
+    """Report that a simulator has failed; the message says why."""
 
 
 class SimulatorTimeoutError(TimeoutError):
-    """A simulator has not returned in time."""
+    """Report that a simulator has not returned in time."""
 
 
 class Simulator(Protocol):
     """Define the method that `run` calls on a simulator."""
 
     def simulate(self, time: Array) -> npt.ArrayLike:
-        """The measured channels at the evenly spaced `time` in s: `(time,)` or `(time, ny)`.
+        """Return the measured channels at the evenly spaced `time` in s: `(time,)` or `(time, ny)`.
 
         `time` is the record's own, see `run`. An initial state is that of its first sample.
         """

@@ -17,7 +17,7 @@ from splitband.simulators.sources import code_digest, count_arguments
 
 
 class UserCode(Written):
-    """A dataclass with code of the user's and a field `parameters`."""
+    """Define a dataclass with code of the user's and a field `parameters`."""
 
     parameters: Given | None
 

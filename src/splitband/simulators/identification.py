@@ -58,7 +58,7 @@ _WORTH_WINDOWS = 0.3
 
 @dataclass(frozen=True)
 class StartOutcome:
-    """What one starting point has led to.
+    """Say what one starting point has led to.
 
     Attributes
     ----------
@@ -352,7 +352,7 @@ def _alternatives(
 
 @dataclass(frozen=True)
 class _Kept:
-    """What an earlier fit of the same has come to, in a file."""
+    """Keep what an earlier fit of the same has come to, in a file."""
 
     path: Path | None
     key: str

@@ -1,4 +1,4 @@
-"""A user's own simulator in a process of its own: it may hang or crash, and this one goes on.
+"""Run a user's own simulator in a process of its own: it may hang or crash, this one goes on.
 
 `python -m splitband.simulators.isolation FOLDER` is that process. What to run and for which times
 lies in the folder, and what comes of it goes there.

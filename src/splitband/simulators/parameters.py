@@ -1,4 +1,4 @@
-"""Parameters of a simulator: numbers that are set, and ranges in which they are fitted."""
+"""Hold a simulator's parameters: numbers that are set, ranges in which they are fitted."""
 
 from __future__ import annotations
 

@@ -40,29 +40,29 @@ class Adjustable(Protocol):
 
     @property
     def known(self) -> Parameters:
-        """Its parameters."""
+        """Return its parameters."""
 
     def fixed(self, values: Mapping[str, float]) -> Any:
-        """The simulator with these values of parameters."""
+        """Return the simulator with these values of parameters."""
 
     def precise(self) -> Any:
-        """The simulator as it is for the last steps of a fit, and for standard errors."""
+        """Return the simulator as it is for the last steps of a fit, and for standard errors."""
 
     def digest(self) -> str:
-        """What its response depends on besides the parameters' values."""
+        """Return what its response depends on besides the parameters' values."""
 
     @property
     def states(self) -> int:
-        """The number of states from which it can be begun; 0 for a black box."""
+        """Return the number of states from which it can be begun; 0 for a black box."""
 
     @property
     def difference(self) -> float:
-        """The step of finite differences, as a share of a parameter's range."""
+        """Return the step of finite differences, as a share of a parameter's range."""
 
     def respond(
         self, time: Array, u: Array | None, points: Sequence[Point]
     ) -> Sequence[tuple[Array, Array]]:
-        """The channels `(time, ny)` and the states `(time, nx)` at several neighbouring points.
+        """Return channels `(time, ny)` and states `(time, nx)` at several neighbouring points.
 
         A point has the values of all parameters, and the first state, or None for the usual one.
         """

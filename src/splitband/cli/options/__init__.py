@@ -1,1 +1,1 @@
-"""Options that several commands share, each written down once, and what they default to."""
+"""Define options that several commands share, each once, and what they default to."""

@@ -1,4 +1,4 @@
-"""Options, and groups of them as parameters of a command."""
+"""Make groups of options parameters of a command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options that say what models are made of, how they are trained, and on what."""
+"""Define options that say what models are made of, how they are trained, and on what."""
 
 from __future__ import annotations
 
@@ -50,6 +50,14 @@ Conditioned = Annotated[
     bool, _filter("Give networks the slow band as an input.", None, True, "--conditioned")
 ]
 Epochs = Annotated[int | None, _training("Passes over all windows.", "N", "about 1,000 steps")]
+Methods = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAMES",
+        help="Methods, separated by commas; see splitband methods.",
+        show_default="what suits the record",
+    ),
+]
 Seeds = Annotated[
     int | None, _training("Trainings of each network, averaged.", "N", "1 to 8", min=1)
 ]
@@ -67,7 +75,7 @@ Cluster = Annotated[
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """Filters, networks and their training."""
+    """Hold the options of filters, networks and their training."""
 
     cutoff: Cutoff = None
     order: Order = None

@@ -1,4 +1,4 @@
-"""Options that say which records there are, and how their files are read."""
+"""Define options that say which records there are, and how their files are read."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ FutureInputs = Annotated[
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """How files are read."""
+    """Say how files are read."""
 
     columns: Annotated[
         str | None, _record("Measured columns, by name or position.", "NAMES", "all numeric")
@@ -61,7 +61,7 @@ class RecordOptions:
 
 @dataclass(frozen=True)
 class FurtherRecords:
-    """Other records of the same system, to train on."""
+    """Name other records of the same system, to train on."""
 
     more: Annotated[
         list[str] | None,
@@ -74,7 +74,7 @@ class FurtherRecords:
 
 @dataclass(frozen=True)
 class TestRecords:
-    """Other records of the same system, to test on."""
+    """Name other records of the same system, to test on."""
 
     __test__ = False  # for pytest, it is no test
 

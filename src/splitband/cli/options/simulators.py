@@ -1,4 +1,4 @@
-"""Options that say which simulators there are, and how they are run."""
+"""Define options that say which simulators there are, and how they are run."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Calibrate = Annotated[
 
 @dataclass(frozen=True)
 class SimulatorOptions:
-    """Which simulator stands beside the record, and how it is run."""
+    """Say which simulator stands beside the record, and how it is run."""
 
     simulator: Annotated[
         str | None, _simulator(_SIMULATOR, "FILE|NAME", "a named record's own")
@@ -59,7 +59,7 @@ class SimulatorOptions:
 
 @dataclass(frozen=True)
 class SimulatorOrBaseOptions(SimulatorOptions):
-    """The same for commands that also put what is fitted to the record in a simulator's place."""
+    """Say the same where what is fitted to the record may stand in a simulator's place, too."""
 
     simulator: Annotated[
         str | None,

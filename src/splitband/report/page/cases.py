@@ -1,4 +1,4 @@
-"""The page of many comparisons."""
+"""Make the page of many comparisons."""
 
 from __future__ import annotations
 

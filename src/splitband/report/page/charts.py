@@ -1,4 +1,4 @@
-"""Charts of Bokeh as the page has them; their colours are set by its script, light or dark."""
+"""Draw charts by Bokeh for the page, whose script sets their colours, light or dark."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ _DASHES = "dashed", "dotted", "dashdot"
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """What charts over the same axis share; they zoom together.
+    """Hold what charts over the same axis share; they zoom together.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ def _range(low: float, high: float, name: str = "") -> Range1d:
 
 
 class Chart:
-    """A chart with its curves, without anything to click that a reader does not need.
+    """Draw a chart with its curves, without anything to click that a reader does not need.
 
     Names are of the user: they are not looked through for formulas, which would be loaded.
 

@@ -1,4 +1,4 @@
-"""The page of a check, and what the page of a comparison shows of one."""
+"""Make the page of a check, and what the page of a comparison shows of one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plots over frequency and over epochs: power, coherence, training losses."""
+"""Plot over frequency and over epochs: power, coherence, training losses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A page as one file: text, style, script and plots, so that it needs no network."""
+"""Write a page as one file: text, style, script and plots, so that it needs no network."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _write(page: Page, path: str | Path) -> None:
 
 
 def html(page: Page) -> str:
-    """The whole file."""
+    """Return the whole file."""
     plots = page.plots
     return _template().render(
         page=page,
@@ -70,7 +70,7 @@ def html(page: Page) -> str:
 
 
 def _embedded(plots: list[Plot]) -> str:
-    """The plots as JSON, in one document so that their ranges are shared, safe inside a script."""
+    """Return the plots as JSON, in one document, whose ranges are shared, safe inside a script."""
     document = Document()
     with document.models.freeze():  # once for all of them, or it takes long
         for plot in plots:
@@ -100,6 +100,6 @@ def _part(name: str) -> str:
 
 @cache
 def _library() -> str:
-    """The script that draws: the core of Bokeh alone, without widgets, tables and formulas."""
+    """Return the script that draws: the core of Bokeh, without widgets, tables and formulas."""
     folder = Path(bokeh.__file__).parent / "server" / "static" / "js"
     return (folder / "bokeh.min.js").read_text(encoding="utf-8").replace("</script", "<\\/script")

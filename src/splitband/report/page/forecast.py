@@ -1,4 +1,4 @@
-"""The page of a forecast."""
+"""Make the page of a forecast."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page is made of; the template draws it."""
+"""Define what a page is made of; the template draws it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from splitband.report.colors import PALETTE
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell of a table: what it says, and what it is sorted by.
+    """Hold a cell of a table: what it says, and what it is sorted by.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A table that readers sort.
+    """Hold a table that readers sort.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Table:
 
     @property
     def numeric(self) -> list[bool]:
-        """Which columns hold numbers, and stand on the right."""
+        """Return which columns hold numbers, and stand on the right."""
         return [
             any(row[i].value is not None for row in self.rows) for i in range(len(self.columns))
         ]
@@ -60,7 +60,7 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """A plot, and what it shows in words.
+    """Hold a plot, and what it shows in words.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Plot:
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """A part of the page with a heading.
+    """Hold a part of the page with a heading.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Method:
-    """A method that readers switch on and off; the recommended one is drawn at first.
+    """Describe a method that readers switch on and off; the recommended one is on at first.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ def method_styles(names: Sequence[str], recommended: str) -> dict[str, Method]:
 
 @dataclass(frozen=True)
 class View:
-    """A part of the time axis that a button shows."""
+    """Describe a part of the time axis that a button shows."""
 
     label: str
     start: float
@@ -144,7 +144,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """A page.
+    """Hold a page.
 
     Attributes
     ----------
@@ -162,13 +162,13 @@ class Page:
 
     @property
     def plots(self) -> list[Plot]:
-        """All of them."""
+        """Return all plots."""
         return [plot for section in self.sections for plot in section.plots]
 
 
 @dataclass(frozen=True)
 class Usage:
-    """What only the caller knows of how a result was asked for.
+    """Hold what only the caller knows of how a result was asked for.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Plots over time: what was measured against what was predicted, residuals, inputs, components."""
+"""Plot over time what was measured and predicted, residuals, inputs, components."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables of the page."""
+"""Make the tables of the page."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _of_columns(
 
 
 def attempts(tried: Sequence[SearchAttempt]) -> Table:
-    """How networks were trained to find out how to train them."""
+    """Return the table of how networks were trained to find out how to train them."""
     rows = [
         [
             Cell(each.method),
@@ -102,7 +102,7 @@ def settings(facts: list[tuple[str, str]], used: Usage) -> Section:
 
 
 def flat(facts: Mapping[str, object], before: str = "") -> list[tuple[str, str]]:
-    """Nested facts as pairs of a name and a text, without those that are not there."""
+    """Return nested facts as pairs of a name and a text, without those that are not there."""
     pairs: list[tuple[str, str]] = []
     for name, value in facts.items():
         if isinstance(value, Mapping):

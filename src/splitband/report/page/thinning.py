@@ -1,4 +1,4 @@
-"""Long curves with fewer points, none of whose peaks is lost."""
+"""Thin long curves out without losing a peak."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the page says in sentences."""
+"""Say in sentences what the page says."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def _hindsight(best: str, fits: Sequence[Column]) -> list[str]:
 
 
 def doubts(comparison: Comparison) -> list[str]:
-    """What methods themselves have to say against their forecasts, each thing once."""
+    """Return what methods themselves have to say against their forecasts, each thing once."""
     said: dict[str, list[str]] = {}
     for name, mean in comparison.means.items():
         for doubt in () if mean.forecast is None else mean.forecast.doubts:
@@ -137,7 +137,7 @@ def doubts(comparison: Comparison) -> list[str]:
 
 
 def warnings(comparison: Comparison) -> list[str]:
-    """What readers should know before they rely on the numbers."""
+    """Return what readers should know before they rely on the numbers."""
     best, record = comparison.recommended, comparison.record
     said = [
         f"{best}: {leaving(min(left))}"
@@ -170,7 +170,7 @@ def warnings(comparison: Comparison) -> list[str]:
 
 
 def of_inputs(beyond: list[Extrapolation], record: Record) -> list[str]:
-    """Which inputs go beyond those that were trained on."""
+    """Return which inputs go beyond those that were trained on."""
     return [
         each.describe(record.inputs[each.channel] if each.channel < record.nu else "")
         for each in beyond
@@ -178,7 +178,7 @@ def of_inputs(beyond: list[Extrapolation], record: Record) -> list[str]:
 
 
 def of_gaps(record: Record) -> list[str]:
-    """What was not measured."""
+    """Return what was not measured."""
     missing = int((~record.complete).sum())
     if not missing:
         return []
