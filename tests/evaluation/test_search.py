@@ -117,6 +117,30 @@ def test_a_network_with_inputs_begins_as_the_linear_model_and_from_random_weight
     assert any("from random weights" in training for training in others)
 
 
+def test_what_has_helped_alone_is_tried_together() -> None:
+    network = Options().decided(driven(), TRAIN).forecaster("state-space").network
+    assert network is not None
+    usual, *others = candidates.candidates(network, driven())
+    (larger,) = [c for c in others if "6 states" in c.label]
+    (random,) = [c for c in others if "random" in c.label]
+    both = candidates.combined(usual, larger, random)
+    assert both is not None
+    assert both.network.get_params()["cell"] == larger.network.get_params()["cell"]
+    assert both.settings == random.settings
+    assert candidates.combined(usual, larger, larger) is None
+
+
+def test_windows_that_are_one_on_the_shorter_record_of_a_trial_are_tried_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # A window of 160 samples of 400 becomes one of 150 samples of the first 300.
+    monkeypatch.setattr(candidates, "FREE_RUNS", (50, 100))
+    wave = sb.Record(np.sin(np.arange(400.0)), 1.0)
+    network = sb.Single(sb.GRU(4), Settings.of(400)).network
+    found = candidates.candidates(network, wave)
+    assert {c.settings.window for c in found if c.trained} == {100, 150}
+
+
 def test_a_training_goes_on_from_where_it_stopped() -> None:
     """From round to round, and from the held-out trial to all samples, each seed from its own."""
     searched = of_driven()

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from torch import Tensor
 
 from splitband.data import Record
-from splitband.forecasters.backtest import Backtest
+from splitband.forecasters.backtest import Backtest, for_trial
 from splitband.forecasters.beginning import Earlier
 from splitband.forecasters.network import Network
 from splitband.training import Settings
@@ -76,6 +77,31 @@ class Candidate:
         began_as = self.began_as or self.label
         return replace(self, network=network, rung=self.rung + 1, done={}, began_as=began_as)
 
+    def options(self) -> dict[str, Any]:
+        """Return all in which candidates of a method differ: cells, and how they are trained."""
+        return {**self.network.get_params(), **vars(self.settings)}
+
+
+def combined(first: Candidate, one: Candidate, other: Candidate) -> Candidate | None:
+    """Return the candidate that differs from the first one as both others do.
+
+    None where they differ from it in the same option.
+    """
+    usual = {name: str(value) for name, value in first.options().items()}
+    ours, theirs = (
+        {name: value for name, value in each.options().items() if str(value) != usual[name]}
+        for each in (one, other)
+    )
+    ours.pop("settings", None)
+    theirs.pop("settings", None)
+    if not theirs or ours.keys() & theirs.keys():
+        return None
+    of_training = {name: value for name, value in theirs.items() if name in vars(one.settings)}
+    of_network = {name: value for name, value in theirs.items() if name not in of_training}
+    network = one.network.clone().set_params(**of_network)
+    network = network.trained_as(replace(one.settings, **of_training))
+    return replace(first, network=network, rung=max(one.rung, other.rung), score=None, done={})
+
 
 def candidates(forecaster: Network, record: Record) -> list[Candidate]:
     """Return ways to train a network on a record, the most promising one first.
@@ -110,4 +136,7 @@ def candidates(forecaster: Network, record: Record) -> list[Candidate]:
         every += [(other, replace(settings[0], penalty=PENALTIES[0])) for other in sizes[-1:]]
         found = [Candidate(forecaster.name, size.trained_as(usual))]
     found += [Candidate(forecaster.name, n.trained_as(how), rung) for n, how in every]
-    return [*{candidate.label: candidate for candidate in found}.values()]
+    distinct: dict[str, Candidate] = {}
+    for candidate in found:  # windows that differ may be one on the shorter record of a trial
+        distinct.setdefault(for_trial(candidate.network, samples).training_in_words(), candidate)
+    return [*distinct.values()]

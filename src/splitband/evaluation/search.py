@@ -164,8 +164,12 @@ def search(
     ladder = trials.run(first[:1], 1.0) + trials.run(first[1:], FIRST_ROUND if rest else 1.0)
     # Of the others those first that have not been tried at all.
     quickest = [sorted(each, key=trials.cost) for each in rest]
-    others_first = [c for turn in zip_longest(*quickest) for c in turn if c]
-    ladder += trials.run(others_first, FIRST_ROUND + OF_OTHERS)
+    ladder += trials.run([each[0] for each in quickest], FIRST_ROUND + OF_OTHERS)
+    promising = [each[1:] for each in quickest if trials.promising(each[0].method)]
+    others_first = [c for turn in zip_longest(*promising) for c in turn if c]
+    # What has helped alone may help together.
+    together = trials.combinations(first[0])
+    ladder += trials.run(together + others_first, FIRST_ROUND + OF_OTHERS)
     while ladder:
         ladder = trials.run([c for each in trials.promoted(ladder) if (c := each.longer())], 1.0)
     best = {f.name: runs for f in tunable if (runs := trials.best(f.name))}

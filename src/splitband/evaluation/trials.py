@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from splitband.data import Record
 from splitband.evaluation.budget import ONE
-from splitband.evaluation.candidates import SHORT, Candidate
+from splitband.evaluation.candidates import SHORT, Candidate, combined
 from splitband.evaluation.costs import training_cost
 from splitband.evaluation.jobs import failed_seeds, run_all
 from splitband.evaluation.work import Work
@@ -163,10 +163,32 @@ class Trials:
 
     def promoted(self, last: Sequence[Candidate]) -> list[Candidate]:
         """Return those that go on: the better ones of a round, the best one first."""
-        lowest = min((c.score for c in self.tried if c.score is not None), default=0.0)
         able = sorted([c for c in last if c.score is not None], key=lambda c: c.score or 0.0)
         able = able[: math.ceil(KEPT * len(able))]
-        return [c for c in able if c.rung >= 0 and (c.score or 0.0) <= MAX_ERROR_RATIO * lowest]
+        return [c for c in able if c.rung >= 0 and self._competes(c)]
+
+    def promising(self, method: str) -> bool:
+        """Return whether a method deserves more than one candidate."""
+        tried = [c for c in self.tried if c.method == method]
+        return not tried or any(map(self._competes, tried))
+
+    def _competes(self, candidate: Candidate) -> bool:
+        lowest = min((c.score for c in self.tried if c.score is not None), default=0.0)
+        return candidate.score is not None and candidate.score <= MAX_ERROR_RATIO * lowest
+
+    def combinations(self, first: Candidate) -> list[Candidate]:
+        """Return the best candidate of a method together with what else was better than the first.
+
+        Each candidate of the first round differs from the first one in one thing.
+        """
+        tried = {c.label: c for c in self.tried if c.method == first.method and c.score is not None}
+        usual = tried.get(first.label)
+        if usual is None:
+            return []
+        better = [c for c in tried.values() if (c.score or 0.0) < (usual.score or 0.0)]
+        best, *others = sorted(better, key=lambda c: c.score or 0.0) or [usual]
+        found = (combined(usual, best, other) for other in others)
+        return [c for c in found if c is not None]
 
     def best(self, method: str) -> list[TrialRun]:
         """Return the trainings of a method whose mean is handed out, the best one first.
