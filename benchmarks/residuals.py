@@ -18,7 +18,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from splitband import Linear, Record
-from splitband.forecasters.checking import WARMUP, ResidualTests, residual_tests
+from splitband.forecasters.checking import WARMUP
+from splitband.forecasters.residuals import ResidualTests, residual_tests
 
 SEEDS, CHECKED, NOISE = 100, 1000, 0.1
 POLES = 0.9 * np.exp(1j * np.array([0.3, -0.3]))
@@ -36,7 +37,7 @@ def record(seed: int, samples: int) -> Record:
 def tested(seed: int, order: int, fitted: int) -> tuple[ResidualTests, ResidualTests]:
     """Return the tests of a model of an order: on the samples it was fitted to, and on others."""
     whole = record(seed, fitted + CHECKED)
-    with patch("splitband.baselines.linear.ORDERS", (order,)):
+    with patch("splitband.baselines.channel.ORDERS", (order,)):
         model = Linear().fit(whole[:fitted])
     return _tests(model, whole[:fitted]), _tests(model, whole[fitted:])
 

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import splitband as sb
-from splitband.baselines import linear
-from splitband.baselines.linear import OutputError, _stable
+from splitband.baselines import channel
+from splitband.baselines.channel import stable
+from splitband.baselines.linear import OutputError
 from splitband.runtime.deadlines import Deadline, within
 
 Array = npt.NDArray[np.float64]
@@ -65,7 +66,7 @@ def test_more_poles_are_taken_only_where_they_pay(
     monkeypatch: pytest.MonkeyPatch, of_two: list[float], poles: int
 ) -> None:
     errors = {2: np.array(of_two)}
-    monkeypatch.setattr(linear, "_held_out", lambda parts, order: errors.get(order, np.ones(6)))
+    monkeypatch.setattr(channel, "_held_out", lambda parts, order: errors.get(order, np.ones(6)))
     u = inputs()
     found = OutputError.fit(oscillators(u)[:TRAIN, :1], u[:TRAIN])
     assert len(found.channels[0].a) - 1 == poles
@@ -120,26 +121,26 @@ def test_an_input_that_was_stronger_before_still_counts() -> None:
 @given(poles=st.lists(st.floats(0, 5), min_size=1, max_size=4), angle=st.floats(0.1, 3))
 def test_no_pole_stays_outside_of_the_unit_circle(poles: list[float], angle: float) -> None:
     pair = np.array(poles) * np.exp(1j * angle)
-    found = np.roots(_stable(polynomial([*pair, *pair.conj()])))
+    found = np.roots(stable(polynomial([*pair, *pair.conj()])))
     assert (abs(found) <= 1).all()
 
 
 @pytest.mark.parametrize("radius", [0.5, 0.9, 1.05, 1.5, 4.0])
 def test_a_pole_and_its_mirror_image_have_one_angle_and_inverse_radii(radius: float) -> None:
     inside = min(radius, 1 / radius)
-    found = _stable(polynomial([radius * np.exp(0.7j), radius * np.exp(-0.7j), 0.3]))
+    found = stable(polynomial([radius * np.exp(0.7j), radius * np.exp(-0.7j), 0.3]))
     expected = polynomial([inside * np.exp(0.7j), inside * np.exp(-0.7j), 0.3])
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
 
 
 @pytest.mark.parametrize("poles", [[1.0001] * 8, [1.00001] * 6, np.linspace(1, 1.01, 8)])
 def test_poles_close_to_each_other_come_inside_too(poles: npt.ArrayLike) -> None:
-    assert (abs(np.roots(_stable(polynomial(poles)))) <= 1).all()
+    assert (abs(np.roots(stable(polynomial(poles)))) <= 1).all()
 
 
 def test_a_stable_denominator_stays() -> None:
     a = polynomial([0.5, -0.9, 0.99])
-    np.testing.assert_array_equal(_stable(a), a)
+    np.testing.assert_array_equal(stable(a), a)
 
 
 @settings(max_examples=settings().max_examples // 6)

@@ -90,7 +90,7 @@ def test_what_would_not_fit_into_memory_is_refused_before_it_is_read(
         case _:
             scipy.io.savemat(path, {"y": values}, do_compression=True)
     assert len(read(path, sampling_time=1)) == 1000
-    monkeypatch.setattr("splitband.data.reading.MOST_BYTES", 15_000)
+    monkeypatch.setattr("splitband.data.tables.MOST_BYTES", 15_000)
     assert "it would take" in message(path, sampling_time=1)
 
 

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from splitband.baselines.linear import Channel, OutputError
+from splitband.baselines.channel import Channel
+from splitband.baselines.linear import OutputError
 from splitband.runtime.arrays import Array
 
 _FASTEST, _SLOWEST = 0.5, 0.95

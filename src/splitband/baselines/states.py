@@ -1,6 +1,6 @@
 """Estimate the initial state of a linear model from a history and the states in training.
 
-The state is written as the polynomial C of `baselines.linear`, `(n,)`: without inputs the output
+The state is written as the polynomial C of `baselines.channel`, `(n,)`: without inputs the output
 is C / A. It is what `scipy.signal.lfilter` calls `zi`.
 """
 

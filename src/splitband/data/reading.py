@@ -1,39 +1,27 @@
-"""Read records from common file formats, with pandas and SciPy."""
+"""Read records from tables: choose the columns, find the time stamps, check every cell."""
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import warnings
-import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from io import BufferedReader
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
-import pyarrow.parquet  # type: ignore[import-untyped]
-import scipy
 from numpy.typing import NDArray
 from pandas.api.types import is_numeric_dtype
 
 from splitband.data.columns import Column, has_number, numbers
 from splitband.data.gaps import Gaps
-from splitband.data.record import Record, one_line, require_finite
+from splitband.data.record import Record, require_finite
 from splitband.data.stamps import TIME_NAMES, Spacing, also_time, spacing, time_name
-from splitband.data.text import check_different, read_table
+from splitband.data.tables import Table, check_size, load, of_frame
 from splitband.data.timing import same_sampling
 from splitband.runtime.arrays import Array
-
-MOST_BYTES = 2**31
-"""Limit of the size of a file's numbers in memory, in bytes. By eye."""
-
-_MAT_NUMBERS = (
-    "double", "single", "logical", *(f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)),
-)  # fmt: skip
 
 _NAMELESS = "y"
 """Name of the channel of a file with a single column and no header."""
@@ -41,8 +29,6 @@ _NAMELESS = "y"
 _EXPECTED = "expected"
 """Reason for leaving out row numbers, scalars and empty columns; these are not reported."""
 
-_AnyArray: TypeAlias = NDArray[Any]
-_Table: TypeAlias = dict[str, Column]  # in NPZ and MAT files the columns may differ in length
 _Names: TypeAlias = str | int | Sequence[str | int]
 
 
@@ -128,7 +114,7 @@ def read(
     frame = path if isinstance(path, pd.DataFrame) else None
     path = Path("DataFrame") if isinstance(path, pd.DataFrame) else Path(path)
     try:
-        table = _load(path) if frame is None else _of_frame(frame)
+        table = load(path) if frame is None else of_frame(frame)
         picked = _picked(table, columns, inputs, time_column)
         spaced = _spacing(table, picked.stamps, sampling_time, fallback_sampling_time, gaps)
         record = _assemble(table, picked, spaced, gaps, name=path.stem if frame is None else "")
@@ -144,127 +130,8 @@ def read(
     return record
 
 
-def _load(path: Path) -> _Table:
-    """Read every column of a file; each failure of a reader becomes a ValueError."""
-    kind, reader = _READERS.get(path.suffix.lower(), ("text", None))
-    with path.open("rb") as file, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        if not file.peek(1):
-            raise ValueError("the file is empty")
-        try:
-            return _read_text(path, file) if reader is None else reader(path)
-        except Exception as error:  # zip, pickle, Arrow, pandas and SciPy each raise their own
-            raise ValueError(f"cannot be read as {kind}: {one_line(error)}") from error
-
-
-def _read_text(path: Path, file: BufferedReader) -> _Table:
-    """Read separated numbers, with or without a header; of a pipe, which can be read once only."""
-    most = MOST_BYTES // 4  # it is held as bytes, as lines and as numbers
-    _check_size(4 * path.stat().st_size)
-    raw = file.read(most + 1)
-    _check_size(4 * len(raw))
-    _check_size(100 * raw.count(b"\n"))
-    return _columns(read_table(raw, path.suffix.lower()))
-
-
-def _check_size(size: int) -> None:
-    """Refuse a file whose numbers would not fit into memory, before reading it."""
-    if size > MOST_BYTES:
-        raise ValueError(f"it would take {size / 2**30:.1f} GiB, at most {MOST_BYTES / 2**30:g} do")
-
-
-def _read_parquet(path: Path) -> _Table:
-    metadata = pyarrow.parquet.read_metadata(path)
-    groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
-    columns = [group.column(i) for group in groups for i in range(group.num_columns)]
-    _check_size(8 * sum(column.num_values for column in columns))
-    _check_size(sum(column.total_uncompressed_size for column in columns))
-    return _of_frame(pd.read_parquet(path))
-
-
-def _of_frame(frame: pd.DataFrame) -> _Table:
-    """Return the columns of a table; an index with a name, or of times, is one of them."""
-    times = isinstance(frame.index, pd.DatetimeIndex | pd.TimedeltaIndex)
-    if times or (frame.index.name is not None and not isinstance(frame.index, pd.RangeIndex)):
-        frame = frame.reset_index(names=str(frame.index.name or "time"))
-    return _columns(frame)
-
-
-def _read_numpy(path: Path) -> _Table:
-    with path.open("rb") as file:  # np.load leaves a damaged file open that it opened itself
-        zipped = zipfile.is_zipfile(file)
-        file.seek(0)
-        if zipped:
-            with zipfile.ZipFile(file) as archive:
-                _check_size(sum(_bytes_of(archive, member) for member in archive.infolist()))
-            file.seek(0)
-            with np.load(file, allow_pickle=False) as archive:
-                return _variables(dict(archive))
-    array = np.lib.format.open_memmap(path, mode="r")  # raises for a file that is cut short
-    _check_size(8 * array.size)
-    return _columns(pd.DataFrame(_native(array)))
-
-
-def _bytes_of(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
-    """Return the size in bytes of an archive's array as float64, from its header."""
-    with archive.open(member) as file:
-        version = np.lib.format.read_magic(file)
-        read_header = (
-            np.lib.format.read_array_header_1_0
-            if version == (1, 0)
-            else np.lib.format.read_array_header_2_0
-        )
-        shape, _, _ = read_header(file)
-    return max(8 * math.prod(shape), member.file_size)
-
-
-def _read_mat(path: Path) -> _Table:
-    try:
-        numeric = [v for v in scipy.io.whosmat(path) if v[2] in _MAT_NUMBERS]
-        _check_size(8 * sum(math.prod(shape) for _, shape, _ in numeric))
-        names = [name for name, _, _ in numeric]
-        return _variables(scipy.io.loadmat(path, variable_names=names))
-    except NotImplementedError:
-        raise ValueError("it is a v7.3 (HDF5) file; save it with the option -v7") from None
-
-
-def _columns(frame: pd.DataFrame) -> _Table:
-    names = [str(name).strip() for name in frame.columns]
-    check_different(names)
-    return {name: frame.iloc[:, i] for i, name in enumerate(names)}
-
-
-def _native(array: _AnyArray) -> _AnyArray:
-    """Drop axes of length 1, keeping one, and foreign byte orders, which pandas rejects."""
-    return np.atleast_1d(array.astype(array.dtype.newbyteorder("="), copy=False).squeeze())
-
-
-def _variables(variables: Mapping[str, object]) -> _Table:
-    """Turn named arrays into columns: a matrix `m` becomes `m[0]`, `m[1]`, ..."""
-    table: _Table = {}
-    names = [name.strip() for name in variables]
-    check_different(names)
-    for name, variable in zip(names, variables.values(), strict=True):
-        if isinstance(variable, np.ndarray) and variable.dtype.names is None:
-            array = _native(variable)
-            if array.ndim == 1:
-                table[name] = pd.Series(array)
-            elif array.ndim == 2:
-                table |= {f"{name}[{i}]": pd.Series(array[:, i]) for i in range(array.shape[1])}
-    return table
-
-
-_READERS: dict[str, tuple[str, Callable[[Path], _Table]]] = {
-    ".parquet": ("Parquet", _read_parquet),
-    ".pq": ("Parquet", _read_parquet),
-    ".npz": ("NPZ", _read_numpy),
-    ".npy": ("NPY", _read_numpy),
-    ".mat": ("MAT", _read_mat),
-}
-
-
 def _picked(
-    table: _Table, columns: _Names | None, inputs: _Names, time_column: str | int | None
+    table: Table, columns: _Names | None, inputs: _Names, time_column: str | int | None
 ) -> _Picked:
     """Pick the columns of a record by the options; see `read`."""
     known = _find(table, inputs)
@@ -315,7 +182,7 @@ def _check_orientation(names: Sequence[str], rows: int) -> None:
         )
 
 
-def _assemble(table: _Table, picked: _Picked, spaced: Spacing, gaps: Gaps, *, name: str) -> Record:
+def _assemble(table: Table, picked: _Picked, spaced: Spacing, gaps: Gaps, *, name: str) -> Record:
     """Check every cell of the columns, and make a record of them."""
     known, measured = picked.known, picked.measured
     y = _matrix(table, measured, gaps, spaced.places)
@@ -328,7 +195,7 @@ def _assemble(table: _Table, picked: _Picked, spaced: Spacing, gaps: Gaps, *, na
 
 
 def _matrix(
-    table: _Table, names: Sequence[str], gaps: Gaps, places: NDArray[np.int_] | None
+    table: Table, names: Sequence[str], gaps: Gaps, places: NDArray[np.int_] | None
 ) -> Array:
     """Return the columns as a matrix, with NaN in rows that are missing."""
     matrix = np.column_stack([numbers(f"column {name!r}", table[name]) for name in names])
@@ -342,13 +209,13 @@ def _matrix(
     if places is None:
         return matrix
     rows = int(places[-1]) + 1
-    _check_size(8 * rows * len(names))
+    check_size(8 * rows * len(names))
     spread = np.full((rows, len(names)), np.nan)
     spread[places] = matrix
     return spread
 
 
-def _common_length(table: _Table, picked: Sequence[str]) -> int:
+def _common_length(table: Table, picked: Sequence[str]) -> int:
     """Return the rows of the picked columns, by default of the longest column."""
     if twice := [column for column in picked if picked.count(column) > 1]:
         raise ValueError(f"column {twice[0]!r} is asked for twice, in columns, inputs or time")
@@ -364,7 +231,7 @@ def _common_length(table: _Table, picked: Sequence[str]) -> int:
     return rows
 
 
-def _find(table: _Table, wanted: _Names) -> list[str]:
+def _find(table: Table, wanted: _Names) -> list[str]:
     """Return the keys of the wanted columns, a matrix being all of its columns."""
     all_keys = []
     for column in [wanted] if isinstance(wanted, str | int) else wanted:
@@ -380,7 +247,7 @@ def _find(table: _Table, wanted: _Names) -> list[str]:
     return all_keys
 
 
-def _available(table: _Table) -> str:
+def _available(table: Table) -> str:
     return f"the columns are {_listed([repr(name) for name in table]) or 'none'}"
 
 
@@ -389,7 +256,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _spacing(
-    table: _Table, stamps: Sequence[str], given: float | None, fallback: float | None, gaps: Gaps
+    table: Table, stamps: Sequence[str], given: float | None, fallback: float | None, gaps: Gaps
 ) -> Spacing:
     """Return the grid of the time stamps, or else the step given by the caller or by the file."""
     if stamps:

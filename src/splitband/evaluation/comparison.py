@@ -19,9 +19,9 @@ from splitband.evaluation.selection import LEVEL, Trial
 from splitband.evaluation.setup import Setup
 from splitband.evaluation.trials import SearchAttempt
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.checking import LAGS, ResidualTests, residual_tests
 from splitband.forecasters.ensemble import handed_out, over_seeds
 from splitband.forecasters.prediction import Prediction
+from splitband.forecasters.residuals import LAGS, ResidualTests, residual_tests
 from splitband.metrics import Extrapolation, extrapolations, input_range
 from splitband.runtime.provided import provided
 

@@ -144,7 +144,7 @@ def oracle(
     return Oracle(cutoff, best, rmse(seen, pair.lowpass(y_sim)))
 
 
-def oracle_cutoffs(samples: int, sampling_rate: float, count: int = 12) -> list[float]:
+def oracle_cutoffs(samples: int, sampling_rate: float) -> list[float]:
     """Return cut-offs in Hz for the oracle check, from two cycles of the record to Nyquist / 2."""
     lowest, highest = 2 * sampling_rate / samples, sampling_rate / 4
-    return [float(f"{f:.2g}") for f in np.geomspace(min(lowest, highest / 2), highest, count)]
+    return [float(f"{f:.2g}") for f in np.geomspace(min(lowest, highest / 2), highest, 12)]

@@ -210,14 +210,9 @@ def check_held_out(record: Record) -> None:
             )
 
 
-def for_trial(
-    forecaster: AnyForecaster, samples: int, training: int | None = None
-) -> AnyForecaster:
-    """Return the forecaster as it is fitted to all but the held-out part of so many samples.
-
-    They are the first ones of the `training` samples that its settings are for, by default all.
-    """
-    return forecaster.for_samples(held_out_from(samples), training or samples)
+def for_trial(forecaster: AnyForecaster, samples: int) -> AnyForecaster:
+    """Return the forecaster as it is fitted to all but the held-out part of so many samples."""
+    return forecaster.for_samples(held_out_from(samples), samples)
 
 
 def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:

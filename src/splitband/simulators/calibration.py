@@ -322,7 +322,6 @@ def _guesses(
     moving: Sequence[str],
     low: Array,
     high: Array,
-    count: int = 3,
 ) -> Iterator[Array]:
     """Yield starting points: the identity, and those of the highest correlation with the record."""
     yield np.array([_STILL[m] for m in moving])
@@ -337,7 +336,7 @@ def _guesses(
         best = int(np.argmax(at_shifts))
         ranked.append((at_shifts[best], {"delay": clock * shifts[best], "clock": clock}))
     ranked.sort(key=lambda pair: -pair[0])
-    for _, point in ranked[:count]:
+    for _, point in ranked[:3]:
         yield np.array([point[m] for m in moving])
 
 
