@@ -17,8 +17,8 @@ from splitband.cli.setups import names
 from splitband.data import Record, aligned, read, resampled
 from splitband.data.gaps import places
 from splitband.data.named import RECORDS
+from splitband.data.names import described
 from splitband.data.reading import ColumnError, ReadingWarning
-from splitband.data.record import described
 from splitband.data.timing import near_sampling, same_sampling
 from splitband.evaluation.saved_settings import SavedSettings
 

@@ -16,7 +16,7 @@ from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import adjustable, opened_simulator
 from splitband.data import Record
 from splitband.data.gaps import Gaps
-from splitband.data.record import described
+from splitband.data.names import described
 from splitband.data.timing import near_sampling
 from splitband.forecasters import saving as forecasters
 from splitband.forecasters.base import Forecaster

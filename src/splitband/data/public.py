@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from splitband.data.reading import read
-from splitband.data.record import Record, one_line
+from splitband.data.record import Record
+from splitband.data.signals import one_line
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,8 @@ from pandas.api.types import is_numeric_dtype
 
 from splitband.data.columns import Column, has_number, numbers
 from splitband.data.gaps import Gaps
-from splitband.data.record import Record, require_finite
+from splitband.data.record import Record
+from splitband.data.signals import require_finite
 from splitband.data.stamps import TIME_NAMES, Spacing, also_time, spacing, time_name
 from splitband.data.tables import Table, check_size, load, of_frame
 from splitband.data.timing import same_sampling

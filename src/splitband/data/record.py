@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from splitband.data.gaps import filled, places
+from splitband.data.gaps import filled
+from splitband.data.names import check_names, described, numbered, same_names, unit_of
 from splitband.data.preparation import Clipped, Detrended, Preparation, Resampled
+from splitband.data.signals import positive_seconds, require_finite, signal_of
 from splitband.data.timing import (
     Grid,
     Stamp,
@@ -23,14 +23,6 @@ from splitband.data.timing import (
 )
 from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.options import saved
-
-LARGEST, SMALLEST = 1e120, 1e-120
-"""Limits of values, and of the range of a channel: sums of their squares must not overflow."""
-
-_NUMBERED = re.compile(r"[yu]\d*|\d+")
-"""Names that are only a letter or a number, see `same_names`."""
-
-_UNIT = re.compile(r"[ _][(\[]([^()\[\]]+)[)\]]$")
 
 
 @saved
@@ -94,29 +86,29 @@ class Record:
     prepared: tuple[Preparation, ...] = ()
 
     def __post_init__(self) -> None:
-        y = _signal("y", self.y)
+        y = signal_of("y", self.y)
         length, ny = y.shape
         if length < 2:
             raise ValueError(f"y must have at least 2 samples: it has {length}")
-        columns = tuple(self.columns) or _numbered("y", ny)
-        _check_names("columns", columns, f"each of the {ny} channels of y", ny)
+        columns = tuple(self.columns) or numbered("y", ny)
+        check_names("columns", columns, f"each of the {ny} channels of y", ny)
         require_finite("y", y, columns)
         vars(self).update(y=y, columns=columns)
         for field, rule in _OTHER_SIGNALS.items():
             if (value := getattr(self, field)) is None:
                 continue
-            signal = _signal(field, value)
+            signal = signal_of(field, value)
             if len(signal) != length or (field != "u" and signal.shape[1] != ny):
                 raise ValueError(f"{field} must {rule}, {y.shape}: its shape is {signal.shape}")
-            names = _numbered("u", signal.shape[1]) if field == "u" else columns
+            names = numbered("u", signal.shape[1]) if field == "u" else columns
             require_finite(field, signal, names)
             vars(self)[field] = signal
-        inputs = tuple(self.inputs) or (_numbered("u", self.nu) if self.nu else ())
-        _check_names("inputs", inputs, f"each of the {self.nu} columns of u", self.nu)
+        inputs = tuple(self.inputs) or (numbered("u", self.nu) if self.nu else ())
+        check_names("inputs", inputs, f"each of the {self.nu} columns of u", self.nu)
         for field, before, names in (("beyond", "y_sim", columns), ("u_beyond", "u", inputs)):
             if (value := getattr(self, field)) is None:
                 continue
-            signal, earlier = _signal(field, value), getattr(self, before)
+            signal, earlier = signal_of(field, value), getattr(self, before)
             if earlier is None or signal.shape[1] != earlier.shape[1]:
                 raise ValueError(
                     f"{field} must go on from {before}, (any time, {len(names)}): its shape is "
@@ -125,7 +117,7 @@ class Record:
             require_finite(field, signal, names)
             vars(self)[field] = signal
         start = None if self.start is None else as_stamp(self.start)
-        step = _positive_seconds(self.sampling_time)
+        step = positive_seconds(self.sampling_time)
         vars(self).update(inputs=inputs, sampling_time=step, start=start)
         if self.measured is not None:
             measured = np.array(self.measured, dtype=np.bool_)
@@ -144,9 +136,9 @@ class Record:
         Straight lines across them stand in for what is missing. Where an input is not known, this
         sample and the next, on which it acts, do not count as measured.
         """
-        y, measured = filled("y", _signal("y", y))
+        y, measured = filled("y", signal_of("y", y))
         if u is not None:
-            u, known = filled("u", _signal("u", u))
+            u, known = filled("u", signal_of("u", u))
             if len(u) == len(y):  # the constructor refuses any other length
                 driven = np.asarray(known.all(axis=1, keepdims=True))
                 measured = np.asarray(measured & driven & np.concatenate([driven[:1], driven[:-1]]))
@@ -226,7 +218,7 @@ class Record:
         Each new sample is the mean of those since the one before it, so that nothing looks ahead.
         A model of the record does the same to a history of the old step, and predicts at the new.
         """
-        factor = round(_positive_seconds(sampling_time) / self.sampling_time)
+        factor = round(positive_seconds(sampling_time) / self.sampling_time)
         if factor < 1 or not near_sampling(sampling_time, factor * self.sampling_time):
             raise ValueError(
                 f"sampling_time must be a whole multiple of {self.sampling_time:g} s, "
@@ -335,75 +327,6 @@ def _after(signal: Array | None, beyond: Array | None, end: int) -> Array | None
     return np.concatenate(later) if sum(map(len, later)) else None
 
 
-def _numbered(letter: str, count: int) -> tuple[str, ...]:
-    return (letter,) if count == 1 else tuple(f"{letter}{i}" for i in range(count))
-
-
-def _positive_seconds(value: Any) -> float:
-    try:
-        seconds = float(value)
-    except (TypeError, ValueError):
-        seconds = np.nan
-    if not (np.isfinite(seconds) and seconds > 0):
-        raise ValueError(f"sampling_time must be a positive number of seconds: got {value!r}")
-    return seconds
-
-
-def _signal(what: str, value: Any) -> Array:
-    """Copy `value` into a read-only float64 array (time, channels)."""
-    try:
-        is_complex = np.iscomplexobj(value)
-        array = np.array(value if not is_complex else [], dtype=np.float64, order="C")
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{what} must be an array of numbers: {one_line(error)}") from error
-    if is_complex:
-        raise ValueError(f"{what} must be real: it holds complex values")
-    array = array[:, None] if array.ndim == 1 else array
-    if array.ndim != 2 or array.shape[1] == 0:
-        raise ValueError(f"{what} must be (time,) or (time, channels): its shape is {array.shape}")
-    array.setflags(write=False)
-    return array
-
-
-def require_finite(what: str, values: Array, columns: Sequence[str] = ()) -> None:
-    """Raise a ValueError that says where values are not finite, or out of all proportion."""
-    bad = np.argwhere(~np.isfinite(values))
-    if len(bad):
-        column = f", column {columns[bad[0, 1]]!r}" if columns else ""
-        raise ValueError(
-            f"{what} must be finite: {len(bad)} bad value{'s' if len(bad) > 1 else ''}, "
-            f"the first ({values[tuple(bad[0])]}) at row {bad[0, 0]}{column}"
-            + (f"; {places(np.asarray(~np.isfinite(values).all(axis=1)))}" if len(bad) > 1 else "")
-        )
-
-    low, high = values.min(axis=0, initial=0.0), values.max(axis=0, initial=0.0)
-    largest = np.maximum(-low, high)
-    with np.errstate(over="ignore"):
-        span = np.ptp(values, axis=0) if len(values) else largest
-    for extent, rule, off in (
-        (largest, f"of {LARGEST:g} at most", largest > LARGEST),
-        (span, f"constant, or of a range of {SMALLEST:g} at least", (span > 0) & (span < SMALLEST)),
-    ):
-        if off.any():
-            column = f" in column {columns[int(off.argmax())]!r}" if columns else ""
-            raise ValueError(
-                f"{what} must be {rule}, in another unit if need be: got {extent[off][0]:g}{column}"
-            )
-
-
-def one_line(error: BaseException) -> str:
-    """Return the message of another library's error on one line."""
-    return " ".join(str(error).split())[:300] or type(error).__name__
-
-
-def _check_names(field: str, names: tuple[str, ...], what: str, count: int) -> None:
-    """Raise ValueError unless there are so many names, no two of them the same."""
-    if len(names) != count:
-        raise ValueError(f"{field} must name {what}: got {names}")
-    if len(set(names)) < count:
-        raise ValueError(f"{field} must differ: got {names}")
-
-
 def check_alike(other: Record, record: Record, name: str) -> None:
     """Check that another record, called `name`, can be of the same system.
 
@@ -433,24 +356,3 @@ def check_alike(other: Record, record: Record, name: str) -> None:
             f"{name} must be sampled like the training record, every {record.sampling_time:g} s, "
             f"got every {other.sampling_time:g} s"
         )
-
-
-def unit_of(name: str) -> str:
-    """Return the unit that ends a column's name in brackets, "m" of "x (m)" or "x [m]"; or ""."""
-    found = _UNIT.search(name)
-    return found[1] if found else ""
-
-
-def same_names(names: Sequence[str], others: Sequence[str]) -> bool:
-    """Tell whether two lists can name the same signals; names by number alone fit any others.
-
-    These are what `Record` calls signals without names, and positions in a file.
-    """
-    if sorted(names) == sorted(others) or len(names) != len(others):
-        return tuple(names) == tuple(others)
-    return any(all(map(_NUMBERED.fullmatch, each)) for each in (names, others))
-
-
-def described(columns: Sequence[str], inputs: Sequence[str]) -> str:
-    """Return inputs and outputs of a record, by name, for messages."""
-    return f"inputs: {', '.join(inputs) or 'none'}; outputs: {', '.join(columns)}"

@@ -13,7 +13,7 @@ from pandas.api.types import is_timedelta64_dtype
 
 from splitband.data.columns import Column, has_number, numbers
 from splitband.data.gaps import Gaps
-from splitband.data.record import require_finite
+from splitband.data.signals import require_finite
 from splitband.data.timing import Stamp, stamp_after
 from splitband.runtime.arrays import Array
 

@@ -17,7 +17,7 @@ import scipy
 from numpy.typing import NDArray
 
 from splitband.data.columns import Column
-from splitband.data.record import one_line
+from splitband.data.signals import one_line
 from splitband.data.text import check_different, read_table
 
 MOST_BYTES = 2**31

@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
-from splitband.data.record import Record, described, same_names
+from splitband.data.names import described, same_names
+from splitband.data.record import Record
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import TRAINED, Sizes, named

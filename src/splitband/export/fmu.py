@@ -18,7 +18,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 import numpy as np
 
 from splitband import __version__
-from splitband.data.record import unit_of
+from splitband.data.names import unit_of
 from splitband.export.c import render
 from splitband.export.program import Program
 

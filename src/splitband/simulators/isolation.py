@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data.record import one_line
+from splitband.data.signals import one_line
 from splitband.runtime.arrays import Array
 from splitband.simulators.base import SimulatorError, SimulatorTimeoutError, within
 from splitband.simulators.fmu import Fmu
