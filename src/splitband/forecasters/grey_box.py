@@ -22,8 +22,9 @@ from splitband.runtime.arrays import Array
 from splitband.simulators.absent import Absent
 from splitband.simulators.adjusted import Adjusted
 from splitband.simulators.estimate import Estimate
-from splitband.simulators.identification import Effort, identify
+from splitband.simulators.identification import identify
 from splitband.simulators.shooting import Adjustable, Experiment, fit_key
+from splitband.simulators.starts import Effort
 
 STARTS = 0.5, 2 / 3, 5 / 6
 """Shares of the training record, from which on forecasts are compared to choose the `memory`.

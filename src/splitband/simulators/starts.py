@@ -1,0 +1,259 @@
+"""Search the ranges of parameters from several starting points.
+
+By `scipy.optimize.least_squares` within the ranges, from the middle and from points of Sobol's
+sequence. Every other start begins with short windows, see `shooting`, which then grow: what a long
+simulation does not tell, as its phase is lost, a short one does.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+
+from splitband.runtime.arrays import Array
+from splitband.runtime.deadlines import Deadline, OverError, current, within
+from splitband.runtime.files import write_json
+from splitband.simulators.shooting import BAD, Adjustable, Experiment, Shooting, fit_key
+
+STARTS = 32
+"""Starting points, at most. By eye."""
+ENOUGH = 4
+"""Starts that lead to the same error, after which no others are tried. By eye."""
+PATIENCE, _HARDLY_BETTER = 8, 0.02
+"""Starts after which no others are tried, where they have hardly lowered the error (relative).
+By eye."""
+_BATCH = 4
+"""Starting points that are tried side by side. By eye; it does not follow the number of processes,
+so that the result does not."""
+SAME_ERROR = 1e-3
+"""Relative difference of errors that count as the same. By eye."""
+SHORTEST = 16
+"""Samples of the shortest windows. By eye."""
+_GROWTH = 4
+"""By how much windows are longer from stage to stage. By eye."""
+_WINDOWS = 32
+"""Windows of the longest record from which on they are not made shorter. By eye."""
+_ROUNDS, LAST_ROUNDS = 30, 100
+"""Iterations of a search, and of the last one from the best place, at most. By eye."""
+
+
+@dataclass(frozen=True)
+class StartOutcome:
+    """Say what one starting point has led to.
+
+    Attributes
+    ----------
+    number : Of the start.
+    found : By length of the windows the places and the error, in deviations.
+    failure : What the last run that failed has said.
+    cut : Whether the time was over before it was done.
+    """
+
+    number: int
+    found: dict[int, tuple[list[float], float]] = field(default_factory=dict)
+    failure: str = ""
+    cut: bool = False
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Say how much may go into a fit.
+
+    Attributes
+    ----------
+    starts : Starting points at most.
+    seconds : Time at most; what has been found then counts. None: no limit.
+    workers : Processes in which starts are tried side by side, or an executor.
+    folder : Where an interrupted fit goes on; created if need be.
+    progress : Called with the number of starts that are done and of all.
+    """
+
+    starts: int = STARTS
+    seconds: float | None = None
+    workers: int | Executor = 1
+    folder: Path | None = None
+    progress: Callable[[int, int], None] | None = None
+
+
+def starting_points(count: int, dimensions: int) -> Array:
+    """Return places in the ranges, `(count, dimensions)`: their middle, and Sobol's sequence."""
+    sobol = scipy.stats.qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(0))
+    drawn = sobol.random_base2(max(int(np.ceil(np.log2(max(count, 2)))), 1))
+    return np.concatenate([np.full((1, dimensions), 0.5), drawn])[:count]
+
+
+def tried(
+    simulator: Adjustable,
+    experiments: Sequence[Experiment],
+    scale: Array,
+    effort: Effort,
+    deadline: Deadline,
+) -> list[StartOutcome]:
+    """Return what starts lead to, in their order; no more of them than it takes to agree."""
+    dimensions = len(Shooting(simulator, experiments, scale).names)
+    points = starting_points(effort.starts, dimensions)
+    kept = _Kept.of(simulator, experiments, points, effort.folder)
+    done: dict[int, StartOutcome] = dict(kept.outcomes)
+    work = partial(_try, simulator, [*experiments], scale, points, deadline)
+    for first in range(0, len(points), _BATCH):
+        batch = [i for i in range(first, min(first + _BATCH, len(points))) if i not in done]
+        if done and deadline.over:
+            break
+        for outcome in _side_by_side(work, batch, effort.workers):
+            done[outcome.number] = outcome
+            if not outcome.cut:
+                kept.keep(outcome)
+            if effort.progress is not None:
+                effort.progress(len(done), len(points))
+        if _settled([done[i] for i in sorted(done) if i < first + _BATCH], experiments):
+            break
+    return [done[i] for i in sorted(done) if i < first + _BATCH]
+
+
+def _side_by_side(
+    work: Any, batch: Sequence[int], workers: int | Executor
+) -> Iterator[StartOutcome]:
+    """Yield the outcomes of several starts; one whose process is ended has failed.
+
+    Which of several that was is not known: those without an outcome are tried again one by one.
+    """
+    from splitband.runtime.processes import Processes, over  # noqa: PLC0415  which loads torch
+
+    if isinstance(workers, int) and workers == 1:
+        yield from over(work, batch)
+        return
+    left = [*batch]
+    with nullcontext(workers) if isinstance(workers, Executor) else Processes(workers) as staff:
+        try:
+            for outcome in over(work, batch, staff):
+                left.remove(outcome.number)
+                yield outcome
+        except OSError:
+            for number in left:
+                try:
+                    yield from over(work, [number], staff)
+                except OSError as error:
+                    yield StartOutcome(number, failure=f"{type(error).__name__}: {error}")
+
+
+def _settled(outcomes: Sequence[StartOutcome], experiments: Sequence[Experiment]) -> bool:
+    """Return whether starts agree on the lowest error, or the last ones have hardly lowered it."""
+    longest = max(len(e.y) for e in experiments)
+    errors = [o.found[longest][1] for o in outcomes if longest in o.found]
+    if sum(e <= min(errors) * (1 + SAME_ERROR) for e in errors) >= ENOUGH:
+        return True
+    before = [o.found[longest][1] for o in outcomes[:-PATIENCE] if longest in o.found]
+    return min(before, default=np.inf) <= min(errors, default=0.0) * (1 + _HARDLY_BETTER)
+
+
+def _try(
+    simulator: Adjustable,
+    experiments: Sequence[Experiment],
+    scale: Array,
+    points: Array,
+    deadline: Deadline,
+    number: int,
+    _: Callable[[Any], None],
+) -> StartOutcome:
+    """Fit from one starting point."""
+    shooting = Shooting(simulator, experiments, scale)
+    found: dict[int, tuple[list[float], float]] = {}
+    longest, places = max(len(e.y) for e in experiments), points[number]
+    cut = False
+    try:
+        with within(min(current(), deadline)):
+            for length in _lengths(longest, growing=number % 2 == 1):
+                shooting.divide(length, places)
+                error = _error(shooting.residuals(places))
+                if error < 0.5 * BAD:
+                    places, error = descend(shooting, places, _ROUNDS)
+                    found[length] = places.tolist(), error
+    except OverError:
+        cut = True
+    return StartOutcome(number, found, shooting.failure, cut)
+
+
+def _lengths(longest: int, growing: bool) -> list[int]:
+    """Return the lengths of the windows, one stage after the other."""
+    lengths = [longest]
+    while growing and lengths[0] > max(_GROWTH * SHORTEST, longest // _WINDOWS):
+        lengths.insert(0, -(-lengths[0] // _GROWTH))
+    return lengths
+
+
+def descend(shooting: Shooting, places: Array, rounds: int) -> tuple[Array, float]:
+    """Return better places, within the ranges, and their error.
+
+    Where the time is over, they are those of the best run.
+    """
+    least, best = np.inf, None
+
+    def residuals(at: Array) -> Array:
+        nonlocal least, best
+        found = shooting.residuals(at)
+        error = _error(found)
+        if error < least:
+            least, best = error, at.copy()
+        return found
+
+    begin = np.clip(places, 1e-6, 1 - 1e-6)
+    try:
+        scipy.optimize.least_squares(
+            residuals, begin, shooting.jacobian, bounds=(0.0, 1.0), max_nfev=rounds,
+            x_scale=0.1, ftol=1e-8, xtol=1e-8, gtol=1e-10,
+        )  # fmt: skip
+    except OverError:
+        if best is None:
+            raise
+    assert best is not None
+    return best, least
+
+
+def _error(residuals: Array) -> float:
+    return float(np.sqrt(np.mean(residuals**2)))
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """Keep what an earlier fit of the same has come to, in a file."""
+
+    path: Path | None
+    key: str
+    outcomes: dict[int, StartOutcome]
+
+    @classmethod
+    def of(
+        cls, simulator: Any, experiments: Sequence[Experiment], points: Array, folder: Path | None
+    ) -> _Kept:
+        if folder is None:
+            return cls(None, "", {})
+        key = fit_key(simulator, experiments, len(points))
+        path = folder / f"parameters-{key[:16]}.json"
+        try:
+            facts = json.loads(path.read_text(encoding="utf-8"))
+            outcomes = [_outcome(each) for each in facts["starts"]] if facts["key"] == key else []
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            outcomes = []
+        return cls(path, key, {each.number: each for each in outcomes})
+
+    def keep(self, outcome: StartOutcome) -> None:
+        self.outcomes[outcome.number] = outcome
+        if self.path is None:
+            return
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        starts = [asdict(each) for each in self.outcomes.values()]
+        write_json(self.path, {"key": self.key, "starts": starts})
+
+
+def _outcome(facts: dict[str, Any]) -> StartOutcome:
+    found = {int(n): ([*map(float, at)], float(e)) for n, (at, e) in facts["found"].items()}
+    return StartOutcome(int(facts["number"]), found, str(facts["failure"]))
