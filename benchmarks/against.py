@@ -44,7 +44,7 @@ import splitband as sb
 from benchmarks.peers import installed
 from benchmarks.sets import SETS, load
 from splitband import Record
-from splitband.report.results import environment
+from splitband.report.environment import environment
 from splitband.runtime.files import write_json
 from splitband.runtime.threads import use_one_thread
 from splitband.training import Settings

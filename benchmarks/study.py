@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from reproduction import tables
-from splitband.report.results import environment
+from splitband.report.environment import environment
 from splitband.runtime.files import write_json
 from splitband.training import Settings
 

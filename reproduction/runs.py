@@ -30,7 +30,7 @@ from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.names import QUICK, named
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import rmse
-from splitband.report.results import environment
+from splitband.report.environment import environment
 from splitband.runtime.files import CHECKPOINTS, write_json_lines
 from splitband.runtime.processes import over
 from splitband.training import Checkpoint, Progress

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from splitband.report.results import environment
+from splitband.report.environment import environment
 
 ROOT = Path(__file__).parents[2]
 

@@ -4,7 +4,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from splitband.simulators.calibration import Term, calibrate
+from splitband.simulators.calibrating import calibrate
+from splitband.simulators.calibration import Term
 from tests.records import DT, holed
 
 Array = npt.NDArray[np.float64]

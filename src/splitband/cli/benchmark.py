@@ -25,7 +25,7 @@ from splitband.cli.usage import usage
 from splitband.evaluation.work import Work
 from splitband.forecasters.names import with_variants
 from splitband.report import benchmark as report
-from splitband.report import results
+from splitband.report.environment import environment
 from splitband.report.page import document
 from splitband.runtime.deadlines import now
 from splitband.runtime.files import CHECKPOINTS, replacing
@@ -217,7 +217,7 @@ def _save(rows: Sequence[report.Row], out: Path, facts: dict[str, Any]) -> None:
         with replacing(table_file) as temporary:
             report.table(rows).to_csv(temporary)
         document.of_rows(rows, page_file, usage("benchmark", facts["arguments"]))
-        write_facts(new, facts | {"environment": results.environment()})
+        write_facts(new, facts | {"environment": environment()})
 
 
 def _show(rows: Sequence[report.Row], out: Path) -> None:

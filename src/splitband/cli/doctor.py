@@ -12,7 +12,7 @@ from splitband.cli import showing
 from splitband.data import PUBLIC, fetch
 from splitband.data.public import data_folder
 from splitband.networks import GRU, rollout
-from splitband.report.results import environment
+from splitband.report.environment import environment
 from splitband.runtime.threads import available_cores
 
 EXTRAS = {"fmu": "fmpy", "cluster": "distributed"}

@@ -22,7 +22,7 @@ from splitband.forecasters import saving
 from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.base import Forecaster
 from splitband.metrics import rmse
-from splitband.report import results
+from splitband.report.environment import environment
 from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import staged, write_facts
 
@@ -101,7 +101,7 @@ def fit(
     }
     with staged(out) as new:
         saving.save(forecaster, new, facts)
-        write_facts(new, facts | outcome | {"environment": results.environment()})
+        write_facts(new, facts | outcome | {"environment": environment()})
     shutil.rmtree(out / CHECKPOINTS)
     for note in fitted.report.notes:
         showing.warn(note)

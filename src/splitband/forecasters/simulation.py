@@ -22,7 +22,8 @@ from splitband.models.hybrid import SLOW
 from splitband.runtime.arrays import Array
 from splitband.simulators import Simulator, run
 from splitband.simulators.absent import Absent
-from splitband.simulators.calibration import Calibration, Term, calibrate, samples_needed
+from splitband.simulators.calibrating import calibrate
+from splitband.simulators.calibration import Calibration, Term, samples_needed
 
 CALIBRATIONS = Remembered(calibrate)
 """Several forecasters, seeds and trials ask for the same calibration, which takes seconds."""

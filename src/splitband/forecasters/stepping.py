@@ -296,37 +296,3 @@ class Averaged(Recursion):
     def followed(self, known: Known) -> State:
         """Return the states of the members, each after what it needs of the history."""
         return {"members": [member.followed(known) for member in self.members]}
-
-
-class InUnits(Recursion):
-    """Run a recursion, which is in the units of prepared signals, in those of before.
-
-    The times of what is `prepared` count from the history's first sample; `step` is in seconds.
-    """
-
-    def __init__(self, inner: Recursion, prepared: Sequence[Preparation], step: float) -> None:
-        self.inner, self.prepared, self.step = inner, prepared, step
-        self.ny, self.nu, self.ahead = inner.ny, inner.nu, inner.ahead
-        self.simulated, self.warmup = inner.simulated, inner.warmup
-
-    def initial(self, known: Known | None = None) -> State:
-        """Return the state of the other one, and the number of samples before the next one."""
-        return {"inner": self.inner.initial(known), "samples": np.zeros(())}
-
-    def followed(self, known: Known) -> State:
-        """Return the state after a history, which is prepared."""
-        return {"inner": self.inner.followed(known), "samples": np.array(float(len(known.y)))}
-
-    def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """Prepare the signals of a sample, and undo that on what is predicted."""
-        time = self.step * np.stack([state["samples"] + i for i in range(1 + self.ahead)])
-        rows, inputs = y[None], u[None]
-        for each in self.prepared:
-            rows = each.measured(rows, time[:1])
-            inputs = each.inputs(inputs, time[:1]) if self.nu else inputs
-            y_sim = each.outputs(y_sim, time) if self.simulated else y_sim
-        inner, predicted, able = self.inner.tick(state["inner"], rows[0], inputs[0], y_sim)
-        predicted = predicted[None]
-        for each in reversed(self.prepared):
-            predicted = each.restored(predicted, time[:1])
-        return {"inner": inner, "samples": state["samples"] + 1}, predicted[0], able

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-import platform
 import statistics
-import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib import import_module
-from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -36,9 +33,9 @@ from splitband.runtime.outputs import TEST_PREDICTIONS, staged, write_facts
 
 if TYPE_CHECKING:
     from splitband.report.page.parts import Usage
+from splitband.report.environment import environment
 
 Array = npt.NDArray[np.float64]
-
 FOUND = "recommended.json"
 """File with the settings of the recommended network, for `--settings`."""
 MODEL = "model"
@@ -238,16 +235,6 @@ def forecast_facts(result: Forecast) -> dict[str, Any]:
     }
 
 
-def environment() -> dict[str, Any]:
-    """Return versions, machine and, in a checkout, the commit."""
-    packages = ("splitband", "torch", "numpy", "scipy", "numba")
-    return {
-        "versions": {"python": platform.python_version()} | {p: version(p) for p in packages},
-        "machine": f"{platform.system()} {platform.machine()}",
-        "commit": _commit(),
-    }
-
-
 def _test_facts(comparison: Comparison) -> list[dict[str, Any]]:
     return [
         {
@@ -302,19 +289,3 @@ def _method(runs: Sequence[Run]) -> dict[str, Any]:
     if runs[0].fit.losses:
         facts["final_loss"] = [{k: v[-1] for k, v in r.fit.losses.items()} for r in runs]
     return facts
-
-
-def _commit() -> str | None:
-    """Return the commit of the checkout that the package runs from, if it runs from one."""
-    folder = Path(__file__).resolve().parent
-    package = folder.parent
-    if not (package.parents[1] / ".git").exists():
-        return None
-    try:
-        described = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--abbrev=12"],
-            cwd=folder, capture_output=True, text=True, timeout=10, check=True,
-        )  # fmt: skip
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return described.stdout.strip()

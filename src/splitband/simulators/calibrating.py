@@ -1,0 +1,246 @@
+"""Fit the calibration of a simulator: gain, offset, delay and clock, each where it pays.
+
+Not in the paper. Larger sets of terms are compared with smaller ones on held-out samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from splitband.metrics import rmse, spread
+from splitband.runtime.arrays import Array
+from splitband.simulators.calibration import (
+    MOST_CLOCK,
+    MOST_DELAY,
+    TERMS,
+    Calibration,
+    Term,
+    spline_of,
+)
+
+_STILL = {"delay": 0.0, "clock": 1.0}
+_WORTH = 0.98
+"""A set of terms replaces a smaller one below this share of its error. By eye."""
+_SETS: tuple[tuple[Term, ...], ...] = (
+    (),
+    ("offset",),
+    ("gain", "offset"),
+    ("gain", "offset", "delay"),
+    ("gain", "offset", "clock"),
+    ("gain", "offset", "delay", "clock"),
+)
+
+
+def calibrate(
+    y_sim: Array,
+    y: Array,
+    sampling_time: float,
+    terms: Iterable[Term] | None = None,
+) -> Calibration:
+    """Fit a simulator to the training part of a record.
+
+    Parameters
+    ----------
+    y_sim : `(time, ny)`, aligned with the record, and as long at least. What reaches beyond it is
+        used by a simulator whose clock is too slow, or which comes too late.
+    y : The training part, `(train, ny)`; NaN is what was not measured.
+    sampling_time : In s, of both.
+    terms : Fit just these. By default sets of terms are fitted on the beginning of `y` and compared
+        on what follows it, over several cuts; a larger set has to pay for itself.
+
+    Raises
+    ------
+    ValueError
+        For an unknown term, or too few samples.
+    """
+    measured = int((~np.isnan(y)).any(axis=1).sum())
+    if len(y_sim) < len(y) or measured < 2 or y_sim.shape[1] != y.shape[1]:
+        raise ValueError(
+            f"y_sim must cover the record's {len(y)} samples in y's channels, and y have 2 "
+            f"samples at least, got {y_sim.shape} and {y.shape}, of which {measured} were measured"
+        )
+    # Channels are scaled to deviation 1, so that each counts the same whatever its unit.
+    scale = spread(y)
+    y, y_sim = y / scale, y_sim / scale
+    if terms is not None:
+        wanted = tuple(terms)
+        unknown = [term for term in wanted if term not in TERMS]
+        if unknown:
+            raise ValueError(f"terms must be out of {', '.join(TERMS)}, got {', '.join(unknown)}")
+        return _fit(y_sim, y, sampling_time, wanted, scale)
+    errors = {kept: _held_out(y_sim, y, sampling_time, kept) for kept in _SETS}
+    best = _SETS[0]
+    for kept in _SETS[1:]:
+        pays = errors[kept].mean() < _WORTH * errors[best].mean()
+        # By chance noise may fit better at some delay or clock after one cut, but not after all.
+        moves = set(kept) & set(_STILL)
+        if pays and (not moves or (errors[kept] < errors[best]).all()):
+            best = kept
+    calibration = _fit(y_sim, y, sampling_time, best, scale)
+    means = {_name(kept): float(left.mean()) for kept, left in errors.items()}
+    return replace(calibration, errors=means)
+
+
+def affine_fit(y_sim: Array, y: Array) -> tuple[Array, Array]:
+    """Return gain and offset of each channel, `(ny,)` each, that bring `y_sim` closest to `y`.
+
+    By least squares on `(time, ny)`, where y is no NaN; a constant channel of the simulator gets
+    gain 0.
+    """
+    mean_sim, mean = _mean(y_sim, y), _mean(y, y)
+    centred = np.where(np.isnan(y), 0.0, y_sim - mean_sim)
+    gain = _gain(centred, y - mean)
+    return gain, mean - gain * mean_sim
+
+
+def _mean(values: Array, y: Array) -> Array:
+    """Return the mean of each channel where y is not NaN; 0 for a channel that is all NaN."""
+    measured = ~np.isnan(y)
+    means = np.where(measured, values, 0.0).sum(axis=0) / np.maximum(measured.sum(axis=0), 1)
+    return np.asarray(means, dtype=np.float64)
+
+
+def _gain(x: Array, y: Array) -> Array:
+    """Return the gain by which x comes closest to y where y is not NaN; 0 where x is zero."""
+    power = np.where(np.isnan(y), 0.0, x**2).sum(axis=0)
+    return np.asarray(np.nansum(x * y, axis=0) / np.where(power > 0, power, 1.0))
+
+
+def _name(terms: Sequence[Term]) -> str:
+    return " + ".join(terms) or "none"
+
+
+def _held_out(y_sim: Array, y: Array, sampling_time: float, terms: tuple[Term, ...]) -> Array:
+    """Return the RMSE on the samples after each of several cuts, fitted on those before it."""
+    errors, measured = [], ~np.isnan(y)
+    rows = np.flatnonzero(measured.any(axis=1))
+    for share in (0.5, 0.6, 0.7, 0.8):
+        cut = rows[max(int(share * len(rows)), 1)]
+        calibration = _fit(y_sim, y[:cut], sampling_time, terms)
+        left = y[cut:] - calibration.apply(y_sim, len(y), sampling_time)[cut:]
+        # A channel counts if it was measured both before the cut, to fit it, and after, to compare.
+        told = measured[:cut].any(axis=0) & measured[cut:].any(axis=0)
+        if told.any():
+            errors.append(rmse(left[:, told], np.zeros_like(left[:, told])))
+    return np.array(errors or [0.0])
+
+
+def _fit(
+    y_sim: Array,
+    y: Array,
+    sampling_time: float,
+    terms: tuple[Term, ...],
+    scale: Array | float = 1.0,
+) -> Calibration:
+    """Fit by least squares: gain and offset are eliminated, delay and clock are searched for."""
+    moving = tuple(term for term in _STILL if term in terms)
+    index: Array = np.arange(len(y), dtype=np.float64)
+    spline = spline_of(y_sim)
+
+    def moved(warp: Array) -> Array:
+        delay, clock = _warp(warp, moving)
+        return spline(clock * index - delay) if moving else y_sim[: len(y)]
+
+    def within(warp: Array) -> npt.NDArray[np.bool_]:
+        """Return where the simulation is known: from its first to its last sample."""
+        delay, clock = _warp(warp, moving)
+        places = clock * index - delay
+        inside = (places >= 0) & (places <= len(y_sim) - 1)
+        return inside if inside.any() else np.ones_like(inside)
+
+    def residual(warp: Array) -> Array:
+        x, seen = moved(warp), within(warp)
+        gain, offset = _affine(x[seen], y[seen], terms)
+        error = (gain * x + offset - y) * seen[:, None] / np.sqrt(seen.mean())
+        return np.nan_to_num(error).ravel()
+
+    warp = np.empty(0)
+    if moving:
+        low, high = _bounds(len(y), moving)
+        begin = [*_guesses(y, lambda clock: spline(clock * index), moving, low, high)]
+        minima = [
+            scipy.optimize.least_squares(
+                residual, np.clip(point, low, high), bounds=(low, high), x_scale=(high - low) / 100
+            )
+            for point in begin
+        ]
+        warp = np.asarray(min(minima, key=lambda result: result.cost).x)
+    delay, clock = _warp(warp, moving)
+    seen = within(warp)
+    gain, offset = _affine(moved(warp)[seen], y[seen], terms)
+    return Calibration(
+        tuple(map(float, gain)) if "gain" in terms else (),
+        tuple(map(float, offset * scale)) if "offset" in terms else (),
+        delay * sampling_time,
+        clock,
+    )
+
+
+def _affine(x: Array, y: Array, terms: Sequence[Term]) -> tuple[Array, Array]:
+    if "gain" in terms and "offset" in terms:
+        return affine_fit(x, y)
+    if "gain" in terms:
+        return _gain(x, y), np.zeros(y.shape[1])
+    ones = np.ones(y.shape[1])
+    return ones, _mean(y - x, y) if "offset" in terms else 0 * ones
+
+
+def _warp(warp: Array, moving: Sequence[str]) -> tuple[float, float]:
+    """Return the delay in samples, and the clock factor."""
+    values = _STILL | dict(zip(moving, map(float, warp), strict=True))
+    return values["delay"], values["clock"]
+
+
+def _bounds(train: int, moving: Sequence[str]) -> tuple[Array, Array]:
+    """Return the bounds of the parameters that are searched for; delays are in samples."""
+    still = np.array([_STILL[m] for m in moving])
+    most = np.array([{"delay": MOST_DELAY * train, "clock": MOST_CLOCK}[m] for m in moving])
+    return still - most, still + most
+
+
+def _guesses(
+    y: Array,
+    at_clock: Callable[[float], Array],
+    moving: Sequence[str],
+    low: Array,
+    high: Array,
+) -> Iterator[Array]:
+    """Yield starting points: the identity, and those of the highest correlation with the record."""
+    yield np.array([_STILL[m] for m in moving])
+    limits = {m: (a, b) for m, a, b in zip(moving, low, high, strict=True)}
+    clocks = np.linspace(*limits["clock"], 41) if "clock" in moving else np.ones(1)
+    least, most = limits.get("delay", (0.0, 0.0))
+    shifts = np.arange(int(np.ceil(least)), int(most) + 1)  # in samples of the record
+    correlation = _correlation(y)
+    ranked = []
+    for clock in clocks:
+        at_shifts = correlation(at_clock(clock))[shifts]
+        best = int(np.argmax(at_shifts))
+        ranked.append((at_shifts[best], {"delay": clock * shifts[best], "clock": clock}))
+    ranked.sort(key=lambda pair: -pair[0])
+    for _, point in ranked[:3]:
+        yield np.array([point[m] for m in moving])
+
+
+def _correlation(y: Array) -> Callable[[Array], Array]:
+    """Return a function of x: the squared correlation of y with x, as a gain may be negative.
+
+    Its value at k is that of x shifted by k samples, -(n - 1)..n - 1. The transform of y, which all
+    x have in common, is made once.
+    """
+    length = scipy.fft.next_fast_len(2 * len(y) - 1, real=True)
+    spectrum = scipy.fft.rfft(np.nan_to_num(y - _mean(y, y)), length, axis=0)
+
+    def of(x: Array) -> Array:
+        centred = x - x.mean(axis=0)
+        power = (centred**2).sum(axis=0)
+        product = spectrum * np.conj(scipy.fft.rfft(centred, length, axis=0))
+        squared = scipy.fft.irfft(product, length, axis=0) ** 2
+        return np.asarray((squared / np.where(power > 0, power, 1.0)).sum(axis=1))
+
+    return of
