@@ -9,7 +9,7 @@ from splitband import Comparison, Forecaster, Record
 from splitband.evaluation.jobs import Seeds, run_all
 from splitband.evaluation.plan import Plan, check
 from splitband.evaluation.protocols import Runs, question_of, runs_of
-from splitband.evaluation.selection import try_out
+from splitband.evaluation.recommendation import try_out
 from splitband.evaluation.setup import Setup
 from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import for_trial, held_out_from

@@ -37,7 +37,7 @@ from reproduction.systems import double_torsion_pendulum
 from splitband import Comparison, compare
 from splitband.data import Record, double_torsion, drill_string
 from splitband.data.named import double_mass_spring, van_der_pol
-from splitband.evaluation.selection import Trial
+from splitband.evaluation.recommendation import Trial
 from splitband.evaluation.setup import Options, usual_names
 from splitband.forecasters.intervals import Interval
 from splitband.forecasters.names import QUICK

@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.sets import SETS
+from splitband.evaluation.recommendation import WORTH_TRAINING
 from splitband.evaluation.search import SECONDS
-from splitband.evaluation.selection import WORTH_TRAINING
 from splitband.forecasters.names import NAMES, QUICK
 
 ROOT = Path(__file__).parents[1]

@@ -17,8 +17,8 @@ from splitband.evaluation.plan import Plan, check
 from splitband.evaluation.protocols import Run, Runs, runs_of
 from splitband.evaluation.protocols import as_run as run_of
 from splitband.evaluation.protocols import question_of as both_protocols
-from splitband.evaluation.selection import Trial
-from splitband.evaluation.selection import try_out as try_forecasters_out
+from splitband.evaluation.recommendation import Trial
+from splitband.evaluation.recommendation import try_out as try_forecasters_out
 from splitband.evaluation.setup import Setup
 from splitband.evaluation.work import RunProgress, Work
 from splitband.forecasters.backtest import Backtest, Origin, Question, backtest, first_origin

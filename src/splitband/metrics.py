@@ -114,7 +114,7 @@ By eye."""
 
 
 class ExtrapolationWarning(UserWarning):
-    """Report that a model is asked about inputs that it has not been trained on."""
+    """Warn that a prediction may not be reliable, inputs beyond the training range for instance."""
 
 
 @dataclass(frozen=True)

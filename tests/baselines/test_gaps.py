@@ -10,8 +10,8 @@ import scipy.optimize
 import scipy.stats
 
 from splitband import Record
+from splitband.baselines.common import LONGEST, ByTime, recent
 from splitband.baselines.harmonic import HarmonicRegression
-from splitband.baselines.naive import LONGEST, ByTime, recent
 from splitband.baselines.periodic import PeriodicRegression
 from splitband.baselines.seasonal import LastPeriod, _last_period
 from splitband.forecasters.names import named
@@ -86,7 +86,7 @@ def test_of_a_long_record_that_ends_in_a_gap_the_last_measured_samples_are_fitte
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     longest = 400
-    monkeypatch.setattr("splitband.baselines.naive.LONGEST", longest)
+    monkeypatch.setattr("splitband.baselines.common.LONGEST", longest)
     n = np.arange(3 * longest)
     y = np.where(n < longest, 7.0, np.sin(2 * np.pi * n / 100))[:, None]
     y[2 * longest :] = NAN

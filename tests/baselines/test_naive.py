@@ -8,8 +8,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from splitband.baselines.common import ByTime
 from splitband.baselines.harmonic import HarmonicRegression
-from splitband.baselines.naive import ByTime
 from splitband.baselines.seasonal import LastPeriod
 from splitband.data.named import double_mass_spring
 from splitband.forecasters.closed_form import Persistence

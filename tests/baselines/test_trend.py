@@ -8,9 +8,9 @@ import numpy.typing as npt
 import pytest
 import scipy
 
+from splitband.baselines.common import LONGEST, ByTime
 from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.modes import Modes, _Refinement
-from splitband.baselines.naive import LONGEST, ByTime
 from splitband.baselines.periodic import PeriodicRegression
 from splitband.baselines.seasonal import LastPeriod
 from splitband.baselines.trend import Shape, find

@@ -10,7 +10,7 @@ from splitband import Record, Settings
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.protocols import Errors, Run, mean_run
-from splitband.evaluation.selection import Trial
+from splitband.evaluation.recommendation import Trial
 from splitband.evaluation.setup import Options, Setup, default_names, usual_names
 from splitband.forecasters.backtest import Origin, Question, backtest, for_trial, held_out_origins
 from splitband.forecasters.bands import Bands

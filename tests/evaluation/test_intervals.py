@@ -11,7 +11,7 @@ import pytest
 import scipy
 
 from splitband.data import Record
-from splitband.evaluation.selection import Trial
+from splitband.evaluation.recommendation import Trial
 from splitband.evaluation.setup import Options
 from splitband.forecasters.intervals import HeldOut, Interval
 from tests.support import compare, settled, try_out

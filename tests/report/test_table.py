@@ -13,11 +13,10 @@ from splitband import rmse
 from splitband.cli import showing
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.protocols import Runs
-from splitband.evaluation.selection import WORTH_TRAINING
+from splitband.evaluation.recommendation import WORTH_TRAINING
 from splitband.forecasters.fitted import FitReport
-from splitband.report import results
+from splitband.report import results, words
 from splitband.report.numbers import number
-from splitband.report.page import words
 from splitband.report.table import Column, columns, remarks
 from tests.report import comparisons
 

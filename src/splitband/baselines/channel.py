@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.baselines.naive import LONGEST, known, recent, units
+from splitband.baselines.common import LONGEST, known, recent, units
 from splitband.baselines.origins import origins, pays
 from splitband.baselines.states import States
 from splitband.runtime.arrays import Array
@@ -101,7 +101,7 @@ def _fit_channel(records: Sequence[_Part], most: int | None) -> Channel:
 
 
 def _recent(part: _Part, longest: int | None = None) -> _Part:
-    """Return the part from the first sample of `naive.recent` on."""
+    """Return the part from the first sample of `common.recent` on."""
     if not len(known(part.y)):
         return part
     begin, end = recent(part.y[:, None], longest)

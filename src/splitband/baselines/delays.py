@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy
 
-from splitband.baselines.naive import recent
+from splitband.baselines.common import recent
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 

@@ -1,6 +1,6 @@
 """Fit sinusoids that may decay and a trend to a record by least squares.
 
-A naive baseline (see `baselines.naive`), and a strong one: what a driven linear system does is a
+A naive baseline (see `baselines.common`), and a strong one: what a driven linear system does is a
 sum of such sinusoids and of exponentials.
 """
 
@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splitband.baselines.common import known, recent, units
 from splitband.baselines.modes import Modes
-from splitband.baselines.naive import known, recent, units
 from splitband.baselines.trend import Shape, described, find
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved

@@ -1,6 +1,6 @@
 """Fit a linear output-error model from the known inputs to the measured channels.
 
-A naive baseline (see `baselines.naive`) for records with inputs; for a linear system with white
+A naive baseline (see `baselines.common`) for records with inputs; for a linear system with white
 measurement noise no other model does better. Its state at the beginning of a history is estimated
 from that history. See L. Ljung, System Identification, 2nd ed., Sec. 4.2.
 """
@@ -56,7 +56,7 @@ class OutputError:
 
         Each channel has a model of its own. Its poles are stable, and more of them have to pay for
         themselves on held-out samples (`baselines.origins`). Of a long record the
-        last samples are fitted, see `naive.recent`. Where an input acts late, a model with that
+        last samples are fitted, see `common.recent`. Where an input acts late, a model with that
         delay is fitted, too, and the one with the lower Bayesian information criterion is taken.
         After the deadline of `runtime.deadlines` no more orders and no delays are tried.
 

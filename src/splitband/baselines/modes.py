@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.baselines.naive import known
+from splitband.baselines.common import known
 from splitband.baselines.trend import FASTEST, SLOWEST, Shape
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import check

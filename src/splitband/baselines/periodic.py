@@ -1,6 +1,6 @@
 """Fit a Fourier series of the record's own period, a trend and free vibrations.
 
-A naive baseline (see `baselines.naive`). A system that is driven periodically, linear or not,
+A naive baseline (see `baselines.common`). A system that is driven periodically, linear or not,
 repeats itself once its free vibrations have died out. Seasonal-naive repeats one period and its
 noise; this takes the mean of all periods, which need not be a whole number of samples.
 """
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splitband.baselines.common import known, recent, units
 from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.modes import Modes
-from splitband.baselines.naive import known, recent, units
 from splitband.baselines.origins import origins, pays
 from splitband.baselines.seasonal import all_around, last_period, seasons, self_similar_lags
 from splitband.baselines.trend import Shape, described, find
@@ -53,7 +53,7 @@ class PeriodicRegression:
         which the channel resembles itself, or a whole fraction of it, with as many harmonics as the
         Bayesian information criterion selects. The series is kept, its period may move, and
         vibrations that die out may be added, each where that pays on held-out samples
-        (`baselines.origins`). Of a long record the last `naive.LONGEST` samples are used.
+        (`baselines.origins`). Of a long record the last `common.LONGEST` samples are used.
         """
         begin, y = recent(y)
         channels = [_fit_channel(channel) for channel in y.T]

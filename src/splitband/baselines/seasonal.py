@@ -1,6 +1,6 @@
 """Repeat the last period of a record, on top of a trend where there is one.
 
-A naive baseline (see `splitband.baselines.naive`).
+A naive baseline (see `splitband.baselines.common`).
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.baselines.naive import known
+from splitband.baselines.common import known
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.baselines.naive import known, recent, units
+from splitband.baselines.common import known, recent, units
 from splitband.baselines.origins import origins, pays
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved

@@ -14,7 +14,7 @@ from splitband.cli.options.models import Cluster, Jobs
 from splitband.evaluation.comparison import Comparison
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.names import HYBRIDS
-from splitband.report.page import words
+from splitband.report import words
 from splitband.report.page.parts import Usage
 from splitband.report.results import MODEL
 from splitband.report.table import columns, remarks

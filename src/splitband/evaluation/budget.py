@@ -19,8 +19,9 @@ BASELINES = 0.3
 """Share of the time that baselines may take. These shares are by eye, held against `python -m
 benchmarks.budget`."""
 SEARCH, TRIAL, BASE = 0.5, 0.65, 0.7
-"""Shares of the time after them when the search for trainings must be over, the trial of all
-methods on three quarters, and that of a network on a baseline; the rest is for final trainings."""
+"""Shares of the time after the baselines by which the search, the trial of all methods on three
+quarters of the samples, and that of a network on a baseline must end; the rest is for final
+trainings."""
 ONE = 0.3
 """Share of the time that a single training of a candidate may take. By eye."""
 SLOWER = 2.0

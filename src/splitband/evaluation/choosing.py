@@ -17,8 +17,8 @@ from splitband.evaluation.budget import BASE, BASELINES, SEARCH
 from splitband.evaluation.budget import TRIAL as TRIAL_OVER
 from splitband.evaluation.costs import job_cost, training_cost
 from splitband.evaluation.plan import Plan
+from splitband.evaluation.recommendation import MOST_TRIAL_SEEDS, WORTH_TRAINING, Trial, try_out
 from splitband.evaluation.search import SEEDS, SearchResult, search
-from splitband.evaluation.selection import MOST_TRIAL_SEEDS, WORTH_TRAINING, Trial, try_out
 from splitband.evaluation.trials import SearchAttempt
 from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import HELD_OUT, Origin, Question, held_out_from

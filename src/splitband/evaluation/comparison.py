@@ -15,7 +15,7 @@ from splitband.data import Record
 from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.protocols import Run, Runs, mean_run
-from splitband.evaluation.selection import LEVEL, Trial
+from splitband.evaluation.recommendation import LEVEL, Trial
 from splitband.evaluation.setup import Setup
 from splitband.evaluation.trials import SearchAttempt
 from splitband.forecasters.base import Forecaster

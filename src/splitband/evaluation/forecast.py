@@ -13,8 +13,8 @@ from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.choosing import choose
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.protocols import models_of
+from splitband.evaluation.recommendation import LEVEL, Trial
 from splitband.evaluation.run import begun, last_fits
-from splitband.evaluation.selection import LEVEL, Trial
 from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import Origin, Question
 from splitband.forecasters.base import Forecaster

@@ -19,8 +19,8 @@ from splitband.evaluation.protocols import (
     runs_of,
     without_failed,
 )
+from splitband.evaluation.recommendation import Trial
 from splitband.evaluation.search import SEEDS, SearchResult, search
-from splitband.evaluation.selection import Trial
 from splitband.evaluation.work import RunProgress, Work
 from splitband.forecasters.backtest import Backtest, Origin, Question, held_out_from
 from splitband.forecasters.base import Forecaster

@@ -31,7 +31,8 @@ from splitband.forecasters.network import Network
 from splitband.runtime.threads import available_cores
 
 CORE_SECONDS, SECONDS = 240.0, 120.0
-"""The default: work that two cores of any recent machine do in less than these two minutes."""
+"""The default limits of work, in seconds of a reference core, and of wall time. They belong
+together: two cores of any recent machine do the work in less than that time."""
 FIRST_ROUND, OF_OTHERS = 0.5, 0.15
 """Shares of the search for the first round of the first method, and of all others."""
 GOOD = 1.5
@@ -145,7 +146,7 @@ def search(
     Parameters
     ----------
     record : The training part, and nothing else. What is tried is fitted to its first three
-        quarters, as in `selection.try_out`.
+        quarters, as in `recommendation.try_out`.
     forecasters : With the default settings and bands; the first network matters most.
     steps : How far beyond the record is to be forecast after all.
     budget : How much may be spent.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from splitband.export.c_statements import Precision, Renderer
 from splitband.export.program import Program
-from splitband.export.statements import Precision, Renderer
 from splitband.runtime.tracing import Symbol
 
 _BEGINS = {

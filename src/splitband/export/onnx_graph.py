@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from splitband.export.c_statements import Precision
 from splitband.export.program import Program, size
-from splitband.export.statements import Precision
 from splitband.runtime.tracing import Block, Node, Symbol
 
 try:

@@ -9,8 +9,8 @@ from pathlib import Path
 from splitband.data import Record
 from splitband.export import fmu
 from splitband.export.c import render
+from splitband.export.c_statements import Precision
 from splitband.export.program import Program, program
-from splitband.export.statements import Precision
 from splitband.forecasters.base import Forecaster
 from splitband.runtime.files import replacing
 

@@ -291,7 +291,7 @@ def root_mean_square(errors: Sequence[Array]) -> float:
 
 
 def _sound(scored: Sequence[Array], longer: Sequence[Array], scale: Array) -> list[Array]:
-    """Return all errors, but no `longer` ones from the first failed fit on, for want of samples.
+    """Return all errors, without the `longer` ones of fits to too few samples.
 
     `longer` begins with the fit to the most samples. A fit to too few samples, less than a period
     of the record for instance, is wrong from its first forecast samples on; errors that merely grow

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from splitband.baselines.common import ByTime
 from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.linear import OutputError
-from splitband.baselines.naive import ByTime
 from splitband.baselines.periodic import PeriodicRegression
 from splitband.baselines.seasonal import LastPeriod
 from splitband.data import Record

@@ -106,7 +106,7 @@ class Ensemble(Forecaster):
 
     @property
     def of_one_seed(self) -> Forecaster:
-        """Return what is fitted, with the seed of a member, as that member is."""
+        """Return a single member, not fitted; fitted with its seed it becomes that member."""
         one = self.templates[0].clone()
         one.by_seed = dict(zip(self.seeds, self.templates, strict=True))
         return one

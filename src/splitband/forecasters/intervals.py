@@ -23,8 +23,8 @@ EXPONENTS = np.linspace(0, 1, 11)
 """Powers of the horizon that errors may grow by: from not at all to as a drift does. Chosen among
 laws of growth on 44 development records (docs/results/rules.md)."""
 FEWEST = 2.0
-"""Independent errors that are assumed at least: Student's quantile for one is twice that.
-By eye."""
+"""The least number of independent errors that is assumed; with 1, Student's quantile would be
+twice as large. By eye."""
 PARTS, BOUNDED = 4, 1.1
 """A channel is bounded where its variance is at most `BOUNDED` times the mean of `PARTS` parts'
 own: what wanders or drifts varies more in the whole than in a part. By eye; that such channels have

@@ -1,7 +1,7 @@
 """Give names to forecasters, for tables, files and the command line.
 
-A name is derived from a forecaster; nothing takes one apart. To add a cell, a baseline or a kind of
-hybrid is to write its class, and one line in `_kinds`.
+A name is derived from a forecaster; nothing takes one apart. To add a method, write its class, add
+a line to `_kinds` (cells, hybrids) or `_baselines`, and export it in `splitband/__init__.pyi`.
 """
 
 from __future__ import annotations

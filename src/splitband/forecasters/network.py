@@ -50,7 +50,8 @@ class Network(Forecaster):
     """Train a forecaster by gradients.
 
     A kind of network says which options it has, what its model is (`build`) and what it is called
-    (`_derived_name`). What it has not stays as it is here: no base, no bands, not conditioned.
+    (`_derived_name`). Attributes that it does not set keep these defaults: no base, no bands, not
+    conditioned.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ class Prehistory:
     Attributes
     ----------
     mean : Of the normalised outputs and inputs, `(warmup, ny + nu)`.
-    root : Rows of which multiples with deviation 1 add up to deviations from the mean,
+    root : Principal directions, scaled so that their coefficients have a variance of 1,
         `(components, warmup, ny + nu)`.
     error : RMSE of the model's simulations, normalised.
     """

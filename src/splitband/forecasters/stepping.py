@@ -88,8 +88,8 @@ class Recursion(ABC):
 class Part(ABC):
     """Say a value for each sample, by itself or as the slow part of a hybrid.
 
-    What it says of a sample is a row for each channel: a value, and by how much that changes with
-    each number that is estimated from the history. Those are settled where a forecast begins.
+    For each channel that is a row: a value, and its derivatives by the numbers that are estimated
+    from the history, which stay the same from the beginning of a forecast on.
     """
 
     simulated = False

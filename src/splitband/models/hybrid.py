@@ -110,8 +110,8 @@ class Filtered(Hybrid):
     ----------
     cell : The network; its free run is that of the whole signal, of which the high band is used.
     pair : One-way filters, of which L + H = 1.
-    conditioned : See `Hybrid`. What the high-pass filter takes from the network's output, it takes
-        here too: its low band cannot move the prediction.
+    conditioned : See `Hybrid`. The high-pass filter also removes what the simulator's output adds
+        to the low band of the network's output.
     feedthrough : See `Hybrid`.
     """
 

@@ -1,7 +1,10 @@
 """Define the interface of recurrent cells: state transition and observation (paper, Eq. 8).
 
-Any `nn.Module` with these three methods works wherever a `GRU` does. State is passed and
-returned, never kept on the module.
+Any `nn.Module` with the methods of `Cell` and `Template` works wherever a `GRU` does. State is
+passed and returned, never kept on the module. The cells of this package have more, which a cell may
+leave out: `label` and `words` (names in tables and sentences), `variants` and `size_in_words`
+(sizes that a search may try), `stable`, `in_numpy` (streams and exports), `fusable` and
+`fused_rollout` (a compiled kernel).
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ import pandas as pd
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.protocols import Run
-from splitband.evaluation.selection import LEVEL, WORTH_TRAINING, Trial
+from splitband.evaluation.recommendation import LEVEL, WORTH_TRAINING, Trial
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import channel_rmse, fit_percent, leaving
 from splitband.report.numbers import aligned, decimals, number, percent
@@ -46,7 +46,8 @@ NOTES = {
     "fit (s)": "seconds of one training, on average",
     "trainings": "how many are averaged; after ±: the standard deviation of their errors",
 }
-"""What the columns mean, the most important first: a narrow terminal leaves out the last ones."""
+"""What each column means; each heading needs an entry. The order is that of the columns: a narrow
+terminal leaves out the last ones."""
 
 
 @dataclass(frozen=True)

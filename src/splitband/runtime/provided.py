@@ -1,4 +1,4 @@
-"""Reach what is done by modules above the one that is asked: tables, pages, exports, files.
+"""Let lower layers call functions of higher ones without importing them: tables, pages, exports.
 
 A result or a forecaster shows, saves and exports itself, by code that needs to know it. It asks for
 that code by what it does. Where the code is, the front of the package says (`splitband.__init__`),

@@ -1,4 +1,7 @@
-"""Open a user's simulator whose parameters are fitted: a function of a Python file, or an FMU."""
+"""Open a simulator whose parameters are fitted: a function of a Python file, or an FMU.
+
+Where none are, `cli.simulators` opens it.
+"""
 
 from __future__ import annotations
 

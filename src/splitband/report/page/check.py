@@ -11,8 +11,9 @@ from bokeh.models.annotations import BoxAnnotation
 from splitband.forecasters.checking import ModelCheck
 from splitband.forecasters.residuals import LEVEL, Correlation, ResidualTests
 from splitband.forecasters.responses import Responses
+from splitband.report import words
 from splitband.report.numbers import number
-from splitband.report.page import tables, words
+from splitband.report.page import tables
 from splitband.report.page.charts import SMALL, Array, Axis, Chart, X, limits
 from splitband.report.page.parts import Method, Page, Plot, Section, Usage
 from splitband.report.page.predicted import Predicted

@@ -11,8 +11,9 @@ from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.protocols import Run
 from splitband.forecasters.configurable import parts_of
 from splitband.forecasters.prediction import Prediction
+from splitband.report import words
 from splitband.report.numbers import number
-from splitband.report.page import tables, words
+from splitband.report.page import tables
 from splitband.report.page.check import residual_tests
 from splitband.report.page.curves import losses, spectrum
 from splitband.report.page.parts import Method, Page, Plot, Section, Usage, View, method_styles

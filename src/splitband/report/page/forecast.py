@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from splitband.evaluation.forecast import Forecast
 from splitband.metrics import leaving
+from splitband.report import words
 from splitband.report.numbers import number, percent
-from splitband.report.page import tables, words
+from splitband.report.page import tables
 from splitband.report.page.curves import spectrum
 from splitband.report.page.parts import Method, Page, Section, Usage
 from splitband.report.page.predicted import Predicted

@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.selection import Trial
+from splitband.evaluation.recommendation import Trial
 from splitband.evaluation.trials import SearchAttempt
 from splitband.report.environment import environment
 from splitband.report.numbers import number
 from splitband.report.page.parts import Cell, Section, Table, Usage
-from splitband.report.page.words import in_words
 from splitband.report.table import Column, columns, ordered, remarks
 from splitband.report.table import tried as columns_of_trial
+from splitband.report.words import in_words
 
 
 def methods(comparison: Comparison) -> Table:

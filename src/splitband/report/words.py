@@ -1,4 +1,4 @@
-"""Say in sentences what the page says."""
+"""Say in sentences what a comparison found, for the terminal and the page."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.selection import WORTH_TRAINING, Trial
+from splitband.evaluation.recommendation import WORTH_TRAINING, Trial
 from splitband.forecasters.backtest import HELD_OUT
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES
@@ -72,7 +72,7 @@ def headline(comparison: Comparison) -> list[tuple[str, str]]:
 
 
 def why(trial: Trial, train: int) -> list[str]:
-    """Return why a method is recommended, in sentences; what was chosen by, if anything was."""
+    """Return why a method is recommended, and by which criterion, in sentences."""
     best = trial.recommended
     settled = [name for name in trial.errors if name in trial.final]
     if len(trial.errors) == 1:
