@@ -164,18 +164,18 @@ def _tried(parts: Sequence[_Part], order: int) -> Iterator[tuple[float, Array]]:
     whole = np.concatenate([_filled(part.y) for part in parts])
     ends = np.cumsum([len(part.y) for part in parts])[:-1]
     a = np.append(1.0, np.zeros(order))
+    driven = _driven(a, parts)
     for _ in range(ROUNDS):
         passed = [scipy.signal.lfilter([1.0], a, part) for part in np.split(whole, ends)]
-        past = np.concatenate([
-            np.stack([_delayed(part, k) for k in range(1, order + 1)], axis=1) for part in passed
-        ])  # fmt: skip
+        past = np.concatenate([_delayed(part, order + 1)[:, 1:] for part in passed])
         constant = np.concatenate(
             [scipy.signal.lfilter([1.0], a, np.ones(len(part))) for part in passed]
         )
-        explained = np.hstack([-past, _driven(a, parts), constant[:, None]])
+        explained = np.hstack([-past, driven, constant[:, None]])
         fitted = np.linalg.lstsq(explained, np.concatenate(passed), rcond=_RANK)[0]
         before, a = a, stable(np.append(1.0, fitted[:order]))
-        simulated = _solved(a, parts)[1]
+        driven = _driven(a, parts)
+        simulated = _weighed(driven, order + 1, parts)[1]
         whole = np.where(np.isnan(y), simulated, y)
         yield float(np.nanmean((y - simulated) ** 2)), a
         if abs(a - before).max() <= CONVERGED:
@@ -202,11 +202,16 @@ def _refined(a: Array, parts: Sequence[_Part]) -> Array:
 
 def _solved(a: Array, parts: Sequence[_Part]) -> tuple[Array, Array]:
     """Return the best B, C of each part and offset for a given A, and their simulation."""
+    return _weighed(_driven(a, parts), len(a), parts)
+
+
+def _weighed(driven: Array, size: int, parts: Sequence[_Part]) -> tuple[Array, Array]:
+    """Return what `_solved` does from the regressors of an A of this size."""
     y = _joined(parts)
     rows = known(y)
-    basis = np.hstack([_driven(a, parts), np.ones((len(y), 1))])
+    basis = np.hstack([driven, np.ones((len(y), 1))])
     fitted = basis[rows]
-    of_c = slice(parts[0].u.shape[1] * len(a), -1)
+    of_c = slice(parts[0].u.shape[1] * size, -1)
     fitted[:, of_c] = _determined(basis[:, of_c], rows)
     coefficients = np.linalg.lstsq(fitted, y[rows], rcond=_RANK)[0]
     return coefficients.astype(np.float64), np.asarray(basis @ coefficients)
@@ -231,27 +236,31 @@ def initial_state(channel: Channel, y: Array, u: Array) -> Array:
 def _free(a: Array, u: Array) -> Array:
     """Return the responses to each coefficient of C, `(time, n)`."""
     response = scipy.signal.lfilter([1.0], a, _impulse(u))
-    return np.stack([_delayed(response, k) for k in range(len(a) - 1)], axis=1)
+    return _delayed(response, len(a) - 1)
 
 
 def _driven(a: Array, parts: Sequence[_Part]) -> Array:
     """Return the regressors `(time, ...)` of B, input by input, and of each part's C."""
-    order = len(a) - 1
     forced, free = [], []
     for _, u in parts:
         passed = scipy.signal.lfilter([1.0], a, u, axis=0).T
-        forced.append([_delayed(x, k) for x in passed for k in range(order + 1)])
+        forced.append(np.hstack([_delayed(x, len(a)) for x in passed]))
         free.append(_free(a, u))
-    driven = np.concatenate([np.stack(columns, axis=1) for columns in forced])
-    return np.hstack([driven, scipy.linalg.block_diag(*free)])
+    # Of one part, as nearly always, its own: SciPy takes its time to find that out.
+    of_states = free[0] if len(free) == 1 else scipy.linalg.block_diag(*free)
+    return np.hstack([np.concatenate(forced), of_states])
 
 
 def _impulse(u: Array) -> Array:
     return np.asarray(np.arange(len(u)) == 0, dtype=np.float64)
 
 
-def _delayed(x: Array, samples: int) -> Array:
-    return np.concatenate([np.zeros(samples), x[: len(x) - samples]])
+def _delayed(x: Array, delays: int) -> Array:
+    """Return a signal delayed by 0, 1, ... samples, `(time, delays)`."""
+    late = np.zeros((len(x), delays))
+    for k in range(delays):
+        late[k:, k] = x[: len(x) - k]
+    return late
 
 
 def stable(a: Array) -> Array:
