@@ -170,6 +170,7 @@ def test_an_edited_run_changes_the_page_of_its_study(
     assert module.made(copied) != folder.with_suffix(".md").read_text(encoding="utf-8")
 
 
+@pytest.mark.soak
 def test_what_a_segment_rewards_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT))
     segments = importlib.import_module("benchmarks.segments")

@@ -8,12 +8,11 @@ from __future__ import annotations
 import doctest
 import io
 import json
-import os
 import re
-import subprocess
-import sys
-from contextlib import redirect_stdout
+import warnings
+from contextlib import redirect_stderr, redirect_stdout
 from html.parser import HTMLParser
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -61,25 +60,31 @@ class Loaded(HTMLParser):
         self.addresses += [value or "" for name, value in attrs if name == names.get(tag)]
 
 
-def _built(pages: Path, out: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    """Build pages with warnings as errors, in a process of its own."""
+def _built(pages: Path, out: Path, *options: str) -> tuple[int, str]:
+    """Build pages with warnings as errors; return the status and what was said of errors."""
     for package in ("sphinx", "furo", "numpydoc", "myst_parser", "latex2mathml"):
         pytest.importorskip(package, reason="pip install 'splitband[docs]'")
-    return subprocess.run(
-        [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", *options, pages, out],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | {"TMPDIR": str(out.parent)},  # where Sphinx leaves the log of an error
-    )
+    build = import_module("sphinx.cmd.build")
+    words = ["-q", "-W", "--keep-going", *options, str(pages), str(out)]
+    said = io.StringIO()
+    with (
+        warnings.catch_warnings(),
+        pytest.MonkeyPatch.context() as patch,
+        redirect_stderr(said),
+        redirect_stdout(io.StringIO()),
+    ):
+        warnings.simplefilter("ignore")  # of the packages among themselves
+        patch.setattr("tempfile.tempdir", str(out.parent))  # where the log of an error is left
+        status: int = build.main(words)
+    return status, said.getvalue()
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The pages, their blocks shown and not executed."""
     out = tmp_path_factory.mktemp("site")
-    done = _built(DOCS, out, "-D", "run_blocks=0", "-d", str(out / ".doctrees"))
-    assert (done.returncode, done.stderr) == (0, "")
+    built = _built(DOCS, out, "-D", "run_blocks=0", "-d", str(out / ".doctrees"))
+    assert built == (0, "")
     return out
 
 
@@ -124,15 +129,15 @@ def test_a_block_that_fails_ends_the_build(tmp_path: Path) -> None:
         'extensions = ["myst_parser", "executed"]\n'
     )
 
-    def built(code: str) -> subprocess.CompletedProcess[str]:
+    def built(code: str) -> tuple[int, str]:
         (tmp_path / "index.md").write_text(f"# Page\n\n```{{run}} python\n{code}\n```\n")
         return _built(tmp_path, tmp_path / "out", "-b", "text")
 
-    assert built("print('six', 2 * 3)").returncode == 0
+    assert built("print('six', 2 * 3)") == (0, "")
     assert "six 6" in (tmp_path / "out/index.txt").read_text()
-    failed = built("1 / 0")
-    assert failed.returncode
-    assert "ZeroDivisionError" in failed.stderr
+    status, said = built("1 / 0")
+    assert status
+    assert "ZeroDivisionError" in said
 
 
 def test_a_page_with_blocks_is_a_notebook_too(tmp_path: Path) -> None:
@@ -146,8 +151,7 @@ def test_a_page_with_blocks_is_a_notebook_too(tmp_path: Path) -> None:
         "```{run} console\n:figure: dot.png\n:alt: A dot\n\nprintf dots > dot.png\necho done\n"
         "```\n"
     )
-    done = _built(tmp_path, tmp_path / "out")
-    assert (done.returncode, done.stderr) == (0, "")
+    assert _built(tmp_path, tmp_path / "out") == (0, "")
     page = (tmp_path / "out/index.html").read_text(encoding="utf-8")
     (path,) = (tmp_path / "out/_downloads").rglob("index.ipynb")
     assert str(path.relative_to(tmp_path / "out")) in page

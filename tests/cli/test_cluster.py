@@ -36,17 +36,6 @@ pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="sends signals"),
 ]
 
-FAKED = """
-import importlib.metadata as metadata, json, os
-known, versions = metadata.version, json.loads(os.environ["FAKED"])
-def version(package):
-    if package in versions and versions[package] is None:
-        raise metadata.PackageNotFoundError(package)
-    return versions.get(package) or known(package)
-metadata.version = version
-"""
-"""Runs when Python starts, and says that packages have other versions, or are missing."""
-
 
 class Running:
     """A scheduler and its workers, each a process."""
@@ -72,10 +61,10 @@ class Running:
                 self.add(name)
         self.expect(len(names))
 
-    def add(self, name: str, **environment: str) -> None:
+    def add(self, name: str) -> None:
         words = "worker", "--no-nanny", "--nthreads", "1", "--no-dashboard", "--name", name
         place = "--local-directory", str(self.folder)
-        self.workers[name] = self._begin(*words, *place, **environment)
+        self.workers[name] = self._begin(*words, *place)
 
     def expect(self, workers: int) -> None:
         """Wait until there are so many at least, as the scheduler knows them."""
@@ -86,12 +75,12 @@ class Running:
         self.workers[name].kill()
         self.workers.pop(name).wait()
 
-    def _begin(self, *words: str, **environment: str) -> subprocess.Popen[bytes]:
+    def _begin(self, *words: str) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1"]
         path = {"PYTHONPATH": os.pathsep.join(sys.path), "TMPDIR": str(self.folder)}
         return subprocess.Popen(
             [*command, "--scheduler-file", str(self.file)],
-            cwd=self.folder, env=os.environ | path | environment,
+            cwd=self.folder, env=os.environ | path,
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
         )  # fmt: skip
 
@@ -150,6 +139,7 @@ def test_workers_find_the_numbers_of_this_machine(whole: Running, tmp_path: Path
     assert same(results(tmp_path / "there"), results(tmp_path / "here"))
 
 
+@pytest.mark.soak
 def test_the_papers_tables_are_those_of_this_machine(whole: Running, tmp_path: Path) -> None:
     line = "table learning-based --systems i --methods split-gru --seeds 2 --epochs 2 "
     for workers, out in (("--jobs 1", "here"), (f"--cluster {whole.address}", "there")):
@@ -203,18 +193,19 @@ def test_ctrl_c_ends_in_one_line_and_frees_the_workers(
 
 
 def test_other_versions_and_missing_packages_are_named_with_the_worker(
-    whole: Running, tmp_path: Path, capsys: Any
+    whole: Running, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
-    (tmp_path / "sitecustomize.py").write_text(FAKED)
-    path = f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
-    whole.add("old", PYTHONPATH=path, FAKED='{"torch": "1.0.0"}')
-    whole.add("lacking", PYTHONPATH=path, FAKED='{"splitband": null}')
-    whole.expect(4)
-    try:
-        assert main(shlex.split(f"{COMPARE} --cluster {whole.address} --out {tmp_path}/out")) == 2
-    finally:
-        whole.end("old")
-        whole.end("lacking")
+    """As if one worker had an old torch, and the other no splitband."""
+    versions = distributed.Client.get_versions
+
+    def others(*arguments: Any, **options: Any) -> Any:
+        found = versions(*arguments, **options)
+        old, lacking = found["workers"].values()
+        old["packages"]["torch"], lacking["packages"]["splitband"] = "1.0.0", None
+        return found
+
+    monkeypatch.setattr(distributed.Client, "get_versions", others)
+    assert main(shlex.split(f"{COMPARE} --cluster {whole.address} --out {tmp_path}/out")) == 2
     said = complaint(capsys)
     assert "has torch 1.0.0 and not " in said
     assert "has no splitband" in said

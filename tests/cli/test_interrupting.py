@@ -11,7 +11,7 @@ import pytest
 
 from splitband.cli import main
 from splitband.runtime.files import CHECKPOINTS
-from tests.cli.support import SIMULATOR, complaints, files
+from tests.cli.support import QUICK, SIMULATOR, complaints, files
 from tests.runtime.test_processes import eventually
 
 pytestmark = pytest.mark.usefixtures("inside")
@@ -27,6 +27,25 @@ def test_an_interrupt_says_so_and_leaves_no_file(capsys: pytest.CaptureFixture[s
     assert files(Path()) == before
 
 
+def test_a_batch_system_that_ends_the_command_is_heard_as_ctrl_c(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = f"compare record.csv --columns a --methods gru {QUICK} --seeds 1 --out {tmp_path}/out"
+    monkeypatch.setattr(sys, "argv", ["splitband", *shlex.split(line)])
+    monkeypatch.setattr("rich.progress.Progress.update", lambda *_, **__: terminated())
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        assert main() == 130
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert capsys.readouterr().err.startswith("error: stopped; no file is half written")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {CHECKPOINTS}
+
+
+def terminated() -> None:
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
 TRAINED = "out/*/*/*.safetensors"
 
 # In a process that multiprocessing begins, it runs before anything else is loaded.
@@ -39,12 +58,11 @@ if "spawn_main" in " ".join(sys.orig_argv):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a signal to a group of processes")
 @pytest.mark.parametrize(
-    ("jobs", "files", "sent"),
+    ("jobs", "files"),
     [
-        pytest.param(1, TRAINED, signal.SIGINT, id="while it trains", marks=pytest.mark.soak),
-        pytest.param(2, "*.loading", signal.SIGINT, id="while it loads", marks=pytest.mark.soak),
-        pytest.param(2, TRAINED, signal.SIGINT, id="while its processes train"),
-        pytest.param(1, TRAINED, signal.SIGTERM, id="terminated"),
+        pytest.param(1, TRAINED, id="while it trains", marks=pytest.mark.soak),
+        pytest.param(2, "*.loading", id="while it loads", marks=pytest.mark.soak),
+        pytest.param(2, TRAINED, id="while its processes train"),
     ],
 )
 def test_ctrl_c_stops_at_once_and_leaves_nothing_half_written(
@@ -53,7 +71,6 @@ def test_ctrl_c_stops_at_once_and_leaves_nothing_half_written(
     monkeypatch: pytest.MonkeyPatch,
     jobs: int,
     files: str,
-    sent: signal.Signals,
 ) -> None:
     temporary = tmp_path / "temporary"
     temporary.mkdir()
@@ -67,7 +84,7 @@ def test_ctrl_c_stops_at_once_and_leaves_nothing_half_written(
     )
     running = command_line(line)
     eventually(lambda: len([*tmp_path.glob(files)]) >= jobs)
-    assert interrupted(running, sent) == [
+    assert interrupted(running) == [
         "error: stopped; no file is half written, and the same command goes on from here"
     ]
     assert [*temporary.iterdir()] == []
@@ -98,9 +115,9 @@ def command_line(line: str) -> subprocess.Popen[str]:
     )
 
 
-def interrupted(running: subprocess.Popen[str], sent: signal.Signals = signal.SIGINT) -> list[str]:
+def interrupted(running: subprocess.Popen[str]) -> list[str]:
     """What it says after Ctrl-C, and that it stops as shells expect."""
-    os.killpg(running.pid, sent)
+    os.killpg(running.pid, signal.SIGINT)
     try:
         _, said = running.communicate(timeout=300)
     finally:

@@ -60,15 +60,14 @@ def inside_rig(rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(rig)
 
 
-def test_compare_puts_fitted_parameters_beside_networks(
+def test_compare_puts_fitted_parameters_beside_other_methods(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    call(f"compare {RIG} {QUICK} --methods residual-gru,simulator,mean", tmp_path)
+    call(f"compare {RIG} {QUICK} --methods simulator,mean", tmp_path)
     found = results(tmp_path)["methods"]
-    assert list(found) == ["residual-grey-box-gru", "grey-box", "mean"]
-    for name in ("residual-grey-box-gru", "grey-box"):
-        assert found[name]["parameters"]["values"] == pytest.approx({"rate": 2.0}, rel=0.02)
-        assert 0 < found[name]["parameters"]["standard_errors"]["rate"] < 0.02
+    assert list(found) == ["grey-box", "mean"]
+    assert found["grey-box"]["parameters"]["values"] == pytest.approx({"rate": 2.0}, rel=0.02)
+    assert 0 < found["grey-box"]["parameters"]["standard_errors"]["rate"] < 0.02
     assert results(tmp_path)["recommended"] == "grey-box"
     said = capsys.readouterr().out
     assert "rate = " in said

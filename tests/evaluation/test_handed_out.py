@@ -16,6 +16,7 @@ from splitband import GRU, Bands, Forecaster, Known, Record, Settings, Setup
 from splitband.evaluation.setup import Options
 from splitband.forecasters.prediction import mean_of
 from splitband.metrics import ExtrapolationWarning
+from tests.runtime.test_executors import Elsewhere
 
 DT, TRAIN, WARMUP = 0.1, 160, 12
 SETTINGS = Settings(40, WARMUP, 1, 16)
@@ -51,20 +52,25 @@ def test_a_method_is_handed_out_as_it_was_trained(name: str, tmp_path: Path) -> 
     assert loaded.lower is not None
 
 
-def test_processes_find_the_numbers_of_this_one_and_give_back_their_models() -> None:
+def test_what_was_trained_elsewhere_is_handed_out() -> None:
     methods: list[Forecaster | str] = ["gru", sb.Residual(sb.Periodic(), GRU(4)), "mean"]
-    alone, result = (
-        sb.compare(record(), methods=methods, seeds=2, setup=SETUP, work=sb.Work(jobs))
-        for jobs in (1, 2)
-    )
+    with Elsewhere() as executor:
+        work = sb.Work(executor=executor)
+        result = sb.compare(record(), methods=methods, seeds=2, setup=SETUP, work=work)
     for name in result.runs:
-        for here, there in zip(alone.runs[name], result.runs[name], strict=True):
-            assert here.seed == there.seed
-            # Not to the bit: torch rounds some sums by where in memory their terms lie.
-            assert here.total_rmse == pytest.approx(there.total_rmse, rel=1e-6)
-            np.testing.assert_allclose(here.ahead, there.ahead, rtol=1e-5, atol=1e-6)
         ahead = result.trained(name).predict(40).y
         np.testing.assert_allclose(ahead, result.means[name].ahead, atol=1e-12)
+
+
+def test_processes_find_the_numbers_of_this_one_and_report() -> None:
+    shares: list[float] = []
+    alone, found = (
+        sb.forecast(record(), 30, ["gru"], seeds=2, setup=replace(SETUP, train=200), work=work)
+        for work in (sb.Work(), sb.Work(2, progress=lambda at: shares.append(at.share)))
+    )
+    # Not to the bit: torch rounds some sums by where in memory their terms lie.
+    np.testing.assert_allclose(found.prediction.y, alone.prediction.y, rtol=1e-5, atol=1e-6)
+    assert shares[-1] == 1
 
 
 def test_the_recommended_method_is_fitted_to_the_whole_record_where_that_is_asked_for() -> None:

@@ -195,13 +195,6 @@ def test_seeds_that_failed_in_training_do_not_count() -> None:
     assert alone.description == "unstable: a simulation may grow without bound"
 
 
-def test_the_search_looks_at_nothing_after_the_training_part() -> None:
-    y = record().y.copy()
-    y[TRAIN:] += 100
-    changed = replace(record(), y=y)
-    assert searched_by(changed[:TRAIN], ["gru"]).attempts == of_gru().attempts
-
-
 def test_it_depends_neither_on_workers_nor_on_what_is_resumed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -242,7 +235,8 @@ def test_settings_of_ones_own_are_not_searched() -> None:
     assert searched.forecasters == chosen
 
 
-def test_cells_of_ones_own_keep_their_size() -> None:
+def test_cells_of_ones_own_keep_their_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(candidates, "LADDER", (1,))
     chosen = [sb.Single(sb.GRU(4)).with_defaults(QUICK, SETUP.bands)]
     searched = search(record()[:TRAIN], chosen, STEPS, BUDGET, Work())
     assert {a.training.split(",")[0] for a in searched.attempts} == {"4 hidden units"}
@@ -281,7 +275,8 @@ def test_a_larger_budget_tries_more_seeds_on_short_records(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     assert max(attempt.seeds for attempt in of_gru().attempts) == 2
-    monkeypatch.setattr("splitband.evaluation.candidates.LADDER", (1,))
+    monkeypatch.setattr(candidates, "LADDER", (1,))
+    monkeypatch.setattr(candidates, "FREE_RUNS", (10,))
     searched = searched_by(record()[:TRAIN], ["gru"], Search(2 * BUDGET.core_seconds))
     assert max(attempt.seeds for attempt in searched.attempts) == 4
 

@@ -41,7 +41,7 @@ def inputs(record: sb.Record) -> Array:
 
 @pytest.fixture(scope="module")
 def model() -> sb.GreyBox:
-    return sb.GreyBox(rig(), starts=4).fit(driven(0)[:300])
+    return sb.GreyBox(rig(), starts=2).fit(driven(0)[:300])
 
 
 def test_it_forecasts_from_the_end_of_its_training_record(model: sb.GreyBox) -> None:

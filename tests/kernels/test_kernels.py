@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 from torch.utils._python_dispatch import TorchDispatchMode
 
+import splitband
 from splitband.kernels import common, euler_rollout, gru_rollout, state_space_rollout
 from splitband.kernels import matmul as products
 from splitband.networks import GRU, EulerMLP, StateSpace, free_run
@@ -422,7 +423,9 @@ def test_an_error_in_a_job_is_raised() -> None:
         common.run_rows(fail, [(0,), (1,), (2,)])
 
 
-def test_compiling_is_announced_once_and_only_then(tmp_path: Path) -> None:
+def test_compiling_is_announced_once_and_only_then(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     # A kernel of a compiled part, as those of the package, that takes no time to compile.
     (tmp_path / "tiny.py").write_text(
         """
@@ -437,23 +440,21 @@ def quarter(x):
     return half(half(x))
 """
     )
-    code = f"""
-import splitband
-splitband.__path__.append({str(tmp_path)!r})
-from splitband.tiny import quarter
-from splitband.kernels import gru
-assert not gru._forward.signatures  # importing compiles nothing
-assert (quarter(4.0), quarter(4)) == (1.0, 1.0)
-"""
+    monkeypatch.setattr(splitband, "__path__", [*splitband.__path__, str(tmp_path)])
 
-    def stderr() -> str:
-        done = subprocess.run(
-            [sys.executable, "-c", code], check=True, capture_output=True, text=True
-        )
-        return done.stderr
+    def announced() -> int:
+        """As in a process that has not compiled anything yet."""
+        caplog.clear()
+        monkeypatch.setattr(common._Announcement, "said", False)
+        monkeypatch.delitem(sys.modules, "splitband.tiny", raising=False)
+        quarter = import_module("splitband.tiny").quarter
+        assert not quarter.signatures  # importing compiles nothing
+        assert (quarter(4.0), quarter(4)) == (1.0, 1.0)
+        return caplog.text.count("compiling kernels")
 
-    assert stderr().count("compiling kernels") == 1
-    assert not stderr()
+    assert announced() == 1
+    assert announced() == 0
+    sys.modules.pop("splitband.tiny")
 
 
 @pytest.mark.parametrize(

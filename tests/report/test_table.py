@@ -186,8 +186,10 @@ def test_print_shows_the_fit_of_each_method_in_100_columns(seeds: Comparison) ->
 
 
 @pytest.mark.parametrize("ny", [1, 2])
-def test_a_table_fits_a_terminal_of_100_columns(ny: int, seeds: Comparison) -> None:
-    found = seeds if ny == 1 else comparisons.everything()
+def test_a_table_fits_a_terminal_of_100_columns(
+    ny: int, seeds: Comparison, scales: Comparison
+) -> None:
+    found = seeds if ny == 1 else scales
     with showing.console.capture() as captured, pytest.MonkeyPatch.context() as patch:
         patch.setattr(showing.console, "width", 100)
         showing.methods("", columns(found), remarks(found), found.recommended)

@@ -1,4 +1,4 @@
-"""The parameters of an FMU that is compiled here from C: fitted side by side, and gone on with."""
+"""The parameters of an FMU that is compiled here from C: fitted, gone on with, side by side."""
 
 import shutil
 import subprocess
@@ -99,9 +99,7 @@ def measured(samples: int = 150) -> sb.Record:
     return sb.Record(y + random.normal(0, 0.01, samples), 0.1, u=u)
 
 
-def test_two_parameters_are_found_side_by_side_killed_and_gone_on_with(
-    rig: Path, tmp_path: Path
-) -> None:
+def test_two_parameters_are_found_and_what_was_stopped_goes_on(rig: Path, tmp_path: Path) -> None:
     fmu = sb.Fmu(rig, parameters={"k": (0.4, 40.0), "c": (0.0, 2.0)})
     done: list[int] = []
 
@@ -111,7 +109,7 @@ def test_two_parameters_are_found_side_by_side_killed_and_gone_on_with(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        identify(fmu, measured(), effort=Effort(6, workers=2, folder=tmp_path, progress=stop))
+        identify(fmu, measured(), effort=Effort(6, folder=tmp_path, progress=stop))
     assert done == [1, 2, 3]
     found = identify(fmu, measured(), effort=Effort(
         6, folder=tmp_path, progress=lambda count, _: done.append(count)))  # fmt: skip
@@ -119,7 +117,7 @@ def test_two_parameters_are_found_side_by_side_killed_and_gone_on_with(
     assert found.values == pytest.approx({"k": 4.0, "c": 0.3}, rel=0.01)
 
 
-def test_a_start_whose_simulator_ends_its_process_has_failed(rig: Path) -> None:
+def test_of_starts_side_by_side_one_whose_simulator_ends_its_process_has_failed(rig: Path) -> None:
     """At k above 12."""
     fmu = sb.Fmu(rig, parameters={"k": (0.5, 50.0), "c": 0.3, "crashes": 1.0})
     found = identify(fmu, measured(60), effort=Effort(3, workers=2))

@@ -72,7 +72,7 @@ def _fit_channel(y: Array, sinusoids: int | None, damped: bool) -> Modes:
     trend = find(scaled)
     shape = trend.shape if trend else None
     best = _greedy(scaled, sinusoids, 0.0, shape)
-    if damped:
+    if damped and (best.beat_slowly or not best.exact(scaled)):
         decaying = _sustained(_greedy(scaled, sinusoids, 0.3 / len(y), shape), scaled)
         needed = -STRONG_EVIDENCE if best.beat_slowly else STRONG_EVIDENCE
         if best.information(scaled) - decaying.information(scaled) > needed:
@@ -88,6 +88,8 @@ def _greedy(y: Array, sinusoids: int | None, damping: float, shape: Shape | None
     )
     modes = best = Modes.none(y, shape).refined(y)
     for _ in range(most):
+        if sinusoids is None and modes.exact(y):
+            break
         modes = modes.with_another(y, damping)
         if sinusoids is not None or modes.information(y) < best.information(y):
             best = modes

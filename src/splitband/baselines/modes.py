@@ -115,10 +115,14 @@ class Modes(NamedTuple):
         """Return the residual of `y`, `(time,)`."""
         return y - self.predict(np.arange(len(y)))
 
+    def exact(self, y: Array) -> bool:
+        """Return whether nothing is left to explain, so that `information` can only rise."""
+        return float(np.nanmean(self.residual(y) ** 2)) <= _rounding(y)
+
     def information(self, y: Array) -> float:
         """Return the BIC of a Gaussian residual, which counts as 1e-8 of y at least."""
         samples, left = len(known(y)), float(np.nanmean(self.residual(y) ** 2))
-        variance = max(left, 1e-16 * float(np.nanmean(y**2)), 1e-300)
+        variance = max(left, _rounding(y))
         count = len(self.frequencies)
         moving = count - max(min(self.harmonics, count) - 1, 0) + int((self.dampings > 0).sum())
         parameters = 1 + 2 * count + moving
@@ -129,6 +133,11 @@ class Modes(NamedTuple):
         coefficients = self.coefficients * scale
         coefficients[0] += offset
         return self._replace(coefficients=coefficients)
+
+
+def _rounding(y: Array) -> float:
+    """Return the mean square of a residual that counts as rounding: 1e-8 of the signal's RMS."""
+    return max(1e-16 * float(np.nanmean(y**2)), 1e-300)
 
 
 def _highest(power: Array, whole: bool) -> int:

@@ -63,7 +63,7 @@ class _Announcement(event.Listener):
         # What is compiled for a user's own equation is not kept, and not announced.
         ours = module.startswith("splitband.") and not module.endswith(".ode")
         if ours and not self.said:
-            self.said = True
+            _Announcement.said = True
             # A warning, as Python prints these even where no logging has been set up.
             _LOG.warning("splitband: compiling kernels, once after installation (some seconds)")
 
