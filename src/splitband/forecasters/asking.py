@@ -14,7 +14,7 @@ from splitband.data.preparation import seconds
 from splitband.data.timing import same_sampling, zones_differ
 from splitband.forecasters.known import Known, continued
 from splitband.forecasters.prediction import Prediction
-from splitband.metrics import leaves_range
+from splitband.metrics import leaves_range, leaving
 from splitband.runtime.arrays import Array
 
 if TYPE_CHECKING:
@@ -105,10 +105,7 @@ def predicted(forecaster: Forecaster, known: Known, past: Record) -> Prediction:
         )
     left = leaves_range(fitted.y_range, y)
     if left is not None:
-        messages.append(
-            f"the prediction of {forecaster.name} goes far beyond the training samples after "
-            f"{left} samples: do not rely on it beyond that"
-        )
+        messages.append(f"the prediction of {forecaster.name} {leaving(left)}")
     return Prediction(
         y,
         past.grid.after(steps),
