@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from splitband.export.c_statements import Precision, Renderer
 from splitband.export.program import Program
-from splitband.runtime.tracing import Symbol
+from splitband.runtime.graph import Symbol
 
 _BEGINS = {
     False: "Go on from the end of the training record.",

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.export.program import size, used_by
-from splitband.runtime.tracing import Block, Node, Symbol
+from splitband.runtime.graph import Block, Node, Symbol
 
 Precision = Literal["double", "float"]
 Index = Sequence[str | int]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from splitband.export.c_statements import Precision
 from splitband.export.program import Program, size
-from splitband.runtime.tracing import Block, Node, Symbol
+from splitband.runtime.graph import Block, Node, Symbol
 
 try:
     import onnx

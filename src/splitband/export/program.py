@@ -14,7 +14,9 @@ from splitband.data.preparation import seconds
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.streaming import program_of
 from splitband.runtime.arrays import Array
-from splitband.runtime.tracing import Block, Node, Symbol, named_leaves, trace
+from splitband.runtime.graph import Block, Node, Symbol
+from splitband.runtime.tracing import trace
+from splitband.runtime.trees import named_leaves
 
 
 @dataclass(frozen=True, eq=False)

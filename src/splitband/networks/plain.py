@@ -14,7 +14,8 @@ from torch import Tensor, nn
 
 from splitband.networks.cell import Cell, are_plain
 from splitband.runtime.arrays import Array
-from splitband.runtime.tracing import Symbol, expit, scan
+from splitband.runtime.graph import Symbol
+from splitband.runtime.tracing import expit, scan
 
 Dense = tuple[tuple[Array, Array], ...]
 """Weights and biases of layers with tanh behind them."""

@@ -1,0 +1,290 @@
+"""Record operations of NumPy on symbols as a graph, from which code is generated.
+
+Symbols take part in NumPy's own operations, of fixed shapes, and record them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.runtime.trees import Tree, leaves
+
+Array = npt.NDArray[Any]
+ELEMENTWISE = {
+    "add": "add", "subtract": "sub", "multiply": "mul", "divide": "div", "negative": "neg",
+    "tanh": "tanh", "exp": "exp", "log": "log", "sqrt": "sqrt", "sin": "sin", "cos": "cos",
+    "absolute": "abs", "floor": "floor", "expit": "sigmoid", "maximum": "max", "minimum": "min",
+    "isnan": "isnan", "less": "lt", "greater": "gt", "less_equal": "le", "greater_equal": "ge",
+    "equal": "eq", "logical_and": "and", "bitwise_and": "and", "logical_or": "or",
+    "bitwise_or": "or", "logical_not": "not", "invert": "not",
+}  # fmt: skip
+"""NumPy's functions of single elements, and what graphs call them."""
+FLAGS = {"isnan", "lt", "gt", "le", "ge", "eq", "and", "or", "not"}
+"""Those whose results are true or false."""
+
+
+@dataclass(eq=False)
+class Node:
+    """Hold an operation of a graph.
+
+    Attributes
+    ----------
+    op : Of `ELEMENTWISE`, or "where", "matmul", "sum", "largest", "smallest", "concat", "view",
+        "reshape", "scan", "cond".
+    inputs : What it is computed from.
+    options : Its settings.
+    blocks : The body of a loop, or both branches.
+    outputs : What it computes.
+    """
+
+    op: str
+    inputs: tuple[Symbol, ...]
+    options: dict[str, Any] = field(default_factory=dict)
+    blocks: tuple[Block, ...] = ()
+    outputs: tuple[Symbol, ...] = ()
+
+
+@dataclass(eq=False)
+class Block:
+    """Hold operations in their order, with what goes in and what comes out."""
+
+    inputs: list[Symbol] = field(default_factory=list)
+    nodes: list[Node] = field(default_factory=list)
+    outputs: list[Symbol] = field(default_factory=list)
+
+
+class Trace:
+    """Record the operations on symbols."""
+
+    def __init__(self) -> None:
+        self.blocks = [Block()]
+
+    def input(self, like: Any) -> Symbol:
+        """Return a new input of the innermost block, of the shape of `like`."""
+        symbol = Symbol(self, _shape(like), getattr(like, "flag", False))
+        self.blocks[-1].inputs.append(symbol)
+        return symbol
+
+    def symbol(self, value: Any) -> Symbol:
+        """Return a symbol for a value, which may be one already."""
+        if isinstance(value, Symbol):
+            return value
+        known = np.asarray(value)
+        return Symbol(self, known.shape, known.dtype == np.bool_, value=known)
+
+    def add(
+        self,
+        op: str,
+        inputs: Sequence[Any],
+        shape: tuple[int, ...],
+        flag: bool = False,
+        **options: Any,
+    ) -> Symbol:
+        """Record an operation with one output."""
+        node = Node(op, tuple(self.symbol(x) for x in inputs), options)
+        node.outputs = (Symbol(self, shape, flag, node=node),)
+        self.blocks[-1].nodes.append(node)
+        return node.outputs[0]
+
+    def inner(self, body: Callable[[Block], Tree]) -> tuple[Block, Tree]:
+        """Record a block within the innermost one; return it, and the tree of its outputs."""
+        block = Block()
+        self.blocks.append(block)
+        tree = body(block)
+        self.blocks.pop()
+        block.outputs = [self.symbol(leaf) for leaf in leaves(tree)]
+        return block, tree
+
+    def control(
+        self,
+        op: str,
+        inputs: Sequence[Any],
+        blocks: tuple[Block, ...],
+        like: Sequence[tuple[tuple[int, ...], bool]],
+        **options: Any,
+    ) -> list[Symbol]:
+        """Record a loop or a branch, with outputs of these shapes and kinds."""
+        node = Node(op, tuple(self.symbol(x) for x in inputs), options, blocks)
+        node.outputs = tuple(Symbol(self, shape, flag, node=node) for shape, flag in like)
+        self.blocks[-1].nodes.append(node)
+        return list(node.outputs)
+
+
+class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
+    """Stand for an array whose values are not known.
+
+    Attributes
+    ----------
+    shape : Of the array.
+    flag : Whether its elements are true or false.
+    node : The operation that computes it; None for an input or a constant.
+    value : Of a constant.
+    """
+
+    __hash__ = object.__hash__
+
+    def __init__(
+        self,
+        trace: Trace,
+        shape: tuple[int, ...],
+        flag: bool = False,
+        node: Node | None = None,
+        value: Array | None = None,
+    ) -> None:
+        self.trace, self.shape, self.flag, self.node, self.value = trace, shape, flag, node, value
+
+    @property
+    def ndim(self) -> int:
+        """Return the number of axes."""
+        return len(self.shape)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __array__(self, *_: Any, **__: Any) -> Array:
+        raise TypeError("a symbol has no values")
+
+    def __bool__(self) -> bool:
+        raise TypeError("a symbol has no truth value; use cond")
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Symbol:
+        if method != "__call__" or kwargs:
+            raise TypeError(f"{ufunc.__name__}.{method} cannot be traced")
+        if ufunc is np.matmul:
+            return _matmul(self.trace, *inputs)
+        if ufunc is np.power and np.array_equal(inputs[1], 2):
+            return self * self
+        op = ELEMENTWISE.get(ufunc.__name__)
+        if op is None:
+            raise TypeError(f"{ufunc.__name__} cannot be traced")
+        shape = np.broadcast_shapes(*(_shape(x) for x in inputs))
+        return self.trace.add(op, inputs, shape, op in FLAGS)
+
+    def __array_function__(
+        self, func: Callable[..., Any], _: Any, args: Any, kwargs: Any
+    ) -> Symbol:
+        traced = _FUNCTIONS.get(func)
+        if traced is None:
+            raise TypeError(f"{func.__name__} cannot be traced")
+        return traced(self.trace, *args, **kwargs)
+
+    def __getitem__(self, key: Any) -> Symbol:
+        keys = list(key) if isinstance(key, tuple) else [key]
+        given = sum(k is not None and k is not Ellipsis for k in keys)
+        rest = [slice(None)] * (self.ndim - given)
+        at = next((i for i, k in enumerate(keys) if k is Ellipsis), len(keys))
+        keys = [*keys[:at], *rest, *keys[at + 1 :]]
+        shape: list[int] = []
+        axes: list[tuple[int, int, int | None]] = []
+        for k in keys:
+            if k is None:
+                shape.append(1)
+                continue
+            size = self.shape[len(axes)]
+            if isinstance(k, slice):
+                start, stop, step = k.indices(size)
+                axes.append((start, step, len(shape)))
+                shape.append(len(range(start, stop, step)))
+            else:
+                axes.append((range(size)[k], 0, None))
+        return self.trace.add("view", [self], tuple(shape), self.flag, axes=tuple(axes))
+
+    def __iter__(self) -> Any:
+        return (self[i] for i in range(len(self)))
+
+    def sum(self, axis: int | None = None) -> Symbol:
+        """Return the sum over an axis, or over all."""
+        return _reduced(self.trace, "sum", self, axis)
+
+    def any(self) -> Symbol:
+        """Return whether any element is true."""
+        return np.where(self, 1.0, 0.0).sum() > 0
+
+    def all(self) -> Symbol:
+        """Return whether all elements are true."""
+        return np.logical_not(np.logical_not(self).any())
+
+    def reshape(self, *shape: int) -> Symbol:
+        """Return the same elements in another shape."""
+        size = int(np.prod(self.shape))
+        others = int(np.prod([n for n in shape if n >= 0]))
+        wanted = tuple(size // others if n < 0 else n for n in shape)
+        return self.trace.add("reshape", [self], wanted, self.flag)
+
+    @property
+    def T(self) -> Symbol:  # noqa: N802  NumPy's name
+        """Return it with its axes reversed."""
+        axes = tuple((0, 1, self.ndim - 1 - i) for i in range(self.ndim))
+        return self.trace.add("view", [self], self.shape[::-1], self.flag, axes=axes)
+
+
+def _shape(x: Any) -> tuple[int, ...]:
+    return x.shape if isinstance(x, Symbol) else np.shape(x)
+
+
+def _matmul(trace: Trace, a: Any, b: Any) -> Symbol:
+    """Record the product of matrices, or of a matrix and a vector."""
+    left, right = _shape(a), _shape(b)
+    if len(left) > 2 or len(right) > 2:
+        raise TypeError("products of batches of matrices cannot be traced")
+    return trace.add("matmul", [a, b], (*left[:-1], *right[1:]))
+
+
+def _reduced(trace: Trace, op: str, x: Any, axis: int | None = None) -> Symbol:
+    symbol = trace.symbol(x)
+    if axis is None:
+        symbol, axis = symbol.reshape(-1) if symbol.ndim != 1 else symbol, 0
+    axis %= symbol.ndim
+    shape = symbol.shape[:axis] + symbol.shape[axis + 1 :]
+    return trace.add(op, [symbol], shape, axis=axis)
+
+
+def _where(trace: Trace, flag: Any, yes: Any, no: Any) -> Symbol:
+    shape = np.broadcast_shapes(*(_shape(x) for x in (flag, yes, no)))
+    branches = [trace.symbol(x) for x in (yes, no)]
+    return trace.add("where", [flag, *branches], shape, all(x.flag for x in branches))
+
+
+def _concatenate(trace: Trace, arrays: Sequence[Any], axis: int = 0) -> Symbol:
+    parts = [trace.symbol(x) for x in arrays]
+    full = [x for x in parts if x.shape[axis]] or parts[:1]
+    if len(full) == 1:
+        return full[0]
+    axis %= full[0].ndim
+    shape = list(full[0].shape)
+    shape[axis] = sum(x.shape[axis] for x in full)
+    return trace.add("concat", full, tuple(shape), axis=axis)
+
+
+def _stack(trace: Trace, arrays: Sequence[Any], axis: int = 0) -> Symbol:
+    symbols = [trace.symbol(x) for x in arrays]
+    axis %= symbols[0].ndim + 1
+    key = (*[slice(None)] * axis, None, Ellipsis)
+    return _concatenate(trace, [x[key] for x in symbols], axis)
+
+
+def _broadcast_to(trace: Trace, x: Any, shape: tuple[int, ...]) -> Symbol:
+    symbol = trace.symbol(x)
+    new = len(shape) - symbol.ndim
+    axes = tuple((0, 0, None) if size == 1 else (0, 1, new + i)
+                 for i, size in enumerate(symbol.shape))  # fmt: skip
+    return trace.add("view", [symbol], tuple(shape), symbol.flag, axes=axes)
+
+
+_FUNCTIONS: dict[Callable[..., Any], Callable[..., Symbol]] = {
+    np.where: _where,
+    np.concatenate: _concatenate,
+    np.stack: _stack,
+    np.broadcast_to: _broadcast_to,
+    np.sum: lambda trace, x, axis=None: _reduced(trace, "sum", x, axis),
+    np.max: lambda trace, x, axis=None: _reduced(trace, "largest", x, axis),
+    np.min: lambda trace, x, axis=None: _reduced(trace, "smallest", x, axis),
+    np.hstack: lambda trace, arrays: _concatenate(trace, arrays, min(len(_shape(arrays[0])), 1)),
+    np.clip: lambda trace, x, low, high: np.minimum(np.maximum(x, low), high),
+    np.any: lambda trace, x: trace.symbol(x).any(),
+}
