@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,9 @@ from splitband.forecasters.known import Known
 from splitband.simulators import Ode, run
 
 Array = npt.NDArray[np.float64]
+
+_STEP = 0.01
+"""Sampling time of the simulated pendulum in s."""
 
 
 class MassSpringOracle(Forecaster):
@@ -82,6 +86,15 @@ def double_torsion_pendulum(row: str, samples: int = 2000, seed: int = 0) -> Rec
     samples : At 0.01 s, after 5 s of settling; normalised.
     seed : Of the noise on `y`, standard deviation 0.01; `y_true` is without.
     """
+    y = _angle(row, samples)
+    noise = np.random.default_rng(seed).normal(0.0, 0.01, y.shape)
+    name = f"double-torsion-pendulum-{row}"
+    return Record(y + noise, _STEP, y_true=y, name=name, columns=("phi2",))
+
+
+@cache
+def _angle(row: str, samples: int) -> Array:
+    """Return the normalised angle of the second disc without noise, `(samples, 1)`."""
     frequency, amplitude = TORSION_DRIVES[row]
     to_frame, between = (2 * np.pi * 0.6) ** 2, (2 * np.pi * 2.2) ** 2
     static, kinetic, stribeck = 16.0, 6.0, 0.5
@@ -100,9 +113,7 @@ def double_torsion_pendulum(row: str, samples: int = 2000, seed: int = 0) -> Rec
             ]
         )
 
-    dt, settling = 0.01, 500
-    angle = run(Ode(discs, [0.3, 0, 0.1, 0], lambda s: s[:, 2]), settling + samples, dt)[settling:]
-    y = (angle - angle.mean(axis=0)) / angle.std(axis=0)
-    noise = np.random.default_rng(seed).normal(0.0, 0.01, y.shape)
-    name = f"double-torsion-pendulum-{row}"
-    return Record(y + noise, dt, y_true=y, name=name, columns=("phi2",))
+    settling = 500
+    pendulum = Ode(discs, [0.3, 0, 0.1, 0], lambda s: s[:, 2])
+    angle = run(pendulum, settling + samples, _STEP)[settling:]
+    return np.asarray((angle - angle.mean(axis=0)) / angle.std(axis=0))
