@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -489,3 +491,22 @@ def test_an_euler_rollout_refuses_tensors_that_do_not_fit() -> None:
         fused_euler(cell, h0, steps, u[:, :2])
     with pytest.raises(ValueError, match=r"weight_1 must be \(5, 2\)"):
         fused_euler(cell, h0, steps)
+
+
+@pytest.mark.soak
+def test_the_process_that_compiles_a_kernel_gives_the_bits_of_later_ones(tmp_path: Path) -> None:
+    code = """
+import torch
+from splitband.networks import GRU, rollout
+torch.manual_seed(0)
+cell, y = GRU(48), torch.randn(25, 50, 1)
+rollout(cell, y, 250).square().sum().backward()
+print([p.grad.numpy().tobytes().hex() for p in cell.parameters()])
+"""
+    cached = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    compiled, loaded = (
+        subprocess.run([sys.executable, "-c", code], env=cached, stdout=-1, check=True).stdout
+        for _ in range(2)
+    )
+    assert any(tmp_path.rglob("*.nbi"))
+    assert compiled == loaded

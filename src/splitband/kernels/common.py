@@ -39,8 +39,12 @@ _OPTIONS: Any = {
 
 
 def part(function: F) -> F:
-    """Compile a part of a kernel, along with the kernel."""
-    compiled: F = njit(**_OPTIONS)(function)
+    """Compile a part of a kernel into the kernel.
+
+    A part that is left as a function of its own is linked otherwise where the kernel is compiled
+    than where it comes from the disk: the last bits then differ between the two processes.
+    """
+    compiled: F = njit(forceinline=True, **_OPTIONS)(function)
     return compiled
 
 
