@@ -67,7 +67,7 @@ def made(out: Path) -> str:
         f"than networks{_default_in_minutes(found)}. The command times a gradient first, and "
         "reckons with more seconds on a faster machine; here that is left out, so that the errors "
         "do not depend on the machine. The column of seconds is what it took on this one, two "
-        "cores; – where the machine did other work.",
+        "cores; it is left out where the machine did other work.",
     ]
     for name, of_budget in found.items():
         parts += _benchmark(SETS[name], of_budget)
@@ -91,7 +91,7 @@ def _benchmark(benchmark: Benchmark, of_budget: dict[float, Facts]) -> list[str]
             facts["recommended"],
             *errors_of(benchmark, facts),
             str(len(facts["methods"][facts["recommended"]]["seeds"])),
-            "–" if facts.get("disturbed") else f"{facts['seconds']:.0f}",
+            "" if facts.get("disturbed") else f"{facts['seconds']:.0f}",
         ]
         for minutes, facts in sorted(of_budget.items())
     ]
