@@ -356,10 +356,14 @@ def _over_time(points: Points, found: Found) -> Figure:
                 continue
             errors = [benchmark.scale * point["test_rmse"][i] for point in of]
             axis.loglog([point["cpu_seconds"] / 60 for point in of], errors, "o-", label=label)
-        budgets = sorted(minutes for minutes in found.get(name, {}) if minutes)
-        errors = [float(errors_of(benchmark, found[name][minutes])[i]) for minutes in budgets]
-        whole = [CORES * minutes for minutes in budgets]
-        axis.loglog(whole, errors, ".:", color="grey", label="splitband compare, search included")
+        whole = {
+            facts["settings"]["search"]["core_seconds"] / FOR_TRAINING / 60: facts
+            for facts in found.get(name, {}).values()
+        }
+        errors = [float(errors_of(benchmark, whole[minutes])[i]) for minutes in sorted(whole)]
+        axis.loglog(
+            sorted(whole), errors, ".:", color="grey", label="splitband compare, search included"
+        )
         axis.set(
             title=f"{benchmark.title}, {benchmark.columns[i]}",
             xlabel="CPU time (minutes of a core)",
