@@ -96,17 +96,22 @@ def _benchmark(benchmark: Benchmark, of_budget: dict[float, Facts]) -> list[str]
         for minutes, facts in sorted(of_budget.items())
     ]
     rows += [[method, "", *errors, "", ""] for method, errors in benchmark.published.items()]
-    chosen = [
-        f"- {minutes:g} min: {facts['methods'][facts['recommended']].get('description', '')}"
-        for minutes, facts in sorted(of_budget.items())
-    ]
     return [
         f"## {benchmark.title}",
         f"{benchmark.source[0].upper()}{benchmark.source[1:]}.",
         _lines(["", "recommended", *_heads(benchmark), "seeds", "seconds"], rows),
-        "What was found (0: the default budget):",
-        "\n".join(chosen),
+        f"{benchmark.title}, the recommended network: "
+        + "; ".join(
+            f"{_budget(minutes)} "
+            f"{facts['methods'][facts['recommended']].get('description', '')}"
+            for minutes, facts in sorted(of_budget.items())
+        )
+        + ".",
     ]
+
+
+def _budget(minutes: float) -> str:
+    return f"with {minutes:g} minutes" if minutes else "by default"
 
 
 def _side_by_side(points: Points, out: Path) -> list[str]:
