@@ -102,8 +102,7 @@ def _benchmark(benchmark: Benchmark, of_budget: dict[float, Facts]) -> list[str]
         _lines(["", "recommended", *_heads(benchmark), "seeds", "seconds"], rows),
         f"{benchmark.title}, the recommended network: "
         + "; ".join(
-            f"{_budget(minutes)} "
-            f"{facts['methods'][facts['recommended']].get('description', '')}"
+            f"{_budget(minutes)} {facts['methods'][facts['recommended']].get('description', '')}"
             for minutes, facts in sorted(of_budget.items())
         )
         + ".",
