@@ -32,6 +32,7 @@ format: .venv/.ready
 	$(BIN)/ruff format .
 
 figures: .venv/.ready
+	$(BIN)/python -m reproduction.fill
 	$(BIN)/python -m docs.figures_in_text
 
 docs: .venv/.ready
