@@ -23,7 +23,7 @@ SEARCH, TRIAL, BASE = 0.5, 0.65, 0.7
 quarters of the samples, and that of a network on a baseline must end; the rest is for final
 trainings."""
 ONE = 0.3
-"""Share of the time that a single training of a candidate may take. By eye."""
+"""Share of the time, and of the work, that a single training of a candidate may take. By eye."""
 SLOWER = 2.0
 """By how much trainings are taken to be slower than the gradient by which a core is measured, until
 they have been measured themselves. By eye."""

@@ -177,8 +177,7 @@ def as_run(plan: Plan, name: str, question: Question, done: Backtest) -> Run:
     said = from_start, forecast, tuple(done.tests)
     errors = Errors.of(plan, *said)
     leaves = None if forecast is None else leaves_range(done.y_range, forecast.y)
-    unfiltered = done.unfiltered.get(first, {})
-    return Run(name, errors, *said, leaves, done.report, done.description, unfiltered)
+    return Run(name, errors, *said, leaves, done.report, done.description, done.unfiltered)
 
 
 def models_of(

@@ -26,8 +26,8 @@ from splitband.forecasters.backtest import (
 from splitband.forecasters.network import Network
 from splitband.metrics import spread
 
-SEARCHED, TRAINED = 0.55, 0.3
-"""Shares of the budget: for the search, and at most for a single training of a candidate."""
+SEARCHED = 0.55
+"""Share of the budget for the search."""
 TRIAL_SEEDS, CORE_SECONDS_A_SEED = 2, 120.0
 """Seeds of each candidate, whose mean is scored; on records of up to `SHORT` samples one for so
 much of the budget, where that is more, and at most `MOST_MEMBERS`."""
@@ -94,7 +94,7 @@ class Trials:
         self._record, self._end = replace(record, y_true=None), len(record) + steps
         self._work, self._others, self._most = work, others, SEARCHED * budget
         alone = work.time.work_of_one(work.time.share(ONE))
-        self._longest = min(alone, TRAINED * budget)
+        self._longest = min(alone, ONE * budget)
         paid = round(budget / CORE_SECONDS_A_SEED) if len(record) <= SHORT else 0
         self._seeds = range(min(max(TRIAL_SEEDS, paid), MOST_MEMBERS))
         self._rounds = 0

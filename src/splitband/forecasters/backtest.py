@@ -95,7 +95,8 @@ class Backtest:
     report : What the fit did; of several fits the one to the most samples.
     y_range : Lowest and highest value of each channel that it was fitted to, `(2, ny)`.
     description : What it has settled on.
-    unfiltered : By origin, what a model's filters are fed with, where it has any.
+    unfiltered : What a model's filters are fed with from the origin in the samples that it was
+        fitted to, where there are both.
     weights : Of a network, the state of its model.
     model : What has been fitted to the most samples, where it was asked for.
     """
@@ -105,7 +106,7 @@ class Backtest:
     report: FitReport
     y_range: Array
     description: str
-    unfiltered: Mapping[Origin, Mapping[str, Array]] = field(default_factory=dict)
+    unfiltered: Mapping[str, Array] = field(default_factory=dict)
     weights: Mapping[str, Tensor] = field(default_factory=dict)
     model: Forecaster | None = None
 
@@ -126,7 +127,7 @@ def backtest(
     """
     record, end, one = question.record, question.end, forecaster.for_seed(seed)
     predictions: dict[Origin, Prediction] = {}
-    unfiltered: dict[Origin, Mapping[str, Array]] = {}
+    unfiltered: Mapping[str, Array] = {}
     cut = False
     last: Forecaster | None = None
     for samples, of_fit in groupby(question.origins, key=lambda origin: origin.fitted):
@@ -147,8 +148,8 @@ def backtest(
             history = record[: origin.at]
             with without_warnings(ExtrapolationWarning):  # they are kept with the prediction
                 predictions[origin] = fitted.predict(end - origin.at, history)
-            if parts := fitted.unfiltered(end - origin.at, history):
-                unfiltered[origin] = parts
+            if origin.at < samples:
+                unfiltered = fitted.unfiltered(end - origin.at, history)
         if last is None or len(fitted.require_fitted().record) > len(last.require_fitted().record):
             last = fitted
         if current().over and len(predictions) < len(question.origins):
