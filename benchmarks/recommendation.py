@@ -108,7 +108,6 @@ def _measured(job: RecordJob, report: object) -> Facts:
     record = replace(job.record(), y_sim=None, beyond=None, y_true=None)
     comparison = _comparison(record, job)
     settled = comparison.require_trial()
-    tried = replace(settled, final={})
     # A method may fail on the shorter held-out fits alone: it has no interval then.
     tried_out = {m: mean for m, mean in comparison.means.items() if m in settled.intervals}
     left = {m: record.y[job.train :] - mean.ahead for m, mean in tried_out.items()}
@@ -119,7 +118,6 @@ def _measured(job: RecordJob, report: object) -> Facts:
         "train": job.train,
         "recommended": settled.recommended,
         "regret": errors[settled.recommended] / min(errors.values()),
-        "regret_by_held_out_alone": errors[tried.recommended] / min(errors.values()),
         "over_baselines": errors[settled.recommended] / errors[_of_baselines(settled)],
         "methods": {m: _method(settled, m, e) | {"error": errors[m]} for m, e in left.items()},
     }
@@ -172,9 +170,6 @@ def _summary(found: Sequence[Facts]) -> Facts:
     return {
         "records": len(found),
         "mean_log_regret": statistics.mean(math.log(f["regret"]) for f in found),
-        "mean_log_regret_by_held_out_alone": statistics.mean(
-            math.log(f["regret_by_held_out_alone"]) for f in found
-        ),
         "worst_regret": max(f["regret"] for f in found),
         "inside": statistics.mean(inside),
         # Of the mean over the records: they are few, and each is mostly inside or mostly outside.

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.sets import SETS
-from splitband.evaluation.recommendation import WORTH_TRAINING
 from splitband.evaluation.search import SECONDS
 from splitband.forecasters.names import NAMES, QUICK
 
@@ -166,27 +165,33 @@ def regrets_beyond() -> str:
 
 def reliability() -> dict[str, Any]:
     """Return what recommendations with and without networks come to, and intervals of networks."""
-    baselines, found = (
-        _read(f"benchmarks/{name}")["found"]
-        for name in ("recommendation", "recommendation-default")
+    baselines, found, by_change = (
+        _read(f"benchmarks/recommendation{which}")["found"]
+        for which in ("", "-default", "-by-change")
     )
-    kinds = {facts["kind"]: facts for facts in found}
     networks = [[f for name, f in facts["methods"].items() if name not in QUICK] for facts in found]
     every = [facts["inside"] for of_record in networks for facts in of_record]
     best = [min(of, key=lambda facts: float(facts["held_out"]))["inside"] for of in networks]
     worst = max(baselines, key=lambda facts: float(facts["regret"]))
+    over: dict[str, list[float]] = {}
+    for facts in found:
+        over.setdefault(facts["kind"], []).append(facts["over_baselines"])
     return {
-        "baselines": _regret(baselines),
-        "networks": _regret(found),
-        "over_baselines": {
-            "mean": statistics.geometric_mean(facts["over_baselines"] for facts in found),
-            **{kind: facts["over_baselines"] for kind, facts in kinds.items()},
+        "baselines": {"records": len(baselines), "regret": _mean_of(baselines, "regret")},
+        "networks": {
+            "records": len(found),
+            "regret": _mean_of(found, "regret"),
+            "over": _mean_of(found, "over_baselines"),
+            "recommended": sum(facts["recommended"] not in QUICK for facts in found),
+            "inside": 100
+            * statistics.mean(facts["methods"][facts["recommended"]]["inside"] for facts in found),
         },
-        "present": _by_held_out(found),
-        "present_but_trend": _by_held_out([f for f in found if f["kind"] != "trend"]),
-        "earlier_but_trend": statistics.geometric_mean(
-            facts["over_baselines"] for facts in found if facts["kind"] != "trend"
-        ),
+        "over": {kind: statistics.geometric_mean(of_kind) for kind, of_kind in over.items()},
+        "by_change": {
+            "records": len(by_change),
+            "with": _mean_of(by_change, "regret"),
+            "without": _mean_of(by_change, "regret_by_held_out_alone"),
+        },
         "worst": worst | {"best": _best(worst)},
         "intervals": {
             "networks": len(every),
@@ -196,30 +201,8 @@ def reliability() -> dict[str, Any]:
     }
 
 
-def _by_held_out(found: list[dict[str, Any]]) -> dict[str, float]:
-    """Return what the present rule recommends of records that were measured by an earlier one."""
-    over, inside, networks = [], [], 0
-    for facts in found:
-        of = facts["methods"]
-        best = min(of, key=lambda name: _worth(of, name))
-        baseline = min([name for name in of if name in QUICK], key=lambda name: _worth(of, name))
-        over.append(of[best]["error"] / of[baseline]["error"])
-        inside.append(of[best]["inside"])
-        networks += best not in QUICK
-    mean, share = statistics.geometric_mean(over), 100 * statistics.mean(inside)
-    return {"over": mean, "worst": max(over), "inside": share, "networks": networks}
-
-
-def _worth(methods: dict[str, Any], name: str) -> float:
-    return float(methods[name]["held_out"]) * (1 if name in QUICK else 1 + WORTH_TRAINING)
-
-
-def _regret(found: list[dict[str, Any]]) -> dict[str, float]:
-    regret, by_change = (
-        statistics.geometric_mean(facts[key] for facts in found)
-        for key in ("regret_by_held_out_alone", "regret")
-    )
-    return {"records": len(found), "regret": regret, "by_change": by_change}
+def _mean_of(found: list[dict[str, Any]], key: str) -> float:
+    return statistics.geometric_mean(facts[key] for facts in found)
 
 
 def _best(facts: dict[str, Any]) -> str:
