@@ -124,7 +124,10 @@ class Processes(Workers):
     def explained(self, error: BaseException) -> BaseException:
         """Return an error that says when a process was ended from outside."""
         if isinstance(error, BrokenProcessPool):
-            return OSError("a training process was ended from outside, perhaps for memory")
+            return OSError(
+                "a training process was ended from outside, perhaps for memory, or could not begin: "
+                'a script has to keep what it does under `if __name__ == "__main__":`'
+            )
         return super().explained(error)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
