@@ -125,7 +125,7 @@ class Processes(Workers):
         """Return an error that says when a process was ended from outside."""
         if isinstance(error, BrokenProcessPool):
             return OSError(
-                "a training process was ended from outside, perhaps for memory, or could not begin: "
+                "a training process was ended from outside, perhaps for memory, or did not begin: "
                 'a script has to keep what it does under `if __name__ == "__main__":`'
             )
         return super().explained(error)
