@@ -17,6 +17,7 @@ from benchmarks import against, pendulum
 from benchmarks.jax_settings import SETTINGS
 from benchmarks.sets import SETS, Benchmark
 from benchmarks.study import table
+from splitband.evaluation.search import CORE_SECONDS
 from splitband.runtime.files import replacing
 
 DRIVEN = Path("docs/benchmarks/driven.json")
@@ -73,7 +74,7 @@ def made(out: Path) -> str:
         parts += _benchmark(SETS[name], of_budget)
     if (out / BUDGET).exists():
         parts += [f"![Error over budget]({out.name}/{BUDGET})"]
-    parts += _side_by_side(_points(out), out) + _pendulum(out) + _short()
+    parts += _side_by_side(_points(out), out) + _pendulum(out) + _drawn()
     return "\n\n".join(parts) + "\n"
 
 
@@ -282,26 +283,50 @@ def _pendulum(out: Path) -> list[str]:
     ]
 
 
-def _short() -> list[str]:
-    """Short records of drawn systems, beside a GRU that has the same work to itself."""
+def _drawn() -> list[str]:
+    """Records of drawn systems, the short ones beside a GRU that has the same work to itself."""
     if not DRIVEN.exists():
         return []
-    found = [(name, facts) for name, of_seeds in _read(DRIVEN).items() for facts in of_seeds]
-    rows, ratios = [], []
-    for name, facts in found:
-        best, alone = facts["default"]["recommended"], facts["gru"]["gru"]
-        error = facts["default"][best]
-        ratios.append(error / alone)
-        rows.append([name, best, f"{100 * error:.3g} %", f"{100 * alone:.3g} %"])
+    rows: dict[tuple[str, int, int], dict[float, Facts]] = {}
+    for name, of_system in _read(DRIVEN).items():
+        for facts in of_system:
+            rows.setdefault((name, facts["seed"], facts["samples"]), {})[facts["work"]] = facts
+    works = sorted({work for of_record in rows.values() for work in of_record})
+    least = works[0]
+    lines, ratios = [], dict[float, list[float]]()
+    for (name, _, samples), of_record in rows.items():
+        alone = of_record[least].get("gru", {}).get("gru")
+        cells = [name, f"{samples:,}", "" if alone is None else _percent(alone)]
+        for work in works:
+            if work not in of_record:
+                cells.append("")
+                continue
+            best = of_record[work]["default"]["recommended"]
+            error = of_record[work]["default"][best]
+            cells.append(f"{_percent(error)}, {best}")
+            if alone is not None:
+                ratios.setdefault(work, []).append(error / alone)
+        lines.append(cells)
+    means = " and ".join(
+        f"{statistics.geometric_mean(of_work):.2f} {_of_work(work)} ({len(of_work)} records)"
+        for work, of_work in ratios.items()
+    )
     return [
-        "## Short records of drawn systems",
-        f"{found[0][1]['samples']} samples to train on; error of a simulation of 2,000 more, as a "
-        "share of their standard deviation, by the default methods and by a GRU alone that has the "
-        "same work to itself. Systems and seeds on which nothing was chosen (`python -m "
-        "benchmarks.driven --seeds 1000`). The geometric mean of the ratios of both errors is "
-        f"{statistics.geometric_mean(ratios):.2f}.",
-        _lines(["system", "recommended", "error", "GRU alone"], rows),
+        "## Records of drawn systems",
+        "Error of a simulation of 2,000 more samples, as a share of their standard deviation, by "
+        "the recommended method and by a GRU alone that has the default's work to itself. Systems "
+        "and seeds on which nothing was chosen (`python -m benchmarks.driven`). The geometric mean "
+        f"of the ratios of the recommended method's error to that of the GRU is {means}.",
+        _lines(["system", "samples", "GRU alone", *map(_of_work, works)], lines),
     ]
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.3g} %"
+
+
+def _of_work(work: float) -> str:
+    return _budget(0 if work == CORE_SECONDS else work / (FOR_TRAINING * 60 * CORES))
 
 
 def _in_unit(benchmark: Benchmark, errors: Iterable[float]) -> list[str]:
