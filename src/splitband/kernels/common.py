@@ -23,6 +23,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 PAD = 16
 """The last axis of a buffer is padded to a multiple of this: vector loops need no remainder."""
+CROWDED = 512
+"""Rows of weights are not a multiple of this many numbers apart. Of 512 columns, products take 0.4
+to 0.6 of the time (501 rows, 8 to 50 rows of data, with 512 KiB of second-level cache)."""
 _WORTH_A_THREAD = 1e7
 """Multiplications that take as long as waking a thread."""
 
@@ -140,9 +143,14 @@ def zeros(like: Tensor, *shape: int) -> Tensor:
 
 
 def pad(x: Tensor | Array) -> Tensor:
-    """Return a copy whose last axis is padded with zeros to a multiple of `PAD`."""
+    """Return a copy whose last axis is padded with zeros to a multiple of `PAD`.
+
+    Rows a multiple of `CROWDED` apart get `PAD` more, as they would share few places of the cache.
+    """
     values = array(x)
-    out = zeros(torch.from_numpy(values[..., :0]), *values.shape[:-1], padded(values.shape[-1]))
+    width = padded(values.shape[-1])
+    width += PAD * (width % CROWDED == 0)
+    out = zeros(torch.from_numpy(values[..., :0]), *values.shape[:-1], width)
     out.numpy()[..., : values.shape[-1]] = values
     return out
 
