@@ -5,6 +5,8 @@ import shlex
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -83,11 +85,11 @@ def test_ctrl_c_stops_at_once_and_leaves_nothing_half_written(
         f"compare {workspace}/record.csv --columns a --methods gru --epochs 100000 "
         f"--cutoff 1 --hidden 4,3 --window 30 --seeds 2 --jobs {jobs} --out {tmp_path / 'out'}"
     )
-    running = command_line(line)
-    eventually(lambda: len([*tmp_path.glob(files)]) >= count)
-    assert interrupted(running) == [
-        "error: stopped; no file is half written, and the same command goes on from here"
-    ]
+    with command_line(line) as running:
+        eventually(lambda: len([*tmp_path.glob(files)]) >= count)
+        assert interrupted(running) == [
+            "error: stopped; no file is half written, and the same command goes on from here"
+        ]
     assert [*temporary.iterdir()] == []
     assert {path.name for path in (tmp_path / "out").iterdir()} == {CHECKPOINTS}
 
@@ -99,13 +101,15 @@ def test_ctrl_c_stops_it_while_it_loads(tmp_path: Path, monkeypatch: pytest.Monk
         "import pathlib, time\npathlib.Path(__file__).with_name('here').touch()\ntime.sleep(600)\n"
     )
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
-    running = command_line("data list")
-    eventually((tmp_path / "here").exists)
-    assert interrupted(running) == ["error: stopped before anything was begun"]
+    with command_line("data list") as running:
+        eventually((tmp_path / "here").exists)
+        assert interrupted(running) == ["error: stopped before anything was begun"]
 
 
-def command_line(line: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
+@contextmanager
+def command_line(line: str) -> Iterator[subprocess.Popen[str]]:
+    """A command that runs, and is ended with all of its processes whatever the test finds."""
+    running = subprocess.Popen(
         [sys.executable, "-m", "splitband", *shlex.split(line)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
@@ -114,15 +118,18 @@ def command_line(line: str) -> subprocess.Popen[str]:
         # A shell's job in the background would pass on that Ctrl-C is nothing to it.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
     )
+    with running:
+        try:
+            yield running
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(running.pid, signal.SIGKILL)
 
 
 def interrupted(running: subprocess.Popen[str]) -> list[str]:
     """What it says after Ctrl-C, and that it stops as shells expect."""
     os.killpg(running.pid, signal.SIGINT)
-    try:
-        _, said = running.communicate(timeout=300)
-    finally:
-        running.kill()
+    _, said = running.communicate(timeout=300)
     # Python ends by the signal itself where it came in an `exec`: shells show 130 for both.
     assert running.returncode in (130, -signal.SIGINT)
     return complaints(said)
