@@ -292,10 +292,9 @@ def _drawn() -> list[str]:
         for facts in of_system:
             rows.setdefault((name, facts["seed"], facts["samples"]), {})[facts["work"]] = facts
     works = sorted({work for of_record in rows.values() for work in of_record})
-    least = works[0]
     lines, ratios = [], dict[float, list[float]]()
     for (name, _, samples), of_record in rows.items():
-        alone = of_record[least].get("gru", {}).get("gru")
+        alone = next((of["gru"]["gru"] for of in of_record.values() if "gru" in of), None)
         cells = [name, f"{samples:,}", "" if alone is None else _percent(alone)]
         for work in works:
             if work not in of_record:
