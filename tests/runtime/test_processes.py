@@ -116,6 +116,38 @@ if __name__ == "__main__":
     assert parent.communicate(timeout=300) == ("[1, 2]\n", "")
 
 
+@pytest.mark.parametrize("temporary", ["t", 80 * "t"], ids=["short", "too long for sockets"])
+def test_processes_have_the_modules_and_the_environment_of_this_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, temporary: str
+) -> None:
+    (tmp_path / "torch.py").write_text(NO_TORCH)
+    script = tmp_path / "script.py"
+    script.write_text(
+        """
+import os
+from splitband.runtime.processes import over
+
+def work(job, report):
+    return os.environ["SIMULATOR"], os.environ.get("PYTHONSAFEPATH")
+
+if __name__ == "__main__":
+    for os.environ["SIMULATOR"] in ("a", "b"):
+        print(sorted(over(work, [1, 2], 2)))
+"""
+    )
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "csv.py").write_text("raise RuntimeError('not what is meant')")
+    (folder := Path(tempfile.gettempdir()) / temporary).mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    command = [sys.executable, "-P", str(script)]
+    run = subprocess.run(command, cwd=elsewhere, capture_output=True, text=True, check=False)
+    assert run.stderr == ""
+    assert run.stdout.splitlines() == [f"{[(value, None)] * 2}" for value in "ab"]
+    folder.rmdir()
+
+
 def alive(pid: int) -> bool:
     """Whether a process runs; one that has ended may still have an entry (a zombie)."""
     try:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import multiprocessing.context
+import multiprocessing.forkserver
+import multiprocessing.resource_tracker
 import os
 import shutil
 import signal
@@ -30,6 +32,10 @@ from splitband.runtime.executors import (
     given_to,
 )
 from splitband.runtime.threads import one_thread, use_one_thread
+
+LONGEST = 50
+"""Bytes of the temporary folder's name up to which sockets can be in it: of 107 some are taken by
+names of `multiprocessing`, twice where processes begin further ones."""
 
 
 def over(
@@ -73,8 +79,8 @@ class Processes(Workers):
     """Run jobs in processes of this machine, which end with this one.
 
     Where forks are safe, they are copies of one process that has loaded the package, so that the
-    second one begins at once and shares its memory. Their temporary files are in a folder that is
-    removed at the end, however a process ends.
+    second one begins at once and shares its memory; that process stays until this one ends. Their
+    temporary files are in a folder that is removed at the end, however one of them ends.
 
     `count`: largest number of processes.
     """
@@ -87,9 +93,8 @@ class Processes(Workers):
     def _begin(self) -> None:
         context = _context()
         self._queue: SimpleQueue[Any] = context.SimpleQueue()
-        self._pool = ProcessPoolExecutor(
-            self._count, context, _start_worker, (self._queue, self._folder.name)
-        )
+        given = self._queue, self._folder.name, dict(os.environ)
+        self._pool = ProcessPoolExecutor(self._count, context, _start_worker, given)
 
     def submit(
         self,
@@ -99,8 +104,11 @@ class Processes(Workers):
         **kwargs: Parameters.kwargs,
     ) -> Future[Result]:
         """Submit a job to the processes."""
-        with _no_interrupts():  # again: multiprocessing's tracker has reset it
-            return self._pool.submit(fn, *args, **kwargs)
+        try:
+            with _no_interrupts():  # one that is half begun would complain
+                return self._pool.submit(fn, *args, **kwargs)
+        except EOFError as error:
+            raise BrokenProcessPool("the process that they are copies of has ended") from error
 
     @contextlib.contextmanager
     def listening(self, progress: Callable[[Any], None]) -> Iterator[Report]:
@@ -137,21 +145,46 @@ class Processes(Workers):
 
 
 def _context() -> multiprocessing.context.BaseContext:
-    """Return how processes start: on macOS and Windows each loads the package by itself."""
-    if sys.platform in {"darwin", "win32"}:
+    """Return how processes start: on macOS and Windows each loads the package by itself.
+
+    So they do where the temporary folder has a long name, as copies need a socket in it.
+    """
+    long = len(os.fsencode(tempfile.gettempdir())) > LONGEST
+    if sys.platform in {"darwin", "win32"} or long:
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     package = __name__.partition(".")[0]
-    context.set_forkserver_preload([each for each in sys.modules if each.startswith(package)])
+    loaded = [name for name in [*sys.modules] if name.partition(".")[0] == package]
+    context.set_forkserver_preload(loaded)
+    multiprocessing.resource_tracker.ensure_running()  # which unblocks signals
+    with _no_interrupts(), _same_path():
+        multiprocessing.forkserver.ensure_running()
     return context
+
+
+@contextlib.contextmanager
+def _same_path() -> Iterator[None]:
+    """Let Python processes that begin in here import from where this one does, and nowhere else."""
+    own = {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))}
+    before = {name: os.environ.get(name) for name in own}
+    os.environ.update(own)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
 
 
 _queue: Any = None
 
 
-def _start_worker(queue: Any, folder: str) -> None:
+def _start_worker(queue: Any, folder: str, environment: dict[str, str]) -> None:
     global _queue  # noqa: PLW0603  set once, when the process starts
     _queue = queue
+    os.environ.clear()
+    os.environ.update(environment)  # in place of that in which the server began
     tempfile.tempdir = os.environ["TMPDIR"] = folder
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends them
     use_one_thread()
