@@ -158,6 +158,17 @@ def test_short_and_constant_records_give_finite_numbers(
     np.testing.assert_allclose(constant.simulate(u)[samples:], 7, atol=1e-6)
 
 
+def test_a_further_record_may_be_shorter_than_the_model_is_long() -> None:
+    u = inputs()
+    whole = sb.Record(oscillators(u), 0.2, u=u)
+    fitted = sb.Linear().fit(whole[:TRAIN], whole[TRAIN : TRAIN + 3])
+    np.testing.assert_allclose(
+        fitted.predict(50, whole[:TRAIN], u=u[TRAIN : TRAIN + 50]).y,
+        whole.y[TRAIN : TRAIN + 50],
+        atol=0.1,
+    )
+
+
 def test_after_the_deadline_it_is_a_model_of_one_pole_and_says_that_it_was_cut() -> None:
     u = np.repeat(np.random.default_rng(2).choice([-1.0, 1.0], 60), 10)
     y = scipy.signal.lfilter([0.0, 0.1], [1.0, -0.9], u)

@@ -227,6 +227,16 @@ def test_a_small_budget_tries_less_and_a_tiny_one_nothing() -> None:
     assert settings_of(nothing.forecasters[0]) == QUICK
 
 
+def test_what_the_budget_does_not_pay_for_is_left_out_and_says_so() -> None:
+    setup = replace(SEARCHED, search=Search(1e-3))
+    result = sb.compare(record(), TRAIN, ["mean", "gru", "split-gru"], setup=setup)
+    assert [*result.runs] == ["mean"]
+    for name in ("gru", "split-gru"):
+        assert result.require_trial().failed[name].startswith("left out: its trial and training take about ")
+    only = sb.compare(record(), TRAIN, ["gru", "split-gru"], setup=setup)
+    assert [*only.runs] == ["gru"]  # there has to be a result
+
+
 def test_settings_of_ones_own_are_not_searched() -> None:
     own = sb.Single(sb.GRU(4), settings=QUICK)
     chosen = [own.with_defaults(SETUP.settings, SETUP.bands)]

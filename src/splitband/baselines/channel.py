@@ -259,7 +259,7 @@ def _delayed(x: Array, delays: int) -> Array:
     """Return a signal delayed by 0, 1, ... samples, `(time, delays)`."""
     late = np.zeros((len(x), delays))
     for k in range(delays):
-        late[k:, k] = x[: len(x) - k]
+        late[k:, k] = x[: max(len(x) - k, 0)]
     return late
 
 

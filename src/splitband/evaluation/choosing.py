@@ -55,12 +55,13 @@ def choose(plan: Plan, work: Work) -> tuple[Trial, SearchResult]:
     stage = work.for_stage(TRIAL, trying, (AFTER_SEARCH, AFTER_TRIAL))
     with time.phase("trial", trying):
         needed = not trial.errors
-        networks = _in_time(plan, searched, len(seeds), stage, needed)
+        paid, unpaid = _within_budget(plan, searched, len(seeds), needed)
+        networks = _in_time(plan, searched, paid, len(seeds), stage, needed)
         done = searched.done
         found = try_out(record, networks, ahead, seeds, stage, others, done, need_one=needed)
     trial = trial.joined(found)
     late = {name: reason for name, reason in time.left_out.items() if name not in trial.errors}
-    trial = replace(trial, failed={**trial.failed, **late})
+    trial = replace(trial, failed={**trial.failed, **unpaid, **late})
     if time.deadline.over:
         return trial, searched
     stage = replace(work, deadline=basing, span=(AFTER_TRIAL, AFTER_TRIAL))
@@ -127,8 +128,38 @@ def _on(base: str, best: Network, plan: Plan) -> Network:
     return network.trained_as(settings if settings.epochs else plan.setup.settings).to(best.device)
 
 
+def _within_budget(
+    plan: Plan, searched: SearchResult, seeds: int, needed: bool
+) -> tuple[list[Forecaster], dict[str, str]]:
+    """Return the networks whose trial and training the budget pays for, and why not the others.
+
+    Where nothing else has come to a result, the first one is `needed` whatever it costs.
+    """
+    left = searched.left - sum(searched.costs[name] for name in searched.done)
+    kept, unpaid = list[Forecaster](), {}
+    for f in searched.forecasters:
+        if not f.random:
+            continue
+        if f.name in searched.costs and f.name not in searched.done:
+            cost = (1 + seeds * (1 - HELD_OUT)) * searched.costs[f.name]
+            if cost > left and (kept or not needed):
+                unpaid[f.name] = (
+                    f"left out: its trial and training take about {cost:.0f} s of a reference "
+                    f"core, and {max(left, 0):.0f} s of the budget were left for them"
+                )
+                continue
+            left -= cost
+        kept.append(f)
+    return kept, unpaid
+
+
 def _in_time(
-    plan: Plan, searched: SearchResult, seeds: int, work: Work, needed: bool
+    plan: Plan,
+    searched: SearchResult,
+    networks: Sequence[Forecaster],
+    seeds: int,
+    work: Work,
+    needed: bool,
 ) -> list[Forecaster]:
     """Return the networks that there is time to try; the others are left out by name.
 
@@ -137,9 +168,7 @@ def _in_time(
     """
     time, kept = work.time, list[Forecaster]()
     left = time.work_until(work.deadline)
-    for f in searched.forecasters:
-        if not f.random:
-            continue
+    for f in networks:
         cost = 0.0
         if time.limited and not searched.done.get(f.name):
             origin = Origin(held_out_from(plan.train), plan.train)

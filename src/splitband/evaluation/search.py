@@ -170,15 +170,15 @@ def search(
     others_first = [c for turn in zip_longest(*promising) for c in turn if c]
     # What has helped alone may help together.
     together = trials.combinations(first[0])
-    ladder += trials.run(together + others_first, FIRST_ROUND + OF_OTHERS)
+    ladder += trials.run(together + others_first, FIRST_ROUND + OF_OTHERS if rest else 1.0)
     while ladder:
         ladder = trials.run([c for each in trials.promoted(ladder) if (c := each.longer())], 1.0)
     best = {f.name: runs for f in tunable if (runs := trials.best(f.name))}
     left = budget.core_seconds - trials.spent
     last = {name: trials.last(runs, left) for name, runs in best.items()}
-    if work.time.cut and not trials.tried:  # there is no time to try anything: what is done soonest
-        soonest = [min(each, key=trials.cost) for each in (first, *rest)]
-        last = {each.method: [each.network] for each in soonest}
+    # Of what the budget did not pay a trial for, what is done soonest.
+    soonest = [min(each, key=trials.cost) for each in (first, *rest)]
+    last = {each.method: [each.network] for each in soonest} | last
     done = {name: {i: run.done for i, run in enumerate(runs)} for name, runs in best.items()}
     found = SearchResult([*forecasters], tuple(trials.attempts), done, left=left)
     return _chosen(found, last, record, others)
