@@ -232,7 +232,11 @@ def test_what_the_budget_does_not_pay_for_is_left_out_and_says_so() -> None:
     result = sb.compare(record(), TRAIN, ["mean", "gru", "split-gru"], setup=setup)
     assert [*result.runs] == ["mean"]
     for name in ("gru", "split-gru"):
-        assert result.require_trial().failed[name].startswith("left out: its trial and training take about ")
+        assert (
+            result.require_trial()
+            .failed[name]
+            .startswith("left out: its trial and training take about ")
+        )
     only = sb.compare(record(), TRAIN, ["gru", "split-gru"], setup=setup)
     assert [*only.runs] == ["gru"]  # there has to be a result
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import torch
@@ -51,13 +53,20 @@ def part(function: F) -> F:
     return compiled
 
 
-def kernel(function: F) -> F:
-    """Compile on the first call and keep the result on disk.
+_SOURCES = hashlib.sha256(
+    b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
+).hexdigest()
 
-    The cache is keyed on the kernel's own file: after a change of its parts elsewhere, touch it.
+
+def kernel(function: F) -> F:
+    """Compile on the first call and keep the result on disk, until a file of this folder changes.
+
+    Numba itself compares the kernel's own file, and would not see that a part of it has changed.
     """
-    compiled: F = njit(cache=True, **_OPTIONS)(function)
-    return compiled
+    compiled: Any = njit(cache=True, **_OPTIONS)(function)
+    kept = compiled._cache._cache_file
+    kept._source_stamp = kept._source_stamp, _SOURCES
+    return cast("F", compiled)
 
 
 class _Announcement(event.Listener):
