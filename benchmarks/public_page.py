@@ -17,6 +17,8 @@ from benchmarks import against, pendulum
 from benchmarks.jax_settings import SETTINGS
 from benchmarks.sets import SETS, Benchmark
 from benchmarks.study import table
+from splitband.evaluation.costs import FOR_TRAINING as FOR_NETWORKS
+from splitband.evaluation.costs import STARTING
 from splitband.evaluation.search import CORE_SECONDS
 from splitband.runtime.files import replacing
 
@@ -63,12 +65,13 @@ def made(out: Path) -> str:
         "the training file, warmed up on the first samples of each test file (50 unless said "
         "otherwise), simulated to its end; RMSE of the mean of all trainings. `python -m "
         "benchmarks.public` makes this page. Other scores are those that their authors published.",
-        "A budget is reckoned in seconds of a reference core: "
-        f"{', '.join(_reckoned(found))}. In minutes, of two cores, a fifth is kept for other work "
-        f"than networks{_default_in_minutes(found)}. The command times a gradient first, and "
-        "reckons with more seconds on a faster machine; here that is left out, so that the errors "
-        "do not depend on the machine. The column of seconds is what it took on this one, two "
-        "cores; it is left out where the machine did other work.",
+        "Work is limited, not time, so that the errors do not depend on the machine: "
+        f"{', '.join(_limits(found))}, of a reference core. That is for training networks alone, "
+        f"and as much as two cores of the reference machine do in {_listed(found)} minutes if "
+        f"{FOR_TRAINING:.0%} of the time go into it. `--budget 10m` plans "
+        f"{_of_ten_minutes():.0f} s there, as it has to be done in time on a busy "
+        "machine, too. The column of seconds is what it took on this machine, two cores; it is "
+        "left out where the machine did other work.",
     ]
     for name, of_budget in found.items():
         parts += _benchmark(SETS[name], of_budget)
@@ -88,7 +91,7 @@ def _benchmark(benchmark: Benchmark, of_budget: dict[float, Facts]) -> list[str]
     """What the command came to, beside what others have published."""
     rows = [
         [
-            "`splitband compare`" + (f" --budget {minutes:g}m" if minutes else ""),
+            "`splitband compare`" + (f" {_effort(_work(facts))}" if minutes else ""),
             facts["recommended"],
             *errors_of(benchmark, facts),
             str(len(facts["methods"][facts["recommended"]]["seeds"])),
@@ -103,15 +106,26 @@ def _benchmark(benchmark: Benchmark, of_budget: dict[float, Facts]) -> list[str]
         _lines(["", "recommended", *_heads(benchmark), "seeds", "seconds"], rows),
         f"{benchmark.title}, the recommended network: "
         + "; ".join(
-            f"{_budget(minutes)} {facts['methods'][facts['recommended']].get('description', '')}"
-            for minutes, facts in sorted(of_budget.items())
+            f"{_limit(_work(facts))} "
+            f"{facts['methods'][facts['recommended']].get('description', '')}"
+            for _, facts in sorted(of_budget.items())
         )
         + ".",
     ]
 
 
-def _budget(minutes: float) -> str:
-    return f"with {minutes:g} minutes" if minutes else "by default"
+def _work(facts: Facts) -> float:
+    """Return the limit of a result, in seconds of a reference core."""
+    work: float = facts["settings"]["search"]["core_seconds"]
+    return work
+
+
+def _effort(work: float) -> str:
+    return f"`--effort {work / 60:g}m`"
+
+
+def _limit(work: float) -> str:
+    return "by default" if work == CORE_SECONDS else f"with {_effort(work)}"
 
 
 def _side_by_side(points: Points, out: Path) -> list[str]:
@@ -137,7 +151,7 @@ def _side_by_side(points: Points, out: Path) -> list[str]:
         *_further(said),
         "What finding our network costs is not in these times, nor is what finding tsfast's "
         "defaults did. With all of it, the dotted lines of the picture are `splitband compare "
-        f"--budget` from above, its minutes times {CORES} cores.",
+        "--effort` from above.",
     ]
     found = _found(out)
     for name, of_set in points.items():
@@ -188,7 +202,7 @@ def _with_search(
         return []
     longest = max(point["cpu_seconds"] for point in theirs)
     said = []
-    for minutes, facts in sorted(of_budget.items()):
+    for _, facts in sorted(of_budget.items()):
         # By default a budget is in seconds of a core, of which a fifth of a command's time is not.
         seconds = facts["settings"]["search"]["core_seconds"] / FOR_TRAINING
         near = min(theirs, key=lambda point: abs(point["cpu_seconds"] - seconds))
@@ -198,7 +212,7 @@ def _with_search(
             (
                 seconds,
                 f"{seconds / 60:.2g} CPU minutes "
-                f"({f'`--budget {minutes:g}m`' if minutes else 'the default'}): "
+                f"({_limit(_work(facts))}): "
                 f"{' / '.join(errors_of(benchmark, facts))}, tsfast after "
                 f"{near['cpu_seconds'] / 60:.2g}: "
                 f"{' / '.join(_in_unit(benchmark, near['test_rmse']))}",
@@ -307,7 +321,7 @@ def _drawn() -> list[str]:
                 ratios.setdefault(work, []).append(error / alone)
         lines.append(cells)
     means = " and ".join(
-        f"{statistics.geometric_mean(of_work):.2f} {_of_work(work)} ({len(of_work)} records)"
+        f"{statistics.geometric_mean(of_work):.2f} {_limit(work)} ({len(of_work)} records)"
         for work, of_work in ratios.items()
     )
     return [
@@ -316,16 +330,12 @@ def _drawn() -> list[str]:
         "the recommended method and by a GRU alone that has the default's work to itself. Systems "
         "and seeds on which nothing was chosen (`python -m benchmarks.driven`). The geometric mean "
         f"of the ratios of the recommended method's error to that of the GRU is {means}.",
-        _lines(["system", "samples", "GRU alone", *map(_of_work, works)], lines),
+        _lines(["system", "samples", "GRU alone", *map(_limit, works)], lines),
     ]
 
 
 def _percent(share: float) -> str:
     return f"{100 * share:.3g} %"
-
-
-def _of_work(work: float) -> str:
-    return _budget(0 if work == CORE_SECONDS else work / (FOR_TRAINING * 60 * CORES))
 
 
 def _in_unit(benchmark: Benchmark, errors: Iterable[float]) -> list[str]:
@@ -353,7 +363,7 @@ def _over_budget(found: Found) -> Figure:
                 default = float(errors_of(benchmark, of_budget[0])[i])
                 at, color = _minutes(of_budget[0]), line.get_color()
                 axis.loglog([at], [default], "*", ms=12, mfc="white", color=color, zorder=3)
-        axis.set(title=benchmark.title, xlabel="budget (minutes of two cores; star: the default)")
+        axis.set(title=benchmark.title, xlabel="effort (minutes of two cores; star: the default)")
         axis.set_xticks(budgets, [f"{minutes:g}" for minutes in budgets])
         low, high = axis.get_ylim()
         if high < NARROW * low:  # a change of a hundredth is not to look like a fall
@@ -419,25 +429,21 @@ def _save(figure: Figure, path: Path) -> None:
     plt.close(figure)
 
 
-def _reckoned(found: Found) -> list[str]:
-    """Seconds of a reference core, by budget."""
-    seconds = {
-        minutes: facts["settings"]["search"]["core_seconds"]
-        for of_budget in found.values()
-        for minutes, facts in sorted(of_budget.items())
-    }
-    return [
-        f"{of:.0f} {f'with `--budget {minutes:g}m`' if minutes else 'by default'}"
-        for minutes, of in seconds.items()
-    ]
+def _limits(found: Found) -> list[str]:
+    """Return the limits of the results in words."""
+    works = sorted({_work(facts) for of_budget in found.values() for facts in of_budget.values()})
+    return [f"{work:.0f} s {_limit(work)}" for work in works]
 
 
-def _default_in_minutes(found: Found) -> str:
-    """Which budget is worth as much as the default."""
-    defaults = [of_budget[0] for of_budget in found.values() if 0 in of_budget]
-    if not defaults:
-        return ""
-    return f", so that the default is worth `--budget {_minutes(defaults[0]):g}m`"
+def _of_ten_minutes() -> float:
+    """Return the work that the command plans for ten minutes of the reference machine."""
+    return FOR_NETWORKS * (600 - STARTING) * CORES
+
+
+def _listed(found: Found) -> str:
+    """Return the same in minutes of two cores."""
+    every = {_minutes(facts) for of_budget in found.values() for facts in of_budget.values()}
+    return " and ".join(f"{minutes:g}" for minutes in sorted(every))
 
 
 def _found(out: Path) -> Found:

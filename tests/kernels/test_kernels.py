@@ -37,8 +37,10 @@ SIZES: list[Sizes] = [
     (13, 2, 9, 2, 48, 0),
     (1, 70, 3, 3, 33, 2),
     (2, 3, 70, 17, 20, 18),
+    (3, 2, 4, 1, 512, 1),
 ]
-"""Many rows and one; sizes that are blocks of the processor's registers, and that are not."""
+"""Many rows and one; sizes that are blocks of the processor's registers, and that are not; rows a
+power of two apart."""
 
 
 @pytest.fixture(autouse=True)

@@ -47,7 +47,7 @@ class HarmonicRegression:
         one at the peak of the residual's spectrum and then moved together to the least squares. By
         default as many as the Bayesian information criterion is willing to pay for, at most
         `MOST_SINUSOIDS`. With `damped` each may decay where that pays too, as the free vibrations
-        of a driven system do. Of a long record the last `naive.LONGEST` samples are fitted.
+        of a driven system do. Of a long record the last `common.LONGEST` samples are fitted.
         """
         begin, y = recent(y)
         return cls(tuple(_fit_channel(channel, sinusoids, damped) for channel in y.T), begin)

@@ -1,4 +1,4 @@
-"""Spend the time of a comparison: until when what must be done, what is left, what it took.
+"""Spend the time of a comparison: the deadline of each part, what is left, what it took.
 
 Costs of trainings are estimated in seconds of a reference core (`evaluation.costs`). What such a
 second takes on this machine, with whatever else runs on it, is measured by the trainings of the

@@ -117,8 +117,8 @@ class Trial:
         """Return the method of least held-out error; a network needs `WORTH_TRAINING` to win.
 
         Of two methods that do equally well on a short held-out part, the simpler one is less likely
-        to fail later. A rule that also counts how much a forecast changes once the held-out part is
-        learned from changes the result of one reported record only (docs/results/rules.md).
+        to fail later. Counting also how much a forecast changes when the held-out part is learned,
+        too, would change the result of one reported record only (docs/results/rules.md).
         """
         names = [*(self.final or self.scores)]
         able = [name for name in names if name not in self.left_out]

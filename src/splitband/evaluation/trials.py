@@ -179,7 +179,8 @@ class Trials:
     def combinations(self, first: Candidate) -> list[Candidate]:
         """Return the best candidate of a method together with what else was better than the first.
 
-        Each candidate of the first round differs from the first one in one thing.
+        It is for networks that begin as a linear model, whose candidates differ from the first one
+        in size, window or penalty, or begin from random weights.
         """
         tried = {c.label: c for c in self.tried if c.method == first.method and c.score is not None}
         usual = tried.get(first.label)

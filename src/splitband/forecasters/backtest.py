@@ -96,7 +96,7 @@ class Backtest:
     y_range : Lowest and highest value of each channel that it was fitted to, `(2, ny)`.
     description : What it has settled on.
     unfiltered : What a model's filters are fed with from the origin in the samples that it was
-        fitted to, where there are both.
+        fitted to; empty for a model without filters, and without such an origin.
     weights : Of a network, the state of its model.
     model : What has been fitted to the most samples, where it was asked for.
     """

@@ -26,8 +26,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 PAD = 16
 """The last axis of a buffer is padded to a multiple of this: vector loops need no remainder."""
 CROWDED = 512
-"""Rows of weights are not a multiple of this many numbers apart. Of 512 columns, products take 0.4
-to 0.6 of the time (501 rows, 8 to 50 rows of data, with 512 KiB of second-level cache)."""
+"""Rows that `pad` makes are not a multiple of this many numbers apart. Of 512 columns, products
+take 0.4 to 0.6 of the time (501 rows, 8 to 50 rows of data, 512 KiB of second-level cache)."""
 _WORTH_A_THREAD = 1e7
 """Multiplications that take as long as waking a thread."""
 

@@ -117,7 +117,7 @@ def forward(
 
 @part
 def _units(g: Array, xs: Array, i: int, ones: int, of_x: Array, of_u: Array) -> None:
-    """Return the units of g for the samples from slot i on."""
+    """Write the units of g for the samples from slot i on."""
     matmul(g, xs[i + 1 : i + 1 + len(g), :ones], of_x, False)
     matmul(g, xs[i : i + len(g), ones : ones + len(of_u)], of_u, True)
     tanh_of(g.reshape(-1))

@@ -100,5 +100,5 @@ def without_warnings(category: type[Warning]) -> Iterator[None]:
 
 
 def available_cores() -> int:
-    """Return cores this process may run on."""
+    """Return how many cores this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
