@@ -165,7 +165,7 @@ def _further(said: Mapping[str, str]) -> list[str]:
     listed = []
     if "jax-sysid" in said:
         sizes = "; ".join(
-            f"on {SETS[name].title} {s.states} states, {s.units} + {s.units} tanh units, `rho_th` "
+            f"on {SETS[name].title}: {s.states} states, {s.units} + {s.units} tanh units, `rho_th` "
             f"{s.penalty:g}, {s.adam:,} iterations of Adam, then L-BFGS"
             for name, s in SETTINGS.items()
         )
@@ -177,7 +177,7 @@ def _further(said: Mapping[str, str]) -> list[str]:
         )
     if against.STATE_SPACE in said:
         sizes = "; ".join(
-            f"on {SETS[name].title} {states} states, {units} + {units} tanh units, windows of "
+            f"on {SETS[name].title}: {states} states, {units} + {units} tanh units, windows of "
             f"{window} samples, penalty {penalty:g}"
             for name, (states, units, window, penalty) in against.STATES.items()
         )
@@ -232,7 +232,7 @@ def _network(name: str) -> str:
     units, window, epochs, most = against.FOUND[name]
     last = "for as long as there is time" if most == against.ENDLESS else f"{most} iterations"
     return (
-        f"on {SETS[name].title} {units} units, windows of {window} samples, {epochs} epochs of "
+        f"on {SETS[name].title}: {units} units, windows of {window} samples, {epochs} epochs of "
         f"Adam, then L-BFGS, {last}"
     )
 
