@@ -86,7 +86,7 @@ def test_what_hangs_is_ended_not_left_behind(file: str, monkeypatch: pytest.Monk
     monkeypatch.setattr("splitband.simulators.isolation._START", 3.0)
     with pytest.raises(ValueError, match=r"simulator torque has not returned within 0\.3 s"):
         run(Isolated(file, "holding", timeout=0.3), 7, 0.1, name="torque")
-    assert not any(b"splitband.simulators.isolation" in command for command in children())
+    assert not any(b"-m\0splitband.simulators.isolation" in command for command in children())
 
 
 def children() -> list[bytes]:
