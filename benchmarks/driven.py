@@ -2,7 +2,7 @@
 
 `python -m benchmarks.driven --alone` compares what is recommended with the GRU alone, both with the
 same work, and adds to docs/benchmarks/driven.json: errors on the test record, as shares of its
-deviation. `--work 960` is what ten minutes of two cores are worth; what is there is left as it is.
+deviation. `--work 960` is the command's `--effort 16m`; what is there is left as it is.
 
 Constants of the package are chosen on the seeds in `kinds.DEVELOPMENT`, and judged by those in
 `kinds.REPORTED`. Parameters differ by up to 30 % from seed to seed. The input is held from one

@@ -328,8 +328,9 @@ def _drawn() -> list[str]:
         "## Records of drawn systems",
         "Error of a simulation of 2,000 more samples, as a share of their standard deviation, by "
         "the recommended method and by a GRU alone that has the default's work to itself. Systems "
-        "and seeds on which nothing was chosen (`python -m benchmarks.driven`). The geometric mean "
-        f"of the ratios of the recommended method's error to that of the GRU is {means}.",
+        "and seeds on which nothing was chosen (`python -m benchmarks.driven --alone`). The "
+        "geometric mean of the ratios of the recommended method's error to that of the GRU is "
+        f"{means}.",
         _lines(["system", "samples", "GRU alone", *map(_limit, works)], lines),
     ]
 
