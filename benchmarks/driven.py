@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -164,17 +164,23 @@ SYSTEMS: dict[str, System] = {
 }  # fmt: skip
 
 
-def drawn(name: str, seed: int, samples: int, tested: int = 2000) -> tuple[Record, Record]:
-    """The training record of so many samples, and a test record, of one of the `SYSTEMS`."""
+def drawn(
+    name: str, seed: int, samples: int, tested: int = 2000, amplitudes: Sequence[float] = (1.0,)
+) -> list[Record]:
+    """The training record of so many samples, and test records, of one of the `SYSTEMS`.
+
+    The input of each test record has one of the `amplitudes`, in those of training.
+    """
     system, rng = SYSTEMS[name], np.random.default_rng(seed)
     p = np.array(system.parameters) * (1 + SPREAD * rng.uniform(-1, 1, len(system.parameters)))
     records = []
-    for length, noise in ((samples, system.noise), (tested, 0.0)):
-        u = system.drive(rng, length)
+    tests = [(tested, 0.0, amplitude) for amplitude in amplitudes]
+    for length, noise, amplitude in [(samples, system.noise, 1.0), *tests]:
+        u = amplitude * system.drive(rng, length)
         y = system.measure(p, u, rng)
         seen = y + noise * y.std() * rng.standard_normal(length)
         records.append(Record(seen, system.step, u=u, name=name))
-    return records[0], records[1]
+    return records
 
 
 def measured(name: str, seed: int, samples: int, work: float, alone: bool) -> dict[str, Any]:

@@ -65,7 +65,7 @@ def everything() -> Comparison:
         inputs=("force",), start=pd.Timestamp("2024-03-01 08:00"),
     )  # fmt: skip
     test = replace(plain, name="later", columns=r.columns, inputs=r.inputs)
-    methods = "mean", "persistence", "seasonal-naive", "simulator", "linear"
+    methods = "mean", "persistence", "seasonal-naive", "simulator"
     return as_if_trained(compared(r, methods, tests=[test]))
 
 
