@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +30,7 @@ from splitband.data import Record
 from splitband.runtime.files import write_json
 
 Array = npt.NDArray[np.float64]
+Facts = dict[str, Any]
 SPREAD = 0.3
 """Parameters lie within this share of their usual values."""
 
@@ -181,6 +183,30 @@ def drawn(
         seen = y + noise * y.std() * rng.standard_normal(length)
         records.append(Record(seen, system.step, u=u, name=name))
     return records
+
+
+def over_records(
+    described: str | None, parts: Path, out: Path, measured: Callable[[str, int, Path], Facts]
+) -> tuple[dict[str, Facts], Path]:
+    """Measure the systems and seeds of the command line, and return that by record, and OUT.
+
+    `measured` is given a path without its ending, where it keeps what it has made.
+    """
+    parser = argparse.ArgumentParser(description=(described or "").splitlines()[0])
+    parser.add_argument("--systems", nargs="*", default=[*SYSTEMS], choices=[*SYSTEMS])
+    parser.add_argument("--seeds", nargs="*", type=int, default=[100, 101])
+    parser.add_argument("--parts", type=Path, default=parts)
+    parser.add_argument("--out", type=Path, default=out)
+    given = parser.parse_args()
+    given.parts.mkdir(parents=True, exist_ok=True)
+    warnings.simplefilter("ignore", sb.ExtrapolationWarning)
+    records = {}
+    for seed, name in itertools.product(given.seeds, given.systems):
+        records[f"{name}, seed {seed}"] = facts = measured(
+            name, seed, given.parts / f"{name}-{seed}"
+        )
+        print(name, seed, facts, flush=True)
+    return records, given.out
 
 
 def measured(name: str, seed: int, samples: int, work: float, alone: bool) -> dict[str, Any]:

@@ -10,10 +10,8 @@ shares of its deviation, by what the mean is made of. Trainings are kept in FOLD
 
 from __future__ import annotations
 
-import argparse
 import statistics
 import tempfile
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 import splitband as sb
-from benchmarks.driven import SYSTEMS, drawn
+from benchmarks.driven import drawn, over_records
 from splitband.evaluation.trials import MOST_MEMBERS
 from splitband.forecasters.beginning import Earlier
 from splitband.runtime.files import write_json
@@ -80,17 +78,15 @@ def trained(name: str, seed: int) -> dict[str, Array]:
                 len(test) - WARMUP, history=test[:WARMUP], u=test.u[WARMUP:], other_record=True
             ).y
             found[f"held|{way}|{s}"] = np.concatenate([each.ravel() for each in ahead])
-            found[f"test|{way}|{s}"] = y.ravel() if stable else np.full(len(y), np.nan)
+            found[f"test|{way}|{s}"], found[f"stable|{way}|{s}"] = y.ravel(), np.array(stable)
     return found
 
 
 def errors(found: dict[str, Array]) -> dict[str, float]:
     """Return the test errors of means of several kinds."""
-    every = [
-        tuple(key.split("|")[1:])
-        for key in found
-        if key.startswith("test|") and np.isfinite(found[key]).all()
-    ]
+    runs = [tuple(key.split("|")[1:]) for key in found if key.startswith("test|")]
+    # As in use: what is unstable is left out, unless everything is.
+    every = [run for run in runs if found["|".join(["stable", *run])]] or runs
 
     def error(part: str, runs: list[tuple[str, ...]]) -> float:
         mean = np.mean([found["|".join([part, *run])] for run in runs], axis=0)
@@ -113,31 +109,24 @@ def errors(found: dict[str, Array]) -> dict[str, float]:
     return {kind: error("test", runs) for kind, runs in means.items()}
 
 
+def measured(name: str, seed: int, path: Path) -> dict[str, float]:
+    """Return the errors on a record, whose forecasts are kept."""
+    kept = path.with_suffix(".npz")
+    if not kept.exists():
+        np.savez(kept, **trained(name, seed))  # type: ignore[arg-type]
+    with np.load(kept) as file:
+        return errors(dict(file))
+
+
 def main() -> None:
     """Train what is not there yet, and print the geometric means over the records."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--systems", nargs="*", default=[*SYSTEMS], choices=[*SYSTEMS])
-    parser.add_argument("--seeds", nargs="*", type=int, default=[100, 101])
-    parser.add_argument("--parts", type=Path, default=PARTS)
-    parser.add_argument("--out", type=Path, default=Path("docs/benchmarks/members.json"))
-    given = parser.parse_args()
-    given.parts.mkdir(parents=True, exist_ok=True)
-    warnings.simplefilter("ignore", sb.ExtrapolationWarning)
-    records = {}
-    for seed in given.seeds:
-        for name in given.systems:
-            path = given.parts / f"{name}-{seed}.npz"
-            if not path.exists():
-                np.savez(path, **trained(name, seed))  # type: ignore[arg-type]
-            with np.load(path) as file:
-                records[f"{name}, seed {seed}"] = errors(dict(file))
-            print(path.stem, records[f"{name}, seed {seed}"], flush=True)
+    records, out = over_records(__doc__, PARTS, Path("docs/benchmarks/members.json"), measured)
     means = {
         kind: statistics.geometric_mean(of[kind] for of in records.values())
         for kind in next(iter(records.values()))
     }
     facts = {"samples": SAMPLES, "count": len(records), "means": means, "records": records}
-    write_json(given.out, facts)
+    write_json(out, facts)
     for kind, mean in means.items():
         print(f"{kind}: {mean:.4f}")
 

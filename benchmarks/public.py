@@ -20,7 +20,7 @@ from typing import Any
 
 import splitband as sb
 from benchmarks import public_page
-from benchmarks.public_page import CORES, FOR_TRAINING, errors_of
+from benchmarks.public_page import CORES, IN_TRAINING, errors_of
 from benchmarks.sets import SETS, Benchmark, load
 from splitband.evaluation.search import Search
 from splitband.evaluation.setup import Options
@@ -34,7 +34,7 @@ def measure(benchmark: Benchmark, minutes: float, jobs: int, checkpoints: Path) 
     record = load(benchmark.training)
     tests = [load(test) for test in benchmark.tests]
     # As work, and not as time: the errors do not depend on what else the machine does.
-    effort = Search(FOR_TRAINING * 60 * minutes * CORES) if minutes else Search()
+    effort = Search(IN_TRAINING * 60 * minutes * CORES) if minutes else Search()
     options = Options(search=effort, initial=benchmark.initial)
     setup = options.decided(record, len(record))
     began = time.perf_counter()

@@ -17,8 +17,7 @@ from benchmarks import against, pendulum
 from benchmarks.jax_settings import SETTINGS
 from benchmarks.sets import SETS, Benchmark
 from benchmarks.study import table
-from splitband.evaluation.costs import FOR_TRAINING as FOR_NETWORKS
-from splitband.evaluation.costs import STARTING
+from splitband.evaluation.costs import FOR_TRAINING, STARTING
 from splitband.evaluation.search import CORE_SECONDS
 from splitband.runtime.files import replacing
 
@@ -31,7 +30,7 @@ LONGER = 1.5
 """Budgets above this multiple of tsfast's longest training have none to be compared with."""
 NARROW = 2.0
 """Highest to lowest error that an axis shows at least."""
-FOR_TRAINING = 0.8
+IN_TRAINING = 0.8
 """Share of the time of these cores that a minute of these budgets counts as work: they are given as
 work (`--effort`), so that the errors do not depend on the machine."""
 
@@ -68,7 +67,7 @@ def made(out: Path) -> str:
         "Work is limited, not time, so that the errors do not depend on the machine: "
         f"{', '.join(_limits(found))}, of a reference core. That is for training networks alone, "
         f"and as much as two cores of the reference machine do in {_listed(found)} minutes if "
-        f"{FOR_TRAINING:.0%} of the time go into it. `--budget 10m` plans "
+        f"{IN_TRAINING:.0%} of the time go into it. `--budget 10m` plans "
         f"{_of_ten_minutes():.0f} s there, as it has to be done in time on a busy "
         "machine, too. The column of seconds is what it took on this machine, two cores; it is "
         "left out where the machine did other work.",
@@ -204,7 +203,7 @@ def _with_search(
     said = []
     for _, facts in sorted(of_budget.items()):
         # By default a budget is in seconds of a core, of which a fifth of a command's time is not.
-        seconds = facts["settings"]["search"]["core_seconds"] / FOR_TRAINING
+        seconds = facts["settings"]["search"]["core_seconds"] / IN_TRAINING
         near = min(theirs, key=lambda point: abs(point["cpu_seconds"] - seconds))
         if seconds > LONGER * longest:
             continue
@@ -378,7 +377,7 @@ def _over_budget(found: Found) -> Figure:
 def _minutes(facts: Facts) -> float:
     """Of two cores of the reference machine, for what a command reckons with."""
     seconds: float = facts["settings"]["search"]["core_seconds"]
-    return seconds / (60 * CORES * FOR_TRAINING)
+    return seconds / (60 * CORES * IN_TRAINING)
 
 
 def _over_time(points: Points, found: Found) -> Figure:
@@ -396,7 +395,7 @@ def _over_time(points: Points, found: Found) -> Figure:
             errors = [benchmark.scale * point["test_rmse"][i] for point in of]
             axis.loglog([point["cpu_seconds"] / 60 for point in of], errors, "o-", label=label)
         whole = {
-            facts["settings"]["search"]["core_seconds"] / FOR_TRAINING / 60: facts
+            facts["settings"]["search"]["core_seconds"] / IN_TRAINING / 60: facts
             for facts in found.get(name, {}).values()
         }
         errors = [float(errors_of(benchmark, whole[minutes])[i]) for minutes in sorted(whole)]
@@ -438,7 +437,7 @@ def _limits(found: Found) -> list[str]:
 
 def _of_ten_minutes() -> float:
     """Return the work that the command plans for ten minutes of the reference machine."""
-    return FOR_NETWORKS * (600 - STARTING) * CORES
+    return FOR_TRAINING * (600 - STARTING) * CORES
 
 
 def _listed(found: Found) -> str:

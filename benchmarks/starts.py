@@ -1,4 +1,4 @@
-"""State-space networks that begin as the linear model, and such that begin with random weights.
+"""State-space networks that start from the linear model, and ones from random weights.
 
     python -m benchmarks.starts [--systems ...] [--seeds 100 101] [--parts FOLDER]
 
@@ -11,11 +11,9 @@ FOLDER.
 
 from __future__ import annotations
 
-import argparse
 import json
 import statistics
 import tempfile
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 import splitband as sb
-from benchmarks.driven import SYSTEMS, drawn
+from benchmarks.driven import drawn, over_records
 from splitband.evaluation.candidates import FIRST_STEPS, FREE_RUN
 from splitband.runtime.files import write_json
 from splitband.training import Settings
@@ -42,7 +40,7 @@ MEANS = {
 
 
 def settings() -> dict[str, Settings]:
-    """How networks are trained, by what they begin as: the first candidates of a search."""
+    """Return how networks are trained, by their start: the first candidates of a search."""
     usual = Settings.of(SAMPLES)
     window = min(usual.warmup + FREE_RUN, usual.window)
     linear = replace(usual, window=window, epochs=0, quasi_newton=ITERATIONS)
@@ -51,7 +49,7 @@ def settings() -> dict[str, Settings]:
 
 
 def measured(name: str, seed: int) -> dict[str, dict[str, float]]:
-    """The errors of one record: by what is simulated, of each beginning."""
+    """Train networks for a record; return their errors by what is simulated, and by the start."""
     record, *tests = drawn(name, seed, SAMPLES, TESTED, AMPLITUDES)
     fitted = 3 * SAMPLES // 4
     parts = [(record, fitted, False), *((test, WARMUP, True) for test in tests)]
@@ -87,24 +85,18 @@ def _rmse(simulations: list[Array], truth: Array) -> float:
     return float(np.sqrt(np.mean((np.mean(simulations, axis=0) - truth) ** 2)))
 
 
+def kept(name: str, seed: int, path: Path) -> dict[str, dict[str, float]]:
+    """Return the errors of a record, from a file where there is one."""
+    file = path.with_suffix(".json")
+    if not file.exists():
+        write_json(file, measured(name, seed))
+    errors: dict[str, dict[str, float]] = json.loads(file.read_text(encoding="utf-8"))
+    return errors
+
+
 def main() -> None:
     """Measure what is not there yet, and print geometric means over the records."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--systems", nargs="*", default=[*SYSTEMS], choices=[*SYSTEMS])
-    parser.add_argument("--seeds", nargs="*", type=int, default=[100, 101])
-    parser.add_argument("--parts", type=Path, default=PARTS)
-    parser.add_argument("--out", type=Path, default=Path("docs/benchmarks/starts.json"))
-    given = parser.parse_args()
-    given.parts.mkdir(parents=True, exist_ok=True)
-    warnings.simplefilter("ignore", sb.ExtrapolationWarning)
-    records = {}
-    for seed in given.seeds:
-        for name in given.systems:
-            path = given.parts / f"{name}-{seed}.json"
-            if not path.exists():
-                write_json(path, measured(name, seed))
-            records[f"{name}, seed {seed}"] = found = json.loads(path.read_text())
-            print(path.stem, found, flush=True)
+    records, out = over_records(__doc__, PARTS, Path("docs/benchmarks/starts.json"), kept)
     means = {
         part: {
             way: statistics.geometric_mean(of[part][way] for of in records.values())
@@ -113,7 +105,7 @@ def main() -> None:
         for part in PARTS_OF
     }
     facts = {"samples": SAMPLES, "count": len(records), "means": means, "records": records}
-    write_json(given.out, facts)
+    write_json(out, facts)
     print(json.dumps(means, indent=1))
 
 

@@ -112,14 +112,10 @@ LOUD = """
 import ctypes, os
 
 
-said = []
-
-
 def loud(time, u, p):
-    if not said:
-        said.append(print("from Python"))
-        os.system("echo from a shell")
-        ctypes.CDLL(None).puts(b"from C")
+    print("from Python")
+    os.system("echo from a shell")
+    ctypes.CDLL(None).puts(b"from C")
     return p.level * 2.718281828 ** (-time)
 """
 
