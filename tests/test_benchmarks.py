@@ -20,11 +20,13 @@ def recommendation(monkeypatch: pytest.MonkeyPatch) -> Any:
     return importlib.import_module("benchmarks.recommendation")
 
 
+PARSERS = "ArgumentParser(", "over_records("
 SCRIPTS = [
     ".".join(path.relative_to(ROOT).with_suffix("").parts)
     for folder in ("benchmarks", "docs", "tests/cli")
     for path in sorted((ROOT / folder).glob("*.py"))
-    if "ArgumentParser(" in path.read_text(encoding="utf-8") and path.stem != "jax_peer"
+    if any(parser in path.read_text(encoding="utf-8") for parser in PARSERS)
+    and path.stem != "jax_peer"
 ]
 """But for the one that runs in an environment of its own."""
 
