@@ -34,6 +34,10 @@ NETWORKS: dict[str, Callable[[sb.Settings], sb.Forecaster]] = {
     "state-space": lambda settings: sb.Single(sb.StateSpace(4, 8), settings),
     "gru": lambda settings: sb.Single(sb.GRU(16), settings),
     "split-gru": lambda settings: sb.Split(sb.GRU(16), sb.GRU(8), settings=settings),
+    "residual": lambda settings: sb.Residual(sb.Linear(), sb.GRU(16), settings=settings),
+    "filtered": lambda settings: sb.Filtered(
+        sb.Linear(), sb.GRU(16), conditioned=True, settings=settings
+    ),
 }
 ITERATIONS = 200
 """Of L-BFGS, after the recipe's epochs."""

@@ -288,6 +288,13 @@ def plain() -> Record:
     return replace(record(), u=None, y_sim=None, inputs=())
 
 
+def interrupted() -> Record:
+    """Two stretches that are a sample shorter than a warm-up each."""
+    known = np.ones((2 * WARMUP - 1, 1), bool)
+    known[WARMUP - 1] = False
+    return replace(record()[: len(known)], measured=known)
+
+
 def two_channels() -> Record:
     r = plain()
     return replace(r, y=np.hstack([r.y, r.y]), columns=())
@@ -334,8 +341,9 @@ def mean() -> Forecaster:
             "filtered-gru needs a simulator, the record has none",
         ),
         (
-            lambda: fitted("residual-rnn").predict(5, record()[: WARMUP - 1]),
-            "history must have 8 measured samples in a row to warm up on, got 7",
+            lambda: fitted("residual-rnn").predict(5, interrupted()),
+            "history must have 8 measured samples in a row to warm up on, got 15 samples, of which "
+            "14",
         ),
         (lambda: sb.Filtered(sb.Mean(), GRU(3)), "base must say something about the whole record"),
         (lambda: sb.Ensemble(sb.Mean(), 0), "count must be at least 1, got 0"),

@@ -23,8 +23,8 @@ class NonLinear(sb.Forecaster):
 @pytest.mark.parametrize(
     ("model", "name", "words"),
     [
-        (sb.Residual(sb.Single(sb.GRU(4)), sb.GRU(4)), "residual-gru-gru", "network plus a"),
-        (sb.Residual(NonLinear(), sb.GRU(4)), "residual-nonlinear-gru", "nonlinear plus a"),
+        (sb.Residual(sb.Single(sb.GRU(4)), sb.GRU(4)), "residual-gru-gru", "network plus GRU"),
+        (sb.Residual(NonLinear(), sb.GRU(4)), "residual-nonlinear-gru", "nonlinear plus GRU"),
         (sb.Filtered(sb.Linear(), sb.GRU(4)), "filtered-linear-gru", "linear model in the low"),
         (
             sb.Filtered(sb.Calibrated(), sb.GRU(4), conditioned=True),

@@ -43,6 +43,28 @@ def test_a_few_samples_tell_the_state_of_a_system_that_is_not_at_rest(
     assert np.sqrt(np.mean(left**2)) < 0.02 * test.y.std()
 
 
+def test_hybrids_tell_it_from_a_few_samples_too(tmp_path: Path) -> None:
+    def driven(samples: int, seed: int) -> sb.Record:
+        record = output(samples, seed)
+        slow = np.sin(0.05 * np.arange(samples) + seed)[:, None]
+        return sb.Record(record.y + slow, 0.1, u=record.u, y_sim=slow)
+
+    settings = sb.Settings(warmup=WARMUP, window=60, epochs=0, quasi_newton=20)
+    hybrid = sb.Residual(None, sb.StateSpace(2, 2), settings=settings)
+    hybrid.fit(driven(400, 1), seed=0).save(tmp_path / "model")
+    test = driven(100, 2)
+    for network in (hybrid, sb.load(tmp_path / "model")):
+        left = simulated(network, test, 40 - FEW)[:, 0] - test.y[40:, 0]
+        assert np.sqrt(np.mean(left**2)) < 0.02 * test.y.std()
+
+
+def test_a_network_beside_a_network_begins_with_a_few_samples() -> None:
+    settings = sb.Settings(warmup=WARMUP, window=60, epochs=0, quasi_newton=20)
+    inner = sb.Single(sb.StateSpace(2, 2), settings)
+    hybrid = sb.Residual(inner, sb.GRU(2), settings=settings).fit(output(400, 1), seed=0)
+    assert np.isfinite(simulated(hybrid, output(100, 2), 40 - FEW)).all()
+
+
 def test_a_saved_network_still_simulates_from_a_few(network: sb.Forecaster, tmp_path: Path) -> None:
     network.save(tmp_path / "model")
     test = output(100, 3)

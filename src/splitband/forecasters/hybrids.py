@@ -146,7 +146,7 @@ class Residual(Network):
     def in_words(self) -> str:
         """Return what it is."""
         slow, network = self.base.as_base, words_of(self.cell)
-        words = f"{slow.words or slow.label} plus a {network} network that learns its error"
+        words = f"{slow.words or slow.label} plus {network} network that learns its error"
         return words + self.conditioned_in_words
 
     def _derived_name(self) -> str:

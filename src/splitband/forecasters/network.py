@@ -77,7 +77,7 @@ class Network(Forecaster):
     fitted_base: Forecaster | None = None
     """What the base has become by `fit`."""
     prehistory: Prehistory | None = None
-    """What may come before a history that is shorter than the warm-up; None beside a base."""
+    """What may come before a history that is shorter than the warm-up."""
 
     def __init__(self, settings: Settings | None = None, name: str | None = None) -> None:
         self.settings = settings
@@ -227,11 +227,8 @@ class Network(Forecaster):
             record, settings = new.fitted.record, new.trained_by
             assert settings is not None
             new.model = with_weights(lambda: new._built(record, settings, seed=0), weights)
-            of_model = settings.warmup, new.model.ny + new.model.nu
-            if new.prehistory is not None and new.prehistory.mean.shape != of_model:
-                raise ValueError(
-                    f"mean of the prehistory must be {of_model}, got {new.prehistory.mean.shape}"
-                )
+            if new.prehistory is not None:
+                new.prehistory.check(new.model, settings.warmup)
         return new
 
     def first_needed(self) -> int:
@@ -293,9 +290,8 @@ class Network(Forecaster):
         notes = (*self._remarks(seen[0]), *history.notes)
         networks: Iterable[Any] = self.model.modules()
         stable = all(each.stable() for each in networks if hasattr(each, "stable"))
-        if self.base is None:
-            error = math.hypot(*(losses[-1] for losses in history.losses.values() if losses))
-            self.prehistory = Prehistory.of(self.model, seen, settings.warmup, error)
+        error = math.hypot(*(losses[-1] for losses in history.losses.values() if losses))
+        self.prehistory = Prehistory.of(self.model, seen, settings.warmup, error)
         report = FitReport(seed, history.seconds, history.losses, notes, history.cut, stable)
         self.fitted = replace(self.require_fitted(), report=report)
 
@@ -322,13 +318,13 @@ class Network(Forecaster):
 
     def doubts(self, known: Known) -> list[str]:
         """Return those of the base, and whether the history is short."""
-        if self.fitted_base is not None:
-            return self.fitted_base.doubts(known)
+        doubts = [] if self.fitted_base is None else self.fitted_base.doubts(known)
         if not self._short(known):
-            return []
+            return doubts
         return [
+            *doubts,
             f"the history has {len(known.y)} of the {self.warmup} samples of a warm-up: "
-            "what came before is estimated"
+            "what came before is estimated",
         ]
 
     def describe(self) -> str:
@@ -346,7 +342,7 @@ class Network(Forecaster):
         Before the run begins it is what was measured.
         """
         complete = np.asarray(~np.isnan(known.y).any(axis=1))
-        start = first_after(complete, self.warmup)
+        start = len(known.y) if self._short(known) else first_after(complete, self.warmup)
         if start is None or not complete[:start].all():
             raise ValueError(
                 f"history must begin with {self.warmup} measured samples for {self.name}"
@@ -434,9 +430,12 @@ class Network(Forecaster):
         The free run starts after the last warm-up without a gap.
         """
         y, u = known.y, None if known.u is None else delayed(known.u, self.delays)
+        slow = None
         if self._short(known):
             assert self.prehistory is not None
-            y, u = self.prehistory.completed(self._trained(), y, u)
+            if self.fitted_base is not None:
+                slow = self.fitted_base.trajectory(known)
+            y, u, slow = self.prehistory.completed(self._trained(), y, u, slow)
         complete = np.asarray(~np.isnan(y).any(axis=1))
         start = last_before(complete, self.warmup, len(y))
         if start is None:
@@ -444,8 +443,8 @@ class Network(Forecaster):
                 f"history must have {self.warmup} measured samples in a row to warm up on, got "
                 f"{len(y)} samples, of which {int(complete.sum())} were measured in whole"
             )
-        begin, since, slow = start - self.warmup, len(y) - start, None
-        if self.fitted_base is not None:
+        begin, since = start - self.warmup, len(y) - start
+        if self.fitted_base is not None and slow is None:
             slow = self.fitted_base.trajectory(replace(known, since=begin))[begin:]
         inputs = None if u is None else u[begin:]
         parts = simulate(y[begin:start], since + known.steps, inputs, slow)

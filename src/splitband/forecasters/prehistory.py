@@ -38,9 +38,10 @@ class Prehistory:
 
     Attributes
     ----------
-    mean : Of the normalised outputs and inputs, `(warmup, ny + nu)`.
+    mean : Of the normalised outputs, inputs and output of the base, where there is one,
+        `(warmup, ny + nu)` or `(warmup, ny + nu + ny)`.
     root : Principal directions, scaled so that their coefficients have a variance of 1,
-        `(components, warmup, ny + nu)`.
+        `(components, *mean.shape)`.
     error : RMSE of the model's simulations, normalised.
     """
 
@@ -57,13 +58,19 @@ class Prehistory:
                 f"{self.root.shape} and {self.error}"
             )
 
+    def check(self, model: Model, warmup: int) -> None:
+        """Raise ValueError where it is not of such a model."""
+        shape = warmup, sum(_widths(model))
+        if self.mean.shape != shape:
+            raise ValueError(f"mean of the prehistory must be {shape}, got {self.mean.shape}")
+
     @classmethod
     def of(
         cls, model: Model, records: Sequence[Record], warmup: int, error: float
     ) -> Prehistory | None:
         """Return the distribution in the training records; None where they hold no two warm-ups."""
         seen = [model.normalised(record) for record in records]
-        signals = torch.cat([_side_by_side(each.y, each.u) for each in seen]).double().cpu()
+        signals = torch.cat([_side_by_side(each) for each in seen]).double().cpu()
         starts = window_starts(records, warmup + 1, warmup)
         if len(starts) < 2:
             return None
@@ -78,26 +85,38 @@ class Prehistory:
         root = np.sqrt(variance[largest].clip(0))[:, None] * directions[:, largest].T
         return cls(mean, root.reshape(-1, *mean.shape), max(error, SMALLEST_ERROR))
 
-    def completed(self, model: Model, y: Array, u: Array | None) -> tuple[Array, Array | None]:
-        """Return a warm-up that ends with a shorter history, and the inputs from its begin on.
+    def completed(
+        self, model: Model, y: Array, u: Array | None, slow: Array | None
+    ) -> tuple[Array, Array | None, Array | None]:
+        """Return a warm-up that ends with a shorter history, and the rest from its begin on.
 
         Parameters
         ----------
         y : What was measured, `(samples, ny)`.
         u : The inputs from the same sample on, `(samples or more, nu)`.
+        slow : What the base says, likewise, `(samples or more, ny)`.
         """
-        seen = None if u is None else u[: len(y)]
-        known, ny = model.normalised(Record(y, 1.0, u=seen)), model.ny
+        samples = len(y)
+        history = Record(
+            y,
+            1.0,
+            u=None if u is None else u[:samples],
+            y_sim=None if slow is None else slow[:samples],
+        )
+        known = model.normalised(history)
         mean, root = (torch.from_numpy(x).to(known.y) for x in (self.mean, self.root))
 
-        def rows(z: Tensor) -> Tensor:
-            return mean + torch.tensordot(z, root, dims=1)
+        def guessed(z: Tensor) -> tuple[Tensor, ...]:
+            return (mean + torch.tensordot(z, root, dims=1)).split(_widths(model), dim=-1)
 
         def unlikely(values: Array) -> tuple[float, Array]:
             z = torch.from_numpy(values).to(known.y).requires_grad_()
-            guess = rows(z)
-            inputs = None if known.u is None else torch.cat([guess[:, ny:], known.u])[None]
-            parts = model.components(Signals(guess[None, :, :ny], inputs), len(y))
+            before, *others = guessed(z)
+            later = (
+                None if x is None else torch.cat([guess, x])[None]
+                for guess, x in zip(others, (known.u, known.y_sim), strict=True)
+            )
+            parts = model.components(Signals(before[None], *later), samples)
             left = (sum(parts.values()) - known.y) / self.error
             loss = (left**2).sum() + (z**2).sum()
             (slope,) = torch.autograd.grad(loss, z)
@@ -105,13 +124,24 @@ class Prehistory:
 
         start = np.zeros(len(root))
         found = scipy.optimize.minimize(unlikely, start, jac=True, method="L-BFGS-B").x
-        before = rows(torch.from_numpy(found).to(known.y)).double().cpu().numpy()[len(y) :]
-        y_before = before[:, :ny] * model.y_std.cpu().numpy() + model.y_mean.cpu().numpy()
-        if u is None:
-            return np.concatenate([y_before, y]), None
-        u_before = before[:, ny:] * model.u_std.cpu().numpy() + model.u_mean.cpu().numpy()
-        return np.concatenate([y_before, y]), np.concatenate([u_before, u])
+        first, *others = guessed(torch.from_numpy(found).to(known.y))
+        of_y, of_u = (model.y_mean, model.y_std), (model.u_mean, model.u_std)
+        return (
+            _before(y, first[samples:], *of_y),
+            None if u is None else _before(u, others[0][samples:], *of_u),
+            None if slow is None else _before(slow, others[1][samples:], *of_y),
+        )
 
 
-def _side_by_side(y: Tensor, u: Tensor | None) -> Tensor:
-    return y if u is None else torch.cat([y, u], dim=-1)
+def _widths(model: Model) -> list[int]:
+    """Return the channels of outputs, inputs and output of the base."""
+    return [model.ny, model.nu, model.ny if model.beside_simulator else 0]
+
+
+def _before(known: Array, guess: Tensor, mean: Tensor, std: Tensor) -> Array:
+    """Return a signal with normalised rows put before it."""
+    return np.concatenate([(guess.double() * std + mean).cpu().numpy(), known])
+
+
+def _side_by_side(seen: Signals) -> Tensor:
+    return torch.cat([x for x in (seen.y, seen.u, seen.y_sim) if x is not None], dim=-1)

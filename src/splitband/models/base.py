@@ -64,6 +64,8 @@ class Model(nn.Module, ABC):
     """Whether the step to a sample knows the inputs of that sample, too."""
     conditioned = False
     """Whether a network is told what is slower."""
+    beside_simulator = False
+    """Whether a simulator's output is a part of it."""
     steps: ClassVar[type[Stepped] | None] = None
     """What runs it sample by sample."""
     units_kept = False
@@ -145,7 +147,8 @@ class Model(nn.Module, ABC):
 
     def normalised(self, record: Record) -> Signals:
         """Return the signals of a record as the networks see them, each `(time, n)`."""
-        return self._signals(record.y, record.u if self.nu else None, record.y_sim)
+        y_sim = record.y_sim if self.beside_simulator else None
+        return self._signals(record.y, record.u if self.nu else None, y_sim)
 
     def _rows(self, u: Tensor | None) -> Tensor | None:
         """Return the inputs of the steps between samples."""
