@@ -4,11 +4,13 @@ import shlex
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import splitband as sb
 from splitband.cli import main
 from splitband.cli.comparing import Request, planned
+from splitband.cli.options.records import RecordOptions
 from splitband.forecasters.names import Sizes, named
 from splitband.forecasters.network import Network
 from splitband.report.results import FOUND, save_found
@@ -39,6 +41,14 @@ def test_settings_bring_columns_and_inputs(
     said = f"record.csv: inputs: force; outputs: a; {SAMPLES} samples every {DT} s"
     assert said in capsys.readouterr().out.splitlines()
     assert planned(Request("record.csv", settings=found), 1).record.inputs == ("force",)
+
+
+def test_a_column_with_a_comma_stands_in_double_quotes(tmp_path: Path) -> None:
+    table = pd.read_csv("record.csv").rename(columns={"a": "a, measured"})
+    table.to_csv(tmp_path / "rig.csv", index=False)
+    given = RecordOptions(columns=' "a, measured" ,b', inputs="force")
+    record = planned(Request(f"{tmp_path}/rig.csv", given, methods="mean"), 1).record
+    assert record.columns == ("a, measured", "b")
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import json
 import os
 import pickle
+import shlex
 import sys
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from splitband.cli import main
 from splitband.cli.comparing import Request, planned
 from splitband.cli.options.records import RecordOptions
 from splitband.cli.options.simulators import SimulatorOrBaseOptions
@@ -25,6 +27,10 @@ def lag(t, x, u, p):
 
 def decay(time, u, p):
     return p.level * 2.718281828 ** (-time)
+
+
+def slip(t, x, u, p):
+    return [p.rat * (u[0] - x[0])]
 
 
 plant = sb.Ode(lag, [0.0], parameters={"rate": (0.1, 1.0)})
@@ -83,13 +89,24 @@ def test_an_ode_of_a_file_says_its_ranges_itself_to_every_process() -> None:
     assert sent.estimate.remarks == ("rate is at its upper bound, 1",)
 
 
-def test_a_saved_grey_box_simulates_with_its_values(tmp_path: Path) -> None:
+def test_a_saved_grey_box_simulates_with_its_values(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     call(f"fit {RIG} --method grey-box --train 80 --jobs 1", tmp_path / "model")
     call(f"simulate {tmp_path}/model --history history.csv --future-inputs coming.csv --steps 20 "
          f"--simulator plant.py:lag", tmp_path / "ahead.csv")  # fmt: skip
     found = pd.read_csv(tmp_path / "ahead.csv")["y"]
     expected = pd.read_csv("record.csv")["y"][80:]
     np.testing.assert_allclose(found, expected, atol=0.05)
+    said = capsys.readouterr()
+    assert "is another one than" not in said.out + said.err
+    line = f"simulate {tmp_path}/model --history history.csv --future-inputs coming.csv --steps 5"
+    end = f"--out {tmp_path}/other.csv --simulator"
+    assert main(shlex.split(f"{line} {end} plant.py:slip")) == 2
+    said = capsys.readouterr()
+    assert "is another one than" in said.out + said.err
+    assert "no attribute 'rat' (plant.py, line 14)" in said.err
+    assert "Traceback" not in said.err
 
 
 @pytest.mark.parametrize(
@@ -100,6 +117,10 @@ def test_a_saved_grey_box_simulates_with_its_values(tmp_path: Path) -> None:
         ("--simulator plant.py:number --parameters rate=0.1:1", "must define a function"),
         ("--simulator record.csv --parameters rate=0.1:1", "--parameters is for a --simulator"),
         ("--methods grey-box", "needs a simulator with parameters"),
+        (
+            "--simulator plant.py:slip --parameters rate=0.1:10,x0_1=0 --methods simulator,mean",
+            "no attribute 'rat' (plant.py, line 14)",
+        ),
     ],
 )
 def test_what_cannot_be_fitted_is_refused(

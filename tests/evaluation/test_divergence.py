@@ -154,7 +154,7 @@ def test_compare_has_a_row_for_what_could_not_be_fitted(
     methods = f"mean,persistence,{CALIBRATED}"
     assert main(files(f"compare record.csv --train {TRAIN} --methods {methods}")) == 0
     said = capsys.readouterr().out
-    assert "could not be fitted: SVD did not converge" in said
+    assert "no result: SVD did not converge" in said
     found = json.loads((tmp_path / "out" / "results.json").read_text())
     assert found["recommended"] == CALIBRATED
     assert found["methods"]["mean"] == {"failed": "SVD did not converge"}
@@ -173,7 +173,7 @@ def test_forecast_takes_another_method_than_one_that_failed(
         "splitband.evaluation.setup.usual_names", lambda *_: ["mean", "persistence", CALIBRATED]
     )
     assert main(files("forecast begun.csv --steps 50")) == 0
-    assert "mean: could not be fitted: SVD did not converge" in capsys.readouterr().out
+    assert "mean: no result: SVD did not converge" in capsys.readouterr().out
     found = json.loads((tmp_path / "out" / "results.json").read_text())
     assert (found["method"], found["failed"]) == (CALIBRATED, {"mean": "SVD did not converge"})
     table = pd.read_csv(tmp_path / "out" / "forecast.csv")

@@ -187,7 +187,7 @@ def test_a_method_of_which_every_last_training_fails_does_not_end_a_comparison()
     result = sb.compare(record(), TRAIN, methods=[_DivergingLater(), sb.Mean()])
     assert result.recommended == "mean"
     assert [*result.runs] == ["mean"]
-    assert "could not be fitted: it diverged" in result.table["note"]["diverging"]
+    assert "no result: it diverged" in result.table["note"]["diverging"]
 
 
 def test_the_seeds_that_did_not_diverge_are_handed_out() -> None:

@@ -345,13 +345,18 @@ def mean() -> Forecaster:
             "history must have 8 measured samples in a row to warm up on, got 15 samples, of which "
             "14",
         ),
+        (lambda: fitted("mean").predict(5, record().y), "history must be a Record, got ndarray"),
+        (lambda: sb.Linear().fit([record(), record()]), "records must be a Record, got list"),
+        (lambda: sb.compare(record().y, TRAIN), "record must be a Record, got ndarray"),
+        (lambda: fitted("mean").stream(record().y), "history must be a Record, got ndarray"),
+        (lambda: sb.Single(GRU), r"must be an object, such as GRU\(...\), got the class GRU"),
         (lambda: sb.Filtered(sb.Mean(), GRU(3)), "base must say something about the whole record"),
         (lambda: sb.Ensemble(sb.Mean(), 0), "count must be at least 1, got 0"),
         (lambda: sb.named("mena"), r"methods must be .*, got 'mena' \(did you mean mean\?\)"),
     ],
 )
 def test_errors_say_what_is_wrong(call: Callable[[], Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises((ValueError, TypeError), match=message):
         call()
 
 

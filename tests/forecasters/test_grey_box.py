@@ -118,3 +118,27 @@ def test_a_black_box_function_is_fitted_too() -> None:
     other = sb.Record(2.0 * y[:30] / 3.0, DT)
     found = model.predict(20, other, other_record=True)
     np.testing.assert_allclose(found.y[:, 0], 2 / 3 * y[30:50], atol=1e-4)
+
+
+def test_a_loaded_one_asks_for_its_equation_whatever_it_is_asked(
+    model: sb.GreyBox, tmp_path: Path
+) -> None:
+    model.save(tmp_path)
+    loaded, record = sb.load(tmp_path), driven(3)
+    for ask in (
+        lambda: loaded.predict(STEPS, record[:100], other_record=True),
+        lambda: loaded.predict(STEPS, record[:100]),
+        lambda: loaded.stream(record[:100], other_record=True).step([0.0]),
+        lambda: loaded.check_residuals(record),
+        lambda: loaded.fit(record),
+    ):
+        with pytest.raises(ValueError, match="simulator must be given"):
+            ask()
+
+
+def test_an_error_of_the_equation_says_where_it_is() -> None:
+    def wrong(t: float, x: Any, u: Any, p: Any) -> list[float]:
+        return [x[1], p.kk * u[0]]
+
+    with pytest.raises(ValueError, match=r"no attribute 'kk'.*\(test_grey_box.py, line \d+\)"):
+        sb.GreyBox(sb.Ode(wrong, [0.0, 0.0], parameters={"k": (0.5, 20.0)})).fit(driven(0))

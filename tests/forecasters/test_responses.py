@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,17 @@ def test_the_step_response_ends_at_the_static_gain(linear: sb.Linear) -> None:
     np.testing.assert_allclose(found.y[-1], GAINS, atol=0.02)
     assert found.time[1] == DT
     assert (found.inputs, found.columns) == (("flow", "heat"), ("t", "p"))
+
+
+def test_a_saved_model_responds_at_the_mean_of_its_training_inputs(
+    linear: sb.Linear, tmp_path: Path
+) -> None:
+    record = linear.require_fitted().record
+    assert record.u is not None
+    linear.save(tmp_path)
+    loaded = sb.load(tmp_path)
+    assert len(loaded.require_fitted().record) < len(record)
+    np.testing.assert_allclose(loaded.step_responses(3).at, record.u.mean(axis=0))
 
 
 def test_the_frequency_response_is_that_of_the_transfer_function(linear: sb.Linear) -> None:

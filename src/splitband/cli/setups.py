@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -18,8 +19,9 @@ _DECIDES = "window", "epochs", "learning_rate", "lr_milestones", "recipe"
 
 
 def names(text: str) -> list[str]:
-    """Return the parts of a comma-separated option."""
-    return [part.strip() for part in text.split(",") if part.strip()]
+    """Return the parts of a comma-separated option; one in double quotes may have commas."""
+    line = " ".join(text.split())
+    return [part.strip() for part in next(csv.reader([line], skipinitialspace=True)) if part]
 
 
 def options_of(given: ModelOptions, cores: int, saved: SavedSettings | None = None) -> Options:

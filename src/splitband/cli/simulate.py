@@ -142,7 +142,7 @@ def opened_with_simulator(
     """Return the forecaster with the simulator that the options name."""
     if options.simulator is None:
         if "simulator" in forecaster.needs or forecaster.parameters:
-            raise ValueError(f"--simulator must be given for {forecaster.name}, a hybrid model")
+            raise ValueError(f"--simulator must be given for {forecaster.name}, which runs one")
         return forecaster
     if used := forecaster.parameters.get("used"):
         own = ",".join(f"{name}={value!r}" for name, value in used.items())

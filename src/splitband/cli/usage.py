@@ -68,9 +68,10 @@ def usage(
     if found is not None:
         given = {k: v for k, v in given.items() if k not in _FOUND} | {"settings": str(found)}
     if model.name in NAMES:
-        end = [f"--method {model.name}", f"--out {shlex.quote(str(out / 'model-of-all'))}"]
-        fit = _line("splitband fit", given, ["record", *_FIT], end)
-        commands.append(("Fit it to the whole record", fit))
+        if not plan.refit and plan.train < len(plan.record):
+            end = [f"--method {model.name}", f"--out {shlex.quote(str(out / 'model-of-all'))}"]
+            fit = _line("splitband fit", given, ["record", *_FIT], end)
+            commands.append(("Fit it to the whole record", fit))
         # A simulator, or a user's equation, stays outside of what is exported.
         if model.name in TRAINED or not ("simulator" in model.needs or model.parameters):
             export = f"splitband export {shlex.quote(str(out / MODEL))} model.fmu"

@@ -3,7 +3,7 @@
 from splitband.data.alignment import Aligned, aligned, resampled
 from splitband.data.public import PUBLIC, PublicFile, double_torsion, drill_string, fetch
 from splitband.data.reading import read
-from splitband.data.record import Record, check_alike
+from splitband.data.record import Record, check_alike, require_records
 from splitband.data.timing import Grid, Stamp
 
 __all__ = [
@@ -19,5 +19,6 @@ __all__ = [
     "drill_string",
     "fetch",
     "read",
+    "require_records",
     "resampled",
 ]

@@ -327,6 +327,17 @@ def _after(signal: Array | None, beyond: Array | None, end: int) -> Array | None
     return np.concatenate(later) if sum(map(len, later)) else None
 
 
+def require_records(what: str, *given: Any) -> None:
+    """Raise TypeError, which says what to do, where something else than a record is given."""
+    for each in given:
+        if not isinstance(each, Record):
+            raise TypeError(
+                f"{what} must be a Record, got {type(each).__name__}: splitband.Record(y, "
+                "sampling_time) makes one of arrays, splitband.read one of a file or a DataFrame; "
+                "several records are arguments of their own"
+            )
+
+
 def check_alike(other: Record, record: Record, name: str) -> None:
     """Check that another record, called `name`, can be of the same system.
 

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from splitband.data import Record, check_alike
+from splitband.data import Record, check_alike, require_records
 from splitband.data.gaps import first_after
 from splitband.evaluation.setup import Options, Setup
 from splitband.forecasters.backtest import for_trial, held_out_from
 from splitband.forecasters.base import Forecaster
 from splitband.runtime.arguments import whole
+from splitband.simulators.identification import check_runs
 
 TRAINING_SHARE = 0.75
 """The share of a record to train on, where no number of samples is given."""
@@ -117,6 +118,8 @@ def plan(
     ValueError
         For what is wrong with records, methods, settings and numbers of samples.
     """
+    require_records("record", record)
+    require_records("others and tests", *others, *tests)
     methods = [methods] if isinstance(methods, str) else methods
     if train is None:
         train = getattr(setup, "train", None)
@@ -130,6 +133,8 @@ def plan(
         methods = decided.usual(record)
         if decided.search is not None and decided.simulator is None:
             decided = replace(decided, search=replace(decided.search, bases=True))
+    if decided.simulator is not None:
+        check_runs(decided.simulator, record)
     made = [decided.forecaster(each) if isinstance(each, str) else each for each in methods]
     made = [method.with_defaults(decided.settings, decided.bands) for method in made]
     found = Plan(record, tuple(made), decided, horizon, tuple(others), tuple(tests), seeds, refit)

@@ -125,6 +125,11 @@ class Trial:
         return min(able or names, key=self.worth)
 
     @property
+    def missing(self) -> dict[str, str]:
+        """Return in words why methods have no result, failed or left out."""
+        return {name: f"no result: {reason}" for name, reason in self.failed.items()}
+
+    @property
     def best_network(self) -> str | None:
         """Return the network with the lowest score."""
         networks = [method for method in self.scores if method in self.trained]

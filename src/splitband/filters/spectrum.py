@@ -83,7 +83,7 @@ def coherence(y: Array, y_sim: Array, sampling_rate: float) -> tuple[Array, Arra
 
     Welch's estimate over eighths of the record, half overlapping.
     """
-    segment = max(8, len(y) // 8)
+    segment = min(max(8, len(y) // 8), len(y))
     with np.errstate(invalid="ignore", divide="ignore"):
         frequencies, agreement = scipy.signal.coherence(
             y, y_sim, sampling_rate, nperseg=segment, axis=0

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from torch import Tensor
 
 from splitband.baselines.delays import check_delays
-from splitband.data import Record
+from splitband.data import Record, require_records
 from splitband.forecasters.asking import (
     first_needed,
     known_of,
@@ -234,6 +234,7 @@ class Forecaster(Configurable):
             history, and for a prediction that leaves the range of the training samples by far.
         """
         fitted = self.require_fitted()
+        require_records("history", *() if history is None else (history,))
         steps = whole("steps", steps)
         if level is not None and not 0 < level < 1:
             raise ValueError(f"level must be between 0 and 1, got {level}")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from splitband.data import Record
+from splitband.data import Record, require_records
 from splitband.data.gaps import first_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import Prediction
@@ -118,9 +118,12 @@ class ModelCheck:
 def check(forecaster: Forecaster, record: Record) -> ModelCheck:
     """Check a fitted forecaster on a record; see `Forecaster.check_residuals`."""
     fitted = forecaster.require_fitted()
+    require_records("record", record)
     record = record.prepared_as(fitted.record)
-    begin = first_after(record.complete, forecaster.warmup or min(WARMUP, len(record) // 10))
-    if begin is None or begin < 2 or len(record) - begin < 2 * LAGS:
+    begin = first_after(
+        record.complete, forecaster.warmup or max(min(WARMUP, len(record) // 10), 2)
+    )
+    if begin is None or len(record) - begin < 2 * LAGS:
         raise ValueError(
             f"record must have {2 * LAGS} samples after the warm-up of {forecaster.name}, "
             f"got {len(record)}"

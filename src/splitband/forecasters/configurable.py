@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeGuard
 
 import torch
 
-from splitband.data import Record, check_alike
+from splitband.data import Record, check_alike, require_records
 from splitband.forecasters.bands import Bands
 from splitband.runtime.options import Written, options
 from splitband.training import Settings
@@ -171,6 +171,7 @@ class Configurable(Written, ABC):
         """Raise ValueError for what is wrong with the training records, before anything runs."""
         if not records:
             raise ValueError("records must be one or several, got none")
+        require_records("records", *records)
         for other in records[1:]:
             check_alike(other, records[0], other.name or "another record")
         for record in records:

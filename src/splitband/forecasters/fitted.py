@@ -56,7 +56,7 @@ class Fitted:
     begin : How many samples of it were dropped before `record`.
     start : Time stamp of its first sample.
     y_range : Lowest and highest measured value of each channel in all records, `(2, ny)`.
-    u_range : The same of the inputs, `(2, nu)`.
+    u_range, u_mean : The same of the inputs, `(2, nu)`, and their means, `(nu,)`.
     others : The other training records, which are not saved.
     report : What the fit did.
     whole : Whether `others` are all that there were.
@@ -67,6 +67,7 @@ class Fitted:
     start: Stamp | None
     y_range: Array
     u_range: Array | None
+    u_mean: Array | None
     others: tuple[Record, ...] = ()
     report: FitReport = field(default_factory=FitReport)
     whole: bool = True
@@ -102,6 +103,7 @@ class Fitted:
             records[0].start,
             np.stack([np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)]),
             np.stack(input_range(inputs)) if inputs else None,
+            np.concatenate(inputs).mean(axis=0) if inputs else None,
             tuple(records[1:]),
             FitReport(seed),
         )

@@ -22,7 +22,7 @@ from splitband.runtime.arrays import Array
 from splitband.simulators.absent import Absent
 from splitband.simulators.adjusted import Adjusted
 from splitband.simulators.estimate import Estimate
-from splitband.simulators.identification import identify
+from splitband.simulators.identification import check_runs, identify
 from splitband.simulators.shooting import Adjustable, Experiment, fit_key
 from splitband.simulators.starts import Effort
 
@@ -129,12 +129,15 @@ class GreyBox(Forecaster):
                 f"{self.name} needs a simulator with parameters to fit (--simulator and "
                 "--parameters)"
             )
+        if isinstance(self.simulator, Absent):
+            self.simulator.simulate(None)  # it says that it has to be given
+        check_runs(self.simulator, records[0])
 
     refits = False
 
     def to_dict(self) -> dict[str, Any]:
         """Return what is saved: of the simulator a description."""
-        described = None if self.simulator is None else Absent.of(self.simulator)
+        described = None if self.simulator is None else Absent.of(self.simulator, fitted=True)
         return {**super().to_dict(), "simulator": described}
 
     words = "the simulator, its parameters fitted to the training samples"
@@ -149,6 +152,8 @@ class GreyBox(Forecaster):
         self.adjusted = replace(adjusted, simulator=None)
         self.u = records[0].u
         self.memory = self._chosen_memory(experiments[0])
+        fitted = self.require_fitted()
+        self.fitted = replace(fitted, report=replace(fitted.report, cut=self.estimate.cut))
 
     def prepare(
         self,

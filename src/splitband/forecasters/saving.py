@@ -28,7 +28,7 @@ from splitband.runtime.files import replacing, to_json
 from splitband.simulators import Simulator
 from splitband.simulators.absent import Absent
 
-FORMAT = 3
+FORMAT = 4
 """Version of the folder's format, which changes with what `to_dict` says."""
 FILE, WEIGHTS = outputs.MODEL, outputs.WEIGHTS
 LARGEST_DESCRIPTION = 2**28

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Record
+from splitband.data import Record, require_records
 from splitband.data.preparation import Preparation, seconds
 from splitband.forecasters.asking import known_of
 from splitband.forecasters.known import Known
@@ -129,6 +129,7 @@ def stream_of(
     forecaster: Forecaster, history: Record | None = None, other_record: bool = False
 ) -> Stream:
     """Return a fitted forecaster with a state; see `Forecaster.stream`."""
+    require_records("history", *() if history is None else (history,))
     try:
         return _begun(forecaster, forecaster.stepped(), history, other_record)
     except NotSteppedError:

@@ -52,6 +52,10 @@ class Template(Protocol):
 
 def as_template(cell: Any) -> Template:
     """Check that cells can be made after it; raises TypeError otherwise."""
+    if isinstance(cell, type):
+        raise TypeError(
+            f"a cell must be an object, such as {cell.__name__}(...), got the class {cell.__name__}"
+        )
     if not isinstance(cell, Template):
         raise TypeError(
             f"a cell must have a method sized(ny, nu, warmup) that makes one of these sizes, got "

@@ -187,12 +187,8 @@ def remarks(comparison: Comparison) -> dict[str, str]:
         left = [run.leaves for run in runs if run.leaves is not None]
         said = [leaving(min(left)) if left else "", runs[0].description]
         found[name] = "; ".join(filter(None, said))
-    failed = {} if comparison.trial is None else comparison.trial.failed
-    return found | {
-        name: f"could not be fitted: {reason}"
-        for name, reason in failed.items()
-        if name not in found
-    }
+    missing = {} if comparison.trial is None else comparison.trial.missing
+    return found | {name: why for name, why in missing.items() if name not in found}
 
 
 def frame(result: Comparison) -> pd.DataFrame:
@@ -222,8 +218,8 @@ def as_text(comparison: Comparison, width: int = 100) -> str:
     while len(text.partition("\n")[0]) > width and len(table.columns) > 2:
         table = table.iloc[:, :-1]
         text = table.to_string(index=False)
-    failed = {} if comparison.trial is None else comparison.trial.failed
-    said = [f"\n{name} could not be fitted: {reason}" for name, reason in failed.items()]
+    missing = {} if comparison.trial is None else comparison.trial.missing
+    said = [f"\n{name}: {why}" for name, why in missing.items()]
     return f"{comparison!r}\n\n{text}{''.join(said)}"
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.recommendation import WORTH_TRAINING, Trial
-from splitband.forecasters.backtest import HELD_OUT
+from splitband.forecasters.backtest import HELD_OUT, held_out_from
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES
 from splitband.metrics import Extrapolation, leaving
@@ -17,6 +17,8 @@ from splitband.report.table import Column, columns
 POOR = 0.15
 """By how much an interval may miss the share that it should hold before the page warns of it.
 By eye."""
+FEW = 20
+"""Held-out samples, fewer than which are warned of. By eye."""
 
 
 def in_words(name: str, methods: Mapping[str, Forecaster] = NAMES) -> str:
@@ -144,6 +146,12 @@ def warnings(comparison: Comparison) -> list[str]:
         for left in [[r.leaves for r in comparison.runs[best] if r.leaves is not None]]
         if left
     ]
+    train = comparison.setup.train
+    if (held_out := train - held_out_from(train)) < FEW:
+        said.append(
+            f"The method was chosen by {held_out} held-out samples, which are too few to tell "
+            "methods apart: a longer record may lead to another choice."
+        )
     said += [*of_inputs(comparison.inputs_beyond_training, record), *doubts(comparison)]
     share = comparison.require_trial().intervals[best].share
     held = [c for c in columns(comparison) if c.heading == "in interval"]

@@ -25,11 +25,13 @@ class Absent:
     file : The name of its file, without the folder; empty where it has none.
     fingerprint : What `fingerprint()` of the simulator says, by which another one is noticed; None
         where it says nothing.
+    fitted : Whether its parameters were fitted, so that it is the same one with other values.
     """
 
     kind: str
     file: str = ""
     fingerprint: str | None = None
+    fitted: bool = False
 
     def __post_init__(self) -> None:
         """Check values that may come from a file."""
@@ -43,14 +45,16 @@ class Absent:
             )
 
     @classmethod
-    def of(cls, simulator: Any) -> Absent:
+    def of(cls, simulator: Any, fitted: bool = False) -> Absent:
         """Return the description of a simulator; one that is a description stays as it is."""
         if isinstance(simulator, cls):
             return simulator
         file = PurePath(str(getattr(simulator, "path", ""))).name
         fingerprint = getattr(simulator, "fingerprint", lambda: None)()
+        if fingerprint is not None and fitted:
+            fingerprint = simulator.digest()
         said = None if fingerprint is None else str(fingerprint)
-        return cls(type(simulator).__name__, file, said)
+        return cls(type(simulator).__name__, file, said, fitted)
 
     def simulate(self, time: object) -> NoReturn:
         """Raise ValueError: it says which simulator has to be given, and how."""
@@ -66,7 +70,7 @@ class Absent:
 
         Two of which one has no fingerprint are not compared.
         """
-        saved, other = self.fingerprint, Absent.of(given).fingerprint
+        saved, other = self.fingerprint, Absent.of(given, self.fitted).fingerprint
         if saved is None or other is None or saved == other:
             return ""
         return (

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
@@ -10,9 +11,11 @@ import numpy as np
 import scipy
 
 from splitband.runtime.arrays import Array
+from splitband.runtime.deadlines import OverError
 from splitband.runtime.options import saved
 from splitband.simulators.estimate import Estimate
 from splitband.simulators.shooting import BAD, STATE_STEP, Adjustable, Experiment
+from splitband.simulators.sources import failure
 
 MOST_STATES = 500
 """States of the training records that are kept, for what is usual and to begin searches with.
@@ -65,9 +68,8 @@ class Adjusted:
 
         Raises ValueError where the run fails.
         """
-        if not callable(getattr(self.simulator, "respond", None)):
-            self.simulator.simulate(time)  # one that must be given says so
-        y, x = self.simulator.respond(time, u, [self._began(state)])[0]
+        with _running():
+            y, x = self._given.respond(time, u, [self._began(state)])[0]
         return _finite(y, time), x
 
     def advance(
@@ -77,8 +79,9 @@ class Adjusted:
 
         Raises ValueError where the run fails.
         """
-        state = self.simulator.initial(self.values) if state is None else state
-        y, x, taken = self.simulator.advance(self.values, state, time, u, taken)
+        with _running():
+            state = self._given.initial(self.values) if state is None else state
+            y, x, taken = self._given.advance(self.values, state, time, u, taken)
         return _finite(y, time), x, taken
 
     def beginning(self, history: Experiment) -> Array | None:
@@ -87,7 +90,7 @@ class Adjusted:
         Unlikely states are avoided as far as the history does not tell: those of the training
         records have the weight of one sample each. A black box has initial values in place of it.
         """
-        names = self.simulator.known.initial
+        names = self._given.known.initial
         usual = self.states
         if not self.simulator.states:
             if not names:
@@ -97,6 +100,13 @@ class Adjusted:
         mean, spread = usual.mean(axis=0), usual.std(axis=0)
         spread = np.maximum(spread, 1e-6 * np.maximum(np.abs(mean), 1e-6))
         return self._searched(history, [*self._similar(history), mean], mean, spread)
+
+    @property
+    def _given(self) -> Any:
+        """Return the simulator; that of a saved model raises ValueError, which asks for it."""
+        if not hasattr(self.simulator, "respond"):
+            self.simulator.simulate(None)
+        return self.simulator
 
     def _began(self, state: Any) -> tuple[Mapping[str, float], Any]:
         """Return parameters and the first state, as `Adjustable.respond` takes them."""
@@ -117,7 +127,7 @@ class Adjusted:
 
         def errors(states: Sequence[Array]) -> list[Array]:
             points = [self._began(state) for state in states]
-            with np.errstate(all="ignore"):
+            with np.errstate(all="ignore"), _running():
                 found = self.simulator.respond(history.time, history.u, points)
             return [self._weighed(history, y, state, mean, spread)
                     for (y, _), state in zip(found, states, strict=True)]  # fmt: skip
@@ -143,6 +153,17 @@ class Adjusted:
         told = np.nan_to_num((y - history.y) / self.noise, nan=BAD, posinf=BAD, neginf=-BAD)
         told = np.where(np.isnan(history.y), 0.0, np.clip(told, -BAD, BAD))
         return np.concatenate([told.ravel(), (state - mean) / spread])
+
+
+@contextmanager
+def _running() -> Iterator[None]:
+    """Raise ValueError, which says where, for what a user's code raises."""
+    try:
+        yield
+    except (ValueError, OverError):
+        raise
+    except Exception as error:
+        raise ValueError(f"the simulator failed: {failure(error)}") from error
 
 
 def _finite(y: Array, time: Array) -> Array:

@@ -44,6 +44,7 @@ class Estimate:
     remarks : What is not identifiable, lies at a bound, or might as well be otherwise.
     window : Samples of the windows in which the record was simulated; 0 for all of it.
     starts : Of how many starting points how many led to the same fit.
+    cut : Whether the time was over before every starting point was tried.
     """
 
     values: dict[str, float] = field(default_factory=dict)
@@ -53,6 +54,7 @@ class Estimate:
     remarks: tuple[str, ...] = ()
     window: int = 0
     starts: tuple[int, int] = (0, 0)
+    cut: bool = False
 
     def __post_init__(self) -> None:
         """Check values that may come from a file."""

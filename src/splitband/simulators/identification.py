@@ -13,6 +13,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import Deadline, current, within
 from splitband.simulators.estimate import Curvature, Estimate, labelled
 from splitband.simulators.shooting import Adjustable, Experiment, Shooting
+from splitband.simulators.sources import failure
 from splitband.simulators.starts import (
     LAST_ROUNDS,
     SAME_ERROR,
@@ -29,6 +30,12 @@ HOPELESS = 0.6
 By eye."""
 _WORTH_WINDOWS = 0.3
 """Share of the error over whole records below which the error over windows decides. By eye."""
+
+
+_FEW = 3
+"""Samples on which a simulator's code is tried. By eye."""
+_DEFECTS = (NameError, AttributeError, TypeError, LookupError, ImportError)
+"""What code raises that is wrong, and not just for these parameters."""
 
 
 def identify(simulator: Adjustable, *records: Record, effort: Effort | None = None) -> Estimate:
@@ -76,13 +83,29 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         estimate = _told(shooting, places, window if window < longest else 0)
     agreeing = [error for error, _ in ranked if error <= ranked[0][0] * (1 + SAME_ERROR)]
     remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, places)]
-    if any(o.cut for o in outcomes) or deadline.over:
+    cut = any(o.cut for o in outcomes) or deadline.over
+    if cut:
         remarks.append("the time was over before every starting point was tried")
     if window < longest:
         remarks.append(
             f"simulated in windows of {window} samples, as a simulation of the whole record is lost"
         )
-    return replace(estimate, remarks=tuple(remarks), starts=(len(agreeing), len(ranked)))
+    agreed = len(agreeing), len(ranked)
+    return replace(estimate, remarks=tuple(remarks), starts=agreed, cut=cut)
+
+
+def check_runs(simulator: Adjustable, record: Record) -> None:
+    """Raise ValueError where a simulator cannot run whatever its parameters are, and say why.
+
+    An error of the code, such as a name that it does not define, is one; that numbers overflow in
+    the middle of the ranges is none.
+    """
+    begin = Experiment.of(record).part(0, _FEW)
+    try:
+        with np.errstate(all="ignore"):
+            simulator.respond(begin.time, begin.u, [(simulator.known.middle(), None)])
+    except _DEFECTS as error:
+        raise ValueError(f"simulator must run on the record: {failure(error)}") from error
 
 
 def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:

@@ -160,21 +160,24 @@ class Ode(UserCode):
 
     def fingerprint(self) -> str | None:
         """Return the cache key: the key, the parameters and the solver's settings."""
-        return None if self.key is None else f"{self.key} {self._settings}"
+        if self.key is None:
+            return None
+        return f"{self.key} {np.asarray(self.x0, float).tolist()} {self.known} {self._precision}"
 
     def digest(self) -> str:
         """Return what its response depends on besides the parameters' values: code and settings."""
         code = self.key or code_digest(self.rhs, self.observe)
-        return f"{code} {self._settings} {self.held}"
+        x0 = np.atleast_1d(np.asarray(self.x0, float)).tolist()
+        fixed = {n: x for n, x in zip(self._states, x0, strict=True) if n not in self.known.given}
+        return f"{code} {fixed} {self._precision} {self.held}"
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what other processes need: not what has been compiled."""
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @property
-    def _settings(self) -> str:
-        state = np.asarray(self.x0, float).tolist()
-        return f"{state} {self.known} {self.method} {self.tolerances}"
+    def _precision(self) -> str:
+        return f"{self.method} {self.tolerances}"
 
     @cached_property
     def _states(self) -> list[str]:

@@ -20,6 +20,7 @@ from splitband.data import Record
 from splitband.runtime import deadlines
 from splitband.runtime.arrays import Array
 from splitband.simulators.parameters import Parameters
+from splitband.simulators.sources import failure
 
 Point = tuple[Mapping[str, float], Any]
 
@@ -170,7 +171,7 @@ class Shooting:
         except Exception as error:
             if isinstance(error, deadlines.OverError):
                 raise
-            self.failure = f"{type(error).__name__}: {error}"
+            self.failure = failure(error)
             nothing = np.full(part.y.shape, np.nan)
             return [(nothing, np.full((len(part.y), self.simulator.states), np.nan))] * len(points)
 

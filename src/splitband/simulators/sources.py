@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.machinery import PathFinder
 from importlib.util import resolve_name
 from pathlib import Path
+from traceback import extract_tb
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
@@ -44,6 +45,18 @@ def digest(files: Iterable[str | Path]) -> str:
     """Return the SHA-256 of the contents of files, in their order."""
     each = (hashlib.sha256(Path(file).read_bytes()).digest() for file in files)
     return hashlib.sha256(b"".join(each)).hexdigest()
+
+
+def failure(error: BaseException) -> str:
+    """Return what an error of a user's code says, on one line, and where it was raised."""
+    said = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    package = Path(__file__).resolve().parents[1]
+    for frame in reversed(extract_tb(error.__traceback__)):
+        path = Path(frame.filename)
+        installed = package in path.parents or set(_INSTALLED) & set(path.parts)
+        if path.is_file() and not installed:
+            return f"{said} ({path.name}, line {frame.lineno})"
+    return said
 
 
 def defines_function(file: str | Path, name: str) -> bool:

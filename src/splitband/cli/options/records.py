@@ -46,7 +46,12 @@ class RecordOptions:
     """Say how files are read."""
 
     columns: Annotated[
-        str | None, _record("Measured columns, by name or position.", "NAMES", "all numeric")
+        str | None,
+        _record(
+            "Measured columns, by name, or by position from 0 in a file without names.",
+            "NAMES",
+            "all numeric",
+        ),
     ] = None
     inputs: Annotated[str | None, _record("Known inputs: forces, set-points.", "NAMES", False)] = (
         None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 
 import numpy as np
 import numpy.typing as npt
@@ -44,10 +45,21 @@ def page(comparison: Comparison, used: Usage) -> Page:
         *_further(comparison, styles),
         _bands(comparison),
         *_trained(comparison, styles),
-        tables.settings(tables.flat({**comparison.setup.as_json(), "choice": None}), used),
+        tables.settings(tables.flat(_shared(comparison)), used),
     ]  # fmt: skip
     views = _views(comparison, answer[0])
     return Page(record.name or "a record", words.lead(record), sections, [*styles.values()], views)
+
+
+def _shared(comparison: Comparison) -> dict[str, object]:
+    """Return the settings that all methods share; what a search has found stands in their rows."""
+    setup = comparison.setup
+    facts = {**setup.as_json(), "choice": None}
+    if setup.search is None:
+        return facts
+    found = {"settings", *asdict(setup.sizes)}
+    kept = {name: value for name, value in facts.items() if name not in found}
+    return kept | {"warmup": setup.settings.warmup}
 
 
 _HORIZON = (
