@@ -9,10 +9,10 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self, TypedDict, Unpack, final
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, Unpack, final
 
 import numpy.typing as npt
-from torch import Tensor
+from torch import Tensor, nn
 
 from splitband.baselines.delays import check_delays
 from splitband.data import Record, require_records
@@ -24,6 +24,7 @@ from splitband.forecasters.asking import (
     seconds_after,
 )
 from splitband.forecasters.configurable import Configurable
+from splitband.forecasters.differentiable import Affine, TorchSimulation
 from splitband.forecasters.fitted import Fitted
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.known import Known
@@ -73,6 +74,8 @@ class Forecaster(Configurable):
     held_out : How well copies of it forecast known samples, once an interval has been asked for.
     """
 
+    affine: ClassVar[bool] = False
+    """Whether predictions depend on the inputs linearly but for a constant, or not at all."""
     fitted: Fitted | None = None
     delays: tuple[int, ...] = ()
     held_out: HeldOut | None = None
@@ -311,6 +314,54 @@ class Forecaster(Configurable):
             was prepared in the same way they are in its units.
         """
         return stream_of(self, history, other_record)
+
+    @final
+    def as_torch(
+        self, history: Record | None = None, other_record: bool = False
+    ) -> TorchSimulation:
+        """Return a torch module that simulates what follows a history, as `predict` does.
+
+        It takes batches of inputs and is differentiable: for predictive control, inputs that lead
+        to a wanted output, or a loss of your own.
+
+        Parameters
+        ----------
+        history, other_record : See `predict`.
+
+        Raises
+        ------
+        ValueError
+            For what has an equation with parameters in it or is your own, unless it defines
+            `differentiable`, and for a training record that was detrended, clipped or resampled.
+
+        Examples
+        --------
+        >>> u = np.sin(0.05 * np.arange(200))
+        >>> record = sb.Record(np.cumsum(0.1 * u), 0.1, u=u)
+        >>> simulate = sb.Linear().fit(record).as_torch()
+        >>> futures = torch.zeros(64, 20, 1, requires_grad=True)
+        >>> simulate(futures).square().mean().backward()
+        >>> futures.grad.shape
+        torch.Size([64, 20, 1])
+        """
+        record = self.require_fitted().record
+        require_records("history", *() if history is None else (history,))
+        if record.prepared:
+            raise ValueError(
+                f"{self.name} must be fitted to a record as it was measured for as_torch: this one "
+                "was detrended, clipped or resampled"
+            )
+        past = record if history is None else history
+        none = None if past.u is None else past.u[:0]
+        y_sim = past.beyond if past.y_sim is None or past.beyond is not None else past.y_sim[:0]
+        known, _ = known_of(self, 0, history, none, y_sim, other_record)
+        return TorchSimulation(self.differentiable(known), record.nu)
+
+    def differentiable(self, known: Known) -> nn.Module:
+        """Return what maps inputs after a history `(batch, steps, nu)` to `(batch, steps, ny)`."""
+        if not self.affine:
+            raise ValueError(f"{self.name} cannot be run by torch: it is not differentiable")
+        return Affine(self, known)
 
     @final
     def export(

@@ -93,6 +93,7 @@ class _ByTime(Forecaster):
     fits: ClassVar[type[ByTime]]
     """What is fitted."""
     anchored = True
+    affine = True
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Fit the function to the first of several records."""
@@ -177,6 +178,7 @@ class Linear(Forecaster):
     """
 
     name = "linear"
+    affine = True
     needs = frozenset({"inputs"})
 
     slow_part = "linear model"

@@ -8,9 +8,12 @@ from typing import Any, Self, Unpack, final
 
 import numpy as np
 import torch
+from torch import nn
 
 from splitband.data import Record
+from splitband.forecasters.asking import total
 from splitband.forecasters.base import Forecaster, Training
+from splitband.forecasters.differentiable import Average
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.known import Known
@@ -161,16 +164,22 @@ class Ensemble(Forecaster):
         self._take(self.members, seed)
 
     def extrapolate(self, known: Known) -> dict[str, Array]:
-        """Return the mean of the members, part by part."""
+        """Return the mean of the members, part by part where they have the same parts."""
         extrapolated = [member.extrapolate(known) for member in self.members]
         parts: list[dict[str, Array]] = [
             each if isinstance(each, dict) else {self.name: each} for each in extrapolated
         ]
+        if any(each.keys() != parts[0].keys() for each in parts):
+            parts = [{self.name: total([*each.values()])} for each in parts]
         return {name: np.mean([p[name] for p in parts], axis=0) for name in parts[0]}
 
     def stepped(self, outside: bool = False) -> Recursion:
         """Return the mean of the members."""
         return Averaged([member.stepped(outside) for member in self.members])
+
+    def differentiable(self, known: Known) -> nn.Module:
+        """Return the mean of the members."""
+        return Average([member.differentiable(known) for member in self.members])
 
     def doubts(self, known: Known) -> list[str]:
         """Return those of every member."""

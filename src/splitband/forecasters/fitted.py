@@ -56,7 +56,7 @@ class Fitted:
     begin : How many samples of it were dropped before `record`.
     start : Time stamp of its first sample.
     y_range : Lowest and highest measured value of each channel in all records, `(2, ny)`.
-    u_range, u_mean : The same of the inputs, `(2, nu)`, and their means, `(nu,)`.
+    u_summary : Lowest, highest and mean value of each input in all records, `(3, nu)`.
     others : The other training records, which are not saved.
     report : What the fit did.
     whole : Whether `others` are all that there were.
@@ -66,8 +66,7 @@ class Fitted:
     begin: int
     start: Stamp | None
     y_range: Array
-    u_range: Array | None
-    u_mean: Array | None
+    u_summary: Array | None
     others: tuple[Record, ...] = ()
     report: FitReport = field(default_factory=FitReport)
     whole: bool = True
@@ -102,8 +101,9 @@ class Fitted:
             0,
             records[0].start,
             np.stack([np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)]),
-            np.stack(input_range(inputs)) if inputs else None,
-            np.concatenate(inputs).mean(axis=0) if inputs else None,
+            np.stack([*input_range(inputs), np.concatenate(inputs).mean(axis=0)])
+            if inputs
+            else None,
             tuple(records[1:]),
             FitReport(seed),
         )
@@ -140,9 +140,9 @@ class Fitted:
 
     def inputs_beyond(self, u: Array | None) -> list[Extrapolation]:
         """Return which inputs `u` `(time, nu)` go beyond those that were trained on."""
-        if u is None or self.u_range is None:
+        if u is None or self.u_summary is None:
             return []
-        low, high = self.u_range
+        low, high, _ = self.u_summary
         return extrapolations(low, high, u)
 
 

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Self, Unpack
 
 import numpy as np
 import torch
+from torch import nn
 
 from splitband.baselines.delays import delayed
 from splitband.baselines.linear import input_delays
@@ -24,6 +25,7 @@ from splitband.forecasters.asking import known_of, total
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.beginning import Earlier, LinearPart
+from splitband.forecasters.differentiable import OfModel
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.known import Known
 from splitband.forecasters.prehistory import Prehistory
@@ -311,6 +313,16 @@ class Network(Forecaster):
         part = None if self.fitted_base is None else self.fitted_base.part(outside)
         return Warmed(model, part, self.warmup, self.delays)
 
+    def differentiable(self, known: Known) -> nn.Module:
+        """Return its model, warmed up."""
+        base = None if self.fitted_base is None else self.fitted_base.differentiable(known)
+        y, u, slow, since = self._warmed(known)
+        longest = max(self.delays, default=0)
+        late = np.zeros((0, 0)) if known.u is None else _last(known.u, longest)
+        model = self._trained()
+        made = OfModel(model, (y, u, slow), since, late, self.delays, base)
+        return made.to(next(model.parameters()).device)
+
     def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
         """Return what the model's filters are fed with; empty for a model without filters."""
         known, _ = known_of(self, steps, history, None, None)
@@ -425,9 +437,17 @@ class Network(Forecaster):
         return short and self.prehistory is not None and not np.isnan(known.y).any()
 
     def _run(self, simulate: Callable[..., dict[str, Array]], known: Known) -> dict[str, Array]:
-        """Return what the model says of the samples after a history; the base labels its part.
+        """Return what the model says of the samples after a history; the base labels its part."""
+        y, u, slow, since = self._warmed(known)
+        parts = simulate(y, since + known.steps, u, slow)
+        named = self._labels(parts)
+        return {named[label]: part[since:] for label, part in parts.items()}
 
-        The free run starts after the last warm-up without a gap.
+    def _warmed(self, known: Known) -> tuple[Array, Array | None, Array | None, int]:
+        """Return the last warm-up without a gap, and how many samples it ends before the origin.
+
+        Beside the measured samples `(warmup, ny)` it has inputs and the base's output, from its
+        begin to the last sample that is asked for.
         """
         y, u = known.y, None if known.u is None else delayed(known.u, self.delays)
         slow = None
@@ -446,7 +466,11 @@ class Network(Forecaster):
         begin, since = start - self.warmup, len(y) - start
         if self.fitted_base is not None and slow is None:
             slow = self.fitted_base.trajectory(replace(known, since=begin))[begin:]
-        inputs = None if u is None else u[begin:]
-        parts = simulate(y[begin:start], since + known.steps, inputs, slow)
-        named = self._labels(parts)
-        return {named[label]: part[since:] for label, part in parts.items()}
+        return y[begin:start], None if u is None else u[begin:], slow, since
+
+
+def _last(u: Array, rows: int) -> Array:
+    """Return the last rows; before the first one its value is held, as `delayed` does."""
+    return np.concatenate(
+        [np.repeat(u[:1], max(rows - len(u), 0), axis=0), u[max(len(u) - rows, 0) :]]
+    )

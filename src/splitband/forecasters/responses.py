@@ -58,14 +58,14 @@ def respond(
     """Return the responses of a fitted forecaster; see `Forecaster.step_responses`."""
     fitted = forecaster.require_fitted()
     record, steps = fitted.record, whole("steps", steps)
-    if fitted.u_range is None or fitted.u_mean is None:
+    if fitted.u_summary is None:
         raise ValueError(f"{forecaster.name} must have inputs to respond to, it has none")
     if "simulator" in forecaster.needs:
         raise ValueError(
             f"{forecaster.name} cannot respond by itself: its simulator stays outside of it"
         )
-    low, high = fitted.u_range
-    held = fitted.u_mean if at is None else _each("at", at, record.nu)
+    low, high, mean = fitted.u_summary
+    held = mean if at is None else _each("at", at, record.nu)
     sizes = SHARE * (high - low) if size is None else _each("size", size, record.nu)
     if not sizes.all():
         raise ValueError(

@@ -74,6 +74,7 @@ class SimulatorForecaster(Forecaster):
     `simulator`: what to run; by default a record brings its output (`y_sim`, `beyond`).
     """
 
+    affine = True
     applied = Calibration()
     """How its output is changed."""
 
