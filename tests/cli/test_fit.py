@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import splitband as sb
 from splitband.cli import main
 from tests.cli.support import FIT, QUICK, SAMPLES, WARMUP, A, B, call, files, results
 from tests.records import rms
@@ -27,6 +28,23 @@ def test_fit_writes_a_model_and_what_it_reached(model: Path) -> None:
     y = np.stack([A, B], axis=1)
     error = simulated(loaded, y[:WARMUP], SAMPLES - WARMUP) - y[WARMUP:]
     assert found["training_rmse"] == pytest.approx(rms(*error.T))
+
+
+def test_intervals_are_saved_where_they_are_asked_for(tmp_path: Path) -> None:
+    call("fit record.csv --columns a --method harmonic --intervals", tmp_path / "model")
+    call(f"simulate {tmp_path / 'model'} --steps 5 --level 0.8", tmp_path / "ahead.csv")
+    expected = sb.Harmonic().fit(sb.read("record.csv", columns="a")).predict(5, level=0.8)
+    found = pd.read_csv(tmp_path / "ahead.csv")
+    np.testing.assert_allclose(found, expected.to_frame())
+
+
+def test_a_record_too_short_for_intervals_still_has_its_model(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pd.read_csv("record.csv")[:2].to_csv(tmp_path / "short.csv", index=False)
+    line = f"fit {tmp_path}/short.csv --columns a --method persistence --intervals"
+    call(line, tmp_path / "model")
+    assert "the model has no intervals: " in capsys.readouterr().out
 
 
 def test_the_same_seed_fits_the_same_model(model: Path, tmp_path: Path) -> None:

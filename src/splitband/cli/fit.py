@@ -53,6 +53,14 @@ def fit(
     ] = 0,
     calibrate: Calibrate = False,
     conditioned: Conditioned = False,
+    intervals: Annotated[
+        bool,
+        typer.Option(
+            "--intervals",
+            help="Also train on three quarters of the record, for the intervals of "
+            "`simulate --level`.",
+        ),
+    ] = False,
     jobs: Jobs = None,
     settings: SettingsFile = None,
 ) -> None:
@@ -71,6 +79,8 @@ def fit(
         plan = planned(asked, work.cores, fitting=True)
         with watched(plan, work, out, "fitting") as busy:
             forecaster = fit_planned(plan, seed, busy)
+    if intervals:
+        _try_out(forecaster)
     training, setup = plan.training, plan.setup
     fitted, calibration = forecaster.require_fitted(), forecaster.calibration
     training_in_words = forecaster.training_in_words()
@@ -119,6 +129,15 @@ def fit(
         + f"\nmodel: {out}/"
     )
     showing.results_of(out, page=False)
+
+
+def _try_out(forecaster: Forecaster) -> None:
+    """Find out how wide intervals must be; the model is saved without them where that fails."""
+    try:
+        with showing.without_warnings():
+            forecaster.tried_out()
+    except (ValueError, FloatingPointError) as error:
+        showing.warn(f"the model has no intervals: {error}")
 
 
 def _training_error(forecaster: Forecaster) -> float | None:

@@ -267,8 +267,8 @@ def held_out_by(forecaster: Forecaster) -> HeldOut:
     record = fitted.record
     if fitted.begin or not fitted.whole:
         raise ValueError(
-            "level must have been asked for before the forecaster was saved; not all of its "
-            "training records are left"
+            "level must have been asked for before the forecaster was saved (by fit, with "
+            "--intervals); not all of its training records are left"
         )
     shorter = for_trial(forecaster, len(record))
     origins = held_out_origins(forecaster, record)

@@ -253,7 +253,7 @@ class Forecaster(Configurable):
         known, past = known_of(self, steps, history, u, y_sim, other_record)
         prediction = predicted(self, known, past)
         if level is not None:
-            half, y = self._tried_out().interval(level).half_widths(steps), prediction.y
+            half, y = self.tried_out().interval(level).half_widths(steps), prediction.y
             prediction = replace(prediction, lower=y - half, upper=y + half, level=level)
         for message in prediction.warnings:
             warnings.warn(message, ExtrapolationWarning, stacklevel=2)
@@ -455,8 +455,13 @@ class Forecaster(Configurable):
             raise ValueError(f"{self.name} must be fitted before it is asked: call fit(record)")
         return self.fitted
 
-    def _tried_out(self) -> HeldOut:
-        """Return how well it forecasts known samples, which is found out once."""
+    @final
+    def tried_out(self) -> HeldOut:
+        """Return how well it forecasts known samples, from which intervals of all levels follow.
+
+        The first time it is fitted again, to three quarters of its training record. ValueError is
+        raised where that is too short, and for a loaded forecaster that was not tried out before.
+        """
         if self.held_out is None:
             self.held_out = provided("held-out forecasts")(self)
         assert self.held_out is not None
