@@ -11,6 +11,7 @@ import splitband as sb
 from splitband.cli import main
 from splitband.cli.comparing import Request, planned
 from splitband.cli.options.records import RecordOptions
+from splitband.cli.setups import names
 from splitband.forecasters.names import Sizes, named
 from splitband.forecasters.network import Network
 from splitband.report.results import FOUND, save_found
@@ -49,6 +50,7 @@ def test_a_column_with_a_comma_stands_in_double_quotes(tmp_path: Path) -> None:
     given = RecordOptions(columns=' "a, measured" ,b', inputs="force")
     record = planned(Request(f"{tmp_path}/rig.csv", given, methods="mean"), 1).record
     assert record.columns == ("a, measured", "b")
+    assert names('force  (N), ,"x"') == ["force  (N)", "x"]
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,7 @@ def driven(samples: int = 400) -> sb.Record:
 
 MODELS: dict[str, Callable[[], sb.Forecaster]] = {
     "linear": sb.Linear,
+    "persistence": sb.Persistence,
     "state-space": lambda: sb.Single(sb.StateSpace(3, 4), SETTINGS),
     "mean": lambda: sb.Ensemble([sb.Single(sb.GRU(3), SETTINGS), sb.Linear()]),
     "split": lambda: sb.Split(sb.GRU(3), sb.GRU(3), BANDS, settings=SETTINGS),
@@ -89,7 +90,13 @@ def test_what_cannot_be_differentiated_says_so() -> None:
     linear = sb.Linear().fit(record)
     with pytest.raises(ValueError, match=r"u must be \(steps, 2\) or \(batch, steps, 2\), got"):
         linear.as_torch()(torch.zeros(5, 3))
-    with pytest.raises(ValueError, match="persistence cannot be run by torch"):
-        sb.Persistence().fit(record).as_torch()
+    nested = sb.Residual(sb.Single(sb.GRU(2), SETTINGS), sb.GRU(2), settings=SETTINGS)
+    with pytest.raises(ValueError, match="cannot be run by torch: its base, gru, is not affine"):
+        nested.fit(record, seed=0).as_torch()
+    with pytest.raises(ValueError, match="history must go on from the training record for harmon"):
+        sb.Harmonic().fit(record).as_torch(record[:50], other_record=True)
+    simulator = sb.Simulation().fit(record).as_torch(driven()[:390])
+    with pytest.raises(ValueError, match=r"y_sim must hold the 25 samples to come"):
+        simulator(futures(1))
     with pytest.raises(ValueError, match="fitted to a record as it was measured"):
         sb.Linear().fit(record.detrend()).as_torch()

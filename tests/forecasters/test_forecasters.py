@@ -300,6 +300,11 @@ def two_channels() -> Record:
     return replace(r, y=np.hstack([r.y, r.y]), columns=())
 
 
+def untyped(value: Any) -> Any:
+    """What type checkers would refuse."""
+    return value
+
+
 def mean() -> Forecaster:
     return sb.Mean().fit(plain()[:TRAIN])
 
@@ -345,11 +350,20 @@ def mean() -> Forecaster:
             "history must have 8 measured samples in a row to warm up on, got 15 samples, of which "
             "14",
         ),
-        (lambda: fitted("mean").predict(5, record().y), "history must be a Record, got ndarray"),
-        (lambda: sb.Linear().fit([record(), record()]), "records must be a Record, got list"),
-        (lambda: sb.compare(record().y, TRAIN), "record must be a Record, got ndarray"),
-        (lambda: fitted("mean").stream(record().y), "history must be a Record, got ndarray"),
-        (lambda: sb.Single(GRU), r"must be an object, such as GRU\(...\), got the class GRU"),
+        (
+            lambda: fitted("mean").predict(5, untyped(record().y)),
+            "history must be a Record, got ndarray",
+        ),
+        (lambda: sb.Linear().fit(untyped([record()])), "records must be a Record, got list"),
+        (lambda: sb.compare(untyped(record().y), TRAIN), "record must be a Record, got ndarray"),
+        (
+            lambda: fitted("mean").stream(untyped(record().y)),
+            "history must be a Record, got ndarray",
+        ),
+        (
+            lambda: sb.Single(untyped(GRU)),
+            r"must be an object, such as GRU\(...\), got the class GRU",
+        ),
         (lambda: sb.Filtered(sb.Mean(), GRU(3)), "base must say something about the whole record"),
         (lambda: sb.Ensemble(sb.Mean(), 0), "count must be at least 1, got 0"),
         (lambda: sb.named("mena"), r"methods must be .*, got 'mena' \(did you mean mean\?\)"),

@@ -1,5 +1,6 @@
 """A simulator with fitted parameters as a forecaster: from any origin, on any record."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -136,9 +137,30 @@ def test_a_loaded_one_asks_for_its_equation_whatever_it_is_asked(
             ask()
 
 
-def test_an_error_of_the_equation_says_where_it_is() -> None:
+def test_an_error_of_the_equation_says_where_it_is(model: sb.GreyBox, tmp_path: Path) -> None:
     def wrong(t: float, x: Any, u: Any, p: Any) -> list[float]:
         return [x[1], p.kk * u[0]]
 
+    def other_shape(t: float, x: Any, u: Any, p: Any) -> Any:
+        return np.ones(2) + np.ones(3)
+
+    ranges: Any = {"k": (0.5, 20.0), "c": (0.05, 2.0)}
     with pytest.raises(ValueError, match=r"no attribute 'kk'.*\(test_grey_box.py, line \d+\)"):
-        sb.GreyBox(sb.Ode(wrong, [0.0, 0.0], parameters={"k": (0.5, 20.0)})).fit(driven(0))
+        sb.GreyBox(sb.Ode(wrong, [0.0, 0.0], parameters=ranges)).fit(driven(0))
+    model.save(tmp_path)
+    loaded = sb.load(tmp_path, sb.Ode(other_shape, [0.0, 0.0], parameters=ranges))
+    with pytest.raises(ValueError, match=r"could not be broadcast.*\(test_grey_box.py, line"):
+        loaded.predict(5, driven(0)[:320], u=inputs(driven(0))[320:325])
+
+
+@pytest.mark.parametrize(
+    "gain", [lambda p: 1.0 / p.a, lambda p: math.sqrt(p.a - 0.5), lambda p: (p.a - 0.5) ** 0.5]
+)
+def test_an_equation_may_fail_in_the_middle_of_the_ranges(gain: Any) -> None:
+    def lag(t: float, x: Any, u: Any, p: Any) -> list[float]:
+        return [gain(p) * (u[0] - x[0])]
+
+    u = np.sin(0.3 * np.arange(100))
+    y = scipy.signal.lfilter([0.0, 0.1], [1.0, -0.9], u)
+    simulator = sb.Ode(lag, [0.0], parameters={"a": (-2.0, 2.0)})
+    assert sb.GreyBox(simulator, starts=4).fit(sb.Record(y, DT, u=u)).describe().startswith("a = ")

@@ -99,6 +99,26 @@ def test_another_simulator_than_the_one_of_the_model_is_said_to_be(tmp_path: Pat
         sb.load(tmp_path, simulator=sb.Function(sine, key="two"))
 
 
+class Constant:
+    """A simulator of the user's own, which has no parameters and says what it is."""
+
+    def simulate(self, time: Any) -> Any:
+        return np.ones(len(time))
+
+    def fingerprint(self) -> str:
+        return "constant"
+
+
+def test_another_kind_of_simulator_is_said_to_be_one(tmp_path: Path) -> None:
+    def lag(t: float, x: Any, u: Any, p: Any) -> list[float]:
+        return [p.k * (1.0 - x[0])]
+
+    ode = sb.Ode(lag, [0.0], parameters={"k": (0.5, 2.0)}, key="lag")
+    sb.GreyBox(ode, starts=1).fit(RECORD).save(tmp_path)
+    with pytest.warns(UserWarning, match="another one than of the kind Ode.* is constant, not lag"):
+        sb.load(tmp_path, simulator=Constant())
+
+
 def test_a_simulator_that_nobody_asks_for_is_refused(tmp_path: Path) -> None:
     sb.Mean().fit(RECORD).save(tmp_path)
     with pytest.raises(ValueError, match="simulator must be left out for mean"):

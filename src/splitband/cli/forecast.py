@@ -89,7 +89,7 @@ def forecast(
 def _show(result: Forecast, out: Path, used: Usage) -> None:
     showing.console.print(result.time.in_words())
     trial, record = result.trial, result.record
-    said = dict.fromkeys(trial.errors, "") | trial.missing
+    said = dict.fromkeys(trial.errors, "") | trial.without_result
     title = f"{record.name}: RMSE on its last quarter, fitted to the rest of it"
     showing.methods(title, tried(trial, record, [*trial.errors]), said, result.method)
     showing.console.print(

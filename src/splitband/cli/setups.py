@@ -20,8 +20,9 @@ _DECIDES = "window", "epochs", "learning_rate", "lr_milestones", "recipe"
 
 def names(text: str) -> list[str]:
     """Return the parts of a comma-separated option; one in double quotes may have commas."""
-    line = " ".join(text.split())
-    return [part.strip() for part in next(csv.reader([line], skipinitialspace=True)) if part]
+    line = " ".join(text.splitlines())
+    parts = next(csv.reader([line], skipinitialspace=True))
+    return [part.strip() for part in parts if part.strip()]
 
 
 def options_of(given: ModelOptions, cores: int, saved: SavedSettings | None = None) -> Options:

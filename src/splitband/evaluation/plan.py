@@ -119,7 +119,10 @@ def plan(
         For what is wrong with records, methods, settings and numbers of samples.
     """
     require_records("record", record)
-    require_records("others and tests", *others, *tests)
+    for name, several in (("others", others), ("tests", tests)):
+        if isinstance(several, Record):
+            raise TypeError(f"{name} must be a list of records, got a single one: write [record]")
+        require_records(name, *several)
     methods = [methods] if isinstance(methods, str) else methods
     if train is None:
         train = getattr(setup, "train", None)

@@ -125,7 +125,7 @@ class Trial:
         return min(able or names, key=self.worth)
 
     @property
-    def missing(self) -> dict[str, str]:
+    def without_result(self) -> dict[str, str]:
         """Return in words why methods have no result, failed or left out."""
         return {name: f"no result: {reason}" for name, reason in self.failed.items()}
 

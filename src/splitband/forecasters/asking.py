@@ -55,6 +55,11 @@ def known_of(
 ) -> tuple[Known, Record]:
     """Return what may be known of `steps` samples, and the history; see `Forecaster.predict`."""
     fitted = forecaster.require_fitted()
+    if other_record and forecaster.anchored:
+        raise ValueError(
+            f"history must go on from the training record for {forecaster.name}, which depends on "
+            "the time since then"
+        )
     past, begin = fitted.record, None if other_record else float(fitted.begin)
     if history is not None:
         check_alike(history, fitted.record, "history")

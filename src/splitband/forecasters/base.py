@@ -75,7 +75,7 @@ class Forecaster(Configurable):
     """
 
     affine: ClassVar[bool] = False
-    """Whether predictions depend on the inputs linearly but for a constant, or not at all."""
+    """Whether predictions are affine in the inputs, or do not depend on them."""
     fitted: Fitted | None = None
     delays: tuple[int, ...] = ()
     held_out: HeldOut | None = None
@@ -172,6 +172,8 @@ class Forecaster(Configurable):
         ------
         ValueError
             For records that do not fit together or to the forecaster, see `check`.
+        TypeError
+            For something else than records.
         FloatingPointError
             When a training diverges.
         """
@@ -227,6 +229,8 @@ class Forecaster(Configurable):
         ValueError
             For a forecaster that has not been fitted, and for a history, inputs or a simulator's
             output that do not fit it or are too short.
+        TypeError
+            For a history that is no `Record`.
 
         Warns
         -----
@@ -241,11 +245,6 @@ class Forecaster(Configurable):
         steps = whole("steps", steps)
         if level is not None and not 0 < level < 1:
             raise ValueError(f"level must be between 0 and 1, got {level}")
-        if other_record and self.anchored:
-            raise ValueError(
-                f"history must go on from the training record for {self.name}, which depends "
-                "on the time since then"
-            )
         if history is not None and history.prepared != fitted.record.prepared:
             prepared, u, y_sim = prepared_like(fitted.record, history, u, y_sim)
             found = self.predict(steps, prepared, u, y_sim, level, other_record)
@@ -331,8 +330,8 @@ class Forecaster(Configurable):
         Raises
         ------
         ValueError
-            For what has an equation with parameters in it or is your own, unless it defines
-            `differentiable`, and for a training record that was detrended, clipped or resampled.
+            For a grey box, a network on another network, and what is your own and does not define
+            `differentiable`; for a training record that was detrended, clipped or resampled.
 
         Examples
         --------
@@ -360,7 +359,7 @@ class Forecaster(Configurable):
     def differentiable(self, known: Known) -> nn.Module:
         """Return what maps inputs after a history `(batch, steps, nu)` to `(batch, steps, ny)`."""
         if not self.affine:
-            raise ValueError(f"{self.name} cannot be run by torch: it is not differentiable")
+            raise ValueError(f"{self.name} cannot be run by torch: it is not affine in the inputs")
         return Affine(self, known)
 
     @final

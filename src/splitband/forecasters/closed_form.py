@@ -37,6 +37,7 @@ _EXACT = 1e-6
 class Mean(Forecaster):
     """Forecast the mean of the training samples, the best where nothing can be foreseen."""
 
+    affine = True
     name = "mean"
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
@@ -62,6 +63,7 @@ class Mean(Forecaster):
 class Persistence(Forecaster):
     """Hold the last measured sample, as if nothing changed."""
 
+    affine = True
     name = "persistence"
 
     def extrapolate(self, known: Known) -> Array:

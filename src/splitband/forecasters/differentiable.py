@@ -1,4 +1,4 @@
-"""Simulate what follows a history in torch: batches of inputs, and gradients by them."""
+"""Simulate what follows a history in torch, in batches and with gradients."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from splitband.forecasters.known import Known
+from splitband.forecasters.asking import total
+from splitband.forecasters.known import Known, continued
 from splitband.models import Model, Signals
 from splitband.runtime.arrays import Array
 
@@ -63,7 +64,7 @@ class TorchSimulation(nn.Module):
 
 
 class Affine(nn.Module):
-    """Simulate what depends on the inputs linearly but for a constant, or not at all.
+    """Simulate what is affine in the inputs, or does not depend on them.
 
     Parameters
     ----------
@@ -97,11 +98,13 @@ class Affine(nn.Module):
     def _simulated(self, u: Array) -> Tensor:
         known, past = self._known, self._known.u
         inputs = None if past is None else np.concatenate([past, u])
-        asked = replace(known, steps=len(u), u=inputs)
-        return torch.from_numpy(self._forecaster.trajectory(asked)[len(known.y) :])
+        if known.y_sim is not None:
+            continued("y_sim", known.y_sim[: len(known.y)], known.y_sim[len(known.y) :], len(u))
+        found = self._forecaster.extrapolate(replace(known, steps=len(u), u=inputs))
+        return torch.from_numpy(total([*found.values()] if isinstance(found, dict) else [found]))
 
 
-class OfModel(nn.Module):
+class ModelSimulation(nn.Module):
     """Simulate a trained model from a warm-up.
 
     Parameters

@@ -25,7 +25,7 @@ from splitband.forecasters.asking import known_of, total
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.beginning import Earlier, LinearPart
-from splitband.forecasters.differentiable import OfModel
+from splitband.forecasters.differentiable import ModelSimulation
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.known import Known
 from splitband.forecasters.prehistory import Prehistory
@@ -315,12 +315,19 @@ class Network(Forecaster):
 
     def differentiable(self, known: Known) -> nn.Module:
         """Return its model, warmed up."""
-        base = None if self.fitted_base is None else self.fitted_base.differentiable(known)
+        base = None
+        if self.fitted_base is not None:
+            if not self.fitted_base.affine:
+                raise ValueError(
+                    f"{self.name} cannot be run by torch: its base, {self.fitted_base.name}, is "
+                    "not affine in the inputs"
+                )
+            base = self.fitted_base.differentiable(known)
         y, u, slow, since = self._warmed(known)
         longest = max(self.delays, default=0)
         late = np.zeros((0, 0)) if known.u is None else _last(known.u, longest)
         model = self._trained()
-        made = OfModel(model, (y, u, slow), since, late, self.delays, base)
+        made = ModelSimulation(model, (y, u, slow), since, late, self.delays, base)
         return made.to(next(model.parameters()).device)
 
     def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
@@ -333,11 +340,11 @@ class Network(Forecaster):
         doubts = [] if self.fitted_base is None else self.fitted_base.doubts(known)
         if not self._short(known):
             return doubts
-        return [
-            *doubts,
+        short = (
             f"the history has {len(known.y)} of the {self.warmup} samples of a warm-up: "
-            "what came before is estimated",
-        ]
+            "what came before is estimated"
+        )
+        return [*dict.fromkeys([*doubts, short])]
 
     def describe(self) -> str:
         """Return what the base and the training have settled on."""

@@ -187,7 +187,7 @@ def remarks(comparison: Comparison) -> dict[str, str]:
         left = [run.leaves for run in runs if run.leaves is not None]
         said = [leaving(min(left)) if left else "", runs[0].description]
         found[name] = "; ".join(filter(None, said))
-    missing = {} if comparison.trial is None else comparison.trial.missing
+    missing = {} if comparison.trial is None else comparison.trial.without_result
     return found | {name: why for name, why in missing.items() if name not in found}
 
 
@@ -218,7 +218,7 @@ def as_text(comparison: Comparison, width: int = 100) -> str:
     while len(text.partition("\n")[0]) > width and len(table.columns) > 2:
         table = table.iloc[:, :-1]
         text = table.to_string(index=False)
-    missing = {} if comparison.trial is None else comparison.trial.missing
+    missing = {} if comparison.trial is None else comparison.trial.without_result
     said = [f"\n{name}: {why}" for name, why in missing.items()]
     return f"{comparison!r}\n\n{text}{''.join(said)}"
 

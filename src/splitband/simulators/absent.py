@@ -51,7 +51,7 @@ class Absent:
             return simulator
         file = PurePath(str(getattr(simulator, "path", ""))).name
         fingerprint = getattr(simulator, "fingerprint", lambda: None)()
-        if fingerprint is not None and fitted:
+        if fingerprint is not None and fitted and hasattr(simulator, "digest"):
             fingerprint = simulator.digest()
         said = None if fingerprint is None else str(fingerprint)
         return cls(type(simulator).__name__, file, said, fitted)

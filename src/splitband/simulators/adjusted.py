@@ -15,7 +15,7 @@ from splitband.runtime.deadlines import OverError
 from splitband.runtime.options import saved
 from splitband.simulators.estimate import Estimate
 from splitband.simulators.shooting import BAD, STATE_STEP, Adjustable, Experiment
-from splitband.simulators.sources import failure
+from splitband.simulators.sources import failure, place
 
 MOST_STATES = 500
 """States of the training records that are kept, for what is usual and to begin searches with.
@@ -68,8 +68,9 @@ class Adjusted:
 
         Raises ValueError where the run fails.
         """
+        simulator = self._given
         with _running():
-            y, x = self._given.respond(time, u, [self._began(state)])[0]
+            y, x = simulator.respond(time, u, [self._began(state)])[0]
         return _finite(y, time), x
 
     def advance(
@@ -79,9 +80,10 @@ class Adjusted:
 
         Raises ValueError where the run fails.
         """
+        simulator = self._given
+        state = simulator.initial(self.values) if state is None else state
         with _running():
-            state = self._given.initial(self.values) if state is None else state
-            y, x, taken = self._given.advance(self.values, state, time, u, taken)
+            y, x, taken = simulator.advance(self.values, state, time, u, taken)
         return _finite(y, time), x, taken
 
     def beginning(self, history: Experiment) -> Array | None:
@@ -160,9 +162,11 @@ def _running() -> Iterator[None]:
     """Raise ValueError, which says where, for what a user's code raises."""
     try:
         yield
-    except (ValueError, OverError):
+    except OverError:
         raise
     except Exception as error:
+        if isinstance(error, ValueError) and not place(error):
+            raise  # the package's own
         raise ValueError(f"the simulator failed: {failure(error)}") from error
 
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from splitband.data import Record
+from splitband.data import Record, require_records
 from splitband.metrics import spread
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import Deadline, current, within
+from splitband.runtime.deadlines import Deadline, OverError, current, within
 from splitband.simulators.estimate import Curvature, Estimate, labelled
 from splitband.simulators.shooting import Adjustable, Experiment, Shooting
 from splitband.simulators.sources import failure
@@ -34,8 +34,8 @@ _WORTH_WINDOWS = 0.3
 
 _FEW = 3
 """Samples on which a simulator's code is tried. By eye."""
-_DEFECTS = (NameError, AttributeError, TypeError, LookupError, ImportError)
-"""What code raises that is wrong, and not just for these parameters."""
+_DEFECTS = (NameError, AttributeError, ImportError)
+"""Errors of code that do not depend on the values of parameters."""
 
 
 def identify(simulator: Adjustable, *records: Record, effort: Effort | None = None) -> Estimate:
@@ -57,6 +57,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     ValueError
         When no run of the simulator was successful; the message says why the last one was not.
     """
+    require_records("records", *records)
     effort = effort or Effort()
     experiments = [Experiment.of(record) for record in records]
     scale = spread(np.concatenate([e.y for e in experiments]))
@@ -67,9 +68,9 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     longest = max(len(e.y) for e in experiments)
     deadline = min(current(), Deadline.after(effort.seconds))
     outcomes = tried(simulator, experiments, scale, effort, deadline)
-    failure = next((o.failure for o in outcomes if o.failure), "")
     if not any(o.found for o in outcomes):
-        reason = failure or "the time was over before the first one was done"
+        over = "the time was over before the first one was done"
+        reason = next((o.failure for o in outcomes if o.failure), over)
         raise ValueError(f"simulator must run for some parameters in their ranges: {reason}")
     window = _window(outcomes, longest)
     ranked = sorted((o.found[window][1], o.number) for o in outcomes if window in o.found)
@@ -97,8 +98,8 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
 def check_runs(simulator: Adjustable, record: Record) -> None:
     """Raise ValueError where a simulator cannot run whatever its parameters are, and say why.
 
-    An error of the code, such as a name that it does not define, is one; that numbers overflow in
-    the middle of the ranges is none.
+    A name that its code does not define is a reason; that numbers overflow in the middle of the
+    ranges is none.
     """
     begin = Experiment.of(record).part(0, _FEW)
     try:
@@ -106,6 +107,10 @@ def check_runs(simulator: Adjustable, record: Record) -> None:
             simulator.respond(begin.time, begin.u, [(simulator.known.middle(), None)])
     except _DEFECTS as error:
         raise ValueError(f"simulator must run on the record: {failure(error)}") from error
+    except OverError:
+        raise
+    except Exception:
+        return  # it may run for other parameters, or on more samples
 
 
 def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.machinery import PathFinder
 from importlib.util import resolve_name
 from pathlib import Path
+from sysconfig import get_path
 from traceback import extract_tb
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
@@ -49,14 +50,20 @@ def digest(files: Iterable[str | Path]) -> str:
 
 def failure(error: BaseException) -> str:
     """Return what an error of a user's code says, on one line, and where it was raised."""
+    where = place(error)
     said = f"{type(error).__name__}: {' '.join(str(error).split())}"
-    package = Path(__file__).resolve().parents[1]
+    return f"{said} ({where})" if where else said
+
+
+def place(error: BaseException) -> str:
+    """Return the line of a user's file that raised an error; empty where none was running."""
+    known = Path(__file__).resolve().parents[1], Path(get_path("stdlib")).resolve()
     for frame in reversed(extract_tb(error.__traceback__)):
-        path = Path(frame.filename)
-        installed = package in path.parents or set(_INSTALLED) & set(path.parts)
+        path = Path(frame.filename).resolve()
+        installed = set(known) & set(path.parents) or set(_INSTALLED) & set(path.parts)
         if path.is_file() and not installed:
-            return f"{said} ({path.name}, line {frame.lineno})"
-    return said
+            return f"{path.name}, line {frame.lineno}"
+    return ""
 
 
 def defines_function(file: str | Path, name: str) -> bool:

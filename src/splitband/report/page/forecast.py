@@ -37,7 +37,7 @@ def _answer(result: Forecast) -> Section:
     items = [f"{method}: {leaving(result.leaves)}"] if result.leaves is not None else []
     items += words.of_inputs(result.inputs_beyond_training, record)
     items += [*result.prediction.warnings, *words.of_gaps(record)]
-    items += [f"{name}: {why}" for name, why in trial.missing.items()]
+    items += [f"{name}: {why}" for name, why in trial.without_result.items()]
     half = interval.half_widths(steps).mean(axis=0)
     held_out = [c for c in tried(trial, record, [method]) if c.heading == "held-out RMSE"]
     facts = [
