@@ -137,8 +137,7 @@ def test_a_batch_is_simulated_like_each_of_its_members(method: Any) -> None:
 
     def of(chosen: Any) -> Tensor:
         y = torch.stack([each.y[:WARMUP] for each in chosen])
-        simulated = [each.y_sim for each in chosen if each.y_sim is not None]
-        y_sim = torch.stack(simulated) if simulated else None
+        y_sim = torch.stack([each.y_sim for each in chosen])
         with torch.no_grad():
             parts = model.components(Signals(y, y_sim=y_sim), 40)
         return torch.stack([*parts.values()]).sum(dim=0)

@@ -70,7 +70,7 @@ class Prehistory:
     ) -> Prehistory | None:
         """Return the distribution in the training records; None where they hold no two warm-ups."""
         seen = [model.normalised(record) for record in records]
-        signals = torch.cat([_side_by_side(each) for each in seen]).double().cpu()
+        signals = torch.cat([_side_by_side(model, each) for each in seen]).double().cpu()
         starts = window_starts(records, warmup + 1, warmup)
         if len(starts) < 2:
             return None
@@ -143,5 +143,7 @@ def _before(known: Array, guess: Tensor, mean: Tensor, std: Tensor) -> Array:
     return np.concatenate([(guess.double() * std + mean).cpu().numpy(), known])
 
 
-def _side_by_side(seen: Signals) -> Tensor:
-    return torch.cat([x for x in (seen.y, seen.u, seen.y_sim) if x is not None], dim=-1)
+def _side_by_side(model: Model, seen: Signals) -> Tensor:
+    """Return the signals that the model uses; a record may bring a simulator's output as well."""
+    y_sim = seen.y_sim if model.beside_simulator else None
+    return torch.cat([x for x in (seen.y, seen.u, y_sim) if x is not None], dim=-1)

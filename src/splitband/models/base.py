@@ -147,8 +147,7 @@ class Model(nn.Module, ABC):
 
     def normalised(self, record: Record) -> Signals:
         """Return the signals of a record as the networks see them, each `(time, n)`."""
-        y_sim = record.y_sim if self.beside_simulator else None
-        return self._signals(record.y, record.u if self.nu else None, y_sim)
+        return self._signals(record.y, record.u if self.nu else None, record.y_sim)
 
     def _rows(self, u: Tensor | None) -> Tensor | None:
         """Return the inputs of the steps between samples."""
