@@ -89,6 +89,16 @@ def known_of(
     return Known(past.seen, steps, begin, inputs, simulated, past.grid, own), past
 
 
+def known_at_origin(
+    forecaster: Forecaster, history: Record | None, other_record: bool = False
+) -> Known:
+    """Return what is known at the end of a history, of the training record by default."""
+    past = forecaster.require_fitted().record if history is None else history
+    u = None if past.u is None else past.u[:0]
+    y_sim = past.beyond if past.y_sim is None or past.beyond is not None else past.y_sim[:0]
+    return known_of(forecaster, 0, history, u, y_sim, other_record)[0]
+
+
 def predicted(forecaster: Forecaster, known: Known, past: Record) -> Prediction:
     """Return what a forecaster says, and the reasons to doubt it."""
     fitted, steps = forecaster.require_fitted(), known.steps

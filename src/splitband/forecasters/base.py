@@ -18,6 +18,7 @@ from splitband.baselines.delays import check_delays
 from splitband.data import Record, require_records
 from splitband.forecasters.asking import (
     first_needed,
+    known_at_origin,
     known_of,
     predicted,
     prepared_like,
@@ -241,7 +242,8 @@ class Forecaster(Configurable):
             history, and for a prediction that leaves the range of the training samples by far.
         """
         fitted = self.require_fitted()
-        require_records("history", *() if history is None else (history,))
+        if history is not None:
+            require_records("history", history)
         steps = whole("steps", steps)
         if level is not None and not 0 < level < 1:
             raise ValueError(f"level must be between 0 and 1, got {level}")
@@ -344,16 +346,14 @@ class Forecaster(Configurable):
         torch.Size([64, 20, 1])
         """
         record = self.require_fitted().record
-        require_records("history", *() if history is None else (history,))
+        if history is not None:
+            require_records("history", history)
         if record.prepared:
             raise ValueError(
                 f"{self.name} must be fitted to a record as it was measured for as_torch: this one "
                 "was detrended, clipped or resampled"
             )
-        past = record if history is None else history
-        none = None if past.u is None else past.u[:0]
-        y_sim = past.beyond if past.y_sim is None or past.beyond is not None else past.y_sim[:0]
-        known, _ = known_of(self, 0, history, none, y_sim, other_record)
+        known = known_at_origin(self, history, other_record)
         return TorchSimulation(self.differentiable(known), record.nu)
 
     def differentiable(self, known: Known) -> nn.Module:

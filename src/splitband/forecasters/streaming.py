@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from splitband.data import Record, require_records
 from splitband.data.preparation import Preparation, seconds
-from splitband.forecasters.asking import known_of
+from splitband.forecasters.asking import known_at_origin
 from splitband.forecasters.known import Known
 from splitband.forecasters.stepping import NotSteppedError, Recursion, State
 from splitband.metrics import ExtrapolationWarning
@@ -129,7 +129,8 @@ def stream_of(
     forecaster: Forecaster, history: Record | None = None, other_record: bool = False
 ) -> Stream:
     """Return a fitted forecaster with a state; see `Forecaster.stream`."""
-    require_records("history", *() if history is None else (history,))
+    if history is not None:
+        require_records("history", history)
     try:
         return _begun(forecaster, forecaster.stepped(), history, other_record)
     except NotSteppedError:
@@ -163,11 +164,8 @@ def _begun(
     forecaster: Forecaster, recursion: Recursion, history: Record | None, other_record: bool
 ) -> Stream:
     """Return a stream after a history."""
-    past = _prepared(forecaster, history)
-    u = None if past.u is None else past.u[:0]
-    y_sim = past.beyond if past.y_sim is None or past.beyond is not None else past.y_sim[:0]
-    own = None if history is None else past
-    known, _ = known_of(forecaster, 0, own, u, y_sim, other_record)
+    own = None if history is None else _prepared(forecaster, history)
+    known = known_at_origin(forecaster, own, other_record)
     recursion = _in_units(forecaster, recursion, history)
     return Stream(forecaster.name, recursion, recursion.followed(known))
 
