@@ -10,7 +10,7 @@ from torch import Tensor
 
 from splitband.data import Record
 from splitband.forecasters.backtest import Backtest, for_trial
-from splitband.forecasters.beginning import Earlier
+from splitband.forecasters.beginning import Earlier, LinearPart
 from splitband.forecasters.network import Network
 from splitband.training import Settings
 
@@ -116,8 +116,8 @@ def candidates(forecaster: Network, record: Record) -> list[Candidate]:
     assert usual is not None
     steps = max(1, round(FIRST_STEPS / usual.batches_of(samples)))
     finished = replace(usual, epochs=steps, quasi_newton=LADDER[0])
-    size, *sizes = forecaster.variants()
-    if forecaster.starts_linear(record):
+    size, *sizes = _sizes(forecaster)
+    if record.nu and all(isinstance(cell, LinearPart) for cell in _cells(forecaster)):
         rung = int(samples > SHORT)
         window = min(usual.warmup + FREE_RUN, usual.window)
         base = replace(finished, window=window, epochs=0, quasi_newton=LADDER[rung])
@@ -140,3 +140,19 @@ def candidates(forecaster: Network, record: Record) -> list[Candidate]:
     for candidate in found:  # windows that differ may be one on the shorter record of a trial
         distinct.setdefault(for_trial(candidate.network, samples).training_in_words(), candidate)
     return [*distinct.values()]
+
+
+def _cells(forecaster: Network) -> list[Any]:
+    return [getattr(forecaster, name) for name in forecaster.cells]
+
+
+def _sizes(forecaster: Network) -> list[Network]:
+    """Return it with cells of other sizes that are worth trying, the usual ones first."""
+    cells = _cells(forecaster)
+    if not forecaster.resizable or not all(hasattr(cell, "variants") for cell in cells):
+        return [forecaster.clone()]
+    every = zip(*(cell.variants() for cell in cells), strict=True)
+    return [
+        forecaster.clone().set_params(**dict(zip(forecaster.cells, sized, strict=True)))
+        for sized in every
+    ]

@@ -117,7 +117,9 @@ class Trials:
         if not affordable:
             return []
         record, samples = self._record, len(self._record)
-        networks = [for_trial(c.network, samples).called(c.label) for c in affordable]
+        networks = [
+            for_trial(c.network, samples).clone().set_params(name=c.label) for c in affordable
+        ]
         questions = {
             each.name: Question(record, held_out_origins(each, record), self._end, self._others)
             for each in networks

@@ -9,31 +9,29 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, Self, Unpack
 
-import numpy as np
 import torch
 from torch import nn
 
 from splitband.baselines.delays import delayed
 from splitband.baselines.linear import input_delays
 from splitband.data import Record
-from splitband.data.gaps import first_after, last_before
-from splitband.forecasters.asking import known_of, total
+from splitband.data.gaps import first_after
+from splitband.forecasters.asking import known_of
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, Training
-from splitband.forecasters.beginning import Earlier, LinearPart
-from splitband.forecasters.differentiable import ModelSimulation
+from splitband.forecasters.beginning import Earlier
 from splitband.forecasters.fitted import FitReport
+from splitband.forecasters.free_run import FreeRun
 from splitband.forecasters.known import Known
 from splitband.forecasters.prehistory import Prehistory
 from splitband.forecasters.remembering import Remembered
-from splitband.forecasters.stepping import NotSteppedError, Recursion, Warmed
+from splitband.forecasters.stepping import Recursion
 from splitband.models import Model
 from splitband.models.base import with_weights
-from splitband.models.hybrid import FAST, SLOW
 from splitband.runtime.arrays import Array
 from splitband.runtime.threads import drawn_from
 from splitband.simulators.calibration import Calibration
@@ -175,25 +173,6 @@ class Network(Forecaster):
         new.earlier = earlier
         return new
 
-    def starts_linear(self, record: Record) -> bool:
-        """Return whether its network begins as the linear model of a record."""
-        cells = [getattr(self, name) for name in self.cells]
-        return record.nu > 0 and all(isinstance(cell, LinearPart) for cell in cells)
-
-    def variants(self) -> list[Self]:
-        """Return it with cells of other sizes that are worth trying, the usual ones first."""
-        offered = [getattr(self, name) for name in self.cells]
-        if not self.resizable or not all(hasattr(cell, "variants") for cell in offered):
-            return [self.clone()]
-        every = zip(*(cell.variants() for cell in offered), strict=True)
-        return [
-            self.clone().set_params(**dict(zip(self.cells, cells, strict=True))) for cells in every
-        ]
-
-    def called(self, name: str) -> Self:
-        """Return it under another name."""
-        return self.clone().set_params(name=name)
-
     def training_in_words(self) -> str:
         """Return sizes, window and steps, for tables."""
         sizes = [describe() for cell in self.cells
@@ -298,53 +277,28 @@ class Network(Forecaster):
         self.fitted = replace(self.require_fitted(), report=report)
 
     def extrapolate(self, known: Known) -> dict[str, Array]:
-        """Return a free run from the last `warmup` samples without a gap, part by part.
+        """Return a free run from the last `warmup` samples without a gap, part by part."""
+        return self._free_run().components(known)
 
-        Where the history is shorter, what came before is estimated.
-        """
-        return self._run(self._trained().simulate_components, known)
-
-    def stepped(self, outside: bool = False) -> Recursion:
-        """Return the recursion of its model, warmed up."""
-        try:
-            model = self._trained().stepped()
-        except ValueError as error:
-            raise NotSteppedError(f"{self.name} cannot be stepped: {error}") from None
-        part = None if self.fitted_base is None else self.fitted_base.part(outside)
-        return Warmed(model, part, self.warmup, self.delays)
-
-    def differentiable(self, known: Known) -> nn.Module:
-        """Return its model, warmed up."""
-        base = None
-        if self.fitted_base is not None:
-            if not self.fitted_base.affine:
-                raise ValueError(
-                    f"{self.name} cannot be run by torch: its base, {self.fitted_base.name}, is "
-                    "not affine in the inputs"
-                )
-            base = self.fitted_base.differentiable(known)
-        y, u, slow, since = self._warmed(known)
-        longest = max(self.delays, default=0)
-        late = np.zeros((0, 0)) if known.u is None else _last(known.u, longest)
-        model = self._trained()
-        made = ModelSimulation(model, (y, u, slow), since, late, self.delays, base)
-        return made.to(next(model.parameters()).device)
+    def trajectory(self, known: Known) -> Array:
+        """Return a free run from the history's first warm-up on, `(time + steps, ny)`."""
+        return self._free_run().trajectory(known)
 
     def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
         """Return what the model's filters are fed with; empty for a model without filters."""
-        known, _ = known_of(self, steps, history, None, None)
-        return self._run(self._trained().simulate_unfiltered, known)
+        return self._free_run().unfiltered(known_of(self, steps, history, None, None)[0])
+
+    def stepped(self, outside: bool = False) -> Recursion:
+        """Return the recursion of its model, warmed up."""
+        return self._free_run().stepped(outside)
+
+    def differentiable(self, known: Known) -> nn.Module:
+        """Return its model, warmed up."""
+        return self._free_run().differentiable(known)
 
     def doubts(self, known: Known) -> list[str]:
         """Return those of the base, and whether the history is short."""
-        doubts = [] if self.fitted_base is None else self.fitted_base.doubts(known)
-        if not self._short(known):
-            return doubts
-        short = (
-            f"the history has {len(known.y)} of the {self.warmup} samples of a warm-up: "
-            "what came before is estimated"
-        )
-        return [*dict.fromkeys([*doubts, short])]
+        return self._free_run().doubts(known)
 
     def describe(self) -> str:
         """Return what the base and the training have settled on."""
@@ -354,21 +308,6 @@ class Network(Forecaster):
             said = [f"{base.as_base.label}: {base.describe()}"]
         said += [self.training_in_words() if self.tunable else "", fitted.late_inputs(self.delays)]
         return "; ".join(filter(None, [*said, *fitted.report.notes]))
-
-    def trajectory(self, known: Known) -> Array:
-        """Return a free run from the history's first warm-up on, `(time + steps, ny)`.
-
-        Before the run begins it is what was measured.
-        """
-        complete = np.asarray(~np.isnan(known.y).any(axis=1))
-        start = len(known.y) if self._short(known) else first_after(complete, self.warmup)
-        if start is None or not complete[:start].all():
-            raise ValueError(
-                f"history must begin with {self.warmup} measured samples for {self.name}"
-            )
-        steps = len(known.y) + known.steps - start
-        begun = replace(known, y=known.y[:start], steps=steps)
-        return np.concatenate([known.y[:start], total([*self.extrapolate(begun).values()])])
 
     def _made(self, params: dict[str, Any]) -> Self:
         """Return one with other options; where it runs and what may be tuned are none of them."""
@@ -417,14 +356,6 @@ class Network(Forecaster):
         """
         return 2 * record.nu + (2 * record.ny if self.conditioned else 0)
 
-    def _labels(self, parts: Iterable[str]) -> dict[str, str]:
-        """Return what the model's parts are called; the base labels the slow one."""
-        # A base may be named as the fast component is, and two labels must not be the same.
-        slow = SLOW if self.base is None else self.base.as_base.label
-        slow = slow if slow != FAST else "base"
-        return {part: slow + part.removeprefix(SLOW) if part.startswith(SLOW) else part
-                for part in parts}  # fmt: skip
-
     def _built(self, record: Record, settings: Settings, seed: int) -> Model:
         """Return the untrained model, its parameters drawn from `seed`."""
         with drawn_from(seed):
@@ -438,46 +369,7 @@ class Network(Forecaster):
         assert self.model is not None
         return self.model
 
-    def _short(self, known: Known) -> bool:
-        """Return whether what came before a history has to be estimated, and can be."""
-        short = 0 < len(known.y) < self.warmup
-        return short and self.prehistory is not None and not np.isnan(known.y).any()
-
-    def _run(self, simulate: Callable[..., dict[str, Array]], known: Known) -> dict[str, Array]:
-        """Return what the model says of the samples after a history; the base labels its part."""
-        y, u, slow, since = self._warmed(known)
-        parts = simulate(y, since + known.steps, u, slow)
-        named = self._labels(parts)
-        return {named[label]: part[since:] for label, part in parts.items()}
-
-    def _warmed(self, known: Known) -> tuple[Array, Array | None, Array | None, int]:
-        """Return the last warm-up without a gap, and how many samples it ends before the origin.
-
-        Beside the measured samples `(warmup, ny)` it has inputs and the base's output, from its
-        begin to the last sample that is asked for.
-        """
-        y, u = known.y, None if known.u is None else delayed(known.u, self.delays)
-        slow = None
-        if self._short(known):
-            assert self.prehistory is not None
-            if self.fitted_base is not None:
-                slow = self.fitted_base.trajectory(known)
-            y, u, slow = self.prehistory.completed(self._trained(), y, u, slow)
-        complete = np.asarray(~np.isnan(y).any(axis=1))
-        start = last_before(complete, self.warmup, len(y))
-        if start is None:
-            raise ValueError(
-                f"history must have {self.warmup} measured samples in a row to warm up on, got "
-                f"{len(y)} samples, of which {int(complete.sum())} were measured in whole"
-            )
-        begin, since = start - self.warmup, len(y) - start
-        if self.fitted_base is not None and slow is None:
-            slow = self.fitted_base.trajectory(replace(known, since=begin))[begin:]
-        return y[begin:start], None if u is None else u[begin:], slow, since
-
-
-def _last(u: Array, rows: int) -> Array:
-    """Return the last rows; before the first one its value is held, as `delayed` does."""
-    return np.concatenate(
-        [np.repeat(u[:1], max(rows - len(u), 0), axis=0), u[max(len(u) - rows, 0) :]]
-    )
+    def _free_run(self) -> FreeRun:
+        """Return what has been trained, ready to be asked."""
+        asked = self.name, self._trained(), self.warmup, self.delays
+        return FreeRun(*asked, self.fitted_base, self.prehistory)
