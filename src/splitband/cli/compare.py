@@ -86,9 +86,11 @@ def _title(result: Comparison) -> str:
 
 
 def _show_bands(result: Comparison) -> None:
-    """Print where the record is split, and what was left out as its simulator does not help."""
+    """Print where the recommended model splits the record, and which methods were left out."""
     bands, training = result.setup.bands, result.plan.training
-    if bands.cutoff is not None and bands.downsampling is not None:
+    network = result.forecasters[result.recommended].network
+    splits = network is not None and network.bands is not None
+    if splits and bands.cutoff is not None and bands.downsampling is not None:
         below = periodogram(training.y, training.sampling_rate).share_below(bands.cutoff)
         showing.console.print(
             f"cut-off {bands.cutoff:g} Hz, order {bands.order}, the "

@@ -164,7 +164,7 @@ def run_all(
     done |= _carried_out(ready, questions, todo, work, need_one)
     for (name, seed), outcome in done.items():
         if outcome.cut:
-            work.time.narrowed(f"{name}, {f'seed {seed}, ' if seed else ''}{work.stage}")
+            work.time.narrowed(f"{work.stage} of {name}{f' (seed {seed})' if seed else ''}")
     results: dict[str, dict[int, Backtest]] = {name: {} for name in jobs}
     failures = []
     for name, seed in (job for of_method in jobs.values() for job in of_method):
