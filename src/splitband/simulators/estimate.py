@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
@@ -173,9 +174,8 @@ class Curvature:
             if n < 20 or not np.any(r):
                 continue
             lags = max(int(_MOST_LAGS * n), 1)
-            spectrum = np.abs(np.fft.rfft(r, 2 * n)) ** 2
-            rho = np.fft.irfft(spectrum)[: lags + 1]
-            rho = rho[1:] / rho[0]
+            products = scipy.signal.correlate(r, r, method="fft")[n - 1 :]
+            rho = products[1 : lags + 1] / products[0]
             insignificant = np.flatnonzero(rho < 3 / np.sqrt(n))
             end = int(insignificant[0]) if len(insignificant) else lags
             most = max(most, 1 + 2 * float(rho[:end].sum()))

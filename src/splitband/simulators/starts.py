@@ -95,16 +95,14 @@ def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOu
     """Return what starts lead to, in their order; no more of them than it takes to agree."""
     points = starting_points(effort.starts, len(problem.names))
     kept = _Kept.of(problem, len(points), effort.folder)
-    done: dict[int, StartOutcome] = dict(kept.outcomes)
+    done = kept.outcomes
     work = partial(_try, problem, points, deadline)
     for first in range(0, len(points), _BATCH):
         batch = [i for i in range(first, min(first + _BATCH, len(points))) if i not in done]
         if done and deadline.over:
             break
         for outcome in _side_by_side(work, batch, effort.workers):
-            done[outcome.number] = outcome
-            if not outcome.cut:
-                kept.keep(outcome)
+            kept.keep(outcome)
             if effort.progress is not None:
                 effort.progress(len(done), len(points))
         if _settled([done[i] for i in sorted(done) if i < first + _BATCH], problem.longest):
@@ -213,7 +211,7 @@ def _error(residuals: Array) -> float:
 
 @dataclass(frozen=True)
 class _Kept:
-    """Keep what an earlier fit of the same has come to, in a file."""
+    """Hold what starts have come to, and keep it in a file for a later fit of the same."""
 
     path: Path | None
     key: str
@@ -234,10 +232,10 @@ class _Kept:
 
     def keep(self, outcome: StartOutcome) -> None:
         self.outcomes[outcome.number] = outcome
-        if self.path is None:
+        if self.path is None or outcome.cut:
             return
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        starts = [asdict(each) for each in self.outcomes.values()]
+        starts = [asdict(each) for each in self.outcomes.values() if not each.cut]
         write_json(self.path, {"key": self.key, "starts": starts})
 
 
