@@ -17,7 +17,7 @@ from splitband.filters import ComplementaryPair, butterworth
 from splitband.filters.resampling import check_downsampling
 from splitband.filters.spectrum import periodogram
 from splitband.metrics import spread
-from splitband.runtime.arrays import Array
+from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.options import saved
 
 ORDERS = (1, 2)
@@ -232,7 +232,7 @@ def _chosen(
     return Choice(best.cutoff, best.order, best.downsampling, reason, loss, listed, simulator_helps)
 
 
-def _varying(y: Array) -> npt.NDArray[np.bool_]:
+def _varying(y: Array) -> Flags:
     """Return a mask of the channels that vary; all channels if none does."""
     varying = np.ptp(y, axis=0) > 0
     return varying if varying.any() else ~varying

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.runtime.arrays import Array
+from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.options import saved
 from splitband.simulators.parameters import Parameters
 
@@ -181,7 +181,7 @@ class Curvature:
             most = max(most, 1 + 2 * float(rho[:end].sum()))
         return most
 
-    def _at_bounds(self) -> tuple[npt.NDArray[np.bool_], list[str]]:
+    def _at_bounds(self) -> tuple[Flags, list[str]]:
         low, high = self.places < AT_BOUND, self.places > 1 - AT_BOUND
         remarks = []
         for name, at_low, at_high in zip(self.names, low, high, strict=True):

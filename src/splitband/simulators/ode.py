@@ -109,9 +109,9 @@ class Ode(UserCode):
         if self.driven:
             y, _ = self.respond(time, None, [(self.known.middle(), None)])[0]
             return y
-        values = self.known.middle()
-        p, time = self._p(values), np.asarray(time, float)
-        x = self._scipy(lambda t, x: self._plain(t, x, (), p), time, self.initial(values))
+        values, time = self.known.middle(), np.asarray(time, float)
+        # It takes neither inputs nor parameters here.
+        x = self._scipy(lambda t, x: self._plain(t, x, (), ()), time, self.initial(values))
         return self._observed(x, np.empty((len(time), 0)), values)
 
     def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> list[Response]:
