@@ -185,8 +185,8 @@ def _along_time(
     In float64 for any input, as filters of high order lose many digits.
     """
     axis = time_axis(x.ndim, dim)
-    signal = _tensor(x)
-    known = None if first is None else _tensor(first).to(signal.device).double().movedim(axis, -1)
+    signal = as_tensor(x)
+    known = None if first is None else as_tensor(first).to(signal.device).double().movedim(axis, -1)
     y = run(signal.double().movedim(axis, -1), known).movedim(-1, axis).to(signal.dtype)
     return y if isinstance(x, Tensor) else y.numpy()
 
@@ -208,7 +208,8 @@ def check_first(first: tuple[int, ...], signal: tuple[int, ...], order: int, axi
         )
 
 
-def _tensor(x: npt.NDArray[Any] | Tensor) -> Tensor:
+def as_tensor(x: npt.NDArray[Any] | Tensor) -> Tensor:
+    """Return a signal as a tensor of floating-point numbers, which may share its memory."""
     if not isinstance(x, Tensor):
         x = torch.from_numpy(np.require(x, requirements=["C", "W"]))
     return x if x.is_floating_point() else x.double()
