@@ -190,7 +190,6 @@ LONGER = {
     "perfect": "the filters of the paper's Eq. 7, each number of which a user may give",
     "__init__": "the options of a model, each by its name",
     "run": "all that a trajectory of a simulator depends on, and where it is kept",
-    "_try": "one start of an estimation in a process of its own",
 }
 
 

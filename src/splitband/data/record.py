@@ -94,11 +94,12 @@ class Record:
         check_names("columns", columns, f"each of the {ny} channels of y", ny)
         require_finite("y", y, columns)
         vars(self).update(y=y, columns=columns)
-        for field, rule in _OTHER_SIGNALS.items():
+        for field in ("u", "y_true", "y_sim"):
             if (value := getattr(self, field)) is None:
                 continue
             signal = signal_of(field, value)
             if len(signal) != length or (field != "u" and signal.shape[1] != ny):
+                rule = "have as many samples as y" if field == "u" else "have the shape of y"
                 raise ValueError(f"{field} must {rule}, {y.shape}: its shape is {signal.shape}")
             names = numbered("u", signal.shape[1]) if field == "u" else columns
             require_finite(field, signal, names)
@@ -160,7 +161,7 @@ class Record:
         u, y_true, y_sim = (
             None if s is None else s[key] for s in (self.u, self.y_true, self.y_sim)
         )
-        end = key.indices(len(self))[1]
+        begin, end, _ = key.indices(len(self))
         beyond, u_beyond = _after(self.y_sim, self.beyond, end), _after(self.u, self.u_beyond, end)
         y, measured = self.y[key], None if self.measured is None else self.measured[key]
         if measured is not None:
@@ -170,7 +171,7 @@ class Record:
             y[:, known] = filled("y", self.seen[key][:, known])[0]
         start = self.start
         if start is not None:
-            start = stamp_after(start, key.indices(len(self))[0] * self.sampling_time)
+            start = stamp_after(start, begin * self.sampling_time)
         return replace(
             self, y=y, u=u, y_true=y_true, y_sim=y_sim, beyond=beyond, u_beyond=u_beyond,
             measured=measured, start=start,
@@ -310,13 +311,6 @@ class Record:
     def grid(self) -> Grid:
         """Return the grid of the sampling times."""
         return Grid(self.start, self.sampling_time, len(self))
-
-
-_OTHER_SIGNALS = {
-    "u": "have as many samples as y",
-    "y_true": "have the shape of y",
-    "y_sim": "have the shape of y",
-}
 
 
 def _after(signal: Array | None, beyond: Array | None, end: int) -> Array | None:

@@ -17,7 +17,7 @@ from splitband.filters import ComplementaryPair, butterworth
 from splitband.filters.resampling import check_downsampling
 from splitband.filters.spectrum import periodogram
 from splitband.metrics import spread
-from splitband.runtime.arrays import Array
+from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.options import saved
 
 ORDERS = (1, 2)
@@ -42,6 +42,8 @@ WORTH_USING = 0.5
 By eye."""
 _CUTOFFS = 24
 """Cut-offs that are tried, at even ratios. By eye."""
+_WARMUPS = 40
+"""Warm-ups on which the error at their ends is measured. By eye."""
 _NYQUIST_MARGIN = 0.8
 """Highest cut-off, as a share of the Nyquist frequency of the down-sampled low band. By eye."""
 
@@ -123,7 +125,7 @@ def choose(
     candidates = []
     for candidate in _grid(y, sampling_rate, warmup, cutoff, order, downsampling):
         # Squared, as the filter runs forward and backward.
-        gain = _gain(spectrum.frequencies, sampling_rate, *candidate) ** 2
+        gain = abs(_response(spectrum.frequencies, sampling_rate, *candidate)) ** 2
         k = downsampling or _downsampling(
             power * gain**2, spectrum.frequencies, candidate[0], warmup
         )
@@ -188,8 +190,7 @@ def choose_with_simulator(
     offset = float(np.mean(wrong.mean(axis=0) ** 2))
     candidates, wrongness = [], {}
     for candidate in _grid(y, sampling_rate, warmup, cutoff, order, downsampling):
-        b, a = butterworth(candidate[0], sampling_rate, candidate[1])
-        response = scipy.signal.freqz(b, a, spectrum.frequencies, fs=sampling_rate)[1]
+        response = _response(spectrum.frequencies, sampling_rate, *candidate)
         low, high = abs(response) ** 2, abs(1 - response) ** 2
         k = downsampling or _downsampling(power * low, spectrum.frequencies, candidate[0], warmup)
         passed, wrong_low = float(np.sum(low * power)), float(np.sum(low * error)) + offset
@@ -206,12 +207,10 @@ def choose_with_simulator(
     reason = (
         f"{rule}: the simulator is wrong by {share:.0%} of the power that the low-pass filter "
         f"passes, a network conditioned on it by {LEFT_BY_NETWORK:.0%} of the rest"
+        if helps
+        else f"no band of the simulator is worth using: up to {best.cutoff:g} Hz it is wrong by "
+        f"{share:.0%} of the power"
     )
-    if not helps:
-        reason = (
-            f"no band of the simulator is worth using: up to {best.cutoff:g} Hz it is wrong by "
-            f"{share:.0%} of the power"
-        )
 
     def why_not(candidate: Candidate) -> str:
         return f"expected error {candidate.loss:.2g}, against {best.loss:.2g}"
@@ -233,7 +232,7 @@ def _chosen(
     return Choice(best.cutoff, best.order, best.downsampling, reason, loss, listed, simulator_helps)
 
 
-def _varying(y: Array) -> npt.NDArray[np.bool_]:
+def _varying(y: Array) -> Flags:
     """Return a mask of the channels that vary; all channels if none does."""
     varying = np.ptp(y, axis=0) > 0
     return varying if varying.any() else ~varying
@@ -274,9 +273,12 @@ def _exists(cutoff: float, sampling_rate: float, order: int) -> bool:
     return True
 
 
-def _gain(frequencies: Array, sampling_rate: float, cutoff: float, order: int) -> Array:
+def _response(
+    frequencies: Array, sampling_rate: float, cutoff: float, order: int
+) -> npt.NDArray[np.complex128]:
+    """Return the response of the low-pass filter, one way."""
     b, a = butterworth(cutoff, sampling_rate, order)
-    return np.asarray(abs(scipy.signal.freqz(b, a, frequencies, fs=sampling_rate)[1]))
+    return np.asarray(scipy.signal.freqz(b, a, frequencies, fs=sampling_rate)[1])
 
 
 def _downsampling(low: Array, frequencies: Array, cutoff: float, warmup: int) -> int:
@@ -294,15 +296,13 @@ def _shortest(order: int) -> int:
     return 3 * (order + 1) + 1
 
 
-def _distortion(
-    y: Array, warmup: int, sampling_rate: float, cutoff: float, order: int, count: int = 40
-) -> float:
+def _distortion(y: Array, warmup: int, sampling_rate: float, cutoff: float, order: int) -> float:
     """Return the mean squared error at the end of a filtered warm-up, as a share of the power."""
     warmup = max(warmup, _shortest(order))
     if len(y) < warmup:
         return 0.0
     pair = ComplementaryPair.butterworth(cutoff, sampling_rate, order)
-    begins = np.unique(np.linspace(0, len(y) - warmup, count).astype(int))
+    begins = np.unique(np.linspace(0, len(y) - warmup, _WARMUPS).astype(int))
     index = begins[:, None] + np.arange(warmup)
     wrong = (pair.lowpass(y[index]) - pair.lowpass(y)[index])[:, -max(1, warmup // 10) :]
     return float(np.mean((wrong / spread(y)) ** 2))

@@ -6,14 +6,13 @@ NumPy in, NumPy out; torch in, torch out.
 
 from __future__ import annotations
 
-from typing import Any, Literal, TypeVar, get_args
+from typing import Literal, get_args
 
-import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
-Signal = TypeVar("Signal", npt.NDArray[Any], Tensor)
+from splitband.filters.iir import Signal, as_tensor
+
 Alignment = Literal["time", "paper"]
 
 
@@ -59,11 +58,7 @@ def upsample(y: Signal, k: int, length: int | None = None, align: Alignment = "t
         raise ValueError(f"k must be at least 1, got {k}")
     if align not in get_args(Alignment):
         raise ValueError(f"align must be one of {get_args(Alignment)}, got {align!r}")
-    slow = y if isinstance(y, Tensor) else torch.from_numpy(np.array(y))
-    slow = slow if slow.is_floating_point() else slow.double()
-    if slow.ndim == 1:
-        fast = upsample(slow[:, None], k, length, align)[:, 0]
-        return fast if isinstance(y, Tensor) else fast.numpy()
+    slow = as_tensor(y)[:, None] if y.ndim == 1 else as_tensor(y)
     n = slow.shape[-2]
     length = k * n if length is None else length
     if not 0 <= length <= k * n:
@@ -77,5 +72,5 @@ def upsample(y: Signal, k: int, length: int | None = None, align: Alignment = "t
         fraction = torch.arange(k, dtype=slow.dtype, device=slow.device)[:, None] / k
         between = torch.lerp(slow[..., :, None, :], following[..., :, None, :], fraction)
         fast = between.flatten(-3, -2)
-    fast = fast[..., :length, :]
+    fast = fast[:length, 0] if y.ndim == 1 else fast[..., :length, :]
     return fast if isinstance(y, Tensor) else fast.numpy()

@@ -9,13 +9,14 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 import torch
 from torch import Tensor, nn
 
 from splitband.networks.cell import Cell, are_plain
 from splitband.runtime.arrays import Array
 from splitband.runtime.graph import Symbol
-from splitband.runtime.tracing import expit, scan
+from splitband.runtime.tracing import scan
 
 Dense = tuple[tuple[Array, Array], ...]
 """Weights and biases of layers with tanh behind them."""
@@ -42,7 +43,7 @@ class PlainGRU(NamedTuple):
         n = self.of_state[0].shape[1]
         given = self.of_input[0] @ np.concatenate([y, u]) + self.of_input[1]
         kept = self.of_state[0] @ h + self.of_state[1]
-        gates = expit(given[: 2 * n] + kept[: 2 * n])
+        gates = scipy.special.expit(given[: 2 * n] + kept[: 2 * n])
         new = np.tanh(given[2 * n :] + gates[:n] * kept[2 * n :])
         return new + gates[n:] * (h - new)
 

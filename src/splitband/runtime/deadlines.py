@@ -67,7 +67,8 @@ class Deadline:
         return Deadline(self.at - seconds)
 
 
-_current: ContextVar[Deadline] = ContextVar("deadline", default=Deadline())  # noqa: B039
+NEVER = Deadline()
+_current: ContextVar[Deadline] = ContextVar("deadline", default=NEVER)
 
 
 def current() -> Deadline:

@@ -6,10 +6,10 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, Future, as_completed
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from typing import Any, ParamSpec, TypeVar, final
 
-from splitband.runtime.deadlines import Deadline
+from splitband.runtime.deadlines import NEVER, Deadline
 from splitband.runtime.threads import one_thread
 
 Job = TypeVar("Job")
@@ -76,7 +76,7 @@ def given_to(
     work: Work[Job, Message, Result],
     jobs: Sequence[Job],
     progress: Callable[[Message], None],
-    patience: Deadline | None = None,
+    patience: Deadline,
 ) -> Iterator[Result]:
     """Yield `work(job, report)` for each job as it is done by the executor, each on one thread.
 
@@ -105,14 +105,10 @@ def given_to(
         raise explained from error
 
 
-def _until(patience: Deadline | None, jobs: Sequence[Future[Any]]) -> Iterator[Future[Any]]:
+def _until(patience: Deadline, jobs: Sequence[Future[Any]]) -> Iterator[Future[Any]]:
     """Yield the jobs as they finish, until the deadline."""
-    limited = patience is not None and patience != Deadline()
-    timeout = max(patience.left, 0.0) if patience is not None and limited else None
-    try:
-        yield from as_completed(jobs, timeout)
-    except TimeoutError:
-        return
+    with suppress(TimeoutError):
+        yield from as_completed(jobs, None if patience == NEVER else max(patience.left, 0.0))
 
 
 def _done(

@@ -86,16 +86,13 @@ class Trace:
         **options: Any,
     ) -> Symbol:
         """Record an operation with one output."""
-        node = Node(op, tuple(self.symbol(x) for x in inputs), options)
-        node.outputs = (Symbol(self, shape, flag, node=node),)
-        self.blocks[-1].nodes.append(node)
-        return node.outputs[0]
+        return self.control(op, inputs, (), [(shape, flag)], **options)[0]
 
-    def inner(self, body: Callable[[Block], Tree]) -> tuple[Block, Tree]:
+    def inner(self, body: Callable[[], Tree]) -> tuple[Block, Tree]:
         """Record a block within the innermost one; return it, and the tree of its outputs."""
         block = Block()
         self.blocks.append(block)
-        tree = body(block)
+        tree = body()
         self.blocks.pop()
         block.outputs = [self.symbol(leaf) for leaf in leaves(tree)]
         return block, tree
@@ -108,7 +105,7 @@ class Trace:
         like: Sequence[tuple[tuple[int, ...], bool]],
         **options: Any,
     ) -> list[Symbol]:
-        """Record a loop or a branch, with outputs of these shapes and kinds."""
+        """Record an operation, a loop or a branch, with outputs of these shapes and kinds."""
         node = Node(op, tuple(self.symbol(x) for x in inputs), options, blocks)
         node.outputs = tuple(Symbol(self, shape, flag, node=node) for shape, flag in like)
         self.blocks[-1].nodes.append(node)

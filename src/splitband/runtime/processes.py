@@ -20,7 +20,7 @@ from multiprocessing.connection import wait
 from multiprocessing.queues import SimpleQueue
 from typing import Any, final
 
-from splitband.runtime.deadlines import Deadline
+from splitband.runtime.deadlines import NEVER, Deadline
 from splitband.runtime.executors import (
     Job,
     Message,
@@ -43,7 +43,7 @@ def over(
     jobs: Sequence[Job],
     workers: int | Executor = 1,
     progress: Callable[[Message], None] | None = None,
-    patience: Deadline | None = None,
+    patience: Deadline = NEVER,
 ) -> Iterator[Result]:
     """Yield `work(job, report)` for each job as it is done, each on one thread.
 

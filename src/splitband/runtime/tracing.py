@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-import scipy
 
 from splitband.runtime.graph import Block, Symbol, Trace
 from splitband.runtime.trees import Tree, leaves, rebuilt
@@ -21,7 +20,7 @@ def cond(flag: Any, yes: Callable[[], Tree], no: Callable[[], Tree]) -> Tree:
     """Return `yes()` where the flag is true and `no()` elsewhere; both of the same shapes."""
     if not isinstance(flag, Symbol):
         return yes() if flag else no()
-    (one, tree), (other, _) = (flag.trace.inner(lambda _, f=f: f()) for f in (yes, no))  # type: ignore[misc]
+    (one, tree), (other, _) = map(flag.trace.inner, (yes, no))
     like = [(s.shape, s.flag) for s in one.outputs]
     if like != [(s.shape, s.flag) for s in other.outputs]:
         raise TypeError("both branches must have the same shapes")
@@ -56,7 +55,7 @@ def _traced_scan(
     starts = [trace.symbol(leaf) for leaf in leaves(carry)]
     rows = [trace.symbol(x) for x in xs]
 
-    def inner(_: Block) -> Tree:
+    def inner() -> Tree:
         begun = rebuilt(carry, [trace.input(s) for s in starts])
         return body(begun, [trace.input(Symbol(trace, x.shape[1:])) for x in rows])
 
@@ -82,7 +81,3 @@ def trace(function: Callable[..., Tree], *examples: Tree) -> tuple[Block, Tree]:
     block = new.blocks[0]
     block.outputs = [new.symbol(leaf) for leaf in leaves(result)]
     return block, result
-
-
-expit = scipy.special.expit
-"""The logistic function."""

@@ -1,6 +1,6 @@
 """Run black-box simulators: recorded, function, ODE, FMU, isolated; calibrate them."""
 
-from splitband.simulators.base import Simulator, SimulatorError, SimulatorTimeoutError, run, within
+from splitband.simulators.base import Simulator, SimulatorError, SimulatorTimeoutError, run
 from splitband.simulators.estimate import Estimate
 from splitband.simulators.fmu import Fmu
 from splitband.simulators.function import Function
@@ -21,5 +21,4 @@ __all__ = [
     "SimulatorTimeoutError",
     "identify",
     "run",
-    "within",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
@@ -14,6 +14,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import OverError
 from splitband.runtime.options import saved
 from splitband.simulators.estimate import Estimate
+from splitband.simulators.parameters import Point, Response
 from splitband.simulators.shooting import BAD, STATE_STEP, Adjustable, Experiment
 from splitband.simulators.sources import failure, place
 
@@ -63,7 +64,7 @@ class Adjusted:
         rows = rows[np.isfinite(states[rows]).all(axis=1)]
         return replace(usual, states=states[rows], outputs=outputs[rows])
 
-    def response(self, time: Array, u: Array | None, state: Any = None) -> tuple[Array, Array]:
+    def response(self, time: Array, u: Array | None, state: Any = None) -> Response:
         """Return channels and states at `time` in s, from a state or the fitted first one.
 
         Raises ValueError where the run fails.
@@ -110,7 +111,7 @@ class Adjusted:
             self.simulator.simulate(None)
         return self.simulator
 
-    def _began(self, state: Any) -> tuple[Mapping[str, float], Any]:
+    def _began(self, state: Any) -> Point:
         """Return parameters and the first state, as `Adjustable.respond` takes them."""
         if state is None or self.simulator.states:
             return self.values, state
@@ -131,7 +132,7 @@ class Adjusted:
             points = [self._began(state) for state in states]
             with np.errstate(all="ignore"), _running():
                 found = self.simulator.respond(history.time, history.u, points)
-            return [self._weighed(history, y, state, mean, spread)
+            return [np.concatenate([self._errors(history.y, y), (state - mean) / spread])
                     for (y, _), state in zip(found, states, strict=True)]  # fmt: skip
 
         def residuals(state: Array) -> Array:
@@ -149,12 +150,10 @@ class Adjusted:
         ]
         return np.asarray(min(results, key=lambda result: float(result.cost)).x)
 
-    def _weighed(
-        self, history: Experiment, y: Array, state: Array, mean: Array, spread: Array
-    ) -> Array:
-        told = np.nan_to_num((y - history.y) / self.noise, nan=BAD, posinf=BAD, neginf=-BAD)
-        told = np.where(np.isnan(history.y), 0.0, np.clip(told, -BAD, BAD))
-        return np.concatenate([told.ravel(), (state - mean) / spread])
+    def _errors(self, measured: Array, y: Array) -> Array:
+        """Return the errors of a simulation by the noise, `(samples * ny,)`, 0 in gaps."""
+        errors = np.nan_to_num((y - measured) / self.noise, nan=BAD, posinf=BAD, neginf=-BAD)
+        return np.asarray(np.where(np.isnan(measured), 0.0, np.clip(errors, -BAD, BAD)).ravel())
 
 
 @contextmanager

@@ -9,11 +9,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from splitband.metrics import rmse, spread
-from splitband.runtime.arrays import Array
+from splitband.runtime.arrays import Array, Flags
 from splitband.simulators.calibration import (
     MOST_CLOCK,
     MOST_DELAY,
@@ -23,7 +22,9 @@ from splitband.simulators.calibration import (
     spline_of,
 )
 
-_STILL = {"delay": 0.0, "clock": 1.0}
+_MOVING: tuple[Term, ...] = "delay", "clock"
+_STILL = np.array([0.0, 1.0])
+"""Delay in samples and clock factor of a simulator as it comes."""
 _WORTH = 0.98
 """A set of terms replaces a smaller one below this share of its error. By eye."""
 _SETS: tuple[tuple[Term, ...], ...] = (
@@ -78,7 +79,7 @@ def calibrate(
     for kept in _SETS[1:]:
         pays = errors[kept].mean() < _WORTH * errors[best].mean()
         # By chance noise may fit better at some delay or clock after one cut, but not after all.
-        moves = set(kept) & set(_STILL)
+        moves = set(kept) & set(_MOVING)
         if pays and (not moves or (errors[kept] < errors[best]).all()):
             best = kept
     calibration = _fit(y_sim, y, sampling_time, best, scale)
@@ -138,15 +139,15 @@ def _fit(
     scale: Array | float = 1.0,
 ) -> Calibration:
     """Fit by least squares: gain and offset are eliminated, delay and clock are searched for."""
-    moving = tuple(term for term in _STILL if term in terms)
+    moving = np.array([term in terms for term in _MOVING])
     index: Array = np.arange(len(y), dtype=np.float64)
     spline = spline_of(y_sim)
 
     def moved(warp: Array) -> Array:
         delay, clock = _warp(warp, moving)
-        return spline(clock * index - delay) if moving else y_sim[: len(y)]
+        return spline(clock * index - delay) if moving.any() else y_sim[: len(y)]
 
-    def within(warp: Array) -> npt.NDArray[np.bool_]:
+    def within(warp: Array) -> Flags:
         """Return where the simulation is known: from its first to its last sample."""
         delay, clock = _warp(warp, moving)
         places = clock * index - delay
@@ -160,15 +161,16 @@ def _fit(
         return np.nan_to_num(error).ravel()
 
     warp = np.empty(0)
-    if moving:
-        low, high = _bounds(len(y), moving)
-        begin = [*_guesses(y, lambda clock: spline(clock * index), moving, low, high)]
+    if moving.any():
+        most = np.array([MOST_DELAY * len(y), MOST_CLOCK])
+        low, high = (_STILL - most)[moving], (_STILL + most)[moving]
         minima = [
             scipy.optimize.least_squares(
-                residual, np.clip(point, low, high), bounds=(low, high), x_scale=(high - low) / 100
+                residual, np.clip(point[moving], low, high), bounds=(low, high),
+                x_scale=(high - low) / 100,
             )
-            for point in begin
-        ]
+            for point in _guesses(y, lambda clock: spline(clock * index), most * moving)
+        ]  # fmt: skip
         warp = np.asarray(min(minima, key=lambda result: result.cost).x)
     delay, clock = _warp(warp, moving)
     seen = within(warp)
@@ -190,41 +192,30 @@ def _affine(x: Array, y: Array, terms: Sequence[Term]) -> tuple[Array, Array]:
     return ones, _mean(y - x, y) if "offset" in terms else 0 * ones
 
 
-def _warp(warp: Array, moving: Sequence[str]) -> tuple[float, float]:
+def _warp(warp: Array, moving: Flags) -> tuple[float, float]:
     """Return the delay in samples, and the clock factor."""
-    values = _STILL | dict(zip(moving, map(float, warp), strict=True))
-    return values["delay"], values["clock"]
+    values = _STILL.copy()
+    values[moving] = warp
+    return float(values[0]), float(values[1])
 
 
-def _bounds(train: int, moving: Sequence[str]) -> tuple[Array, Array]:
-    """Return the bounds of the parameters that are searched for; delays are in samples."""
-    still = np.array([_STILL[m] for m in moving])
-    most = np.array([{"delay": MOST_DELAY * train, "clock": MOST_CLOCK}[m] for m in moving])
-    return still - most, still + most
+def _guesses(y: Array, at_clock: Callable[[float], Array], most: Array) -> Iterator[Array]:
+    """Yield starting points: the identity, and those of the highest correlation with the record.
 
-
-def _guesses(
-    y: Array,
-    at_clock: Callable[[float], Array],
-    moving: Sequence[str],
-    low: Array,
-    high: Array,
-) -> Iterator[Array]:
-    """Yield starting points: the identity, and those of the highest correlation with the record."""
-    yield np.array([_STILL[m] for m in moving])
-    limits = {m: (a, b) for m, a, b in zip(moving, low, high, strict=True)}
-    clocks = np.linspace(*limits["clock"], 41) if "clock" in moving else np.ones(1)
-    least, most = limits.get("delay", (0.0, 0.0))
-    shifts = np.arange(int(np.ceil(least)), int(most) + 1)  # in samples of the record
+    Each is a delay in samples and a clock factor, which differ from the identity by `most` at most.
+    """
+    yield _STILL
+    clocks = np.linspace(1 - most[1], 1 + most[1], 41) if most[1] else np.ones(1)
+    shifts = np.arange(-int(most[0]), int(most[0]) + 1)  # in samples of the record
     correlation = _correlation(y)
     ranked = []
     for clock in clocks:
         at_shifts = correlation(at_clock(clock))[shifts]
         best = int(np.argmax(at_shifts))
-        ranked.append((at_shifts[best], {"delay": clock * shifts[best], "clock": clock}))
+        ranked.append((at_shifts[best], np.array([clock * shifts[best], clock])))
     ranked.sort(key=lambda pair: -pair[0])
     for _, point in ranked[:3]:
-        yield np.array([point[m] for m in moving])
+        yield point
 
 
 def _correlation(y: Array) -> Callable[[Array], Array]:

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
-from splitband.runtime.arrays import Array
+from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.options import saved
 from splitband.simulators.parameters import Parameters
 
@@ -102,38 +103,34 @@ class Curvature:
 
     Attributes
     ----------
-    places : Of the parameters in their ranges, `(n,)`.
+    names, known : Of the parameters that are fitted, and all of them.
+    places : Of the fitted ones in their ranges, `(n,)`.
     residuals : `(samples, ny)`, in deviations of the channels; NaN in gaps.
     jacobian : Of the residuals, `(samples * ny, n)`.
     """
 
+    names: Sequence[Name]
+    known: Parameters
     places: Array
     residuals: Array
     jacobian: Array
 
-    def uncertainty(
-        self, names: Sequence[Name], known: Parameters
-    ) -> tuple[Array, Array, list[str]]:
+    def uncertainty(self) -> tuple[Array, Array, list[str]]:
         """Return standard errors of the values, their correlations, and remarks."""
-        fixed, remarks = self._at_bounds(names, known)
+        fixed, remarks = self._at_bounds()
         free = np.flatnonzero(~fixed)
-        covariance = np.full((len(names), len(names)), np.nan)
-        inner, lost, said = self._covariance(free, names, known)
+        covariance = np.full((len(fixed), len(fixed)), np.nan)
+        inner, lost, said = self._covariance(free)
         covariance[np.ix_(free, free)] = inner
         covariance[lost] = covariance[:, lost] = np.nan
-        slopes = np.array([known.slope(n, p) for (n, _), p in zip(names, self.places, strict=True)])
+        slopes = [self.known.slope(n, p) for (n, _), p in zip(self.names, self.places, strict=True)]
         deviations = np.sqrt(np.diag(covariance))
         with np.errstate(invalid="ignore", divide="ignore"):
             correlations = covariance / np.outer(deviations, deviations)
-        return (
-            deviations * np.abs(slopes),
-            correlations,
-            remarks + said + self._linked(correlations, names),
-        )
+        remarks += said + self._linked(correlations)
+        return deviations * np.abs(slopes), correlations, remarks
 
-    def _covariance(
-        self, free: npt.NDArray[np.int_], names: Sequence[Name], known: Parameters
-    ) -> tuple[Array, list[int], list[str]]:
+    def _covariance(self, free: npt.NDArray[np.int_]) -> tuple[Array, list[int], list[str]]:
         """Return the covariance of places that are free, which of them are not identified, words.
 
         Directions that the record does not tell are left out of it.
@@ -143,21 +140,21 @@ class Curvature:
             return np.empty((0, 0)), [], []
         _, s, vt = np.linalg.svd(j, full_matrices=False)
         s = np.concatenate([s, np.zeros(len(vt) - len(s))])
-        noise = np.maximum(self._noise(), QUIETEST * np.sqrt(np.mean(self.residuals.shape[1:])))
-        level = float(np.sqrt(np.mean(np.tile(noise, len(self.residuals)) ** 2)))
+        noise, (samples, ny) = self._noise(), self.residuals.shape
+        level = float(np.sqrt(np.mean(np.maximum(noise, QUIETEST * np.sqrt(ny)) ** 2)))
         weak = level / np.maximum(s, 1e-300) > UNKNOWN
         lost: list[int] = []
         said: list[str] = []
         for direction in vt[weak]:
             involved = np.flatnonzero(np.abs(direction) > INVOLVED)
             lost += [int(free[i]) for i in involved]
-            at = [names[i] for i in free[involved]]
+            at = [self.names[i] for i in free[involved]]
             pairs = [(name, float(place)) for (name, _), place in
                      zip(at, self.places[free[involved]], strict=True)]  # fmt: skip
-            relative = [known.slope(*pair) / (known.at(*pair) or 1.0) for pair in pairs]
+            relative = [self.known.slope(*pair) / (self.known.at(*pair) or 1.0) for pair in pairs]
             said.append(_told(at, direction[involved] * np.array(relative)))
         kept = vt[~weak].T / s[~weak]
-        told = (j @ kept) * np.tile(self._noise(), len(self.residuals))[:, None]
+        told = (j @ kept) * np.tile(noise, samples)[:, None]
         # (J'J)^-1 J' W J (J'J)^-1, with the error of each channel as W
         return kept @ (told.T @ told) @ kept.T * self._correlated(), lost, said
 
@@ -177,32 +174,29 @@ class Curvature:
             if n < 20 or not np.any(r):
                 continue
             lags = max(int(_MOST_LAGS * n), 1)
-            spectrum = np.abs(np.fft.rfft(r, 2 * n)) ** 2
-            rho = np.fft.irfft(spectrum)[: lags + 1]
-            rho = rho[1:] / rho[0]
+            products = scipy.signal.correlate(r, r, method="fft")[n - 1 :]
+            rho = products[1 : lags + 1] / products[0]
             insignificant = np.flatnonzero(rho < 3 / np.sqrt(n))
             end = int(insignificant[0]) if len(insignificant) else lags
             most = max(most, 1 + 2 * float(rho[:end].sum()))
         return most
 
-    def _at_bounds(
-        self, names: Sequence[Name], known: Parameters
-    ) -> tuple[npt.NDArray[np.bool_], list[str]]:
+    def _at_bounds(self) -> tuple[Flags, list[str]]:
         low, high = self.places < AT_BOUND, self.places > 1 - AT_BOUND
         remarks = []
-        for name, at_low, at_high in zip(names, low, high, strict=True):
+        for name, at_low, at_high in zip(self.names, low, high, strict=True):
             if at_low or at_high:
-                end = known.range(name[0])[int(at_high)]
+                end = self.known.range(name[0])[int(at_high)]
                 side = "upper" if at_high else "lower"
                 remarks.append(f"{labelled(name)} is at its {side} bound, {end:.4g}")
         return low | high, remarks
 
-    def _linked(self, correlations: Array, names: Sequence[Name]) -> list[str]:
+    def _linked(self, correlations: Array) -> list[str]:
         """Return which pairs are hardly told from each other."""
         with np.errstate(invalid="ignore"):
             pairs = np.argwhere(np.triu(np.abs(correlations) > 0.99, 1))
         return [
-            f"{labelled(names[i])} and {labelled(names[j])} are correlated by "
+            f"{labelled(self.names[i])} and {labelled(self.names[j])} are correlated by "
             f"{correlations[i, j]:.3f}"
             for i, j in pairs
         ]

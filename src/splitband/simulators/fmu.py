@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import Written
-from splitband.simulators.parameters import Given, Parameters
+from splitband.simulators.parameters import Given, Parameters, Point, Response
 
 
 class Fmu(Written):
@@ -101,9 +101,7 @@ class Fmu(Written):
         """
         return self._run(time, None, self.known.middle())
 
-    def respond(
-        self, time: Array, u: Array | None, points: Sequence[tuple[Mapping[str, float], Any]]
-    ) -> list[tuple[Array, Array]]:
+    def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> list[Response]:
         """See `Adjustable`: there are no states. A run that fails gives NaN."""
         found = []
         for values, _ in points:

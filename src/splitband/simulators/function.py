@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import Written
-from splitband.simulators.parameters import Given, Parameters, parameters_class
+from splitband.simulators.parameters import Given, Parameters, Point, Response, parameters_class
 from splitband.simulators.sources import code_digest, count_arguments
 
 
@@ -87,9 +87,7 @@ class Function(UserCode):
         """
         return self._called(time, np.empty((len(time), 0)), self.known.middle())
 
-    def respond(
-        self, time: Array, u: Array | None, points: Sequence[tuple[Mapping[str, float], Any]]
-    ) -> list[tuple[Array, Array]]:
+    def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> list[Response]:
         """See `Adjustable`: there are no states."""
         inputs = np.empty((len(time), 0)) if u is None else u
         found = []

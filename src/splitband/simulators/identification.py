@@ -10,7 +10,7 @@ import numpy as np
 from splitband.data import Record, require_records
 from splitband.metrics import spread
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import Deadline, OverError, current, within
+from splitband.runtime.deadlines import NEVER, Deadline, OverError, current, within
 from splitband.simulators.estimate import Curvature, Estimate, labelled
 from splitband.simulators.shooting import Adjustable, Experiment, Shooting
 from splitband.simulators.sources import failure
@@ -65,9 +65,8 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     if not shooting.names:
         shooting.divide(10**9, np.empty(0))
         return _told(shooting, np.empty(0), 0)
-    longest = max(len(e.y) for e in experiments)
-    deadline = min(current(), Deadline.after(effort.seconds))
-    outcomes = tried(simulator, experiments, scale, effort, deadline)
+    longest, deadline = shooting.longest, min(current(), Deadline.after(effort.seconds))
+    outcomes = tried(shooting, effort, deadline)
     if not any(o.found for o in outcomes):
         over = "the time was over before the first one was done"
         reason = next((o.failure for o in outcomes if o.failure), over)
@@ -77,7 +76,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     best = next(o for o in outcomes if o.number == ranked[0][1])
     places = np.array(best.found[window][0])
     shooting = Shooting(simulator.precise(), experiments, scale)
-    with within(Deadline()):  # what has been found is looked at however late it is
+    with within(NEVER):  # what has been found is looked at however late it is
         shooting.divide(window, places)
         if not (best.cut or deadline.over):
             places, _ = descend(shooting, places, LAST_ROUNDS)
@@ -134,8 +133,8 @@ def _told(shooting: Shooting, places: Array, window: int) -> Estimate:
     measured = np.concatenate([w.part.y for w in shooting.windows])
     by_channel = np.where(np.isnan(measured), np.nan, residuals.reshape(-1, ny))
     known = shooting.simulator.known
-    curvature = Curvature(places, by_channel, jacobian)
-    errors, correlations, remarks = curvature.uncertainty(shooting.names, known)
+    curvature = Curvature(shooting.names, known, places, by_channel, jacobian)
+    errors, correlations, remarks = curvature.uncertainty()
     names = [labelled(name) for name in shooting.names]
     values = [known.at(n, float(p)) for (n, _), p in zip(shooting.names, places, strict=True)]
     rmse = np.sqrt(np.nanmean(by_channel**2, axis=0)) * shooting.scale

@@ -13,11 +13,8 @@ import scipy
 
 from splitband.runtime.arrays import Array
 from splitband.simulators.function import UserCode
-from splitband.simulators.parameters import INITIAL, Given, parameters_class
+from splitband.simulators.parameters import INITIAL, Given, Point, Response, parameters_class
 from splitband.simulators.sources import code_digest, count_arguments
-
-Response = tuple[Array, Array]
-"""Measured channels `(time, ny)` and states `(time, nx)`."""
 
 PRECISE = 1e-6, 1e-8
 """Relative and absolute tolerance, at most, for standard errors. With 1e-4 errors came out up to
@@ -112,28 +109,22 @@ class Ode(UserCode):
         if self.driven:
             y, _ = self.respond(time, None, [(self.known.middle(), None)])[0]
             return y
-        x = self._scipy(self._plain, np.asarray(time, float), self.initial(self.known.middle()))
-        return self._observed(x, np.empty((len(time), 0)), self.known.middle())
+        values, time = self.known.middle(), np.asarray(time, float)
+        # It takes neither inputs nor parameters here.
+        x = self._scipy(lambda t, x: self._plain(t, x, (), ()), time, self.initial(values))
+        return self._observed(x, np.empty((len(time), 0)), values)
 
-    def respond(
-        self, time: Array, u: Array | None, points: Sequence[tuple[Mapping[str, float], Any]]
-    ) -> list[Response]:
+    def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> list[Response]:
         """Return the response at several points, with the steps of the first one.
 
         Parameters
         ----------
         time, u : `(time,)` in s, and the inputs `(time, nu)`.
-        points : Values of the parameters, and the state at the first time, by default that of the
-            record's first sample.
+        points : The usual state is that of the record's first sample.
         """
-        inputs = np.empty((len(time), 0)) if u is None else np.ascontiguousarray(u, dtype=float)
         steps = np.zeros(max(len(time) - 1, 0), dtype=np.int64)
-        found = []
-        for values, state in points:
-            initial = self.initial(values) if state is None else np.array(state, dtype=float)
-            x = self._solved(values, initial, time, inputs, steps)
-            found.append((self._observed(x, inputs, values), x))
-        return found
+        return [self._response(values, self.initial(values) if state is None else state,
+                               time, u, steps) for values, state in points]  # fmt: skip
 
     @property
     def advances(self) -> bool:
@@ -152,11 +143,22 @@ class Ode(UserCode):
         time, u : See `respond`.
         taken : Steps of the interval before; 0 without one.
         """
-        inputs = np.empty((len(time), 0)) if u is None else np.ascontiguousarray(u, dtype=float)
         steps = np.zeros(len(time) - 1, dtype=np.int64)
         steps[0] = -taken
+        y, x = self._response(values, state, time, u, steps)
+        return y, x, int(steps[-1])
+
+    def _response(
+        self,
+        values: Mapping[str, float],
+        state: npt.ArrayLike,
+        time: Array,
+        u: Array | None,
+        steps: npt.NDArray[np.int64],
+    ) -> Response:
+        inputs = np.empty((len(time), 0)) if u is None else np.ascontiguousarray(u, dtype=float)
         x = self._solved(values, np.array(state, dtype=float), time, inputs, steps)
-        return self._observed(x, inputs, values), x, int(steps[-1])
+        return self._observed(x, inputs, values), x
 
     def fingerprint(self) -> str | None:
         """Return the cache key: the key, the parameters and the solver's settings."""
@@ -196,9 +198,8 @@ class Ode(UserCode):
         x0 = np.atleast_1d(np.array(self.x0, dtype=float))
         return np.array([values.get(name, x) for name, x in zip(self._states, x0, strict=True)])
 
-    def _plain(self, t: float, x: Array, u: Any = (), p: Any = None) -> Any:
-        arguments = (t, x, u, self._p(self.known.middle()) if p is None else p)
-        return self.rhs(*arguments[: count_arguments(self.rhs)])
+    def _plain(self, t: float, x: Array, u: Any, p: Any) -> Any:
+        return self.rhs(*(t, x, u, p)[: count_arguments(self.rhs)])
 
     def _faster(self, *probe: Any) -> Callable[..., Array]:
         """Return the compiled solver, or the plain one where Numba cannot compile the equation.

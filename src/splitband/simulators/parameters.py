@@ -11,7 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from splitband.runtime.arrays import Array
+
 Given = Mapping[str, float | tuple[float, float]]
+Point = tuple[Mapping[str, float], Any]
+"""Values of all parameters, and the first state, or None for the usual one."""
+Response = tuple[Array, Array]
+"""Measured channels `(time, ny)` and states `(time, nx)`."""
 
 INITIAL = "x0_"
 """What the names of initial values begin with; each record has its own."""

@@ -19,10 +19,8 @@ import numpy as np
 from splitband.data import Record
 from splitband.runtime import deadlines
 from splitband.runtime.arrays import Array
-from splitband.simulators.parameters import Parameters
+from splitband.simulators.parameters import Parameters, Point, Response
 from splitband.simulators.sources import failure
-
-Point = tuple[Mapping[str, float], Any]
 
 BAD = 1e3
 """Residual, in deviations of a channel, of a run that failed; none is larger. By eye."""
@@ -60,13 +58,8 @@ class Adjustable(Protocol):
     def difference(self) -> float:
         """Return the step of finite differences, as a share of a parameter's range."""
 
-    def respond(
-        self, time: Array, u: Array | None, points: Sequence[Point]
-    ) -> Sequence[tuple[Array, Array]]:
-        """Return channels `(time, ny)` and states `(time, nx)` at several neighbouring points.
-
-        A point has the values of all parameters, and the first state, or None for the usual one.
-        """
+    def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> Sequence[Response]:
+        """Return the responses at several neighbouring points; `u` is `(time, nu)`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,22 +106,21 @@ class Window:
     state : `(nx,)`, as found last; None at the beginning of a record, whose state the parameters
         tell.
     slope : The derivatives of its residuals with respect to the state, `(residuals, nx)`.
-    kept, places, follows : The state where derivatives were asked for last, at which places, and
-        how it follows them, `(nx, places)`.
+    follows : The state where derivatives were asked for last, at which places, and how it follows
+        them, `(nx, places)`.
     """
 
     record: int
     part: Experiment
     state: Array | None = None
     slope: Array | None = None
-    kept: Array | None = None
-    places: Array | None = None
-    follows: Array | None = None
+    follows: tuple[Array, Array, Array] | None = None
 
     def moved(self, places: Array) -> None:
         """Begin the next search where the state should be at other places."""
-        if self.kept is not None and self.follows is not None and self.places is not None:
-            self.state = self.kept + self.follows @ (places - self.places)
+        if self.follows is not None:
+            state, before, slope = self.follows
+            self.state = state + slope @ (places - before)
 
 
 class Shooting:
@@ -153,6 +145,11 @@ class Shooting:
         self.failure = ""
         self.windows: list[Window] = []
 
+    @property
+    def longest(self) -> int:
+        """Return the samples of the longest record."""
+        return max(len(each.y) for each in self.experiments)
+
     def values(self, places: Array, record: int) -> dict[str, float]:
         """Return every parameter's value for a record."""
         known = self.simulator.known
@@ -162,15 +159,15 @@ class Shooting:
                 found[name] = known.at(name, float(place))
         return found
 
-    def respond(self, part: Experiment, points: Sequence[Point]) -> list[tuple[Array, Array]]:
+    def respond(self, part: Experiment, points: Sequence[Point]) -> list[Response]:
         """Return the simulator's response at several points; NaN for runs that failed."""
         deadlines.check()
         try:
             with np.errstate(all="ignore"):
                 return [*self.simulator.respond(part.time, part.u, points)]
+        except deadlines.OverError:
+            raise
         except Exception as error:
-            if isinstance(error, deadlines.OverError):
-                raise
             self.failure = failure(error)
             nothing = np.full(part.y.shape, np.nan)
             return [(nothing, np.full((len(part.y), self.simulator.states), np.nan))] * len(points)
@@ -217,16 +214,14 @@ class Shooting:
         States of windows follow the parameters.
         """
         blocks = []
-        step = self.simulator.difference
         for window in self.windows:
-            block = self._slopes(window, places, step)
-            if window.slope is not None:
+            block = self._slopes(window, places)
+            if window.state is not None and window.slope is not None:
                 u, s, vt = np.linalg.svd(window.slope, full_matrices=False)
                 kept = s > 1e-9 * max(s.max(initial=0.0), 1e-300)
                 u, s, vt = u[:, kept], s[kept], vt[kept]
                 told = u.T @ block
-                window.follows = -(vt.T / s) @ told
-                window.kept, window.places = window.state, places.copy()
+                window.follows = window.state, places.copy(), -(vt.T / s) @ told
                 block = block - u @ told
             blocks.append(block)
         return np.concatenate(blocks)
@@ -240,10 +235,11 @@ class Shooting:
         errors = np.where(bad, BAD, np.clip(errors, -BAD, BAD))
         return np.asarray(np.where(np.isnan(window.part.y), 0.0, errors).ravel())
 
-    def _slopes(self, window: Window, places: Array, step: float) -> Array:
+    def _slopes(self, window: Window, places: Array) -> Array:
         """Return the derivatives of a window's residuals at a given state."""
         if not len(places):
             return np.zeros((window.part.y.size, 0))
+        step = self.simulator.difference
         steps = np.where(places + step <= 1, step, -step)
         points = [self._point(window, places)]
         concerned = [i for i, (_, r) in enumerate(self.names) if r in (-1, window.record)]
@@ -279,9 +275,7 @@ class Shooting:
                 break
         return best
 
-    def _around(
-        self, window: Window, places: Array, x: Array
-    ) -> tuple[list[tuple[Array, Array]], Array]:
+    def _around(self, window: Window, places: Array, x: Array) -> tuple[list[Response], Array]:
         """Return the responses at a state and at its neighbours, and how far away they are."""
         steps = STATE_STEP * np.maximum(np.abs(x), self.sizes)
         points = [self._point(window, places, x)]

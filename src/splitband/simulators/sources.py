@@ -1,4 +1,4 @@
-"""Find the files that a user's Python file runs: itself and the modules that it imports."""
+"""Look at a user's Python code: the files that it runs, what it depends on, where it fails."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ import scipy
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import Deadline, OverError, current, within
 from splitband.runtime.files import write_json
-from splitband.simulators.shooting import BAD, Adjustable, Experiment, Shooting, fit_key
+from splitband.simulators.shooting import BAD, Shooting, fit_key
 
 STARTS = 32
 """Starting points, at most. By eye."""
@@ -91,30 +91,21 @@ def starting_points(count: int, dimensions: int) -> Array:
     return np.concatenate([np.full((1, dimensions), 0.5), drawn])[:count]
 
 
-def tried(
-    simulator: Adjustable,
-    experiments: Sequence[Experiment],
-    scale: Array,
-    effort: Effort,
-    deadline: Deadline,
-) -> list[StartOutcome]:
+def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOutcome]:
     """Return what starts lead to, in their order; no more of them than it takes to agree."""
-    dimensions = len(Shooting(simulator, experiments, scale).names)
-    points = starting_points(effort.starts, dimensions)
-    kept = _Kept.of(simulator, experiments, points, effort.folder)
-    done: dict[int, StartOutcome] = dict(kept.outcomes)
-    work = partial(_try, simulator, [*experiments], scale, points, deadline)
+    points = starting_points(effort.starts, len(problem.names))
+    kept = _Kept.of(problem, len(points), effort.folder)
+    done = kept.outcomes
+    work = partial(_try, problem, points, deadline)
     for first in range(0, len(points), _BATCH):
         batch = [i for i in range(first, min(first + _BATCH, len(points))) if i not in done]
         if done and deadline.over:
             break
         for outcome in _side_by_side(work, batch, effort.workers):
-            done[outcome.number] = outcome
-            if not outcome.cut:
-                kept.keep(outcome)
+            kept.keep(outcome)
             if effort.progress is not None:
                 effort.progress(len(done), len(points))
-        if _settled([done[i] for i in sorted(done) if i < first + _BATCH], experiments):
+        if _settled([done[i] for i in sorted(done) if i < first + _BATCH], problem.longest):
             break
     return [done[i] for i in sorted(done) if i < first + _BATCH]
 
@@ -128,7 +119,7 @@ def _side_by_side(
     """
     from splitband.runtime.processes import Processes, over  # noqa: PLC0415  which loads torch
 
-    if isinstance(workers, int) and workers == 1:
+    if workers == 1:
         yield from over(work, batch)
         return
     left = [*batch]
@@ -145,9 +136,8 @@ def _side_by_side(
                     yield StartOutcome(number, failure=f"{type(error).__name__}: {error}")
 
 
-def _settled(outcomes: Sequence[StartOutcome], experiments: Sequence[Experiment]) -> bool:
+def _settled(outcomes: Sequence[StartOutcome], longest: int) -> bool:
     """Return whether starts agree on the lowest error, or the last ones have hardly lowered it."""
-    longest = max(len(e.y) for e in experiments)
     errors = [o.found[longest][1] for o in outcomes if longest in o.found]
     if sum(e <= min(errors) * (1 + SAME_ERROR) for e in errors) >= ENOUGH:
         return True
@@ -156,22 +146,19 @@ def _settled(outcomes: Sequence[StartOutcome], experiments: Sequence[Experiment]
 
 
 def _try(
-    simulator: Adjustable,
-    experiments: Sequence[Experiment],
-    scale: Array,
+    problem: Shooting,
     points: Array,
     deadline: Deadline,
     number: int,
     _: Callable[[Any], None],
 ) -> StartOutcome:
     """Fit from one starting point."""
-    shooting = Shooting(simulator, experiments, scale)
+    shooting = Shooting(problem.simulator, problem.experiments, problem.scale)
     found: dict[int, tuple[list[float], float]] = {}
-    longest, places = max(len(e.y) for e in experiments), points[number]
-    cut = False
+    places, cut = points[number], False
     try:
         with within(min(current(), deadline)):
-            for length in _lengths(longest, growing=number % 2 == 1):
+            for length in _lengths(shooting.longest, growing=number % 2 == 1):
                 shooting.divide(length, places)
                 error = _error(shooting.residuals(places))
                 if error < 0.5 * BAD:
@@ -224,19 +211,17 @@ def _error(residuals: Array) -> float:
 
 @dataclass(frozen=True)
 class _Kept:
-    """Keep what an earlier fit of the same has come to, in a file."""
+    """Hold what starts have come to, and keep it in a file for a later fit of the same."""
 
     path: Path | None
     key: str
     outcomes: dict[int, StartOutcome]
 
     @classmethod
-    def of(
-        cls, simulator: Any, experiments: Sequence[Experiment], points: Array, folder: Path | None
-    ) -> _Kept:
+    def of(cls, problem: Shooting, starts: int, folder: Path | None) -> _Kept:
         if folder is None:
             return cls(None, "", {})
-        key = fit_key(simulator, experiments, len(points))
+        key = fit_key(problem.simulator, problem.experiments, starts)
         path = folder / f"parameters-{key[:16]}.json"
         try:
             facts = json.loads(path.read_text(encoding="utf-8"))
@@ -247,10 +232,10 @@ class _Kept:
 
     def keep(self, outcome: StartOutcome) -> None:
         self.outcomes[outcome.number] = outcome
-        if self.path is None:
+        if self.path is None or outcome.cut:
             return
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        starts = [asdict(each) for each in self.outcomes.values()]
+        starts = [asdict(each) for each in self.outcomes.values() if not each.cut]
         write_json(self.path, {"key": self.key, "starts": starts})
 
 
