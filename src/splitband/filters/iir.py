@@ -1,8 +1,9 @@
 """Filter batches of signals by IIR filters, one way or both ways, exactly and differentiably.
 
-A fixed IIR filter is a linear map, so its gradient is the same filter run backwards in time. Both
-run as a compiled recurrence in float64, whatever the dtype of the signal; SciPy designs the filters
-and is what the tests compare with (benchmarks/filters.py for the speed).
+A fixed IIR filter is a linear map, so its gradient is the same filter run backwards in time, with
+the ends handled in turn. Both run as a compiled recurrence in float64, whatever the dtype of the
+signal; SciPy designs the filters and is what the tests compare with (benchmarks/filters.py for
+the speed).
 """
 
 from __future__ import annotations
@@ -58,7 +59,9 @@ def lfilter(
         check_first(first.shape, x.shape, len(a) - 1, time_axis(x.ndim, dim))
 
     def run(x: Tensor, first: Tensor | None) -> Tensor:
-        return _one_pass(b, a, x, start) if first is None else _run_on(b, a, x, first)
+        if first is None:
+            return _apply(_Passes(b, a, start, both_ways=False), x)
+        return _run_on(b, a, x, first)
 
     return _along_time(run, x, first, dim)
 
@@ -85,24 +88,82 @@ def filtfilt(
     """
     b, a = normalised(b, a)
     _check_start(start)
-    pad = 3 * len(a) if start == "odd" else 0
+    passes = _Passes(b, a, start, both_ways=True)
 
     def run(x: Tensor, _: Tensor | None) -> Tensor:
-        samples = x.shape[-1]
-        if samples <= pad:
+        if x.shape[-1] <= passes.pad:
             raise ValueError(
-                f"zero-phase filtering of order {len(a) - 1} needs more than {pad} samples, "
-                f"got {samples}"
+                f"zero-phase filtering of order {len(a) - 1} needs more than {passes.pad} samples, "
+                f"got {x.shape[-1]}"
             )
-        if pad:
-            before = 2 * x[..., :1] - x[..., 1 : pad + 1].flip(-1)
-            after = 2 * x[..., -1:] - x[..., -pad - 1 : -1].flip(-1)
-            x = torch.cat([before, x, after], dim=-1)
-        for reverse in (False, True):
-            x = _one_pass(b, a, x, start, reverse)
-        return x[..., pad : pad + samples]
+        return _apply(passes, x)
 
     return _along_time(run, x, None, dim)
+
+
+class _Passes:
+    """Run one or two filter passes over `(rows, time)`, and the adjoint of this linear map."""
+
+    def __init__(self, b: Array, a: Array, start: Start, both_ways: bool) -> None:
+        self.b, self.a = b, a
+        self.pad = 3 * len(a) if start == "odd" else 0
+        self.directions = (False, True) if both_ways else (False,)
+        order = len(a) - 1
+        # A pass begins in this state, multiplied by its first sample.
+        self.steady = np.zeros(order) if start == "zeros" else _steady(tuple(b), tuple(a))
+
+    def map(self, x: npt.NDArray[Any]) -> Array:
+        p = self.pad
+        y = np.empty((len(x), x.shape[1] + 2 * p))
+        inner = y[:, p : p + x.shape[1]]
+        inner[:] = x
+        if p:
+            y[:, :p] = 2 * inner[:, :1] - inner[:, p:0:-1]
+            y[:, -p:] = 2 * inner[:, -1:] - inner[:, -2 : -p - 2 : -1]
+        for reverse in self.directions:
+            first = y[:, -1] if reverse else y[:, 0]
+            recurrence(self.b, self.a, np.outer(first, self.steady), y, y, reverse)
+        return inner
+
+    def adjoint(self, grad: npt.NDArray[Any]) -> Array:
+        p = self.pad
+        g = np.zeros((len(grad), grad.shape[1] + 2 * p))
+        inner = g[:, p : p + grad.shape[1]]
+        inner[:] = grad
+        nothing = np.zeros((len(g), len(self.steady)))
+        for reverse in reversed(self.directions):
+            onto_state = g @ _responses(tuple(self.b), tuple(self.a), g.shape[1], reverse)
+            recurrence(self.b, self.a, nothing, g, g, not reverse)
+            g[:, -1 if reverse else 0] += onto_state @ self.steady
+        if p:
+            left, right = g[:, :p], g[:, -p:]
+            inner[:, 0] += 2 * left.sum(axis=1)
+            inner[:, -1] += 2 * right.sum(axis=1)
+            inner[:, 1 : p + 1] -= left[:, ::-1]
+            inner[:, -p - 1 : -1] -= right[:, ::-1]
+        return inner
+
+
+class _Map(torch.autograd.Function):
+    """Apply a linear map to `(rows, time)`, or its adjoint; each is the other's gradient."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, passes: _Passes, adjoint: bool) -> Tensor:
+        ctx.passes, ctx.adjoint = passes, adjoint
+        run = passes.adjoint if adjoint else passes.map
+        values = x.detach().cpu().numpy()
+        y = run(values) if values.size else values
+        return torch.from_numpy(np.array(y, values.dtype)).to(x.device)
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
+        return _Map.apply(grad, ctx.passes, not ctx.adjoint), None, None  # type: ignore[no-untyped-call]
+
+
+def _apply(passes: _Passes, x: Tensor) -> Tensor:
+    """Filter `(..., time)`."""
+    y: Tensor = _Map.apply(x.reshape(-1, x.shape[-1]), passes, False)  # type: ignore[no-untyped-call]
+    return y.view(x.shape)
 
 
 class _LFilter(torch.autograd.Function):
@@ -136,13 +197,6 @@ def _responses(
     return np.ascontiguousarray(y.T)
 
 
-def _one_pass(b: Array, a: Array, x: Tensor, start: Start, reverse: bool = False) -> Tensor:
-    """Filter `(..., time)` in one direction."""
-    steady = np.zeros(len(a) - 1) if start == "zeros" else _steady(tuple(b), tuple(a))
-    edge = x[..., -1:] if reverse else x[..., :1]
-    return _from_state(b, a, x, edge * torch.from_numpy(steady).to(x), reverse)
-
-
 @lru_cache(maxsize=64)
 def _steady(b: tuple[float, ...], a: tuple[float, ...]) -> Array:
     """Return the steady state `(P,)` for a constant input of 1."""
@@ -150,8 +204,8 @@ def _steady(b: tuple[float, ...], a: tuple[float, ...]) -> Array:
 
 
 def _run_on(b: Array, a: Array, x: Tensor, first: Tensor) -> Tensor:
-    """Filter `(..., time)` one way, going on from the first P outputs."""
-    order = len(a) - 1
+    """Filter `(..., time)` one way in float64, going on from the first P outputs."""
+    order, x = len(a) - 1, x.double()
     state = [
         sum(
             float(b[k]) * x[..., order - (k - m)] - float(a[k]) * first[..., order - (k - m)]
@@ -160,18 +214,12 @@ def _run_on(b: Array, a: Array, x: Tensor, first: Tensor) -> Tensor:
         for m in range(order)
     ]
     zi = torch.stack([s for s in state if isinstance(s, Tensor)], dim=-1)
-    return torch.cat([first, _from_state(b, a, x[..., order:], zi)], dim=-1)
-
-
-def _from_state(b: Array, a: Array, x: Tensor, zi: Tensor, reverse: bool = False) -> Tensor:
-    """Filter `(..., time)` from the state `(..., P)`."""
-    if not x.numel():
-        return x
-    rows, samples = math.prod(x.shape[:-1]), x.shape[-1]
+    rest = x[..., order:]
+    rows, shape = math.prod(rest.shape[:-1]), rest.shape
     y: Tensor = _LFilter.apply(  # type: ignore[no-untyped-call]
-        x.reshape(rows, samples), zi.reshape(rows, len(a) - 1), b, a, reverse
+        rest.reshape(rows, -1), zi.reshape(rows, order), b, a, False
     )
-    return y.view(x.shape)
+    return torch.cat([first, y.view(shape)], dim=-1)
 
 
 def _along_time(
@@ -180,14 +228,14 @@ def _along_time(
     first: Signal | None,
     dim: int | None,
 ) -> Signal:
-    """Call `run` with the time axis last, on float64 tensors, and give back what came in.
-
-    In float64 for any input, as filters of high order lose many digits.
-    """
+    """Call `run` with the time axis last, on tensors, and give back what came in."""
     axis = time_axis(x.ndim, dim)
     signal = as_tensor(x)
-    known = None if first is None else as_tensor(first).to(signal.device).double().movedim(axis, -1)
-    y = run(signal.double().movedim(axis, -1), known).movedim(-1, axis).to(signal.dtype)
+    # Computed in float64 for any input, as filters of high order lose many digits.
+    known = None if first is None else as_tensor(first).to(signal.device, torch.float64)
+    if known is not None:
+        known = known.movedim(axis, -1)
+    y = run(signal.movedim(axis, -1), known).movedim(-1, axis).to(signal.dtype)
     return y if isinstance(x, Tensor) else y.numpy()
 
 
