@@ -104,8 +104,6 @@ def _regressors(y: Array, u: Array, lags: int) -> tuple[Array, Array]:
     index = np.arange(begin, len(y))[:, None]
     inputs = [x[index - np.arange(lags + 1)] for x in u.T]
     past = y[index - np.arange(1, _PAST + 1)]
-    x = np.hstack([*inputs, past, np.ones((len(index), 1))]) if len(index) else np.empty((0, 0))
-    if not len(index):
-        return np.empty((0, u.shape[1] * (lags + 1) + _PAST + 1)), y[:0]
+    x = np.hstack([*inputs, past, np.ones((len(index), 1))])
     measured = ~np.isnan(y[begin:]) & ~np.isnan(past).any(axis=1)
     return x[measured], y[begin:][measured]
