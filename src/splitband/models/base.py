@@ -26,6 +26,11 @@ class Signals:
     u: Tensor | None = None
     y_sim: Tensor | None = None
 
+    def map(self, function: Callable[[Tensor], Tensor]) -> Signals:
+        """Return what a function makes of each signal."""
+        u, y_sim = (None if s is None else function(s) for s in (self.u, self.y_sim))
+        return Signals(function(self.y), u, y_sim)
+
 
 @dataclass(frozen=True, eq=False)
 class Task:
@@ -161,9 +166,7 @@ class Model(nn.Module, ABC):
         )
 
     def _batch_of_one(self, y: Array, u: Array | None, y_sim: Array | None) -> Signals:
-        known = self._signals(y, u, y_sim)
-        others = (None if s is None else s[None] for s in (known.u, known.y_sim))
-        return Signals(known.y[None], *others)
+        return self._signals(y, u, y_sim).map(lambda signal: signal[None])
 
     def _to_network(self, x: Array, kind: str) -> Tensor:
         # Subtract in float64: beside a large offset float32 has too few digits for the signal.

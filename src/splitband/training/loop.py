@@ -118,20 +118,19 @@ def fit(
     states: State = {}
     for done, task in enumerate(tasks):
         # Each network gets the same seed, so that its training does not depend on the others.
-        deadline = _share_of(current(), len(tasks) - done)
+        deadline = Deadline.after(current().left / (len(tasks) - done))
         training = _Training(task, places, settings, seed, deadline)
         prefix = f"{done}."
         if f"{prefix}losses" in saved:
             training.restore(_below(saved, prefix))
         losses = history.losses[task.name] = training.losses
-        epochs = settings.epochs + settings.rounds
         with freed_memory_kept():
             while not training.over:
                 training.advance()
                 if progress is not None:
-                    part = 1 if training.over else len(losses) / epochs
+                    part = 1 if training.over else len(losses) / training.passes
                     share = (done + part) / len(tasks)
-                    progress(Progress(task.name, len(losses), epochs, losses[-1], share))
+                    progress(Progress(task.name, len(losses), training.passes, losses[-1], share))
                 # What a deadline has cut short is not kept: with more time it goes on from before.
                 if checkpoint is not None and not training.cut:
                     last = done + 1 == len(tasks) and training.done
@@ -145,18 +144,11 @@ def fit(
 
 
 def _built(model: Model) -> list[tuple[str, dict[str, Any]]]:
-    """What a model is besides its weights: filters, down-sampling, step sizes."""
+    """Return what a model is besides its weights: filters, down-sampling, step sizes."""
     return [
         (type(m).__name__, {k: v for k, v in vars(m).items() if k[0] != "_" and k != "training"})
         for m in model.modules()
     ]
-
-
-def _share_of(deadline: Deadline, trainings: int) -> Deadline:
-    """Return the deadline of the first of several trainings that share the time equally."""
-    return (
-        Deadline(deadline.at - deadline.left * (1 - 1 / trainings)) if trainings > 1 else deadline
-    )
 
 
 def _below(state: State, prefix: str) -> State:
@@ -164,12 +156,12 @@ def _below(state: State, prefix: str) -> State:
 
 
 def _prefixed(before: State, prefix: str, training: _Training) -> State:
-    """The states of earlier networks, and of this one as it is now."""
+    """Return the states of earlier networks, and of this one as it is now."""
     return before | {prefix + name: value for name, value in training.state().items()}
 
 
 class _Training:
-    """One network's training, epoch by epoch; an epoch depends on `state` and on nothing else."""
+    """Train one network, epoch by epoch; an epoch depends on `state` and on nothing else."""
 
     def __init__(
         self,
@@ -177,9 +169,11 @@ class _Training:
         places: WindowSet,
         settings: Settings,
         seed: int,
-        deadline: Deadline | None = None,
+        deadline: Deadline,
     ) -> None:
-        self.deadline = deadline or Deadline()
+        self.deadline = deadline
+        self.passes = settings.epochs + settings.rounds
+        """Epochs, and rounds of L-BFGS after them."""
         self.cut = False
         """Whether the deadline has come before the end of the training."""
         self.task, self.settings, self.starts = task, settings, places.starts
@@ -206,14 +200,14 @@ class _Training:
 
     @property
     def notes(self) -> list[str]:
-        """What a user should know."""
+        """Return what a user should know."""
         said = [
             f"the loss diverged in epoch {epoch}, repeated with half the learning rate"
             for epoch in self.restarts
         ]
-        epochs = self.settings.epochs + self.settings.rounds
         if self.cut:
-            said.append(f"the time was over after {len(self.losses)} of {epochs} epochs and rounds")
+            done = f"{len(self.losses)} of {self.passes} epochs and rounds"
+            said.append(f"the time was over after {done}")
         share = self.losses[-1] / self.target_rms if self.losses else 1.0
         if share > UNLEARNED and self.steps() >= ENOUGH_STEPS:
             said.append(f"nothing was learned: {share:.0%} of the signal is left in training")
@@ -223,11 +217,11 @@ class _Training:
     def done(self) -> bool:
         """Return whether all epochs and rounds are done."""
         settled = self.finish is not None and self.finish.settled
-        return settled or len(self.losses) >= self.settings.epochs + self.settings.rounds
+        return settled or len(self.losses) >= self.passes
 
     @property
     def over(self) -> bool:
-        """Whether all of it is done, or there is no time left."""
+        """Return whether all of it is done, or there is no time left."""
         return self.done or self.cut
 
     def advance(self) -> None:
@@ -251,7 +245,7 @@ class _Training:
         return batches * (len(self.losses) - rounds) + quasi_newton.ROUND * rounds
 
     def state(self) -> State:
-        """All that the next epoch depends on, and the losses so far."""
+        """Return all that the next epoch depends on, and the losses so far."""
         moments = self.optimizer.state_dict()["state"]
         return {
             **{f"network.{k}": v.clone() for k, v in self.task.network.state_dict().items()},
@@ -332,14 +326,14 @@ class _Training:
         return total / seen_windows
 
     def _mean_square(self, starts: Tensor) -> Tensor:
-        """Of the errors in the windows that begin there, as a function of the weights."""
+        """Return the mean square of the errors in the windows that begin there."""
         wanted = self.target[starts]
         prediction = self.task.simulate(select(self.known, starts), wanted.shape[1])
         counted = None if self.measured is None else self.measured[starts]
         return _rmse(prediction, wanted, counted) ** 2 + self._penalty()
 
     def _penalty(self) -> Tensor | float:
-        """See `Settings.penalty`."""
+        """Return what `Settings.penalty` adds to the mean square."""
         if not self.settings.penalty:
             return 0.0
         network = self.task.network
