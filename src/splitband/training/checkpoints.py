@@ -24,6 +24,11 @@ MOST_OVERHEAD = 0.05
 State = dict[str, Tensor]
 
 
+def below(state: State, prefix: str) -> State:
+    """Return the part of a state whose names begin with a prefix, without it."""
+    return {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
+
+
 class Checkpoint:
     """Store the state of one training in a file.
 
