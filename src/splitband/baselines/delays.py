@@ -79,10 +79,9 @@ def _significant(records: Sequence[tuple[Array, Array]], lags: int) -> list[int]
     nu = records[0][1].shape[1]
     rows = [_regressors(y, u, lags) for y, u in records]
     x, y = np.concatenate([x for x, _ in rows]), np.concatenate([y for _, y in rows])
-    none = [lags + 1] * nu
     freedom = len(y) - x.shape[1]
     if freedom < x.shape[1]:
-        return none
+        return [lags + 1] * nu
     scale = np.linalg.norm(x, axis=0)
     used = scale > 0
     outer, size, inner = np.linalg.svd(x[:, used] / scale[used], full_matrices=False)
