@@ -275,21 +275,10 @@ def with_weights(build: Callable[[], Model], weights: Mapping[str, Any]) -> Mode
         if not (floating if wanted.is_floating_point else tensor.dtype == wanted):
             raise ValueError(f"weights must be float32 or float64: {name} is {tensor.dtype}")
     model = build()
-    tied = _tied(model)
-    model.load_state_dict(found, assign=True)  # which keeps the precision that was saved
-    for first, *others in tied:
-        for name in others:
-            owner, _, attribute = name.rpartition(".")
-            setattr(model.get_submodule(owner), attribute, model.get_parameter(first))
+    # In place, so that what is tied stays so; the precision is the one that was saved.
+    for name, tensor in model.state_dict(keep_vars=True).items():
+        tensor.data = found[name]
     return model
-
-
-def _tied(model: Model) -> list[list[str]]:
-    """Return the names of parameters that are one and the same, for each that has several."""
-    names: dict[int, list[str]] = {}
-    for name, parameter in model.named_parameters(remove_duplicate=False):
-        names.setdefault(id(parameter), []).append(name)
-    return [of_one for of_one in names.values() if len(of_one) > 1]
 
 
 def as_module(cell: Cell) -> nn.Module:
