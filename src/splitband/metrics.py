@@ -166,9 +166,8 @@ def extrapolations(low: Array, high: Array, u: Array) -> list[Extrapolation]:
 
 def input_range(inputs: Sequence[Array]) -> tuple[Array, Array]:
     """Return the lowest and highest value of each input, `(nu,)`, in records `(time, nu)`."""
-    return np.min([u.min(axis=0) for u in inputs], axis=0), np.max(
-        [u.max(axis=0) for u in inputs], axis=0
-    )
+    together = np.concatenate(inputs)
+    return together.min(axis=0), together.max(axis=0)
 
 
 def _varies(y: Array) -> npt.NDArray[np.bool_]:

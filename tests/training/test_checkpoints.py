@@ -13,7 +13,7 @@ from splitband.evaluation.setup import Setup
 from splitband.models import Model
 from splitband.training import History, Progress, fit
 from splitband.training.checkpoints import Checkpoint, key_of
-from splitband.training.loop import MOST_RESTARTS, _Training
+from splitband.training.network import MOST_RESTARTS, NetworkTraining
 from tests.records import QUICK, SETUP, TRAIN, record
 from tests.support import untrained
 
@@ -172,9 +172,9 @@ def test_a_diverging_epoch_is_repeated_with_half_the_learning_rate(
 ) -> None:
     """Once: the second pass of the first network blows up and leaves NaN weights behind."""
     rates: list[float] = []
-    whole_pass = _Training._pass
+    whole_pass = NetworkTraining._pass
 
-    def sabotaged(self: _Training) -> float:
+    def sabotaged(self: NetworkTraining) -> float:
         loss = whole_pass(self)
         rates.append(self.optimizer.param_groups[0]["lr"])
         if len(rates) == 2:
@@ -183,7 +183,7 @@ def test_a_diverging_epoch_is_repeated_with_half_the_learning_rate(
             return float("nan")
         return loss
 
-    monkeypatch.setattr(_Training, "_pass", sabotaged)
+    monkeypatch.setattr(NetworkTraining, "_pass", sabotaged)
     plain = Settings(40, QUICK.warmup, 4, 16, learning_rate=0.01)
     model, history, _ = trained(settings=plain)
     assert all(torch.isfinite(p).all() for p in model.parameters())
@@ -200,7 +200,7 @@ def test_a_training_that_always_diverges_is_given_up(monkeypatch: pytest.MonkeyP
         passes.append(1)
         return 1e9
 
-    monkeypatch.setattr("splitband.training.loop._Training._pass", exploding)
+    monkeypatch.setattr("splitband.training.network.NetworkTraining._pass", exploding)
     with pytest.raises(FloatingPointError, match=r"diverged in epoch 1: the loss is 1e\+09"):
         trained()
     assert len(passes) == MOST_RESTARTS + 1

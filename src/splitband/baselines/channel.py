@@ -58,6 +58,14 @@ class Channel(NamedTuple):
         forced = sum(scipy.signal.lfilter(b, self.a, x) for b, x in zip(self.b, u.T, strict=True))
         return np.asarray(forced + scipy.signal.lfilter(self.c, self.a, _impulse(u)) + self.offset)
 
+    def canonical(self) -> tuple[Array, Array, Array, Array]:
+        """Return A, B, C and D of the observer canonical form, whose initial state is `c`."""
+        n = len(self.a) - 1
+        a = np.eye(n, k=1)
+        a[:, 0] -= self.a[1:]
+        b = (self.b[:, 1:] - self.b[:, :1] * self.a[1:]).T
+        return a, b, np.eye(1, n), self.b[:, 0][None]
+
 
 class _Part(NamedTuple):
     """Hold a stretch of a record: a channel `(time,)`, NaN in gaps, and the inputs `(time, nu)`."""
@@ -257,10 +265,7 @@ def _impulse(u: Array) -> Array:
 
 def _delayed(x: Array, delays: int) -> Array:
     """Return a signal delayed by 0, 1, ... samples, `(time, delays)`."""
-    late = np.zeros((len(x), delays))
-    for k in range(delays):
-        late[k:, k] = x[: max(len(x) - k, 0)]
-    return late
+    return np.asarray(scipy.linalg.toeplitz(x, np.zeros(delays)))
 
 
 def stable(a: Array) -> Array:

@@ -79,10 +79,9 @@ def _significant(records: Sequence[tuple[Array, Array]], lags: int) -> list[int]
     nu = records[0][1].shape[1]
     rows = [_regressors(y, u, lags) for y, u in records]
     x, y = np.concatenate([x for x, _ in rows]), np.concatenate([y for _, y in rows])
-    none = [lags + 1] * nu
     freedom = len(y) - x.shape[1]
     if freedom < x.shape[1]:
-        return none
+        return [lags + 1] * nu
     scale = np.linalg.norm(x, axis=0)
     used = scale > 0
     outer, size, inner = np.linalg.svd(x[:, used] / scale[used], full_matrices=False)
@@ -104,8 +103,6 @@ def _regressors(y: Array, u: Array, lags: int) -> tuple[Array, Array]:
     index = np.arange(begin, len(y))[:, None]
     inputs = [x[index - np.arange(lags + 1)] for x in u.T]
     past = y[index - np.arange(1, _PAST + 1)]
-    x = np.hstack([*inputs, past, np.ones((len(index), 1))]) if len(index) else np.empty((0, 0))
-    if not len(index):
-        return np.empty((0, u.shape[1] * (lags + 1) + _PAST + 1)), y[:0]
+    x = np.hstack([*inputs, past, np.ones((len(index), 1))])
     measured = ~np.isnan(y[begin:]) & ~np.isnan(past).any(axis=1)
     return x[measured], y[begin:][measured]

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from splitband.baselines.channel import Channel, fit_channels, initial_state
 from splitband.baselines.delays import candidates, check_delays, delayed
@@ -136,32 +137,26 @@ class OutputError:
 
         The states are those of each channel in observer form, then the delayed inputs.
         """
-        orders = [len(channel.a) - 1 for channel in self.channels]
-        ny, nu, own = len(self.channels), len(self.mean), sum(orders)
-        size = own + sum(self.delays)
-        a, b = np.zeros((size, size)), np.zeros((size, nu))
-        c, d = np.zeros((ny, size)), np.zeros((ny, nu))
-        # What acts on the channels: an input, or the last of its delayed values.
-        acts = np.zeros((nu, size + nu))
-        at = own
+        own, driven, seen, direct = self.without_delays()
+        driven, direct = driven / self.scale, direct / self.scale
+        a = scipy.linalg.block_diag(own, *(np.eye(late, k=-1) for late in self.delays))
+        b, c, d = np.zeros((len(a), len(self.mean))), np.zeros((len(seen), len(a))), 0 * direct
+        c[:, : len(own)] = seen
+        first = len(own)
         for j, late in enumerate(self.delays):
+            # What acts on the channels: the input, or the last of its delayed values.
+            into, out, column = (a, c, first + late - 1) if late else (b, d, j)
+            into[: len(own), column], out[:, column] = driven[:, j], direct[:, j]
             if late:
-                a[at + 1 : at + late, at : at + late - 1] = np.eye(late - 1)
-                b[at, j] = 1.0
-                at += late
-            acts[j, at - 1 if late else size + j] = 1 / self.scale[j]
-        first = 0
-        for i, (channel, order) in enumerate(zip(self.channels, orders, strict=True)):
-            rows = slice(first, first + order)
-            a[rows, rows] = np.eye(order, k=1)
-            a[rows, first] -= channel.a[1:]
-            driven = (channel.b[:, 1:] - channel.b[:, :1] * channel.a[1:]).T @ acts
-            direct = channel.b[:, 0] @ acts
-            a[rows] += driven[:, :size]
-            b[rows] += driven[:, size:]
-            c[i], d[i] = direct[:size], direct[size:]
-            c[i, first] += 1.0
-            first += order
+                b[first, j] = 1.0
+            first += late
+        return a, b, c, d
+
+    def without_delays(self) -> tuple[Array, Array, Array, Array]:
+        """Return A, B, C and D of all channels in observer form, for scaled and delayed inputs."""
+        parts = [channel.canonical() for channel in self.channels]
+        a, c = (scipy.linalg.block_diag(*(part[i] for part in parts)) for i in (0, 2))
+        b, d = (np.concatenate([part[i] for part in parts]) for i in (1, 3))
         return a, b, c, d
 
     def criterion(self, samples: float) -> float:

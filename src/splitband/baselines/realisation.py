@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from splitband.baselines.channel import Channel
 from splitband.baselines.linear import OutputError
 from splitband.runtime.arrays import Array
 
@@ -59,9 +58,7 @@ def realised(
     states : How many.
     rng : Draws further states.
     """
-    parts = [_canonical(channel) for channel in model.channels]
-    a, c = (scipy.linalg.block_diag(*(part[i] for part in parts)) for i in (0, 2))
-    b, d = (np.concatenate([part[i] for part in parts]) for i in (1, 3))
+    a, b, c, d = model.without_delays()
     first = np.concatenate([channel.c for channel in model.channels])
     if len(a) > states:
         into, out = _reduction(a, b, c, states)
@@ -103,12 +100,11 @@ def state_estimator(
     """
     seen, wanted = [], []
     for (y, u), x in zip(runs, states, strict=True):
-        both = np.hstack([y, u])
-        count = max(len(both) - samples + 1, 0)
-        views = np.lib.stride_tricks.sliding_window_view(both, samples, axis=0) if count else None
-        if views is not None:
-            seen.append(views.transpose(0, 2, 1).reshape(count, -1))
-            wanted.append(x[:count])
+        if len(y) >= samples:
+            both = np.hstack([y, u])
+            views = np.lib.stride_tricks.sliding_window_view(both, samples, axis=0)
+            seen.append(views.transpose(0, 2, 1).reshape(len(views), -1))
+            wanted.append(x[: len(views)])
     rows, target = np.concatenate(seen), np.concatenate(wanted)
     whole = ~np.isnan(rows).any(axis=1)
     rows, target = rows[whole], target[whole]
@@ -121,15 +117,6 @@ def state_estimator(
     square += _RIDGE * np.trace(square) / len(square) * np.eye(len(square))
     weight = np.linalg.solve(square, rows.T @ target).T
     return weight, mean - weight @ middle
-
-
-def _canonical(channel: Channel) -> tuple[Array, Array, Array, Array]:
-    """Return the observer canonical form, whose initial state is the polynomial C."""
-    n = len(channel.a) - 1
-    a = np.eye(n, k=1)
-    a[:, 0] -= channel.a[1:]
-    b = (channel.b[:, 1:] - channel.b[:, :1] * channel.a[1:]).T
-    return a, b, np.eye(1, n), channel.b[:, 0][None]
 
 
 def _simulated(a: Array, b: Array, x: Array, u: Array) -> Array:

@@ -218,8 +218,7 @@ class _Sketch(NamedTuple):
 
     def trend(self, offset: float, scale: float) -> Trend:
         """Return the trend of `offset + scale * y`."""
-        if self.shape is None:
-            raise ValueError("shape must be that of a trend, got None")
+        assert self.shape is not None
         constant, size = float(self.coefficients[0]), float(self.coefficients[-1])
         return Trend(self.shape, offset + scale * constant, scale * size)
 

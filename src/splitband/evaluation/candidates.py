@@ -1,7 +1,8 @@
-"""What a search tries: ways to train a network, and how far each has come."""
+"""Define what a search tries: ways to train a network, and how far each has come."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -29,13 +30,14 @@ LADDER = 100, 400, 1600, 6400
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One way to train one method.
+    """Hold one way to train one method.
 
     Attributes
     ----------
     method, network : Its name, and the forecaster with its settings.
     rung : Rounds of L-BFGS that it has had; -1 for a training without.
-    score : RMSE of the mean of its seeds on the held-out samples, if it has been trained.
+    score : RMSE of the mean of its seeds on the held-out samples; infinite where it has not been
+        trained.
     done : Forecasts of the held-out samples, by seed.
     began_as : Label of the candidate that it goes on from.
     """
@@ -43,7 +45,7 @@ class Candidate:
     method: str
     network: Network
     rung: int = -1
-    score: float | None = None
+    score: float = math.inf
     done: Mapping[int, Backtest] = field(default_factory=dict)
     began_as: str = ""
 
@@ -100,7 +102,7 @@ def combined(first: Candidate, one: Candidate, other: Candidate) -> Candidate | 
     of_network = {name: value for name, value in theirs.items() if name not in of_training}
     network = one.network.clone().set_params(**of_network)
     network = network.trained_as(replace(one.settings, **of_training))
-    return replace(first, network=network, rung=max(one.rung, other.rung), score=None, done={})
+    return replace(first, network=network, rung=max(one.rung, other.rung), score=math.inf, done={})
 
 
 def candidates(forecaster: Network, record: Record) -> list[Candidate]:

@@ -55,8 +55,7 @@ def choose(plan: Plan, work: Work) -> tuple[Trial, SearchResult]:
     stage = work.for_stage(TRIAL, trying, (AFTER_SEARCH, AFTER_TRIAL))
     with time.phase("trial", trying):
         needed = not trial.errors
-        paid, unpaid = _within_budget(plan, searched, len(seeds), needed)
-        networks = _in_time(plan, searched, paid, len(seeds), stage, needed)
+        networks, unpaid = _affordable(plan, searched, len(seeds), stage, needed)
         done = searched.done
         found = try_out(record, networks, ahead, seeds, stage, others, done, need_one=needed)
     trial = trial.joined(found)
@@ -128,55 +127,40 @@ def _on(base: str, best: Network, plan: Plan) -> Network:
     return network.trained_as(settings if settings.epochs else plan.setup.settings).to(best.device)
 
 
-def _within_budget(
-    plan: Plan, searched: SearchResult, seeds: int, needed: bool
+def _affordable(
+    plan: Plan, searched: SearchResult, seeds: int, work: Work, needed: bool
 ) -> tuple[list[Forecaster], dict[str, str]]:
-    """Return the networks whose trial and training the budget pays for, and why not the others.
+    """Return the networks that are tried, and why the budget does not pay for others.
 
-    Where nothing else has come to a result, the first one is `needed` whatever it costs.
+    It has to pay for the training as well as for the trial. Those for whose trial there is no time
+    are left out by name. Where nothing else has come to a result, the first one is `needed`
+    whatever it costs and however late it is: it ends with what it has.
     """
+    time, kept, unpaid = work.time, list[Forecaster](), dict[str, str]()
     left = searched.left - sum(searched.costs[name] for name in searched.done)
-    kept, unpaid = list[Forecaster](), {}
+    in_time = time.work_until(work.deadline)
+    held_out = Question(
+        plan.training, [Origin(held_out_from(plan.train), plan.train)], 0, plan.others
+    )
     for f in searched.forecasters:
         if not f.random:
             continue
+        optional = kept or not needed
         if f.name in searched.costs and f.name not in searched.done:
             cost = (1 + seeds * (1 - HELD_OUT)) * searched.costs[f.name]
-            if cost > left and (kept or not needed):
+            if cost > left and optional:
                 unpaid[f.name] = (
                     f"left out: its trial and training take about {cost:.0f} s of a reference "
                     f"core, and {max(left, 0):.0f} s of the budget were left for them"
                 )
                 continue
             left -= cost
-        kept.append(f)
-    return kept, unpaid
-
-
-def _in_time(
-    plan: Plan,
-    searched: SearchResult,
-    networks: Sequence[Forecaster],
-    seeds: int,
-    work: Work,
-    needed: bool,
-) -> list[Forecaster]:
-    """Return the networks that there is time to try; the others are left out by name.
-
-    Where nothing else has come to a result, the first one is `needed` however late it is: it ends
-    with what it has.
-    """
-    time, kept = work.time, list[Forecaster]()
-    left = time.work_until(work.deadline)
-    for f in networks:
-        cost = 0.0
-        if time.limited and not searched.done.get(f.name):
-            origin = Origin(held_out_from(plan.train), plan.train)
-            cost = seeds * job_cost(f, Question(plan.training, [origin], 0, plan.others))
-        if cost > max(left, 0.0) and (kept or not needed):
+        tried = not time.limited or searched.done.get(f.name)
+        cost = 0.0 if tried else seeds * job_cost(f, held_out)
+        if cost > max(in_time, 0.0) and optional:
             takes = cost * time.pace.seconds / time.cores
             time.leave_out(f.name, "trial", takes, work.deadline)
             continue
-        left -= cost
+        in_time -= cost
         kept.append(f)
-    return kept
+    return kept, unpaid

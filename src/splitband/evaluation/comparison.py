@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +15,7 @@ from splitband.data import Record
 from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.protocols import Run, Runs, mean_run
-from splitband.evaluation.recommendation import LEVEL, Trial
+from splitband.evaluation.recommendation import Trial
 from splitband.evaluation.setup import Setup
 from splitband.evaluation.trials import SearchAttempt
 from splitband.forecasters.base import Forecaster
@@ -133,17 +133,11 @@ class Comparison:
     def predictions(self) -> dict[str, Prediction]:
         """Return the forecast of each method beyond the training part, with its interval."""
         intervals = {} if self.trial is None else self.trial.intervals
-        predictions = {}
-        for name, run in self.means.items():
-            if run.forecast is None:
-                continue
-            y, predictions[name] = run.forecast.y, run.forecast
-            if name in intervals:
-                half = intervals[name].half_widths(len(y))
-                predictions[name] = replace(
-                    run.forecast, lower=y - half, upper=y + half, level=LEVEL
-                )
-        return predictions
+        return {
+            name: intervals[name].around(mean.forecast) if name in intervals else mean.forecast
+            for name, mean in self.means.items()
+            if mean.forecast is not None
+        }
 
     @cached_property
     def table(self) -> pd.DataFrame:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -11,9 +11,10 @@ from typing import Any
 from splitband.data import Record
 from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.choosing import choose
+from splitband.evaluation.jobs import reasons
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.protocols import models_of
-from splitband.evaluation.recommendation import LEVEL, Trial
+from splitband.evaluation.recommendation import Trial
 from splitband.evaluation.run import begun, last_fits
 from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import Origin, Question
@@ -130,23 +131,21 @@ def run_forecast(plan: Plan, work: Work | None = None) -> Forecast:
         questions = {method.name: question for method in fitted}
         backtests, failures = last_fits(plan, questions, searched, trial, staff)
     forecasts = {
-        name: [backtest.predictions[origin] for backtest in of_method.values()]
-        for name, of_method in backtests.items()
-        if of_method
+        name: [each.predictions[origin] for each in of_seeds.values()]
+        for name, of_seeds in backtests.items()
+        if of_seeds
     }
-    failed = {f.method: f.reason for f in failures[::-1] if f.method not in forecasts}
     final = {name: [each.y for each in of_seeds] for name, of_seeds in forecasts.items()}
-    trial = trial.settled(final, staff.time.left_out | failed)
+    trial = trial.settled(final, staff.time.left_out | reasons(failures, forecasts))
     best = trial.recommended
-    mean, done = mean_of(forecasts[best]), [*backtests[best].values()]
-    half = trial.intervals[best].half_widths(steps)
+    done = [*backtests[best].values()]
     left = [leaves_range(each.y_range, each.predictions[origin].y) for each in done]
     model = handed_out(models_of(plan, backtests)[best], trial.held_out.get(best))
     u = record.u_beyond
     return Forecast(
         plan,
         model,
-        replace(mean, lower=mean.y - half, upper=mean.y + half, level=LEVEL),
+        trial.intervals[best].around(mean_of(forecasts[best])),
         trial,
         done[0].description,
         min((samples for samples in left if samples is not None), default=None),

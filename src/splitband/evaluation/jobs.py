@@ -1,9 +1,9 @@
-"""Forecasters on a record, each with each seed: a job each, wherever jobs are carried out."""
+"""Fit and ask forecasters, each with each seed: a job each, wherever jobs are carried out."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,7 +37,7 @@ Seeds = Sequence[int] | Mapping[str, Sequence[int]]
 
 @dataclass(frozen=True)
 class Failure:
-    """A forecaster that could not be fitted with one seed, why, and whether for want of time."""
+    """Report that a forecaster could not be fitted with one seed, why, and if for want of time."""
 
     method: str
     seed: int
@@ -45,9 +45,14 @@ class Failure:
     late: bool = False
 
 
+def reasons(failures: Sequence[Failure], done: Container[str]) -> dict[str, str]:
+    """Return why, of each method that is not among those `done`; its first failure counts."""
+    return {f.method: f.reason for f in failures[::-1] if f.method not in done}
+
+
 @dataclass(frozen=True)
 class FitOutcome:
-    """What became of a job: what was forecast, or why it failed.
+    """Say what became of a job: what was forecast, or why it failed.
 
     `seconds` it took; `fresh`: it trained from the beginning to the end, so that this is the pace.
     """
@@ -59,14 +64,14 @@ class FitOutcome:
 
     @property
     def cut(self) -> bool:
-        """Whether the deadline has changed it."""
+        """Return whether the deadline has changed it."""
         late = self.failure is not None and self.failure.late
         return late or (self.backtest is not None and self.backtest.report.cut)
 
 
 @dataclass(frozen=True, eq=False)
 class FitJobs:
-    """What the jobs of a stage share; called with one of them, in whatever process.
+    """Hold what the jobs of a stage share; called with one of them, in whatever process.
 
     Attributes
     ----------

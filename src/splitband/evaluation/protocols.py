@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record
-from splitband.evaluation.jobs import Failure, failed_seeds
+from splitband.evaluation.jobs import Failure, failed_seeds, reasons
 from splitband.evaluation.plan import Plan
 from splitband.forecasters.backtest import Backtest, Origin, Question, first_origin
 from splitband.forecasters.base import Forecaster
@@ -133,7 +133,7 @@ class Runs(dict[str, list[Run]]):
     @property
     def failed(self) -> dict[str, str]:
         """Return why, of each method that has no run."""
-        return {f.method: f.reason for f in self.failures[::-1] if f.method not in self}
+        return reasons(self.failures, self)
 
     def __missing__(self, method: str) -> list[Run]:
         raise KeyError(f"{method}: {self.failed.get(method, 'not among the methods')}")
@@ -231,8 +231,7 @@ def without_failed(runs: Runs, training: Record) -> Runs:
 
 def _from_start(run: Run, training: Record) -> float:
     """Return the RMSE of the simulation of the training record, channels scaled; 0 if empty."""
-    begin = len(training) - len(run.from_start.y)
-    begin = max(begin, 0) if run.forecast is None else max(begin + len(run.forecast.y), 0)
+    begin = max(len(training) + len(run.ahead) - len(run.from_start), 0)
     y = run.from_start.y[: max(len(training) - begin, 0)]
     scale = spread(training.seen)
     return rmse(training.seen[begin : begin + len(y)] / scale, y / scale) if len(y) else 0.0

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record
-from splitband.evaluation.jobs import run_all
+from splitband.evaluation.jobs import reasons, run_all
+from splitband.evaluation.trials import held_out_score
 from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import (
     Backtest,
@@ -22,11 +23,10 @@ from splitband.forecasters.backtest import (
     held_out_errors,
     held_out_origins,
     mean_forecasts,
-    root_mean_square,
 )
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.intervals import HeldOut, Interval
-from splitband.metrics import channel_rmse, spread
+from splitband.metrics import channel_rmse
 
 Array = npt.NDArray[np.float64]
 
@@ -172,16 +172,13 @@ def try_out(
     )
     made = {**done, **fitted}
     forecasts = {f.name: mean_forecasts([*made[f.name].values()]) for f in shorter if made[f.name]}
-    scale = spread(record.seen)
-    scored = {name: held_out_errors(record, y) for name, y in forecasts.items()}
-    known = {name: held_out(record, y) for name, y in forecasts.items()}
     trained = frozenset(f.name for f in shorter if f.random)
     return Trial(
-        {name: _of_channels(e) for name, e in scored.items()},
-        {name: root_mean_square([error / scale for error in e]) for name, e in scored.items()},
+        {name: _of_channels(held_out_errors(record, y)) for name, y in forecasts.items()},
+        {name: held_out_score(record, [*made[name].values()]) for name in forecasts},
         trained,
-        failed={f.method: f.reason for f in failures[::-1] if f.method not in forecasts},
-        held_out=known,
+        failed=reasons(failures, forecasts),
+        held_out={name: held_out(record, y) for name, y in forecasts.items()},
         early={
             name: [y[len(record) - at.at :] for at, y in sorted(forecasts[name].items())]
             for name in trained & forecasts.keys()

@@ -100,9 +100,7 @@ class SavedSettings:
         Of a mean of several it is that of the first member.
         """
         network = forecaster.of_one_seed.network
-        if network is None or network.settings is None:
-            return None
-        if network.name not in TRAINED:
+        if network is None or network.settings is None or network.name not in TRAINED:
             return None
         bands = network.bands or Bands()
         sizes = _sizes(network)

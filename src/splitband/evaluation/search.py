@@ -1,4 +1,4 @@
-"""Finding out how to train networks, by forecasts of held-out samples: successive halving.
+"""Find out how to train networks, by forecasts of held-out samples: successive halving.
 
 Not in the paper. All candidates (sizes, windows, penalties) are trained for a few iterations, the
 better half of them goes on for four times as many, and so on (Jamieson and Talwalkar, 2016), until
@@ -44,7 +44,7 @@ SEEDS = 3
 
 @dataclass(frozen=True)
 class Search:
-    """How much may go into finding out how to train, and into training.
+    """Say how much may go into finding out how to train, and into training.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """How each network is to be trained, what has been tried, and what it has cost.
+    """Hold how each network is to be trained, what has been tried, and what it has cost.
 
     Attributes
     ----------

@@ -168,8 +168,8 @@ class Options:
         bands = self._bands(training, settings, made)
         sizes = Sizes() if self.recipe == "paper" else Sizes(hidden_high=32, hidden_low=16)
         sizes = self.sizes or sizes
-        found = Setup(train, settings, bands, sizes, self._search(), self.simulator)
-        return replace(found, initial=self.initial)
+        search = self._search()
+        return Setup(train, settings, bands, sizes, search, self.simulator, self.initial)
 
     def _settings(self, usual: Settings, tests: Sequence[Record]) -> Settings:
         """Return how networks are trained to begin with; `usual` is where none are given."""
@@ -185,7 +185,7 @@ class Options:
         return settings
 
     def _search(self) -> Search | None:
-        decided = [*self.changes.keys() - {"warmup"}]
+        decided = [name for name in self.changes if name != "warmup"]
         decided += ["recipe paper"] if self.recipe == "paper" else []
         if decided and self.search is not None:
             raise ValueError(

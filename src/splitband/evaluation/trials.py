@@ -1,4 +1,4 @@
-"""How a search tries candidates: on the held-out end of the training record, round by round."""
+"""Try the candidates of a search on the held-out end of the training record, round by round."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ SETTLING = 0.25
 
 @dataclass(frozen=True)
 class SearchAttempt:
-    """What became of a candidate on the held-out samples.
+    """Say what became of a candidate on the held-out samples.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class SearchAttempt:
 
 @dataclass(frozen=True, eq=False)
 class TrialRun:
-    """One seed of a candidate: its forecasts of the held-out samples, and their RMSE."""
+    """Hold one seed of a candidate: its forecasts of the held-out samples, and their RMSE."""
 
     candidate: Candidate
     seed: int
@@ -152,20 +152,20 @@ class Trials:
     def _scored(self, candidate: Candidate, done: dict[int, Backtest]) -> Candidate:
         failed = failed_seeds({seed: each.report for seed, each in done.items()})
         done = {seed: each for seed, each in done.items() if seed not in failed}
-        score = held_out_score(self._record, [*done.values()]) if done else None
-        training = candidate.network.training_in_words()
-        self.attempts.append(SearchAttempt(candidate.method, training, len(done), score))
-        before, scored = candidate.score, replace(candidate, score=score, done=done)
-        if score is not None:
+        score = held_out_score(self._record, [*done.values()]) if done else math.inf
+        training, said = candidate.network.training_in_words(), score if done else None
+        self.attempts.append(SearchAttempt(candidate.method, training, len(done), said))
+        scored = replace(candidate, score=score, done=done)
+        if done:
             self.tried.append(scored)
         for seed, each in done.items():
             self.runs.append(TrialRun(scored, seed, each, held_out_score(self._record, [each])))
-        worse = score is None or (before is not None and score > WORSE * before)
+        worse = not done or score > WORSE * candidate.score
         return replace(scored, rung=-1) if worse else scored
 
     def promoted(self, last: Sequence[Candidate]) -> list[Candidate]:
         """Return those that go on: the better ones of a round, the best one first."""
-        able = sorted([c for c in last if c.score is not None], key=lambda c: c.score or 0.0)
+        able = sorted([c for c in last if c.done], key=lambda c: c.score)
         able = able[: math.ceil(KEPT * len(able))]
         return [c for c in able if c.rung >= 0 and self._competes(c)]
 
@@ -175,8 +175,7 @@ class Trials:
         return not tried or any(map(self._competes, tried))
 
     def _competes(self, candidate: Candidate) -> bool:
-        lowest = min((c.score for c in self.tried if c.score is not None), default=0.0)
-        return candidate.score is not None and candidate.score <= MAX_ERROR_RATIO * lowest
+        return candidate.score <= MAX_ERROR_RATIO * min(c.score for c in self.tried)
 
     def combinations(self, first: Candidate) -> list[Candidate]:
         """Return the best candidate of a method together with what else was better than the first.
@@ -184,12 +183,12 @@ class Trials:
         It is for networks that begin as a linear model, whose candidates differ from the first one
         in size, window or penalty, or begin from random weights.
         """
-        tried = {c.label: c for c in self.tried if c.method == first.method and c.score is not None}
+        tried = {c.label: c for c in self.tried if c.method == first.method}
         usual = tried.get(first.label)
         if usual is None:
             return []
-        better = [c for c in tried.values() if (c.score or 0.0) < (usual.score or 0.0)]
-        best, *others = sorted(better, key=lambda c: c.score or 0.0) or [usual]
+        better = [c for c in tried.values() if c.score < usual.score]
+        best, *others = sorted(better, key=lambda c: c.score) or [usual]
         found = (combined(usual, best, other) for other in others)
         return [c for c in found if c is not None]
 

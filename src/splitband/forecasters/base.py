@@ -254,8 +254,7 @@ class Forecaster(Configurable):
         known, past = known_of(self, steps, history, u, y_sim, other_record)
         prediction = predicted(self, known, past)
         if level is not None:
-            half, y = self.tried_out().interval(level).half_widths(steps), prediction.y
-            prediction = replace(prediction, lower=y - half, upper=y + half, level=level)
+            prediction = self.tried_out().interval(level).around(prediction)
         for message in prediction.warnings:
             warnings.warn(message, ExtrapolationWarning, stacklevel=2)
         return prediction

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from splitband.forecasters.prediction import Prediction
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
@@ -60,6 +61,11 @@ class Interval:
         """Return the half-widths of the first `steps` samples of a horizon, `(steps, ny)`."""
         most = [np.inf if most is None else most for most in self.most]
         return np.minimum(self._growth(steps) * self.first, most)
+
+    def around(self, prediction: Prediction) -> Prediction:
+        """Return the prediction of the first samples of a horizon with this interval."""
+        y, half = prediction.y, self.half_widths(len(prediction))
+        return replace(prediction, lower=y - half, upper=y + half, level=self.share)
 
     def _growth(self, steps: int) -> Array:
         """Return the half-widths over the first one, `(steps, ny)`, without a bound."""

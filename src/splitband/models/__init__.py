@@ -7,6 +7,7 @@ just what it will meet in use.
 
 from splitband.models.base import Model, Signals, Task
 from splitband.models.hybrid import Filtered, Hybrid, Residual
-from splitband.models.learned import Recurrent, Split
+from splitband.models.recurrent import Recurrent
+from splitband.models.split import Split
 
 __all__ = ["Filtered", "Hybrid", "Model", "Recurrent", "Residual", "Signals", "Split", "Task"]

@@ -26,6 +26,11 @@ class Signals:
     u: Tensor | None = None
     y_sim: Tensor | None = None
 
+    def map(self, function: Callable[[Tensor], Tensor]) -> Signals:
+        """Return what a function makes of each signal."""
+        u, y_sim = (None if s is None else function(s) for s in (self.u, self.y_sim))
+        return Signals(function(self.y), u, y_sim)
+
 
 @dataclass(frozen=True, eq=False)
 class Task:
@@ -161,9 +166,7 @@ class Model(nn.Module, ABC):
         )
 
     def _batch_of_one(self, y: Array, u: Array | None, y_sim: Array | None) -> Signals:
-        known = self._signals(y, u, y_sim)
-        others = (None if s is None else s[None] for s in (known.u, known.y_sim))
-        return Signals(known.y[None], *others)
+        return self._signals(y, u, y_sim).map(lambda signal: signal[None])
 
     def _to_network(self, x: Array, kind: str) -> Tensor:
         # Subtract in float64: beside a large offset float32 has too few digits for the signal.
@@ -272,21 +275,10 @@ def with_weights(build: Callable[[], Model], weights: Mapping[str, Any]) -> Mode
         if not (floating if wanted.is_floating_point else tensor.dtype == wanted):
             raise ValueError(f"weights must be float32 or float64: {name} is {tensor.dtype}")
     model = build()
-    tied = _tied(model)
-    model.load_state_dict(found, assign=True)  # which keeps the precision that was saved
-    for first, *others in tied:
-        for name in others:
-            owner, _, attribute = name.rpartition(".")
-            setattr(model.get_submodule(owner), attribute, model.get_parameter(first))
+    # In place, so that what is tied stays so; the precision is the one that was saved.
+    for name, tensor in model.state_dict(keep_vars=True).items():
+        tensor.data = found[name]
     return model
-
-
-def _tied(model: Model) -> list[list[str]]:
-    """Return the names of parameters that are one and the same, for each that has several."""
-    names: dict[int, list[str]] = {}
-    for name, parameter in model.named_parameters(remove_duplicate=False):
-        names.setdefault(id(parameter), []).append(name)
-    return [of_one for of_one in names.values() if len(of_one) > 1]
 
 
 def as_module(cell: Cell) -> nn.Module:

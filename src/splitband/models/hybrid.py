@@ -133,14 +133,13 @@ class Filtered(Hybrid):
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """Return L(simulator) and H(network)."""
         filtered = self._low_passed(known)
-        low = _required(filtered)[:, known.y.shape[1] :][:, :steps]
-        return {f"{SLOW}, low band": low, f"{FAST}, high band": self._high(filtered, steps)}
+        low, high = _after_warmup(filtered, steps), self._high(filtered, steps)
+        return {f"{SLOW}, low band": low, f"{FAST}, high band": high}
 
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """Return the simulator's samples and the network's, before the filters."""
-        warmup = known.y.shape[1]
         network = rollout(self.cell, known.y, steps, self._conditioned(known).u)
-        return {SLOW: _required(known)[:, warmup : warmup + steps], FAST: network}
+        return {SLOW: _after_warmup(known, steps), FAST: network}
 
     def tasks(self, record: Signals) -> list[Task]:
         """Reproduce the record (paper, Eq. 14); L(simulator) is filtered once, as a whole."""
@@ -152,8 +151,7 @@ class Filtered(Hybrid):
         return replace(self._conditioned(known), y_sim=self.pair.lowpass(_required(known)))
 
     def _combined(self, filtered: Signals, steps: int) -> Tensor:
-        warmup = filtered.y.shape[1]
-        return self._high(filtered, steps) + _required(filtered)[:, warmup : warmup + steps]
+        return self._high(filtered, steps) + _after_warmup(filtered, steps)
 
     def _high(self, filtered: Signals, steps: int) -> Tensor:
         """Return H(network), going on from what L(simulator) leaves of the measured samples."""
@@ -193,9 +191,8 @@ class Residual(Hybrid):
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """Return the simulator's samples and the network's."""
-        warmup = known.y.shape[1]
         residual = self._simulate(self._conditioned(known), steps)
-        return {SLOW: _required(known)[:, warmup : warmup + steps], FAST: residual}
+        return {SLOW: _after_warmup(known, steps), FAST: residual}
 
     def tasks(self, record: Signals) -> list[Task]:
         """Reproduce the simulator's residual."""
@@ -205,6 +202,12 @@ class Residual(Hybrid):
     def _simulate(self, known: Signals, steps: int) -> Tensor:
         warmup = known.y.shape[1]
         return rollout(self.cell, known.y - _required(known)[:, :warmup], steps, known.u)
+
+
+def _after_warmup(known: Signals, steps: int) -> Tensor:
+    """Return the simulator's `steps` samples after the warm-up."""
+    warmup = known.y.shape[1]
+    return _required(known)[:, warmup : warmup + steps]
 
 
 def _required(known: Signals) -> Tensor:

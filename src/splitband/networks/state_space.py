@@ -205,7 +205,7 @@ class StateSpace(Written, nn.Module):
     def step(self, h: Tensor, y: Tensor, u: Tensor | None = None) -> Tensor:
         """Take one step of [x, the predicted y], shape `(batch, states + ny)`."""
         x, predicted = h.split([self.states, self.ny], dim=-1)
-        moved = _beside(self.f, self.transition, x, u)
+        moved = _mixed(self.f, self.transition, x, u)
         return self._with_output(moved + (y - predicted) @ self.gain.T, u)
 
     def observe(self, h: Tensor) -> Tensor:
@@ -268,10 +268,10 @@ class StateSpace(Written, nn.Module):
 
     def _with_output(self, x: Tensor, u: Tensor | None) -> Tensor:
         """Return the state that is passed."""
-        return torch.cat([x, _beside(self.g, self.observation, x, u)], dim=-1)
+        return torch.cat([x, _mixed(self.g, self.observation, x, u)], dim=-1)
 
 
-def _beside(layers: nn.Sequential, out: nn.Linear, x: Tensor, u: Tensor | None) -> Tensor:
+def _mixed(layers: nn.Sequential, out: nn.Linear, x: Tensor, u: Tensor | None) -> Tensor:
     """Return a linear map of x and u, and the units that see both."""
     seen = x if u is None else torch.cat([x, u], dim=-1)
     return out(torch.cat([seen, layers(seen)], dim=-1) if len(layers) else seen)

@@ -1,4 +1,4 @@
-"""Training networks: windows, settings and recipes, the fit, checkpoints."""
+"""Train networks: windows, settings and recipes, the fit, checkpoints."""
 
 from splitband.training.checkpoints import Checkpoint
 from splitband.training.loop import History, Progress, fit

@@ -1,4 +1,4 @@
-"""Checkpoints: from one, an interrupted training resumes with exactly the same numbers.
+"""Write checkpoints, from which an interrupted training resumes with exactly the same numbers.
 
 A checkpoint is one safetensors file, which is always replaced as a whole and holds no code. A file
 that is damaged, or was written by another training, is ignored.
@@ -24,6 +24,11 @@ MOST_OVERHEAD = 0.05
 State = dict[str, Tensor]
 
 
+def below(state: State, prefix: str) -> State:
+    """Return the part of a state whose names begin with a prefix, without it."""
+    return {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
+
+
 class Checkpoint:
     """Store the state of one training in a file.
 
@@ -35,7 +40,7 @@ class Checkpoint:
         self._next = 0.0
 
     def numbered(self, i: int) -> Checkpoint:
-        """One of several beside it."""
+        """Return one of several beside it."""
         return Checkpoint(self.path.with_name(f"{self.path.stem}-{i}{self.path.suffix}"))
 
     def load(self, key: str) -> State | None:

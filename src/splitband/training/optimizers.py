@@ -1,4 +1,4 @@
-"""The optimizers of torch without its compiler, which takes longer to load than a short training.
+"""Provide torch's optimizers without its compiler, which loads longer than a short training takes.
 
 Torch loads it as soon as an optimizer is made, only to exempt the optimizer's methods from being
 compiled. These classes take the methods as they are below that exemption: their steps are the

@@ -1,4 +1,4 @@
-"""The end of a training: L-BFGS on windows that lie end to end, all of them in every step.
+"""End a training by L-BFGS on windows that lie end to end, all of them in every step.
 
 Not in the paper. Adam, which sees a few windows at a time, makes fast progress from random weights.
 Near a minimum its steps are mostly noise. The gradient over the whole record costs no more than a
@@ -57,18 +57,18 @@ def end_to_end(starts: Tensor, window: int, warmup: int) -> Tensor:
 
 
 def samples_in_a_step(samples: int, window: int, warmup: int) -> int:
-    """How many samples the windows have that `end_to_end` chooses from a record, together."""
+    """Return how many samples the windows that `end_to_end` chooses from a record have together."""
     places = max(samples - window + 1, 1)
     return min(-(-places // _hop(places, window, warmup)) * window, MOST_SAMPLES)
 
 
 def _hop(places: int, window: int, warmup: int) -> int:
-    """The distance in samples from one chosen window's beginning to the next one's."""
+    """Return the distance in samples from one chosen window's beginning to the next one's."""
     return max(1, (window - warmup) // (2 if places <= HALVED else 1))
 
 
 class _OverError(Exception):
-    """The time is over in the middle of a round."""
+    """Report that the time is over in the middle of a round."""
 
 
 class QuasiNewton:
@@ -104,7 +104,7 @@ class QuasiNewton:
         )
 
     def round(self) -> float:
-        """Go on by some iterations; the RMS error after them.
+        """Go on by some iterations; return the RMS error after them.
 
         Where the loss is not finite, or no longer falls, the weights stay as they are. The second
         such round in a row is the last one.
@@ -162,7 +162,7 @@ class QuasiNewton:
         return value
 
     def state(self) -> State:
-        """All that the next round depends on but the weights."""
+        """Return all that the next round depends on but the weights."""
         of_torch = self._optimizer.state[self.parameters[0]]
         numbers = {"scale": self.scale, "settled": self.settled, "stuck": self._stuck}
         numbers |= {name: float(of_torch[name]) for name in _NUMBERS if name in of_torch}

@@ -62,10 +62,10 @@ class Settings(Written):
 
     def __post_init__(self) -> None:
         """Check ranges."""
-        for name in ("window", "warmup", "epochs", "batch_size", "most_batches", "quasi_newton"):
-            value = getattr(self, name)
-            if value is not None or name in ("window", "warmup", "epochs", "batch_size"):
-                object.__setattr__(self, name, whole(name, value, int(name != "epochs")))
+        given = [n for n in ("most_batches", "quasi_newton") if getattr(self, n) is not None]
+        for name in ("window", "warmup", "epochs", "batch_size", *given):
+            least = 0 if name == "epochs" else 1
+            object.__setattr__(self, name, whole(name, getattr(self, name), least))
         if not self.epochs and not self.quasi_newton:
             raise ValueError("epochs must be positive without quasi_newton, got 0")
         if self.window <= self.warmup:

@@ -1,4 +1,4 @@
-"""Windows of training records: where they may lie, and the signals in them, as views."""
+"""Cut windows from training records: where they may lie, and the signals in them, as views."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class WindowSet:
 
 
 def windows_in(records: Sequence[Record], window: int, warmup: int) -> WindowSet:
-    """Every place within a record whose warm-up was measured, and something after it.
+    """Return every place within a record whose warm-up was measured, and something after it.
 
     Raises ValueError for a record shorter than a window, and where gaps leave no place at all.
     """
@@ -50,7 +50,7 @@ def windows_in(records: Sequence[Record], window: int, warmup: int) -> WindowSet
 
 
 def window_starts(records: Sequence[Record], window: int, warmup: int) -> npt.NDArray[np.int_]:
-    """The first samples of all places, counted over the records."""
+    """Return the first samples of all places, counted over the records."""
     lengths = [len(record) for record in records]
     complete = np.concatenate([record.complete for record in records])
     something = np.concatenate([(~np.isnan(record.seen)).any(axis=1) for record in records])
@@ -60,7 +60,7 @@ def window_starts(records: Sequence[Record], window: int, warmup: int) -> npt.ND
 
 
 def _counts(true: npt.NDArray[np.bool_], begin: int, end: int) -> npt.NDArray[np.int_]:
-    """How many of the values from `begin` to `end` after each index are true."""
+    """Count how many of the values from `begin` to `end` after each index are true."""
     count = np.concatenate([[0], np.cumsum(true)])
     index, last = np.arange(len(true)), len(true)
     counted = count[np.minimum(index + end, last)] - count[np.minimum(index + begin, last)]
@@ -68,7 +68,7 @@ def _counts(true: npt.NDArray[np.bool_], begin: int, end: int) -> npt.NDArray[np
 
 
 def joined(tasks: Sequence[Task]) -> Task:
-    """One network's task on several records, one after the other."""
+    """Return one network's task on several records, one after the other."""
     if len(tasks) == 1:
         return tasks[0]
 
@@ -86,14 +86,13 @@ def joined(tasks: Sequence[Task]) -> Task:
 
 
 def windows(task: Task, window: int, warmup: int) -> tuple[Signals, Tensor]:
-    """The windows from every sample on, as views: what is known, and what is to be reproduced."""
-    u, y_sim = (None if s is None else _views(s, window) for s in (task.known.u, task.known.y_sim))
-    known = Signals(_views(task.known.y, window)[:, :warmup], u, y_sim)
-    return known, targets(task.target, task, window, warmup)
+    """Return the windows from every sample on, as views: what is known, and the target."""
+    known = task.known.map(lambda signal: _views(signal, window))
+    return replace(known, y=known.y[:, :warmup]), targets(task.target, task, window, warmup)
 
 
 def targets(signal: Tensor, task: Task, window: int, warmup: int) -> Tensor:
-    """Of a signal `(time, n)`, the samples of every window that the task's network predicts.
+    """Return what the task's network predicts of every window of a signal `(time, n)`.
 
     They lie on the device of the task's target.
     """
@@ -101,9 +100,8 @@ def targets(signal: Tensor, task: Task, window: int, warmup: int) -> Tensor:
 
 
 def select(known: Signals, batch: Tensor) -> Signals:
-    """The windows of a batch, copied."""
-    u, y_sim = (None if s is None else s[batch] for s in (known.u, known.y_sim))
-    return Signals(known.y[batch], u, y_sim)
+    """Return the windows of a batch, copied."""
+    return known.map(lambda signal: signal[batch])
 
 
 def _views(signal: Tensor, window: int) -> Tensor:

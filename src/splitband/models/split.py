@@ -1,4 +1,4 @@
-"""Define models learned from a record alone: one network, or two on their bands."""
+"""Define the model of two networks, each on its band."""
 
 from __future__ import annotations
 
@@ -37,50 +37,6 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.tracing import cond
 
 LOW, HIGH = "low band", "high band"
-
-
-class SteppedRecurrent(Stepped):
-    """Step one network on the whole band."""
-
-    def __init__(self, model: Any) -> None:
-        super().__init__(model)
-        self.cell = SteppedCell(model.cell)
-
-    def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
-        run = self.cell.begin(y, self._rows(u))
-        return run, run["y"]
-
-    def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
-        run = self.cell.advance(run, self._rows(u)[0])
-        return run, run["y"]
-
-
-class Recurrent(Model):
-    """Run one network on the whole band: the baseline (paper, Sec. 4.1).
-
-    Parameters
-    ----------
-    cell : The network.
-    feedthrough : The step to a sample knows the inputs of that sample, too: the cell has twice the
-        model's inputs, see `base.with_next_input`. The paper has no inputs.
-    """
-
-    steps = SteppedRecurrent
-
-    def __init__(self, cell: Cell, feedthrough: bool = False) -> None:
-        super().__init__(cell.ny, inputs_of(cell, 0, feedthrough))
-        self.cell, self.feedthrough = cell, feedthrough
-
-    def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """Return the network's free run."""
-        return {"network": self._simulate(known, steps)}
-
-    def tasks(self, record: Signals) -> list[Task]:
-        """Reproduce the record."""
-        return [Task("network", as_module(self.cell), record, record.y, self._simulate)]
-
-    def _simulate(self, known: Signals, steps: int) -> Tensor:
-        return rollout(self.cell, known.y, steps, self._rows(known.u))
 
 
 class SteppedSplit(Stepped):

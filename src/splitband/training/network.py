@@ -1,0 +1,221 @@
+"""Train one network of a model, epoch by epoch."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import torch
+from torch import Tensor, nn
+
+from splitband.models import Task
+from splitband.runtime.deadlines import Deadline
+from splitband.runtime.threads import one_torch_thread
+from splitband.training import quasi_newton
+from splitband.training.checkpoints import State, below
+from splitband.training.optimizers import Adam
+from splitband.training.settings import Settings
+from splitband.training.windows import WindowSet, select, targets, windows
+
+DIVERGED = 100.0
+"""Loss, in multiples of the target's RMS or of the untrained network's loss, whichever is larger,
+that is treated as divergence."""
+UNLEARNED = 0.9
+"""Loss, in multiples of the target's RMS, from which on a network has learned nothing: as much is
+left when it predicts the mean."""
+ENOUGH_STEPS = 100
+"""Gradient steps before which a network that has learned nothing is not reported."""
+_TINY = 1e-6
+"""Loss below which a penalty is not weighed any higher against it."""
+MOST_RESTARTS = 3
+"""Times that an epoch which diverged is repeated, each time with half the learning rate, before
+the training is given up."""
+
+
+class NetworkTraining:
+    """Train one network, epoch by epoch; an epoch depends on `state` and on nothing else."""
+
+    def __init__(
+        self,
+        task: Task,
+        places: WindowSet,
+        settings: Settings,
+        seed: int,
+        deadline: Deadline,
+    ) -> None:
+        self.deadline = deadline
+        self.passes = settings.epochs + settings.rounds
+        """Epochs, and rounds of L-BFGS after them."""
+        self.cut = False
+        """Whether the deadline has come before the end of the training."""
+        self.task, self.settings, self.starts = task, settings, places.starts
+        self.known, self.target = windows(task, settings.window, settings.warmup)
+        self.measured: Tensor | None = None
+        if places.measured is not None:
+            self.measured = targets(places.measured, task, settings.window, settings.warmup)
+        parameters = [*task.network.parameters()]
+        self.optimizer = Adam(parameters, lr=settings.learning_rate)
+        self.generator = torch.Generator().manual_seed(seed)
+        size = float(torch.linalg.vector_norm(task.target)) / task.target.numel() ** 0.5
+        self.target_rms = size or 1.0
+        self.first_loss = 0.0
+        """Of the untrained network: what a good simulator leaves to learn may be much smaller than
+        any untrained network's output, so that the target's RMS alone would not do."""
+        self.losses: list[float] = []
+        self.restarts: list[int] = []
+        """Epochs that diverged and were repeated with half the learning rate."""
+        self.finish: quasi_newton.QuasiNewton | None = None
+        if settings.quasi_newton:
+            chosen = quasi_newton.end_to_end(places.starts, settings.window, settings.warmup)
+            error = partial(self._mean_square, chosen)
+            self.finish = quasi_newton.QuasiNewton(parameters, error, self.deadline)
+
+    @property
+    def notes(self) -> list[str]:
+        """Return what a user should know."""
+        said = [
+            f"the loss diverged in epoch {epoch}, repeated with half the learning rate"
+            for epoch in self.restarts
+        ]
+        if self.cut:
+            done = f"{len(self.losses)} of {self.passes} epochs and rounds"
+            said.append(f"the time was over after {done}")
+        share = self.losses[-1] / self.target_rms if self.losses else 1.0
+        if share > UNLEARNED and self.steps() >= ENOUGH_STEPS:
+            said.append(f"nothing was learned: {share:.0%} of the signal is left in training")
+        return said
+
+    @property
+    def done(self) -> bool:
+        """Return whether all epochs and rounds are done."""
+        settled = self.finish is not None and self.finish.settled
+        return settled or len(self.losses) >= self.passes
+
+    @property
+    def over(self) -> bool:
+        """Return whether all of it is done, or there is no time left."""
+        return self.done or self.cut
+
+    def advance(self) -> None:
+        """Train for one epoch or, when all epochs are over, for one round of L-BFGS.
+
+        There is one step of gradients at least, however late it is, so that there is a loss.
+        """
+        if self.losses and self.deadline.over:
+            self.cut = True
+            return
+        if self.finish is None or len(self.losses) < self.settings.epochs:
+            self.epoch()
+            return
+        self.losses.append(self.finish.round())
+        self.cut = self.finish.cut
+
+    def steps(self) -> int:
+        """Return the gradient steps so far; an iteration of L-BFGS counts as one."""
+        rounds = max(0, len(self.losses) - self.settings.epochs)
+        batches = self.settings.batches(len(self.starts))
+        return batches * (len(self.losses) - rounds) + quasi_newton.ROUND * rounds
+
+    def state(self) -> State:
+        """Return all that the next epoch depends on, and the losses so far."""
+        moments = self.optimizer.state_dict()["state"]
+        return {
+            **{f"network.{k}": v.clone() for k, v in self.task.network.state_dict().items()},
+            **{f"adam.{i}.{k}": v.clone() for i, m in moments.items() for k, v in m.items()},
+            "generator": self.generator.get_state(),
+            "losses": torch.tensor(self.losses, dtype=torch.float64),
+            "restarts": torch.tensor(self.restarts, dtype=torch.int64),
+            "first_loss": torch.tensor(self.first_loss, dtype=torch.float64),
+            **{f"finish.{k}": v for k, v in (self.finish.state() if self.finish else {}).items()},
+        }
+
+    def restore(self, state: State) -> None:
+        """Go on where `state` was taken."""
+        self.task.network.load_state_dict(below(state, "network."))
+        moments: dict[int, dict[str, Tensor]] = {}
+        for name, value in below(state, "adam.").items():
+            i, moment = name.split(".")
+            moments.setdefault(int(i), {})[moment] = value.clone()
+        groups = self.optimizer.state_dict()["param_groups"]
+        self.optimizer.load_state_dict({"state": moments, "param_groups": groups})
+        self.generator.set_state(state["generator"])
+        self.losses[:] = state["losses"].tolist()
+        self.restarts[:] = state["restarts"].tolist()
+        self.first_loss = float(state["first_loss"])
+        if self.finish is not None:
+            self.finish.restore(below(state, "finish."))
+
+    def epoch(self) -> None:
+        """Train an epoch; repeat it with a smaller learning rate where it diverges."""
+        good = self.state()
+        while True:
+            loss = self._pass()
+            most = DIVERGED * max(self.target_rms, self.first_loss)
+            if loss <= most:
+                self.losses.append(loss)
+                return
+            epoch, restarts = len(self.losses) + 1, [*self.restarts, len(self.losses) + 1]
+            if len(restarts) > MOST_RESTARTS:
+                raise FloatingPointError(
+                    f"training of the {self.task.name} diverged in epoch {epoch}: the loss is "
+                    f"{loss:.4g} (at most {most:.4g} is allowed), after halving the learning rate "
+                    f"{MOST_RESTARTS} times; lower it ({self.settings.learning_rate:g})"
+                )
+            self.restore(good)
+            self.restarts[:] = restarts
+
+    def _pass(self) -> float:
+        """Run one pass over all windows and return the mean loss."""
+        settings, epoch = self.settings, len(self.losses)
+        total, seen_windows, slower = 0.0, 0, 0.5 ** len(self.restarts)
+        order = torch.randperm(len(self.starts), generator=self.generator)
+        if settings.most_batches is not None:
+            order = order[: settings.most_batches * settings.batch_size]
+        batches = order.split(settings.batch_size)
+        for i, chosen in enumerate(batches):
+            batch = self.starts[chosen]
+            share = (epoch + i / len(batches)) / settings.epochs
+            steps = settings.reach(share, self.target.shape[1])
+            for group in self.optimizer.param_groups:
+                group["lr"] = settings.rate(epoch, share) * slower
+            with one_torch_thread():
+                seen, wanted = select(self.known, batch), self.target[batch, :steps]
+                counted = None if self.measured is None else self.measured[batch, :steps]
+            self.optimizer.zero_grad(set_to_none=True)
+            loss = _rmse(self.task.simulate(seen, steps), wanted, counted)
+            # The square root of a mean square with its penalty, to first order.
+            (loss + self._penalty() / (2 * loss.detach().clamp_min(_TINY))).backward()
+            with one_torch_thread():
+                if settings.clip is not None:
+                    nn.utils.clip_grad_norm_(self.task.network.parameters(), settings.clip)
+                self.optimizer.step()
+            if epoch == 0 and i == 0 and math.isfinite(loss.item()):
+                self.first_loss = loss.item()
+            total, seen_windows = total + loss.item() * len(batch), seen_windows + len(batch)
+            if self.deadline.over and i + 1 < len(batches):
+                self.cut = True
+                break
+        return total / seen_windows
+
+    def _mean_square(self, starts: Tensor) -> Tensor:
+        """Return the mean square of the errors in the windows that begin there."""
+        wanted = self.target[starts]
+        prediction = self.task.simulate(select(self.known, starts), wanted.shape[1])
+        counted = None if self.measured is None else self.measured[starts]
+        return _rmse(prediction, wanted, counted) ** 2 + self._penalty()
+
+    def _penalty(self) -> Tensor | float:
+        """Return what `Settings.penalty` adds to the mean square."""
+        if not self.settings.penalty:
+            return 0.0
+        network = self.task.network
+        weights = getattr(network, "penalised", network.parameters)()
+        return self.settings.penalty * sum(weight.square().sum() for weight in weights)
+
+
+def _rmse(prediction: Tensor, target: Tensor, counted: Tensor | None = None) -> Tensor:
+    # A norm, not the root of a mean: its gradient at zero error is zero, not NaN.
+    if counted is None:
+        return torch.linalg.vector_norm(prediction - target) / target.numel() ** 0.5
+    left = torch.linalg.vector_norm((prediction - target) * counted)
+    return left / max(int(counted.sum()), 1) ** 0.5
