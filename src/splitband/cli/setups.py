@@ -6,6 +6,8 @@ import csv
 from dataclasses import fields, replace
 from pathlib import Path
 
+import torch
+
 from splitband.cli.options.models import AUTO, ModelOptions
 from splitband.evaluation.saved_settings import SavedSettings
 from splitband.evaluation.search import Search
@@ -73,8 +75,6 @@ def load_settings(path: Path | None, options: ModelOptions) -> SavedSettings | N
 
 def check_device(name: str) -> None:
     """Raise ValueError, which names the option, for a device that is not there."""
-    import torch  # noqa: PLC0415  it has been loaded by now
-
     try:
         torch.zeros(1, device=name).item()
     except (RuntimeError, AssertionError, NotImplementedError) as error:

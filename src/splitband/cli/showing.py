@@ -21,8 +21,8 @@ from rich.text import Text
 
 from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.work import RunProgress
-from splitband.metrics import Extrapolation, ExtrapolationWarning
-from splitband.report.table import NOTES, Column
+from splitband.metrics import ExtrapolationWarning
+from splitband.report.table import Column
 from splitband.runtime.deadlines import now
 from splitband.runtime.files import to_json
 from splitband.runtime.outputs import FACTS
@@ -104,12 +104,10 @@ def methods(
 ) -> None:
     """Print a table of columns with a row for each method; the best of each column is bold.
 
-    Of several outputs each has a line in every row. Where the terminal is too narrow, the least
-    important columns are left out. Below stands what is `said` of each method.
+    Of several outputs each has a line in every row. Where the terminal is too narrow, the last
+    columns are left out. Below stands what is `said` of each method.
     """
     headings = [*dict.fromkeys((column.heading, column.record) for column in listed)]
-    least = [*NOTES]
-    headings.sort(key=lambda each: least.index(each[0]))
     channels = list(dict.fromkeys(column.channel for column in listed if column.channel))
     left_out = []
     while True:
@@ -212,13 +210,6 @@ def progress(
 
 def _clock(seconds: float) -> str:
     return f"{int(seconds) // 60}:{int(seconds) % 60:02}"
-
-
-def warn_of_inputs(extrapolations: Sequence[Extrapolation], names: Sequence[str]) -> None:
-    """Print which inputs of what is predicted go beyond their range in training."""
-    for beyond in extrapolations:
-        named = names[beyond.channel] if beyond.channel < len(names) else ""
-        warn(beyond.describe(named))
 
 
 @contextmanager

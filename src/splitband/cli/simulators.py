@@ -14,7 +14,7 @@ import pandas as pd
 
 from splitband.cli import showing
 from splitband.cli.options.records import RecordOptions
-from splitband.cli.options.simulators import SimulatorOptions
+from splitband.cli.options.simulators import SimulatorOptions, parts_of
 from splitband.cli.records import announce, like, read_beside
 from splitband.cli.setups import names
 from splitband.data import Grid, Record
@@ -197,9 +197,3 @@ def adjustable(options: SimulatorOptions) -> Adjustable | None:
         raise FileNotFoundError(f"--simulator must be a file, got {file}")
     given = Parameters.read(options.parameters).given
     return opened(file, function, given, names(options.simulator_columns or ""))
-
-
-def parts_of(simulator: str) -> tuple[str, str]:
-    """Return the file of a simulator, and the function of FILE.py:FUNCTION or an empty text."""
-    file, _, function = simulator.partition(".py:")
-    return file + (".py" if function else ""), function
