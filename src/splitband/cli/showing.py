@@ -107,19 +107,16 @@ def methods(
     Of several outputs each has a line in every row. Where the terminal is too narrow, the last
     columns are left out. Below stands what is `said` of each method.
     """
-    headings = [*dict.fromkeys((column.heading, column.record) for column in listed)]
-    channels = list(dict.fromkeys(column.channel for column in listed if column.channel))
-    left_out = []
-    while True:
-        of = [[c for c in listed if (c.heading, c.record) == each] for each in headings]
-        table = _table(title, of, channels, [*said], recommended)
-        everywhere = console.options.update(width=10_000)
-        if (
-            len(headings) == 1
-            or Measurement.get(console, everywhere, table).maximum <= console.width
-        ):
-            break
-        left_out.append(headings.pop()[0])
+    of_heading: dict[tuple[str, str], list[Column]] = {}
+    for column in listed:
+        of_heading.setdefault((column.heading, column.record), []).append(column)
+    shown, left_out = [*of_heading.values()], list[str]()
+    channels = [*dict.fromkeys(column.channel for column in listed if column.channel)]
+    table = _table(title, shown, channels, [*said], recommended)
+    everywhere = console.options.update(width=10_000)
+    while len(shown) > 1 and Measurement.get(console, everywhere, table).maximum > console.width:
+        left_out.append(shown.pop()[0].heading)
+        table = _table(title, shown, channels, [*said], recommended)
     console.print(table)
     if left_out:
         more = ", ".join(dict.fromkeys(left_out[::-1]))

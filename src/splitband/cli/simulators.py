@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,8 @@ from splitband.cli.setups import names
 from splitband.data import Grid, Record
 from splitband.data.named import RECORDS
 from splitband.data.timing import in_words
+from splitband.forecasters import saving as forecasters
+from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASES
 from splitband.simulators import Recorded, Simulator, SimulatorTimeoutError, run
 from splitband.simulators.calibration import samples_needed
@@ -171,6 +173,33 @@ def opened_simulator(
         )
     name = f"simulator {text}: the exported trajectory"
     return Recorded(y, exported.sampling_time, exported.start, name)
+
+
+def opened_with_simulator(
+    forecaster: Forecaster,
+    folder: Path,
+    options: SimulatorOptions,
+    past: Record,
+    steps: int,
+    time_column: str | None,
+) -> Forecaster:
+    """Return the forecaster with the simulator that the options name."""
+    if options.simulator is None:
+        if "simulator" in forecaster.needs or forecaster.parameters:
+            raise ValueError(f"--simulator must be given for {forecaster.name}, which runs one")
+        return forecaster
+    if used := forecaster.parameters.get("used"):
+        own = ",".join(f"{name}={value!r}" for name, value in used.items())
+        found: Any = adjustable(replace(options, parameters=options.parameters or own))
+    else:
+        found = opened_simulator(options, past, time_column)
+    if isinstance(found, Recorded):
+        if found.start is None:  # it is taken to begin with the history
+            found = replace(found, start=past.start)
+        if note := found.note(past.grid.after(steps)):
+            showing.console.print(f"{options.simulator}: {note}")
+    with showing.warnings_as_lines():
+        return forecasters.load(folder, found)
 
 
 def with_own_parameters(options: AnyOptions) -> AnyOptions:

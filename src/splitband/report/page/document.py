@@ -49,17 +49,9 @@ def of_rows(rows: Sequence[Row], path: str | Path, usage: Usage) -> None:
 
 def _write(page: Page, path: str | Path) -> None:
     """Write a page, whole or not at all."""
-    text = html(page)
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-
-
-def html(page: Page) -> str:
-    """Return the whole file."""
     plots = page.plots
-    return _template().render(
+    text = _template().render(
         page=page,
-        ids={id(plot): f"plot-{i}" for i, plot in enumerate(plots)},
         embedded=_embedded(plots) if plots else "",
         library=_library() if plots else "",
         style=_part("style.css"),
@@ -67,6 +59,8 @@ def html(page: Page) -> str:
         light=PALETTE,
         dark=DARK,
     )
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def _embedded(plots: list[Plot]) -> str:
@@ -90,7 +84,6 @@ def _template() -> Template:
         loader=loader, autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters["ref"] = id
     return environment.get_template("template.html")
 
 
