@@ -49,8 +49,15 @@ def of_rows(rows: Sequence[Row], path: str | Path, usage: Usage) -> None:
 
 def _write(page: Page, path: str | Path) -> None:
     """Write a page, whole or not at all."""
+    text = html(page)
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def html(page: Page) -> str:
+    """Return the whole file."""
     plots = page.plots
-    text = _template().render(
+    return _template().render(
         page=page,
         embedded=_embedded(plots) if plots else "",
         library=_library() if plots else "",
@@ -59,8 +66,6 @@ def _write(page: Page, path: str | Path) -> None:
         light=PALETTE,
         dark=DARK,
     )
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def _embedded(plots: list[Plot]) -> str:
