@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from matplotlib.figure import Figure
+
 from reproduction import pictures as drawn
 from reproduction.jobs import ORACLE, SYSTEMS, Job
 from reproduction.runs import as_run, finished, load
@@ -17,17 +19,17 @@ from splitband.forecasters.names import QUICK
 from splitband.report import pictures
 
 
-def _spectrum(comparison: Comparison) -> pictures.Picture:
+def _spectrum(comparison: Comparison) -> Figure:
     record = comparison.record
     found = periodogram(record.y, record.sampling_rate)
     return pictures.spectrum(record, found, comparison.setup.bands.cutoff)
 
 
-def _unfiltered(comparison: Comparison) -> pictures.Picture:
+def _unfiltered(comparison: Comparison) -> Figure:
     return drawn.components(comparison, "unfiltered")
 
 
-FIGURES: dict[str, Callable[[Comparison], pictures.Picture]] = {
+FIGURES: dict[str, Callable[[Comparison], Figure]] = {
     "spectrum": _spectrum,
     "rollouts": pictures.rollouts,
     "components": drawn.components,
@@ -61,7 +63,7 @@ def needed(
     return found
 
 
-def figure(name: str, system: str, of: Sequence[Line], folder: Path) -> pictures.Picture:
+def figure(name: str, system: str, of: Sequence[Line], folder: Path) -> Figure:
     """Draw one figure of the runs in `folder`; raises what `load` does."""
     runs: dict[str, list[Run]] = {}
     for line in of:

@@ -7,7 +7,7 @@ import pytest
 
 def nothing_drawn(patch: pytest.MonkeyPatch) -> None:
     """Let results be written without pictures, and with an empty page."""
-    for figure in ("rollouts", "spectrum", "forecast"):
+    for figure in ("rollouts", "spectrum", "prediction"):
         patch.setattr(f"splitband.report.pictures.{figure}", lambda *_, **__: None)
     patch.setattr("splitband.report.pictures.save", lambda figure, path: None)
     for result in ("comparison", "forecast", "rows", "check"):

@@ -18,20 +18,20 @@ from splitband import __version__
 from splitband.cli import clock
 
 COMMANDS = {
-    "demo": ("demo", "See what the package does, in under a minute."),
-    "compare": ("compare", "Compare models of a record, and recommend one."),
-    "benchmark": ("benchmark", "Compare models on many records, in one table."),
-    "forecast": ("forecast", "Forecast beyond the end of a record, with an interval."),
-    "fit": ("fit", "Train one model on a record and save it."),
-    "simulate": ("simulate", "Predict with a saved model, from a measured history."),
-    "check": ("check", "Check a saved model: fit, residual tests, stability, responses."),
-    "export": ("export", "Write a saved model as C, as an FMU or as ONNX."),
-    "spectrum": ("spectrum", "Show the spectrum of a record, and choose a cut-off."),
-    "methods": ("methods", "List the methods, and when each is worth trying."),
-    "data": ("data", "Download and list the public records."),
-    "doctor": ("doctor", "Check that this machine has what the package needs."),
+    "demo": "See what the package does, in under a minute.",
+    "compare": "Compare models of a record, and recommend one.",
+    "benchmark": "Compare models on many records, in one table.",
+    "forecast": "Forecast beyond the end of a record, with an interval.",
+    "fit": "Train one model on a record and save it.",
+    "simulate": "Predict with a saved model, from a measured history.",
+    "check": "Check a saved model: fit, residual tests, stability, responses.",
+    "export": "Write a saved model as C, as an FMU or as ONNX.",
+    "spectrum": "Show the spectrum of a record, and choose a cut-off.",
+    "methods": "List the methods, and when each is worth trying.",
+    "data": "Download and list the public records.",
+    "doctor": "Check that this machine has what the package needs.",
 }
-"""The module of each command and a line about it; a module is loaded when its command is given."""
+"""Each command, as its module is called, which is loaded when it is given; and a line about it."""
 
 
 class Claiming(typer.core.TyperCommand):
@@ -56,10 +56,9 @@ class Commands(TyperGroup):
         """Return a command, of a list just its name and a line about it."""
         if cmd_name not in COMMANDS:
             return None
-        module, line = COMMANDS[cmd_name]
         if self.listing:
-            return typer.core.TyperCommand(cmd_name, help=line)
-        command = getattr(import_module(f"splitband.cli.{module}"), cmd_name)
+            return typer.core.TyperCommand(cmd_name, help=COMMANDS[cmd_name])
+        command = getattr(import_module(f"splitband.cli.{cmd_name}"), cmd_name)
         clock.loaded()
         if isinstance(command, typer.Typer):
             return typer.main.get_group(command)

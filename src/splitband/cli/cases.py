@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from splitband.cli.comparing import Request, arguments
-from splitband.cli.simulators import parts_of
+from splitband.cli.options.simulators import parts_of
 from splitband.data.gaps import Gaps
 from splitband.data.named import RECORDS
 from splitband.forecasters.names import BASES

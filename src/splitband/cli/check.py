@@ -8,12 +8,12 @@ from typing import Annotated
 
 import typer
 
-from splitband.cli import setups, showing
+from splitband.cli import records, setups, showing
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Device
 from splitband.cli.options.records import GapsOption, ModelArgument, TimeColumn
 from splitband.cli.options.simulators import SimulatorOptions
-from splitband.cli.simulate import history_of, opened_with_simulator
+from splitband.cli.simulators import opened_with_simulator
 from splitband.forecasters import saving as forecasters
 from splitband.report import results
 from splitband.report.page.parts import Usage
@@ -45,7 +45,7 @@ def check(
     of it and, for a model with inputs, its responses to steps.
     """
     model = forecasters.load(model_dir)
-    past = history_of(record, "--record", model.require_fitted().record, time_column, gaps)
+    past = records.history_of(record, "--record", model.require_fitted().record, time_column, gaps)
     model = opened_with_simulator(model, model_dir, simulator, past, 0, time_column)
     setups.check_device(device)
     model.to(device)

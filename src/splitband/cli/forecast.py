@@ -35,6 +35,7 @@ from splitband.metrics import leaving
 from splitband.report import results
 from splitband.report.page.parts import Usage
 from splitband.report.table import tried
+from splitband.report.words import of_inputs
 from splitband.runtime.files import CHECKPOINTS
 
 
@@ -98,7 +99,8 @@ def _show(result: Forecast, out: Path, used: Usage) -> None:
     )
     if result.leaves is not None:
         showing.console.print(leaving(result.leaves))
-    showing.warn_of_inputs(result.inputs_beyond_training, record.inputs)
+    for beyond in of_inputs(result.inputs_beyond_training, record):
+        showing.warn(beyond)
     for doubt in result.prediction.doubts:
         showing.warn(f"{result.method}: {doubt}")
     for what, command in used.commands[:1]:

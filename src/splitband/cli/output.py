@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from splitband.cli.options.simulators import parts_of
 from splitband.forecasters import saving
 from splitband.report.results import MODEL
 from splitband.runtime.files import CHECKPOINTS
@@ -79,8 +80,7 @@ def _inputs(context: Any) -> dict[Path, str]:
 
 def _files(named: str) -> list[Path]:
     """Return the files of a value; none where it is no file."""
-    file, function, _ = named.partition(".py:")  # FILE.py:FUNCTION
-    path = Path(file + ".py" if function else named)
+    path = Path(parts_of(named)[0])
     if os.path.isfile(path):  # False, too, for what can be no path
         return [path]
     return saving.files(path) if os.path.isdir(path) else []

@@ -15,7 +15,7 @@ from splitband.cli import showing
 from splitband.cli.options.records import RecordOptions
 from splitband.cli.setups import names
 from splitband.data import Record, aligned, read, resampled
-from splitband.data.gaps import places
+from splitband.data.gaps import Gaps, places
 from splitband.data.named import RECORDS
 from splitband.data.names import described
 from splitband.data.reading import ColumnError, ReadingWarning
@@ -140,6 +140,30 @@ def like(record: Record, sampling_time: float, what: str) -> Record:
         f"{sampling_time:.7g} s"
     )
     return resampled(record, sampling_time)
+
+
+def history_of(
+    file: Path, option: str, record: Record, time_column: str | None, gaps: Gaps
+) -> Record:
+    """Return the measured samples of an option, at the sampling time of the training record."""
+    past = read_file(
+        file,
+        option,
+        f"the model is for {described(record.columns, record.inputs)}",
+        columns=record.columns,
+        inputs=record.inputs,
+        time_column=time_column,
+        fallback_sampling_time=record.sampling_time,
+        gaps=gaps,
+    )
+    announce(past, str(file))
+    if not near_sampling(past.sampling_time, record.sampling_time):
+        raise ValueError(
+            f"{option} must be sampled like the training record, every "
+            f"{record.sampling_time:g} s, got every {past.sampling_time:g} s in {file}"
+        )
+    past = like(past, record.sampling_time, str(file))
+    return replace(past, columns=record.columns)
 
 
 def inputs_ahead(

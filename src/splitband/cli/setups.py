@@ -6,6 +6,8 @@ import csv
 from dataclasses import fields, replace
 from pathlib import Path
 
+import torch
+
 from splitband.cli.options.models import AUTO, ModelOptions
 from splitband.evaluation.saved_settings import SavedSettings
 from splitband.evaluation.search import Search
@@ -61,11 +63,7 @@ def load_settings(path: Path | None, options: ModelOptions) -> SavedSettings | N
         raise FileNotFoundError(
             f"--settings must be a recommended.json that `compare` wrote, got {path}"
         )
-    for option, value in (("--budget", options.budget), ("--effort", options.effort)):
-        if value is not None:
-            raise ValueError(
-                f"{option} is for finding out how to train, which --settings decides, got {value}"
-            )
+    _check_search(options, "--settings")
     if options.recipe != "default":
         raise ValueError(f"--recipe and --settings exclude each other, got {options.recipe}")
     return SavedSettings.read(path)
@@ -73,8 +71,6 @@ def load_settings(path: Path | None, options: ModelOptions) -> SavedSettings | N
 
 def check_device(name: str) -> None:
     """Raise ValueError, which names the option, for a device that is not there."""
-    import torch  # noqa: PLC0415  it has been loaded by now
-
     try:
         torch.zeros(1, device=name).item()
     except (RuntimeError, AssertionError, NotImplementedError) as error:
@@ -96,23 +92,26 @@ def seconds(duration: str, option: str = "--budget") -> float:
 
 def _search(options: ModelOptions, cores: int) -> Search | None:
     """Return how much goes into finding out how to train; None where no option says so."""
-    limits = {"--budget": options.budget, "--effort": options.effort}
-    given = {option: value for option, value in limits.items() if value is not None}
-    if len(given) > 1:
+    if options.budget is not None and options.effort is not None:
         raise ValueError(
             "--budget and --effort exclude each other (the one limits the time, the other the "
-            f"work), got {' and '.join(given.values())}"
+            f"work), got {options.budget} and {options.effort}"
         )
     decides = [name for name in _DECIDES if getattr(options, name) not in (None, "default")]
-    for option, value in given.items():
-        if decides:
-            raise ValueError(
-                f"{option} is for finding out how to train, which "
-                f"--{decides[0].replace('_', '-')} decides, got {value}"
-            )
+    if decides:
+        _check_search(options, f"--{decides[0].replace('_', '-')}")
     if options.effort is not None:
         return Search(seconds(options.effort, "--effort"))
     return None if options.budget is None else Search.within(seconds(options.budget), cores)
+
+
+def _check_search(options: ModelOptions, decides: str) -> None:
+    """Raise ValueError where an option limits a search to which another one leaves nothing."""
+    for option, value in (("--budget", options.budget), ("--effort", options.effort)):
+        if value is not None:
+            raise ValueError(
+                f"{option} is for finding out how to train, which {decides} decides, got {value}"
+            )
 
 
 def _milestones(text: str) -> tuple[tuple[int, float], ...]:

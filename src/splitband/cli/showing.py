@@ -21,8 +21,8 @@ from rich.text import Text
 
 from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.work import RunProgress
-from splitband.metrics import Extrapolation, ExtrapolationWarning
-from splitband.report.table import NOTES, Column
+from splitband.metrics import ExtrapolationWarning
+from splitband.report.table import Column
 from splitband.runtime.deadlines import now
 from splitband.runtime.files import to_json
 from splitband.runtime.outputs import FACTS
@@ -104,24 +104,19 @@ def methods(
 ) -> None:
     """Print a table of columns with a row for each method; the best of each column is bold.
 
-    Of several outputs each has a line in every row. Where the terminal is too narrow, the least
-    important columns are left out. Below stands what is `said` of each method.
+    Of several outputs each has a line in every row. Where the terminal is too narrow, the last
+    columns are left out. Below stands what is `said` of each method.
     """
-    headings = [*dict.fromkeys((column.heading, column.record) for column in listed)]
-    least = [*NOTES]
-    headings.sort(key=lambda each: least.index(each[0]))
-    channels = list(dict.fromkeys(column.channel for column in listed if column.channel))
-    left_out = []
-    while True:
-        of = [[c for c in listed if (c.heading, c.record) == each] for each in headings]
-        table = _table(title, of, channels, [*said], recommended)
-        everywhere = console.options.update(width=10_000)
-        if (
-            len(headings) == 1
-            or Measurement.get(console, everywhere, table).maximum <= console.width
-        ):
-            break
-        left_out.append(headings.pop()[0])
+    of_heading: dict[tuple[str, str], list[Column]] = {}
+    for column in listed:
+        of_heading.setdefault((column.heading, column.record), []).append(column)
+    shown, left_out = [*of_heading.values()], list[str]()
+    channels = [*dict.fromkeys(column.channel for column in listed if column.channel)]
+    table = _table(title, shown, channels, [*said], recommended)
+    everywhere = console.options.update(width=10_000)
+    while len(shown) > 1 and Measurement.get(console, everywhere, table).maximum > console.width:
+        left_out.append(shown.pop()[0].heading)
+        table = _table(title, shown, channels, [*said], recommended)
     console.print(table)
     if left_out:
         more = ", ".join(dict.fromkeys(left_out[::-1]))
@@ -212,13 +207,6 @@ def progress(
 
 def _clock(seconds: float) -> str:
     return f"{int(seconds) // 60}:{int(seconds) % 60:02}"
-
-
-def warn_of_inputs(extrapolations: Sequence[Extrapolation], names: Sequence[str]) -> None:
-    """Print which inputs of what is predicted go beyond their range in training."""
-    for beyond in extrapolations:
-        named = names[beyond.channel] if beyond.channel < len(names) else ""
-        warn(beyond.describe(named))
 
 
 @contextmanager

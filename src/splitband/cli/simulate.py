@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -13,16 +12,10 @@ from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Device
 from splitband.cli.options.records import FutureInputs, GapsOption, ModelArgument, TimeColumn
 from splitband.cli.options.simulators import SimulatorOptions
-from splitband.cli.simulators import adjustable, opened_simulator
-from splitband.data import Record
-from splitband.data.gaps import Gaps
-from splitband.data.names import described
-from splitband.data.timing import near_sampling
+from splitband.cli.simulators import opened_with_simulator
 from splitband.forecasters import saving as forecasters
-from splitband.forecasters.base import Forecaster
 from splitband.metrics import leaves_range
 from splitband.runtime.files import output_folder, replacing
-from splitband.simulators import Recorded
 
 
 @with_groups
@@ -81,9 +74,9 @@ def simulate(
         raise ValueError(f"--out must be a file, got the folder {out}")
     forecaster = forecasters.load(model_dir)
     record = forecaster.require_fitted().record
-    past = (
-        record if history is None else history_of(history, "--history", record, time_column, gaps)
-    )
+    past = record
+    if history is not None:
+        past = records.history_of(history, "--history", record, time_column, gaps)
     since = 0 if history else forecaster.require_fitted().begin + len(record)
     u = records.inputs_ahead(future_inputs, past, steps, time_column, since)
     forecaster = opened_with_simulator(forecaster, model_dir, simulator, past, steps, time_column)
@@ -105,55 +98,3 @@ def simulate(
         showing.warn(reason)
     written = {"model": str(model_dir), "method": forecaster.name, "steps": steps, "file": str(out)}
     showing.as_json(written | {"leaves_range_after": leaves_range(fitted.y_range, found.y)})
-
-
-def history_of(
-    file: Path, option: str, record: Record, time_column: str | None, gaps: Gaps
-) -> Record:
-    """Return the measured samples of an option, at the sampling time of the training record."""
-    past = records.read_file(
-        file,
-        option,
-        f"the model is for {described(record.columns, record.inputs)}",
-        columns=record.columns,
-        inputs=record.inputs,
-        time_column=time_column,
-        fallback_sampling_time=record.sampling_time,
-        gaps=gaps,
-    )
-    records.announce(past, str(file))
-    if not near_sampling(past.sampling_time, record.sampling_time):
-        raise ValueError(
-            f"{option} must be sampled like the training record, every "
-            f"{record.sampling_time:g} s, got every {past.sampling_time:g} s in {file}"
-        )
-    past = records.like(past, record.sampling_time, str(file))
-    return replace(past, columns=record.columns)
-
-
-def opened_with_simulator(
-    forecaster: Forecaster,
-    folder: Path,
-    options: SimulatorOptions,
-    past: Record,
-    steps: int,
-    time_column: str | None,
-) -> Forecaster:
-    """Return the forecaster with the simulator that the options name."""
-    if options.simulator is None:
-        if "simulator" in forecaster.needs or forecaster.parameters:
-            raise ValueError(f"--simulator must be given for {forecaster.name}, which runs one")
-        return forecaster
-    if used := forecaster.parameters.get("used"):
-        own = ",".join(f"{name}={value!r}" for name, value in used.items())
-        fitted: Any = adjustable(replace(options, parameters=options.parameters or own))
-        with showing.warnings_as_lines():
-            return forecasters.load(folder, fitted)
-    opened = opened_simulator(options, past, time_column)
-    if isinstance(opened, Recorded):
-        if opened.start is None:  # it is taken to begin with the history
-            opened = replace(opened, start=past.start)
-        if note := opened.note(past.grid.after(steps)):
-            showing.console.print(f"{options.simulator}: {note}")
-    with showing.warnings_as_lines():
-        return forecasters.load(folder, opened)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +14,14 @@ import pandas as pd
 
 from splitband.cli import showing
 from splitband.cli.options.records import RecordOptions
-from splitband.cli.options.simulators import SimulatorOptions
+from splitband.cli.options.simulators import SimulatorOptions, parts_of
 from splitband.cli.records import announce, like, read_beside
 from splitband.cli.setups import names
 from splitband.data import Grid, Record
 from splitband.data.named import RECORDS
 from splitband.data.timing import in_words
+from splitband.forecasters import saving as forecasters
+from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASES
 from splitband.simulators import Recorded, Simulator, SimulatorTimeoutError, run
 from splitband.simulators.calibration import samples_needed
@@ -173,6 +175,33 @@ def opened_simulator(
     return Recorded(y, exported.sampling_time, exported.start, name)
 
 
+def opened_with_simulator(
+    forecaster: Forecaster,
+    folder: Path,
+    options: SimulatorOptions,
+    past: Record,
+    steps: int,
+    time_column: str | None,
+) -> Forecaster:
+    """Return the forecaster with the simulator that the options name."""
+    if options.simulator is None:
+        if "simulator" in forecaster.needs or forecaster.parameters:
+            raise ValueError(f"--simulator must be given for {forecaster.name}, which runs one")
+        return forecaster
+    if used := forecaster.parameters.get("used"):
+        own = ",".join(f"{name}={value!r}" for name, value in used.items())
+        found: Any = adjustable(replace(options, parameters=options.parameters or own))
+    else:
+        found = opened_simulator(options, past, time_column)
+    if isinstance(found, Recorded):
+        if found.start is None:  # it is taken to begin with the history
+            found = replace(found, start=past.start)
+        if note := found.note(past.grid.after(steps)):
+            showing.console.print(f"{options.simulator}: {note}")
+    with showing.warnings_as_lines():
+        return forecasters.load(folder, found)
+
+
 def with_own_parameters(options: AnyOptions) -> AnyOptions:
     """Return the options, with --parameters where FILE.py:NAME is an `sb.Ode` with its own."""
     file, name = parts_of(options.simulator or "")
@@ -197,9 +226,3 @@ def adjustable(options: SimulatorOptions) -> Adjustable | None:
         raise FileNotFoundError(f"--simulator must be a file, got {file}")
     given = Parameters.read(options.parameters).given
     return opened(file, function, given, names(options.simulator_columns or ""))
-
-
-def parts_of(simulator: str) -> tuple[str, str]:
-    """Return the file of a simulator, and the function of FILE.py:FUNCTION or an empty text."""
-    file, _, function = simulator.partition(".py:")
-    return file + (".py" if function else ""), function

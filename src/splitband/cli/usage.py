@@ -15,21 +15,18 @@ from splitband.forecasters.names import NAMES, TRAINED
 from splitband.report.page.parts import Usage
 from splitband.report.results import MODEL, found_in
 
-_FIT = (
-    "columns", "inputs", "time_column", "sampling_time", "gaps", "simulator", "simulator_columns",
-    "simulator_timeout", "simulator_cache", "simulator_reads", "parameters", "more",
-    "more_simulator", "cutoff", "order", "downsampling", "warmup", "window", "epochs", "recipe",
-    "learning_rate", "lr_milestones", "hidden", "budget", "effort", "settings", "device",
-)  # fmt: skip
-_SIMULATE = (
+_SIMULATOR = (
     "simulator", "simulator_columns", "simulator_timeout", "simulator_cache", "simulator_reads",
-    "time_column",
 )  # fmt: skip
 _FOUND = (
     "cutoff", "order", "downsampling", "warmup", "window", "epochs", "recipe", "learning_rate",
     "lr_milestones", "hidden", "budget", "effort",
 )  # fmt: skip
 """What a file of settings says."""
+_FIT = (
+    "columns", "inputs", "time_column", "sampling_time", "gaps", *_SIMULATOR, "parameters", "more",
+    "more_simulator", *_FOUND, "settings", "device",
+)  # fmt: skip
 _USUAL = {"gaps": "refuse", "recipe": "default", "device": "cpu",
           "simulator_timeout": PATIENCE}  # fmt: skip
 WIDTH = 80
@@ -102,7 +99,7 @@ def _simulate(given: Mapping[str, Any], out: Path, plan: Plan, model: Forecaster
     steps = min(plan.horizon or STEPS, STEPS)
     options: dict[str, Any] = {"time_column": given.get("time_column")}
     if "simulator" in model.needs or model.parameters:
-        options |= {name: given.get(name) for name in _SIMULATE}
+        options |= {name: given.get(name) for name in _SIMULATOR}
         options["simulator"] = given.get("simulator") or given["record"]
     if plan.record.nu:
         # By time stamps it is known where the record's own inputs go on; without, the user knows.

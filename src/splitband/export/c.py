@@ -12,7 +12,7 @@ _BEGINS = {
 }
 
 
-def render(program: Program, precision: Precision = "double") -> tuple[str, str]:
+def render(program: Program, precision: Precision) -> tuple[str, str]:
     """Return header and source of a program."""
     names: dict[Symbol, str] = {}
     inputs = iter(program.block.inputs)

@@ -82,8 +82,7 @@ class Renderer:
             return self._constant(symbol.value, index)
         node = symbol.node
         if symbol in self.names:
-            name = self.names[symbol]
-            return f"{name}[{_flat(symbol.shape, index)}]" if symbol.shape else name
+            return _element(self.names[symbol], symbol.shape, index)
         assert node is not None
         if node.op == "view":
             axes = node.options["axes"]
@@ -188,10 +187,7 @@ class Renderer:
 
     def _put(self, target: str, shape: tuple[int, ...], value: Value) -> None:
         """Write a value for each index to the elements of a variable, or to a number."""
-        if not shape:
-            self.write(f"{target} = {value(())};")
-        else:
-            self.loops(shape, lambda i: f"{target}[{_flat(shape, i)}] = {value(i)};")
+        self.loops(shape, lambda i: f"{_element(target, shape, i)} = {value(i)};")
 
     def _copied(self, symbol: Symbol) -> str:
         """Write a copy of a symbol, which may be an input, a constant or a view."""
@@ -230,16 +226,15 @@ class Renderer:
             return
         inner = a.shape[-1]
 
-        def product(i: list[str | int]) -> str:
+        def product(i: Index) -> str:
             left, right = i[: len(a.shape) - 1], i[len(a.shape) - 1 :]
             terms = [
                 f"{self.element(a, [*left, j])} * {self.element(b, [j, *right])}"
                 for j in range(inner)
             ]
-            target = f"{name}[{_flat(out.shape, i)}]" if out.shape else name
-            return f"{target} = {' + '.join(terms)};"
+            return " + ".join(terms)
 
-        self.loops(out.shape, product)
+        self._put(name, out.shape, product)
 
     def _reduce(self, node: Node) -> None:
         source, out, axis = node.inputs[0], node.outputs[0], node.options["axis"]
@@ -252,7 +247,7 @@ class Renderer:
             return self.element(source, [*i[:axis], k, *i[axis:]])
 
         def first(i: list[str | int]) -> str:
-            target = f"{name}[{_flat(out.shape, i)}]" if out.shape else name
+            target = _element(name, out.shape, i)
             start = f"{target} = {at(i, 0)};"
             if length == 1:
                 return start
@@ -268,7 +263,7 @@ class Renderer:
 
             def copied(i: list[str | int], part: Symbol = part, offset: int = offset) -> str:
                 at = [*i[:axis], _affine(offset, 1, i[axis]), *i[axis + 1 :]]
-                return f"{name}[{_flat(out.shape, at)}] = {self.element(part, i)};"
+                return f"{_element(name, out.shape, at)} = {self.element(part, i)};"
 
             self.loops(part.shape, copied)
             offset += part.shape[axis]
@@ -306,7 +301,7 @@ class Renderer:
             for symbol, out in zip(block.outputs[carried:], node.outputs[carried:], strict=True):
                 if size(out):
                     self.loops(out.shape[1:], lambda i, s=symbol, o=out: (  # type: ignore[misc]
-                        f"{self.names[o]}[{_flat(o.shape, [n, *i])}] = {self.element(s, i)};"
+                        f"{_element(self.names[o], o.shape, [n, *i])} = {self.element(s, i)};"
                     ))  # fmt: skip
             after = [
                 self._copied(symbol) if size(symbol) and symbol is not inner else ""
@@ -344,6 +339,11 @@ def _affine(start: int, step: int, i: str | int) -> str | int:
         return start + step * i
     scaled = i if step == 1 else f"-{i}" if step == -1 else f"{step} * ({i})"
     return scaled if not start else f"{start} + {scaled}" if step != -1 else f"{start} - ({i})"
+
+
+def _element(name: str, shape: tuple[int, ...], index: Index) -> str:
+    """Return an element of a variable, which is a number where it has no axes."""
+    return f"{name}[{_flat(shape, index)}]" if shape else name
 
 
 def _flat(shape: tuple[int, ...], index: Index) -> str:

@@ -21,14 +21,13 @@ def environment() -> dict[str, Any]:
 
 def _commit() -> str | None:
     """Return the commit of the checkout that the package runs from, if it runs from one."""
-    folder = Path(__file__).resolve().parent
-    package = folder.parent
-    if not (package.parents[1] / ".git").exists():
+    root = Path(__file__).resolve().parents[3]
+    if not (root / ".git").exists():
         return None
     try:
         described = subprocess.run(
             ["git", "describe", "--always", "--dirty", "--abbrev=12"],
-            cwd=folder, capture_output=True, text=True, timeout=10, check=True,
+            cwd=root, capture_output=True, text=True, timeout=10, check=True,
         )  # fmt: skip
     except (OSError, subprocess.SubprocessError):
         return None

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +17,6 @@ from matplotlib.figure import Figure
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.forecast import Forecast
 from splitband.filters.cutoff import LEAST_PASSED, Choice
 from splitband.filters.spectrum import Spectrum, coherence, periodogram
 from splitband.forecasters.prediction import Prediction
@@ -24,10 +24,8 @@ from splitband.metrics import fit_percent, rmse
 from splitband.report.colors import PALETTE
 from splitband.report.numbers import number, squared
 from splitband.report.table import FARTHEST, ordered
+from splitband.runtime.arrays import Array
 from splitband.runtime.files import replacing
-
-Array = npt.NDArray[np.float64]
-Picture: TypeAlias = Figure
 
 MEASURED = "black"
 
@@ -76,11 +74,11 @@ def rollouts(comparison: Comparison) -> Figure:
     parts = figure.subfigures(2 if below else 1, 1, squeeze=False,
                               height_ratios=[large, small][: 1 + bool(below)])[:, 0]  # fmt: skip
     grid = parts[0].subplots(ny * len(sides), 1, squeeze=False)[:, 0]
-    for ax, (side, channel) in zip(grid, _panels(sides, ny), strict=True):
+    for ax, (side, channel) in zip(grid, product(sides, range(ny)), strict=True):
         _draw_large(ax, side, channel, best)
     if below:
         grid = parts[1].subplots(below, across * ny, squeeze=False, sharex=True, sharey=ny == 1)
-        panels = [(name, channel) for name in others for channel in range(ny)]
+        panels = [*product(others, range(ny))]
         for ax, (name, channel) in zip(grid.flat, panels, strict=False):
             color = PALETTE[names.index(name) % len(PALETTE)]
             _draw_small(ax, sides[0], channel, name, color)
@@ -98,10 +96,6 @@ def rollouts(comparison: Comparison) -> Figure:
 
 SMALL_ACROSS = 4
 """Small panels in a row. By eye."""
-
-
-def _panels(sides: Sequence[_Side], ny: int) -> list[tuple[_Side, int]]:
-    return [(side, channel) for side in sides for channel in range(ny)]
 
 
 def _sides(comparison: Comparison) -> list[_Side]:
@@ -125,10 +119,7 @@ def _draw_large(ax: Axes, side: _Side, channel: int, name: str) -> None:
     title = f"{side.what}: not tested"
     if predicted is not None:
         y, at = predicted.y[:, channel], times[len(times) - len(predicted) :]
-        if predicted.lower is not None and predicted.upper is not None:
-            label = f"{predicted.level:.0%} interval".replace("%", " %")
-            edges = predicted.lower[:, channel], predicted.upper[:, channel]
-            ax.fill_between(at, *edges, color=PALETTE[0], alpha=0.18, lw=0, label=label)
+        _draw_interval(ax, at, predicted, channel)
         ax.plot(at, y, color=PALETTE[0], lw=3, label="predicted")  # seen around what agrees
         truth = record.truth[len(times) - len(y) :, channel]
         fit, error = fit_percent(truth, y), rmse(truth, y)
@@ -143,6 +134,13 @@ def _draw_large(ax: Axes, side: _Side, channel: int, name: str) -> None:
     ax.set_ylabel(literal(record.columns[channel]))
     ax.set_xlabel(time_label(record))
     ax.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
+
+
+def _draw_interval(ax: Axes, at: npt.NDArray[Any], predicted: Prediction, channel: int) -> None:
+    if predicted.lower is not None and predicted.upper is not None:
+        label = f"{predicted.level:.0%} interval".replace("%", " %")
+        edges = predicted.lower[:, channel], predicted.upper[:, channel]
+        ax.fill_between(at, *edges, color=PALETTE[0], alpha=0.18, lw=0, label=label)
 
 
 def _draw_small(ax: Axes, side: _Side, channel: int, name: str, color: str) -> None:
@@ -162,11 +160,6 @@ def _draw_small(ax: Axes, side: _Side, channel: int, name: str, color: str) -> N
         ax.set_ylabel(literal(record.columns[channel]), fontsize=6)
 
 
-def forecast(result: Forecast) -> Figure:
-    """Draw the end of a record and what comes after it."""
-    return prediction(result.prediction, result.record, result.method)
-
-
 def prediction(
     predicted: Prediction, record: Record | None = None, method: str = "prediction"
 ) -> Figure:
@@ -184,11 +177,7 @@ def prediction(
         if record is not None:
             ax.plot(time[shown:], record.seen[shown:, i], color=MEASURED, lw=0.9, label="measured")
         ax.plot(ahead, predicted.y[:, i], color=PALETTE[0], lw=1.2, label=literal(method))
-        lower, upper, level = predicted.lower, predicted.upper, predicted.level
-        if lower is not None and upper is not None and level is not None:
-            label = f"{level:.0%} interval".replace("%", " %")
-            edges = lower[:, i], upper[:, i]
-            ax.fill_between(ahead, *edges, color=PALETTE[0], alpha=0.18, lw=0, label=label)
+        _draw_interval(ax, ahead, predicted, i)
         ax.set_ylabel(literal(column))
         ax.margins(x=0.01)
     grid[0].legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)

@@ -9,10 +9,9 @@ from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from splitband.data import Record
@@ -26,16 +25,14 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.checking import ModelCheck
 from splitband.forecasters.prediction import time_header
 from splitband.forecasters.responses import Responses
+from splitband.report.environment import environment
+from splitband.report.page.parts import Usage
 from splitband.report.table import columns, tried
+from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import now
 from splitband.runtime.files import replacing
 from splitband.runtime.outputs import TEST_PREDICTIONS, staged, write_facts
 
-if TYPE_CHECKING:
-    from splitband.report.page.parts import Usage
-from splitband.report.environment import environment
-
-Array = npt.NDArray[np.float64]
 FOUND = "recommended.json"
 """File with the settings of the recommended network, for `--settings`."""
 MODEL = "model"
@@ -55,33 +52,27 @@ def save(
     last one before the others; `usage` is for the page.
     """
     with staged(folder) as new:
-        _write(comparison, new, facts or {}, usage)
-
-
-def _write(
-    comparison: Comparison, folder: Path, facts: dict[str, Any], usage: Usage | None
-) -> None:
-    began = now()
-    tables = {"predictions.csv": predictions(comparison)}
-    for i in range(len(comparison.tests)):
-        tables[TEST_PREDICTIONS.format(i + 1)] = predictions_of_test(comparison, i)
-    for name, table in tables.items():
-        with replacing(folder / name) as temporary:
-            table.to_csv(temporary, index=False)
-    pictures, page = _drawing()
-    pictures.save(pictures.rollouts(comparison), folder / "rollouts.png")
-    page.of_comparison(comparison, folder / page.NAME, usage)
-    save_found(comparison.forecaster(), comparison.record, folder)
-    comparison.model.save(folder / MODEL)
-    comparison.time.phases["writing"] = Phase(now() - began)
-    write_facts(folder, facts | results(comparison) | {"time": comparison.time.as_json()})
+        began = now()
+        tables = {"predictions.csv": predictions(comparison)}
+        for i in range(len(comparison.tests)):
+            tables[TEST_PREDICTIONS.format(i + 1)] = predictions_of_test(comparison, i)
+        for name, table in tables.items():
+            with replacing(new / name) as temporary:
+                table.to_csv(temporary, index=False)
+        pictures, page = _drawing()
+        pictures.save(pictures.rollouts(comparison), new / "rollouts.png")
+        page.of_comparison(comparison, new / page.NAME, usage)
+        save_found(comparison.forecaster(), comparison.record, new)
+        comparison.model.save(new / MODEL)
+        comparison.time.phases["writing"] = Phase(now() - began)
+        found = results(comparison) | {"time": comparison.time.as_json()}
+        write_facts(new, (facts or {}) | found)
 
 
 def _drawing() -> tuple[ModuleType, ModuleType]:
     """Return what draws pictures and pages: libraries that take their time, imported only here."""
-    return import_module("splitband.report.pictures"), import_module(
-        "splitband.report.page.document"
-    )
+    pictures, page = "splitband.report.pictures", "splitband.report.page.document"
+    return import_module(pictures), import_module(page)
 
 
 def found_in(forecaster: Forecaster, folder: Path) -> Path | None:
@@ -205,7 +196,8 @@ def save_forecast(result: Forecast, folder: Path, usage: Usage | None = None) ->
     with staged(folder) as new:
         with replacing(new / "forecast.csv") as temporary:
             result.prediction.to_frame().to_csv(temporary, index=False)
-        pictures.save(pictures.forecast(result), new / "forecast.png")
+        drawn = pictures.prediction(result.prediction, result.record, result.method)
+        pictures.save(drawn, new / "forecast.png")
         page.of_forecast(result, new / page.NAME, usage)
         save_found(result.forecaster, result.record, new)
         result.model.save(new / MODEL)

@@ -184,11 +184,15 @@ def remarks(comparison: Comparison) -> dict[str, str]:
     found = {}
     for name in ordered(comparison.trial, comparison.runs):
         runs = comparison.runs[name]
-        left = [run.leaves for run in runs if run.leaves is not None]
-        said = [leaving(min(left)) if left else "", runs[0].description]
-        found[name] = "; ".join(filter(None, said))
+        found[name] = "; ".join(filter(None, (leaving_range(runs), runs[0].description)))
     missing = {} if comparison.trial is None else comparison.trial.without_result
     return found | {name: why for name, why in missing.items() if name not in found}
+
+
+def leaving_range(runs: Sequence[Run]) -> str:
+    """Return after how many samples a seed's forecast leaves the training range; else nothing."""
+    left = [run.leaves for run in runs if run.leaves is not None]
+    return leaving(min(left)) if left else ""
 
 
 def frame(result: Comparison) -> pd.DataFrame:

@@ -10,9 +10,9 @@ from splitband.evaluation.recommendation import WORTH_TRAINING, Trial
 from splitband.forecasters.backtest import HELD_OUT, held_out_from
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES
-from splitband.metrics import Extrapolation, leaving
+from splitband.metrics import Extrapolation
 from splitband.report.numbers import number, percent
-from splitband.report.table import Column, columns
+from splitband.report.table import Column, columns, leaving_range
 
 POOR = 0.15
 """By how much an interval may miss the share that it should hold before the page warns of it.
@@ -49,11 +49,11 @@ def achieved(comparison: Comparison) -> list[str]:
 
     That is on the test records, or else on the samples after the training part.
     """
-    return [f"{name}: {', '.join(said.splitlines())}" for name, said in headline(comparison)]
+    return [f"{name}: {', '.join(said)}" for name, said in headline(comparison)]
 
 
-def headline(comparison: Comparison) -> list[tuple[str, str]]:
-    """Return the same in pairs: what it is of, and lines of what was achieved."""
+def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
+    """Return the same in pairs: what it is of, and what was achieved."""
     best = comparison.recommended
     listed = [column for column in columns(comparison) if best in column.values]
     side = "test" if any(c.heading == "test fit %" for c in listed) else "forecast"
@@ -69,7 +69,7 @@ def headline(comparison: Comparison) -> list[tuple[str, str]]:
         if fit.channel in held and side == "forecast":
             share = percent(comparison.require_trial().intervals[best].share)
             said.append(f"{held[fit.channel].entry(best)} of them in the {share} interval")
-        found.append((f"{fit.channel}, {of}" if fit.channel else of, "\n".join(said)))
+        found.append((f"{fit.channel}, {of}" if fit.channel else of, said))
     return found
 
 
@@ -104,19 +104,7 @@ def afterwards(comparison: Comparison) -> list[str]:
     best, listed = comparison.recommended, columns(comparison)
     tests = [column for column in listed if column.heading == "test fit %"]
     ahead = [column for column in listed if column.heading == "forecast fit %"]
-    return _hindsight(best, tests or ahead)
-
-
-def _listed(found: Sequence[Column], method: str) -> str:
-    """Return a method's entries with the channels they are of."""
-    return " and ".join(
-        column.entry(method) + (f" ({column.channel})" if column.channel else "")
-        for column in found
-    )
-
-
-def _hindsight(best: str, fits: Sequence[Column]) -> list[str]:
-    """Return which methods had a better fit; `fits` are of samples not fitted to."""
+    fits = tests or ahead
     if not fits or best not in fits[0].values:
         return []
     better = [c for c in fits if c.best and c.values[c.best] > c.values[best]]
@@ -127,6 +115,14 @@ def _hindsight(best: str, fits: Sequence[Column]) -> list[str]:
         for c in better
     )
     return [f"In hindsight, a better fit: {said}."]
+
+
+def _listed(found: Sequence[Column], method: str) -> str:
+    """Return a method's entries with the channels they are of."""
+    return " and ".join(
+        column.entry(method) + (f" ({column.channel})" if column.channel else "")
+        for column in found
+    )
 
 
 def doubts(comparison: Comparison) -> list[str]:
@@ -141,11 +137,8 @@ def doubts(comparison: Comparison) -> list[str]:
 def warnings(comparison: Comparison) -> list[str]:
     """Return what readers should know before they rely on the numbers."""
     best, record = comparison.recommended, comparison.record
-    said = [
-        f"{best}: {leaving(min(left))}"
-        for left in [[r.leaves for r in comparison.runs[best] if r.leaves is not None]]
-        if left
-    ]
+    left = leaving_range(comparison.runs[best])
+    said = [f"{best}: {left}"] if left else []
     train = comparison.setup.train
     if (held_out := train - held_out_from(train)) < FEW:
         said.append(
@@ -177,7 +170,7 @@ def warnings(comparison: Comparison) -> list[str]:
     return said
 
 
-def of_inputs(beyond: list[Extrapolation], record: Record) -> list[str]:
+def of_inputs(beyond: Sequence[Extrapolation], record: Record) -> list[str]:
     """Return which inputs go beyond those that were trained on."""
     return [
         each.describe(record.inputs[each.channel] if each.channel < record.nu else "")

@@ -69,3 +69,9 @@ class SimulatorOrBaseOptions(SimulatorOptions):
             "a named record's own",
         ),
     ] = None
+
+
+def parts_of(simulator: str) -> tuple[str, str]:
+    """Return the file of a simulator, and the function of FILE.py:FUNCTION or an empty text."""
+    file, _, function = simulator.partition(".py:")
+    return file + (".py" if function else ""), function

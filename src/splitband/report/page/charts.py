@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 from bokeh.models import (
     BoxZoomTool,
@@ -34,8 +32,7 @@ from splitband.data import Record
 from splitband.data.timing import stamps_at
 from splitband.report.page.parts import Method, Plot
 from splitband.report.page.thinning import bin_size, envelope, places, thinned
-
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 WIDTH, TALL, LOW, SMALL = 800, 270, 210, 150
 """Pixels: the width of plots, and the heights of large, low and small ones."""
@@ -229,7 +226,7 @@ def _decades(limits: tuple[float, float]) -> FixedTicker:
 
 def dash(i: int) -> str:
     """Return the style of the i-th line of one colour."""
-    return "solid" if i == 0 else next(itertools.islice(itertools.cycle(_DASHES), i - 1, None))
+    return "solid" if i == 0 else _DASHES[(i - 1) % len(_DASHES)]
 
 
 def limits(values: Sequence[Array], margin: float = 0.1) -> tuple[float, float]:

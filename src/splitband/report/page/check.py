@@ -14,9 +14,10 @@ from splitband.forecasters.responses import Responses
 from splitband.report import words
 from splitband.report.numbers import number
 from splitband.report.page import tables
-from splitband.report.page.charts import SMALL, Array, Axis, Chart, X, limits
+from splitband.report.page.charts import SMALL, Axis, Chart, X, limits
 from splitband.report.page.parts import Method, Page, Plot, Section, Usage
 from splitband.report.page.predicted import Predicted
+from splitband.runtime.arrays import Array
 
 
 def page(check: ModelCheck, kind: str, responses: Responses | None, used: Usage) -> Page:

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 
-import numpy as np
-import numpy.typing as npt
-
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.protocols import Run
 from splitband.forecasters.configurable import parts_of
@@ -20,8 +17,7 @@ from splitband.report.page.curves import losses, spectrum
 from splitband.report.page.parts import Method, Page, Plot, Section, Usage, View, method_styles
 from splitband.report.page.predicted import Predicted
 from splitband.report.table import of_test, ordered
-
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 
 def page(comparison: Comparison, used: Usage) -> Page:
@@ -34,7 +30,7 @@ def page(comparison: Comparison, used: Usage) -> Page:
         Section(
             "answer", f"Recommended: {words.named(best, kind)}", words.afterwards(comparison),
             [words.sentence(w) for w in (*words.warnings(comparison), *words.of_gaps(record))],
-            facts=words.headline(comparison),
+            facts=[(of, "\n".join(said)) for of, said in words.headline(comparison)],
             plots=[plot for each in answer for plot in (*each.outputs(), *each.inputs())],
         ),
         *tables.next_steps(used),

@@ -14,8 +14,7 @@ from splitband.report.colors import PALETTE
 from splitband.report.numbers import number, squared
 from splitband.report.page.charts import SMALL, TALL, Axis, Chart, dash, padded
 from splitband.report.page.parts import Method, Plot
-
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 POINTS = 2000
 """Points of a curve over frequency. By eye."""

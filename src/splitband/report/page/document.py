@@ -59,7 +59,6 @@ def html(page: Page) -> str:
     plots = page.plots
     return _template().render(
         page=page,
-        ids={id(plot): f"plot-{i}" for i, plot in enumerate(plots)},
         embedded=_embedded(plots) if plots else "",
         library=_library() if plots else "",
         style=_part("style.css"),
@@ -90,7 +89,6 @@ def _template() -> Template:
         loader=loader, autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters["ref"] = id
     return environment.get_template("template.html")
 
 

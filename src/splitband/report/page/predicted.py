@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from splitband.data import Record
 from splitband.forecasters.prediction import Prediction
@@ -14,8 +13,7 @@ from splitband.metrics import cumulative_rmse
 from splitband.report.numbers import number, percent
 from splitband.report.page.charts import LOW, SMALL, TALL, Axis, Chart, limits, padded
 from splitband.report.page.parts import Method, Plot
-
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 BEFORE = 8
 """The plots begin this fraction of the prediction's length before it. By eye."""
@@ -36,7 +34,6 @@ class Predicted:
     styles : How each is drawn.
     says : What the plots show, for captions.
     axis : The times of the record, and of what is predicted beyond it.
-    marked : Index of the sample that a dashed line stands at.
     """
 
     record: Record
@@ -44,7 +41,6 @@ class Predicted:
     styles: Mapping[str, Method]
     says: str
     axis: Axis
-    marked: int
 
     @classmethod
     def of(
@@ -53,8 +49,7 @@ class Predicted:
     ) -> Predicted:  # fmt: skip
         """Return them with the predicted part in sight; they go so many samples `ahead`."""
         axis = Axis.over_time(record, ahead, name)
-        start = len(axis.values) - max(map(len, predictions.values()))
-        found = cls(record, predictions, styles, says, axis, start)
+        found = cls(record, predictions, styles, says, axis)
         axis.shown.update(start=axis.values[found.first], end=axis.values[-1])
         return found
 
@@ -64,9 +59,14 @@ class Predicted:
         return max(map(len, self.predictions.values()))
 
     @property
+    def begin(self) -> int:
+        """Return the index of the first predicted sample."""
+        return len(self.axis.values) - self.steps
+
+    @property
     def first(self) -> int:
         """Return the index of the first sample in sight, shortly before the prediction."""
-        return max(len(self.axis.values) - self.steps - max(self.steps // BEFORE, 2), 0)
+        return max(self.begin - max(self.steps // BEFORE, 2), 0)
 
     def outputs(self) -> list[Plot]:
         """Return a plot for each output."""
@@ -119,7 +119,7 @@ class Predicted:
         for i, column in enumerate(record.columns):
             means = {name: self._grown(p, i) for name, p in self.predictions.items()}
             late = [y[TRANSIENT:] for y in means.values() if len(y) > 2 * TRANSIENT]
-            seen = np.concatenate([*late, [1.0]]) if not late else np.concatenate(late)
+            seen = np.concatenate(late or [np.ones(1)])
             seen = seen[np.isfinite(seen) & (seen > 0)]
             low = float(seen.min()) if len(seen) else 1e-3
             high = min(float(seen.max()), 1e12 * low) if len(seen) else 1.0
@@ -173,8 +173,8 @@ class Predicted:
             chart.line(record.y_true[:, i], "truth", "noise-free", line_width=1.0)
             key.append(("truth", "noise-free"))
         chart.line(seen, "measured", "measured", line_width=1.2)
-        if 0 < self.marked < length:
-            chart.mark(self.axis.values[self.marked])
+        if 0 < self.begin < length:
+            chart.mark(self.axis.values[self.begin])
             says = " The dashed line is where it begins."
         says = (
             f"Line plot of {column} over {self.axis.label}: {self.says}, in colour, and what was "

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
+
 Drawn = npt.NDArray[np.float32] | Array
 
 ROUGHEST = 1e-4
