@@ -15,7 +15,7 @@ from splitband.networks import GRU, rollout
 from splitband.report.environment import environment
 from splitband.runtime.threads import available_cores
 
-EXTRAS = {"fmu": "fmpy", "cluster": "distributed"}
+EXTRAS = {"fmu": "fmpy", "onnx": "onnx", "control": "control", "cluster": "distributed"}
 """A module of each optional part of the package that is for users."""
 
 

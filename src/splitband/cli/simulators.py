@@ -18,7 +18,6 @@ from splitband.cli.options.simulators import SimulatorOptions, parts_of
 from splitband.cli.records import announce, like, read_beside
 from splitband.cli.setups import names
 from splitband.data import Grid, Record
-from splitband.data.named import RECORDS
 from splitband.data.timing import in_words
 from splitband.forecasters import saving as forecasters
 from splitband.forecasters.base import Forecaster
@@ -143,8 +142,6 @@ def opened_simulator(
     file, function = parts_of(text)
     if text in SIMULATORS:
         return SIMULATORS[text]()
-    if text in RECORDS and (named := RECORDS[text].make()).y_sim is not None:
-        return Recorded(named.y_sim, named.sampling_time, named.start, f"simulator of {text}")
     if text.endswith(".py"):
         raise ValueError(f"--simulator needs a function of the file, {text}:FUNCTION, got {text}")
     if not Path(file).is_file():

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
-from splitband.data import drill_string
-from splitband.data.named import UNFORCED_START, unforced_van_der_pol
+from splitband.data.named import RECORDS, UNFORCED_START, unforced_van_der_pol
 from splitband.simulators.base import Simulator
 from splitband.simulators.ode import Ode
 from splitband.simulators.recorded import Recorded
@@ -16,14 +16,14 @@ def van_der_pol_simulator(rtol: float = 1e-10) -> Simulator:
     return Ode(unforced_van_der_pol, UNFORCED_START, tolerances=(rtol, 1e-3 * rtol))
 
 
-def drill_string_simulator() -> Simulator:
-    """Return the simulator of system (vi): exported output, normalised like the record."""
-    record = drill_string()
+def exported_simulator(name: str) -> Simulator:
+    """Return the output of a simulator that a named record brings, in the record's units."""
+    record = RECORDS[name].make()
     assert record.y_sim is not None
-    return Recorded(record.y_sim, record.sampling_time)
+    return Recorded(record.y_sim, record.sampling_time, record.start, f"simulator of {name}")
 
 
 SIMULATORS: dict[str, Callable[[], Simulator]] = {
     "van-der-pol": van_der_pol_simulator,
-    "drill-string": drill_string_simulator,
+    **{name: partial(exported_simulator, name) for name in ("drill-string", "overhead-crane")},
 }

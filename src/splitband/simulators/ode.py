@@ -199,7 +199,7 @@ class Ode(UserCode):
         return np.array([values.get(name, x) for name, x in zip(self._states, x0, strict=True)])
 
     def _plain(self, t: float, x: Array, u: Any, p: Any) -> Any:
-        return self.rhs(*(t, x, u, p)[: count_arguments(self.rhs)])
+        return self.rhs(*(t, x, u, p)[: count_arguments(self.rhs) or 2])
 
     def _faster(self, *probe: Any) -> Callable[..., Array]:
         """Return the compiled solver, or the plain one where Numba cannot compile the equation.
@@ -257,7 +257,7 @@ class Ode(UserCode):
 
     def _observed(self, x: Array, u: Array, values: Mapping[str, float]) -> Array:
         arguments = (x, u, self._p(values))
-        y = np.asarray(self.observe(*arguments[: count_arguments(self.observe)]), dtype=float)
+        y = np.asarray(self.observe(*arguments[: count_arguments(self.observe) or 1]), dtype=float)
         return y[:, None] if y.ndim == 1 else y
 
 

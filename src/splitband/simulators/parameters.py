@@ -127,10 +127,14 @@ class Parameters:
     def __str__(self) -> str:
         """Return the form that `read` takes."""
         return ",".join(
-            f"{name}={_ends(name, value)[0]:.6g}"
-            + ("" if _is_number(value) else f":{_ends(name, value)[1]:.6g}")
+            f"{name}={':'.join(map(_text, _ends(name, value)[: 1 if _is_number(value) else 2]))}"
             for name, value in self.given.items()
         )
+
+
+def _text(value: float) -> str:
+    """Return the shortest text that is read as the same number."""
+    return repr(float(value)).removesuffix(".0")
 
 
 def _is_number(value: Any) -> bool:
