@@ -26,6 +26,7 @@ from splitband.evaluation.work import Work
 from splitband.forecasters.names import with_variants
 from splitband.report import benchmark as report
 from splitband.report.environment import environment
+from splitband.report.numbers import number
 from splitband.report.page import document
 from splitband.runtime.deadlines import now
 from splitband.runtime.files import CHECKPOINTS, replacing
@@ -147,7 +148,7 @@ def _rows(
         rows[row.name] = row
         short = row.note
         if not row.failed:
-            short = f"{row.recommended}, fit {_number(row.fit)} %, {row.seconds:.0f} s"
+            short = f"{row.recommended}, fit {number(row.fit)} %, {row.seconds:.0f} s"
         showing.console.print(f"{len(rows)} of {len(cases)}, {row.name}: {short}")
     return [rows[case.name] for case in cases]
 
@@ -245,24 +246,13 @@ def _show(rows: Sequence[report.Row], out: Path) -> None:
 def _table(rows: Sequence[report.Row]) -> Table:
     title = "errors of the mean over seeds, as multiples of the standard deviation"
     table = Table(title=title, title_justify="left", title_style="bold")
-    table.add_column("case", overflow="fold")
-    table.add_column("of")
-    table.add_column("fit %", justify="right")
-    for heading in ("recommended", "best"):
-        table.add_column(heading)
-    for heading in ("error", "regret", "in interval", "seconds"):
-        table.add_column(heading, justify="right")
-    noted = any(row.note for row in rows)
-    if noted:
-        table.add_column("note", style="dim")
+    shown = [c for c in report.COLUMNS if c.heading != "note" or any(row.note for row in rows)]
+    for column in shown:
+        table.add_column(
+            column.heading,
+            justify="left" if column.show is None else "right",
+            overflow="fold" if column is shown[0] else "ellipsis",
+        )
     for row in rows:
-        table.add_row(
-            row.name, row.protocol, _number(row.fit, ".1f"), row.recommended, row.best,
-            _number(row.error), _number(row.regret), _number(row.held, ".0%"),
-            _number(row.seconds, ".0f"), *([row.note] if noted else []),
-        )  # fmt: skip
+        table.add_row(*(column.entry(row) for column in shown))
     return table
-
-
-def _number(value: float | None, form: str = ".3g") -> str:
-    return "-" if value is None else format(value, form)

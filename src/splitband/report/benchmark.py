@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
+
+from splitband.report.numbers import number, percent
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,60 @@ def _error(fits: Sequence[Mapping[str, Any]], method: str) -> float | None:
             known.setdefault(column.get("record", ""), []).append(error)
     each = [math.hypot(*errors) / math.sqrt(len(errors)) for errors in known.values()]
     return statistics.mean(each) if each else None
+
+
+@dataclass(frozen=True)
+class Column:
+    """Say what a column shows of each case.
+
+    Attributes
+    ----------
+    heading, note : What it is called, and what it means.
+    value : Of a row; None where it has none.
+    show : Writes its numbers; None for a column of text.
+    ideal : What it is at best, where that is the same for all cases.
+    """
+
+    heading: str
+    value: Callable[[Row], Any]
+    show: Callable[[float], str] | None = None
+    note: str = ""
+    ideal: float | None = None
+
+    def entry(self, row: Row) -> str:
+        """Return what a table shows of a row."""
+        value = self.value(row)
+        return (
+            str(value) if self.show is None else number(None) if value is None else self.show(value)
+        )
+
+
+COLUMNS = (
+    Column("case", lambda row: row.name),
+    Column("of", lambda row: row.protocol),
+    Column(
+        "fit %", lambda row: row.fit, "{:.1f}".format,
+        "100 (1 - error) of the recommended method: 100 is perfect, 0 as good as the mean",
+    ),
+    Column("recommended", lambda row: row.recommended),
+    Column("best", lambda row: row.best),
+    Column(
+        "error", lambda row: row.error, number,
+        "its RMSE over the standard deviation of the predicted samples; of several outputs the "
+        "root mean square",
+    ),
+    Column(
+        "regret", lambda row: row.regret, number,
+        "the recommended method's error over the lowest one; 1 is ideal", 1.0,
+    ),
+    Column(
+        "in interval", lambda row: row.held, percent,
+        "share of the forecast's samples in the recommended method's interval",
+    ),
+    Column("seconds", lambda row: row.seconds, number),
+    Column("note", lambda row: row.note),
+)  # fmt: skip
+"""What the terminal and the page show of each case."""
 
 
 def table(rows: Sequence[Row]) -> pd.DataFrame:

@@ -8,19 +8,11 @@ from urllib.parse import quote
 import numpy as np
 from bokeh.models import Scatter, Segment
 
-from splitband.report.benchmark import Row, summary
+from splitband.report.benchmark import COLUMNS, Column, Row, summary
 from splitband.report.numbers import number, percent
 from splitband.report.page.charts import Axis, Chart, X
 from splitband.report.page.parts import Cell, Page, Plot, Section, Table, Usage
 from splitband.report.page.tables import settings
-
-_NOTES = (
-    ("fit %", "100 (1 - error) of the recommended method: 100 is perfect, 0 as good as the mean"),
-    ("error", "its RMSE over the standard deviation of the predicted samples; of several outputs "
-     "the root mean square"),
-    ("regret", "the recommended method's error over the lowest one; 1 is ideal"),
-    ("in interval", "share of the forecast's samples in the recommended method's interval"),
-)  # fmt: skip
 
 
 def page(rows: Sequence[Row], used: Usage, own_page: str) -> Page:
@@ -47,25 +39,21 @@ def page(rows: Sequence[Row], used: Usage, own_page: str) -> Page:
 
 
 def _table(rows: Sequence[Row], own_page: str) -> Table:
+    caption, headings = "Fit and error of the mean over seeds", [each.heading for each in COLUMNS]
     cells = [
         [
             Cell(row.name, link="" if row.failed else f"{quote(row.name)}/{own_page}"),
-            Cell(row.protocol),
-            Cell("" if row.fit is None else f"{row.fit:.1f}", row.fit),
-            Cell(row.recommended),
-            Cell(row.best),
-            Cell(number(row.error), row.error),
-            Cell(number(row.regret), row.regret, row.regret == 1),
-            Cell("–" if row.held is None else percent(row.held), row.held),  # noqa: RUF001
-            Cell(number(row.seconds), row.seconds),
-            Cell(row.note),
+            *(_cell(column, row) for column in COLUMNS[1:]),
         ]
         for row in rows
     ]
-    headings = ["case", "of", "fit %", "recommended", "best", "error", "regret", "in interval",
-                "seconds", "note"]  # fmt: skip
-    caption = "Fit and error of the mean over seeds"
-    return Table(caption, headings, cells, notes=_NOTES)
+    notes = [(each.heading, each.note) for each in COLUMNS if each.note]
+    return Table(caption, headings, cells, notes=notes)
+
+
+def _cell(column: Column, row: Row) -> Cell:
+    value = None if column.show is None else column.value(row)
+    return Cell(column.entry(row), value, value is not None and value == column.ideal)
 
 
 def _plots(rows: Sequence[Row]) -> list[Plot]:
