@@ -171,10 +171,12 @@ def test_several_seeds_are_tried_out_by_their_mean() -> None:
 
 def test_each_channel_counts_the_same_in_the_recommendation() -> None:
     """In raw units the first channel would decide alone, for the mean."""
-    r = record()
     noise = np.random.default_rng(0).standard_normal((LENGTH, 1))
-    both = replace(r, y=np.hstack([1e6 * noise, r.y]), y_true=None, y_sim=None, columns=())
-    assert try_out(both, ["mean", "harmonic"], SETUP).recommended == "harmonic"
+    ramp = np.linspace(0, 1, LENGTH)[:, None]
+    both = Record(np.hstack([1e6 * noise, ramp]), DT)
+    trial = try_out(both, ["mean", "persistence"], SETUP)
+    assert trial.errors["mean"][0] < trial.errors["persistence"][0]
+    assert trial.recommended == "persistence"
 
 
 def test_the_held_out_error_of_a_baseline_is_that_of_fits_to_four_shares() -> None:

@@ -53,7 +53,8 @@ def test_a_method_is_handed_out_as_it_was_trained(name: str, tmp_path: Path) -> 
 
 
 def test_what_was_trained_elsewhere_is_handed_out() -> None:
-    methods: list[Forecaster | str] = ["gru", sb.Residual(sb.Periodic(), GRU(4)), "mean"]
+    below = sb.Single(GRU(3), SETTINGS)
+    methods: list[Forecaster | str] = ["gru", sb.Residual(below, GRU(4)), "mean"]
     with Elsewhere() as executor:
         work = sb.Work(executor=executor)
         result = sb.compare(record(), methods=methods, seeds=2, setup=SETUP, work=work)
