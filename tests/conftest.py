@@ -4,6 +4,7 @@ import gc
 import os
 import pkgutil
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from importlib import import_module
@@ -156,10 +157,21 @@ def compiled_soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("splitband.simulators.ode.WORTH_COMPILING", 500)
 
 
+@pytest.fixture
+def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of what a simulator's output is used for: functions of files run in this process.
+
+    That they run in one of their own, which takes a second to start, has tests beside it.
+    """
+    isolation = import_module("splitband.simulators.isolation")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(isolation.Isolated, "simulate", isolation._simulate)
+
+
 @pytest.fixture(autouse=True)
 def seeded() -> None:
     """Networks begin with the same weights whatever ran before in the same process."""
-    import_module("torch").manual_seed(0)
+    import_module("torch").default_generator.manual_seed(0)
 
 
 @pytest.fixture(scope="session")

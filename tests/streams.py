@@ -1,6 +1,7 @@
 """Records and forecasters of every kind, to be run sample by sample."""
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -117,8 +118,9 @@ def rows(record: sb.Record, stream: Any) -> Callable[[int], dict[str, Any]]:
     return at
 
 
+@cache
 def fitted(name: str) -> tuple[sb.Forecaster, sb.Record]:
-    """A forecaster that is fitted to the first 150 samples of a record."""
+    """A forecaster that is fitted to the first 150 samples of a record, once in a process."""
     record = driven() if name in WITH_INPUTS else free()
     make = WITH_INPUTS[name] if name in WITH_INPUTS else WITHOUT[name.removesuffix(", no inputs")]
     forecaster = make().fit(record[:150], seed=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,15 +20,13 @@ from splitband.evaluation.protocols import question_of as both_protocols
 from splitband.evaluation.recommendation import Trial
 from splitband.evaluation.recommendation import try_out as try_forecasters_out
 from splitband.evaluation.setup import Setup
-from splitband.evaluation.work import RunProgress, Work
+from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import Backtest, Origin, Question, backtest, first_origin
 from splitband.forecasters.network import Network
 from splitband.forecasters.saving import load_with_facts
 from splitband.models import Model
-from splitband.training import Checkpoint, Progress
 
 Array = npt.NDArray[np.float64]
-Watch = Callable[[RunProgress], None]
 
 
 def forecasters(names: Sequence[Forecaster | str], setup: Setup) -> list[Forecaster]:
@@ -57,15 +55,11 @@ def asked(
     seed: int = 0,
     later: Sequence[int] = (),
     others: Sequence[Record] = (),
-    checkpoint: Path | None = None,
-    progress: Callable[[Progress], None] | None = None,
 ) -> Backtest:
     """Both protocols, and forecasts from `later` samples by the same fit."""
     forecaster = setup.forecaster(name)
     forecaster.check(record[: setup.train], *others)
-    question = question_of(name, record, setup, later, others)
-    kept = None if checkpoint is None else Checkpoint(checkpoint)
-    return backtest(forecaster, question, seed, progress, kept)
+    return backtest(forecaster, question_of(name, record, setup, later, others), seed)
 
 
 def question_of(
@@ -95,18 +89,14 @@ def compare(
     names: Sequence[Forecaster | str],
     setup: Setup,
     seeds: Sequence[int] = (0,),
-    jobs: int = 1,
-    progress: Watch | None = None,
     others: Sequence[Record] = (),
-    checkpoints: Path | None = None,
 ) -> Runs:
     """Methods by name, under both protocols."""
-    work = Work(jobs, progress, checkpoints)
     methods = forecasters(names, setup)
     plan = Plan.of(record, methods, setup, others)
     check(plan)
     questions = {method.name: both_protocols(plan, method) for method in methods}
-    return runs_of(plan, questions, *run_all(methods, questions, seeds, work))
+    return runs_of(plan, questions, *run_all(methods, questions, seeds, Work()))
 
 
 def try_out(
@@ -114,15 +104,11 @@ def try_out(
     names: Sequence[Forecaster | str],
     setup: Setup,
     seeds: Sequence[int] = (0,),
-    jobs: int = 1,
-    progress: Watch | None = None,
     others: Sequence[Record] = (),
-    checkpoints: Path | None = None,
 ) -> Trial:
     """Methods by name, on the held-out end of the training part."""
     part, steps = record[: setup.train], len(record) - setup.train
-    work = Work(jobs, progress, checkpoints)
-    return try_forecasters_out(part, forecasters(names, setup), steps, seeds, work, others)
+    return try_forecasters_out(part, forecasters(names, setup), steps, seeds, Work(), others)
 
 
 def settled(trial: Trial, runs: Runs) -> Trial:

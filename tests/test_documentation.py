@@ -116,13 +116,6 @@ def test_links_lead_to_files_in_a_viewer_of_the_repository_too() -> None:
     assert broken == []
 
 
-def test_no_paragraph_stands_twice_on_a_page() -> None:
-    for page in [DOCS.parent / "README.md", *DOCS.rglob("*.md")]:
-        text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
-        paragraphs = [part for part in re.split(r"\n\s*\n", text) if len(part) > 100]
-        assert len(paragraphs) == len(set(paragraphs)), page
-
-
 def test_a_block_that_fails_ends_the_build(tmp_path: Path) -> None:
     (tmp_path / "conf.py").write_text(
         f"import sys\nsys.path.insert(0, {str(DOCS / '_ext')!r})\n"

@@ -33,10 +33,6 @@ def test_no_digits_touch_a_figure(page: str) -> None:
     assert re.findall(r"[\d.]<!--=.*|<!--/-->\.?\d.*", text) == []
 
 
-def test_pages_that_state_results_have_figures() -> None:
-    assert {"README.md", "docs/why.md", "docs/speed.md", "docs/results/coverage.md"} <= {*PAGES}
-
-
 def test_a_stale_figure_is_written_again_and_the_text_around_it_stays() -> None:
     text = f"A GRU has <!--={GRU}-->9.99<!--/--> m, at 1.5 Hz.\n"
     assert filled(text) == text.replace("9.99", "2.05")

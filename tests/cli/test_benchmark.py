@@ -1,6 +1,5 @@
 """`splitband benchmark`: many records by a list, compared one by one and put into one table."""
 
-import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ from splitband.cli.comparing import Request
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.run import run
 from splitband.evaluation.work import Work
-from splitband.report.benchmark import Row, summary
 from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import locked
 from tests.cli.support import (
@@ -368,30 +366,6 @@ def test_every_column_of_the_list_is_an_option_of_the_same_name(
     assert {*case.files} == {"data/record.csv", "data/history.csv", "data/simulated.csv"}
 
 
-def test_regret_is_known_where_both_errors_are() -> None:
-    assert Row("x", error=3.0, best_error=2.0).regret == 1.5
-    assert Row("x", error=0.0, best_error=0.0).regret == 1.0
-    assert Row("x", error=1.0, best_error=0.0).regret is None
-    assert Row("x", best_error=1.0).regret is None
-    untested = Row("x", "test", "seasonal-naive", best="mean", best_error=1.0)
-    assert untested.note.startswith("seasonal-naive was not tested")
-
-
-def test_the_summary_counts_what_has_numbers() -> None:
-    rows = [
-        Row("a", error=1.0, best_error=1.0, held=0.9),
-        Row("b", error=3.0, best_error=1.5, held=0.5),
-        Row("c", error=None, best_error=1.0),
-        Row("d", failed="it does"),
-    ]
-    assert summary(rows) == {
-        "cases": 4, "failed": 1, "with_regret": 2, "recommended_is_best": 1, "median_fit": -100.0,
-        "median_error": 2.0, "median_regret": 1.5, "worst_regret": 2.0,
-        "median_held": pytest.approx(0.7),
-    }  # fmt: skip
-    assert summary(rows[3:])["median_regret"] is None
-
-
 def test_a_case_whose_folder_is_in_use_is_left_alone(
     workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -406,10 +380,6 @@ def test_a_case_whose_folder_is_in_use_is_left_alone(
     found = table(Path("out"))["failed"]
     assert pd.isna(found["free"])
     assert "out/used is in use by another splitband command" in found["used"]
-
-
-def test_json_of_a_row_has_no_number_that_json_lacks() -> None:
-    json.dumps(Row("x", error=1.0, best_error=0.0).as_json(), allow_nan=False)
 
 
 def test_a_case_is_computed_again_when_a_module_or_a_file_of_its_simulator_changes(

@@ -3,13 +3,13 @@
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
+from splitband.cli.comparing import Request, planned
+from splitband.cli.options.records import RecordOptions
+from splitband.cli.options.simulators import SimulatorOrBaseOptions
 from tests.cli.support import (
-    DT,
     QUICK,
-    SAMPLES,
     SIMULATED,
     TRAIN,
     WARMUP,
@@ -44,17 +44,19 @@ def test_calibration_adds_a_row_to_each_hybrid_method_only(hybrid: Path) -> None
         assert found[name]["total_rmse"] != found[f"{name}-calibrated"]["total_rmse"]
 
 
-def test_calibrated_and_conditioned_variants_follow_the_method(tmp_path: Path) -> None:
-    call("compare record.csv --columns a --simulator simulated.csv --methods filtered-gru "
-         f"--calibrate --conditioned {QUICK} --seeds 1 --jobs 1", tmp_path)  # fmt: skip
-    found = results(tmp_path)["methods"]
-    assert list(found) == [
+def test_calibrated_and_conditioned_variants_follow_the_method() -> None:
+    asked = Request(
+        "record.csv",
+        RecordOptions(columns="a"),
+        SimulatorOrBaseOptions("simulated.csv"),
+        methods="filtered-gru",
+        calibrate=True,
+        conditioned=True,
+    )
+    assert [method.name for method in planned(asked, 1).methods] == [
         "filtered-gru", "filtered-gru-calibrated", "filtered-gru-conditioned",
         "filtered-gru-calibrated-conditioned",
     ]  # fmt: skip
-    errors = [facts["total_rmse"][0] for facts in found.values()]
-    assert np.isfinite(errors).all()
-    assert len(set(errors)) == 4
 
 
 def test_the_simulator_rows_are_its_error_raw_and_after_least_squares(hybrid: Path) -> None:
@@ -63,16 +65,3 @@ def test_the_simulator_rows_are_its_error_raw_and_after_least_squares(hybrid: Pa
     for name, y in (("simulator", SIMULATED), ("simulator-affine", gain * SIMULATED + offset)):
         assert found[name]["total_rmse"] == [pytest.approx(rms((A - y)[WARMUP:]))]
         assert found[name]["forecast_rmse"] == [pytest.approx(rms((A - y)[TRAIN:]))]
-
-
-def test_what_a_simulation_does_not_reach_is_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Its clock is a fiftieth too slow, and its output ends with the record."""
-    time = DT * np.arange(2 * SAMPLES)
-    for name, y in (("rig", np.sin(1.02 * time)), ("simulated", np.sin(time))):
-        pd.DataFrame({"time": time, "y": y}).to_csv(tmp_path / f"{name}.csv", index=False)
-    call(f"compare {tmp_path}/rig.csv --methods simulator-calibrated,mean "
-         f"--simulator {tmp_path}/simulated.csv", tmp_path / "out")  # fmt: skip
-    said = " ".join("".join(capsys.readouterr()).split())
-    assert "warning: simulator-calibrated: the simulator's output ends too early" in said

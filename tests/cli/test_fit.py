@@ -95,3 +95,18 @@ def test_inputs_that_are_a_matrix_are_known_by_their_columns(tmp_path: Path) -> 
 def test_a_base_takes_a_simulators_place(tmp_path: Path) -> None:
     call(f"fit record.csv --columns a --method residual-gru --simulator harmonic {QUICK}", tmp_path)
     assert results(tmp_path)["method"] == "residual-harmonic-gru"
+
+
+def test_a_model_of_a_file_of_one_nameless_column_simulates_such_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    np.savetxt("one.txt", A)
+    call(f"fit one.txt --sampling-time 0.1 --method gru --more one.txt {QUICK}", Path("model"))
+    call("simulate model --history one.txt --steps 5", Path("ahead.csv"))
+    found = pd.read_csv("ahead.csv")
+    assert list(found) == ["time", "y"]
+    expected = simulated(load(Path("model"))[0], A[-WARMUP:, None], 5)
+    np.testing.assert_allclose(found[["y"]], expected, atol=1e-6)
+    assert sb.read("one.txt", columns="y", sampling_time=0.1).columns == ("y",)
+    assert sb.read("one.txt", columns=0, sampling_time=0.1).columns == ("y",)

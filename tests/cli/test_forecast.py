@@ -9,7 +9,7 @@ import pytest
 from tests.cli.support import DT, SAMPLES, SLOW, A, assert_pictures, call, results, written
 from tests.records import rms
 
-pytestmark = pytest.mark.usefixtures("inside")
+pytestmark = pytest.mark.usefixtures("inside", "simulated_here")
 
 
 @pytest.mark.usefixtures("drawn")
@@ -44,7 +44,7 @@ def test_forecast_takes_known_inputs_and_several_seeds(tmp_path: Path) -> None:
 
 
 def test_forecast_asks_a_simulator_for_what_is_to_come(tmp_path: Path) -> None:
-    call("forecast record.csv --columns a --steps 30 --method simulator-calibrated "
+    call("forecast record.csv --columns a --steps 30 --method simulator-affine "
          "--simulator functions.py:good", tmp_path)  # fmt: skip
     time = DT * np.arange(SAMPLES, SAMPLES + 30)
     good = 0.8 * np.sin(2 * np.pi * 0.3 * time + 0.2) + 0.3

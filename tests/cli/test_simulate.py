@@ -15,7 +15,7 @@ from tests.cli.support import DT, FORCE, QUICK, SIMULATED, SLOW, TIME, WARMUP, A
 from tests.support import load_model as load
 from tests.support import simulated
 
-pytestmark = pytest.mark.usefixtures("inside")
+pytestmark = pytest.mark.usefixtures("inside", "simulated_here")
 
 
 def test_simulate_writes_time_and_columns_of_the_loaded_model(model: Path, tmp_path: Path) -> None:

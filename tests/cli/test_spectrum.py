@@ -24,7 +24,7 @@ from tests.cli.support import (
 )
 from tests.records import rms
 
-pytestmark = pytest.mark.usefixtures("inside")
+pytestmark = pytest.mark.usefixtures("inside", "simulated_here")
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +95,7 @@ def test_spectrum_and_compare_choose_the_same_cutoff(tmp_path: Path) -> None:
     record = tmp_path / "record.csv"
     pd.DataFrame({"time": time, "y": y, "force": force}).to_csv(record, index=False)
     call(f"spectrum {record} --inputs force", tmp_path / "spectrum")
-    call(f"compare {record} --inputs force --methods split-gru --epochs 1 --seeds 1",
+    call(f"compare {record} --inputs force --methods split-gru --epochs 1 --hidden 2,2 --seeds 1",
          tmp_path / "compared")  # fmt: skip
     found, settings = results(tmp_path / "spectrum"), results(tmp_path / "compared")["settings"]
     assert [found[name] for name in ("cutoff", "order", "train")] == [

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 import pytest
 import scipy.io
@@ -15,6 +16,7 @@ from splitband.data import (
 )
 from splitband.data.reading import ColumnError
 
+Array = npt.NDArray[np.float64]
 STEP = 0.25
 
 RNG = np.random.default_rng(7)
@@ -79,3 +81,24 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "record.npz": write_npz,
     "record.mat": write_mat,
 }
+
+# ---------------------------------------------------------------- signals known at any time
+
+SAMPLES = 240
+
+
+def signal(time: Array) -> Array:
+    """Two tones; a simulator that is right says the same."""
+    return np.asarray(
+        np.sin(2 * np.pi * 0.3 * time) + 0.4 * np.sin(2 * np.pi * 0.7 * time + 1), dtype=np.float64
+    )
+
+
+def times(start: float = 0.0, step: float = 0.1, samples: int = SAMPLES) -> Array:
+    return start + step * np.arange(samples, dtype=np.float64)
+
+
+def write(path: Path, time: Any, **columns: Any) -> Path:
+    stamps = time.round(7) if isinstance(time, np.ndarray) else time
+    pd.DataFrame({"time": stamps, **columns}).to_csv(path, index=False)
+    return path

@@ -203,10 +203,3 @@ def test_no_connection(server: Server, tmp_path: Path, monkeypatch: pytest.Monke
     assert "check the connection" in str(caught.value)
     assert files_below(tmp_path) == []
     assert server.requested == []
-
-
-def test_the_source_is_pinned() -> None:
-    assert public._SOURCE == (
-        "https://raw.githubusercontent.com/boschresearch/hybrid-observer/"
-        "b1d56108588de19694341727eb86ee6e2f402cbf/hybrid_observer/data"
-    )

@@ -34,7 +34,8 @@ RECORD = Record(np.round(2 * SIMULATED + 1, 4), DT, y_sim=SIMULATED)
 QUICK = Settings(40, 10, 3, 16)
 SETUP = Setup(TRAIN, QUICK, bands=Bands(0.6, 1, 2), sizes=Sizes(hidden_high=4, hidden_low=3))
 DIVERGING = Single(GRU(7), replace(QUICK, learning_rate=1e30))
-CALIBRATED = "simulator-calibrated"
+CALIBRATED = "simulator-affine"
+"""Fitted by least squares, where a clock and a delay are searched for in each of many fits."""
 
 
 def _raising(*_: Any, **__: Any) -> Any:

@@ -53,7 +53,8 @@ def test_a_method_is_handed_out_as_it_was_trained(name: str, tmp_path: Path) -> 
 
 
 def test_what_was_trained_elsewhere_is_handed_out() -> None:
-    methods: list[Forecaster | str] = ["gru", sb.Residual(sb.Periodic(), GRU(4)), "mean"]
+    below = sb.Single(GRU(3), SETTINGS)
+    methods: list[Forecaster | str] = ["gru", sb.Residual(below, GRU(4)), "mean"]
     with Elsewhere() as executor:
         work = sb.Work(executor=executor)
         result = sb.compare(record(), methods=methods, seeds=2, setup=SETUP, work=work)
@@ -205,10 +206,10 @@ def test_a_calibration_is_the_same_wherever_it_is_fitted() -> None:
     t = DT * np.arange(400)
     simulated = Record(np.sin(1.03 * t), DT, y_sim=np.sin(t))
     setup = replace(SETUP, train=300)
-    result = sb.compare(simulated, methods=[sb.Calibrated()], setup=setup)
+    result = sb.compare(simulated, methods=[sb.Calibrated(terms=["clock"])], setup=setup)
     with pytest.warns(ExtrapolationWarning, match="output ends too early"):
         found = result.forecaster().fit(simulated[:300]).predict(100)
-    np.testing.assert_array_equal(found.y, result.means["simulator-calibrated"].ahead)
+    np.testing.assert_array_equal(found.y, result.means["simulator-clock"].ahead)
 
 
 def test_a_method_goes_by_its_name_alone() -> None:

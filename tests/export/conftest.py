@@ -1,6 +1,4 @@
-"""Forecasters that are exported by several tests are fitted once."""
-
-from functools import cache
+"""Forecasters of each kind that is exported."""
 
 import pytest
 
@@ -13,10 +11,8 @@ KINDS = (
     "split, conditioned, no inputs", "filtered, no inputs",
 )  # fmt: skip
 
-_fitted = cache(fitted)
-
 
 @pytest.fixture(params=KINDS)
 def exported(request: pytest.FixtureRequest) -> tuple[sb.Forecaster, sb.Record]:
     """A fitted forecaster and its record."""
-    return _fitted(request.param)
+    return fitted(request.param)

@@ -2,88 +2,32 @@
 
 import copy
 import re
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 import pytest
 import torch
 
 import splitband as sb
-from splitband import GRU, Bands, Forecaster, Known, Record, Recorded, Settings
-from splitband.evaluation.setup import Setup
-from splitband.forecasters.names import QUICK, Sizes
+from splitband import GRU, Forecaster, Known, Record
 from splitband.forecasters.network import Network
 from splitband.metrics import ExtrapolationWarning
+from tests.forecasters.support import (
+    BANDS,
+    DT,
+    MADE,
+    SETTINGS,
+    START,
+    STEPS,
+    TRAIN,
+    Array,
+    fitted,
+    record,
+)
 from tests.support import with_other_samples
-
-Array = npt.NDArray[np.float64]
-DT, TRAIN, LENGTH, WARMUP, STEPS = 0.1, 60, 100, 8, 20
-START = pd.Timestamp("2024-05-01 12:00")
-SETTINGS = Settings(window=20, warmup=WARMUP, epochs=1, batch_size=32)
-BANDS = Bands(0.6, 1, 2)
-SETUP = Setup(
-    TRAIN, SETTINGS, BANDS, Sizes(hidden_high=3, hidden_low=2, state_size=2, step_size=0.2)
-)
-
-
-def record() -> Record:
-    """Time stamps, an input that has an effect, and a simulator that is late and too small."""
-    rng = np.random.default_rng(4)
-    t = DT * np.arange(LENGTH)[:, None]
-    u = rng.standard_normal((LENGTH, 1))
-    slow = np.sin(2 * np.pi * 0.25 * t)
-    y = 1.0 + 2.0 * slow + 0.3 * np.cumsum(u, axis=0) / np.sqrt(1 + t)
-    y_sim = np.sin(2 * np.pi * 0.25 * (t - 0.3))
-    return Record(y + 0.02 * rng.standard_normal(y.shape), DT, u, y_sim=y_sim, start=START)
-
-
-def recorded() -> Recorded:
-    """An export that begins before the record does and goes on after it."""
-    t = DT * np.arange(-20, LENGTH + 40)[:, None]
-    start = START + pd.Timedelta(seconds=-20 * DT)
-    return Recorded(np.sin(2 * np.pi * 0.25 * (t - 0.3)), DT, start)
-
-
-REPRESENTATIVES = (
-    *(name for name in QUICK if name != "grey-box"),
-    *("gru", "state-space", "split-gru-hp", "split-gru-conditioned"),
-    *("filtered-gru-calibrated-conditioned", "residual-rnn"),
-    *("residual-gru-calibrated", "residual-periodic-gru", "filtered-linear-state-space"),
-)
-"""One of each kind, and pairs of the options; grey boxes have tests of their own."""
-MADE: dict[str, Callable[[], Forecaster]] = {
-    **{name: lambda name=name: SETUP.forecaster(name) for name in REPRESENTATIVES},  # type: ignore[misc]
-    "filtered, simulator of its own": lambda: sb.Filtered(
-        sb.Calibrated(recorded()), GRU(3), BANDS, conditioned=True, settings=SETTINGS
-    ),
-    "simulator of its own": lambda: sb.Calibrated(recorded()),
-    "filtered linear": lambda: sb.Filtered(sb.Linear(), GRU(3), BANDS, settings=SETTINGS),
-    "residual of a residual": lambda: sb.Residual(
-        sb.Residual(None, GRU(3), settings=SETTINGS), GRU(3), settings=SETTINGS
-    ),
-    "residual of a network": lambda: sb.Residual(
-        sb.Single(GRU(3), SETTINGS), GRU(3), settings=SETTINGS
-    ),
-    "ensemble": lambda: sb.Ensemble(sb.Single(GRU(3), SETTINGS), 2),
-    "ensemble of residuals of networks": lambda: sb.Ensemble(
-        sb.Residual(sb.Single(GRU(3), SETTINGS), GRU(3), settings=SETTINGS), seeds=(0, 2)
-    ),
-    "ensemble of hybrids": lambda: sb.Ensemble(
-        sb.Filtered(sb.Calibrated(recorded()), GRU(3), BANDS, settings=SETTINGS), 2
-    ),
-}
-
-
-@cache
-def fitted(name: str) -> Forecaster:
-    """Once in a process; its interval too, which takes more fits."""
-    return MADE[name]().fit(record()[:TRAIN], seed=1)
 
 
 @pytest.mark.parametrize("name", MADE)
@@ -284,105 +228,9 @@ def test_slices_know_what_is_known_after_them() -> None:
     np.testing.assert_array_equal(part[:20].u_beyond, r.u[30:])
 
 
-def plain() -> Record:
-    return replace(record(), u=None, y_sim=None, inputs=())
-
-
-def interrupted() -> Record:
-    """Two stretches that are a sample shorter than a warm-up each."""
-    known = np.ones((2 * WARMUP - 1, 1), bool)
-    known[WARMUP - 1] = False
-    return replace(record()[: len(known)], measured=known)
-
-
-def two_channels() -> Record:
-    r = plain()
-    return replace(r, y=np.hstack([r.y, r.y]), columns=())
-
-
-def untyped(value: Any) -> Any:
-    """What type checkers would refuse."""
-    return value
-
-
-def mean() -> Forecaster:
-    return sb.Mean().fit(plain()[:TRAIN])
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: sb.Mean().predict(3), "mean must be fitted before it is asked"),
-        (lambda: sb.Single(GRU(3)).save("nowhere"), "gru must be fitted before it is asked"),
-        (lambda: sb.Mean().fit(), "records must be one or several, got none"),
-        (lambda: mean().predict(0), "steps must be at least 1, got 0"),
-        (lambda: mean().predict(3, u=np.ones(3)), "u must be given exactly for a record with in"),
-        (
-            lambda: mean().predict(3, two_channels()),
-            r"training record's 1 channel\(s\) and 0 input\(s\), got 2 and 0",
-        ),
-        (
-            lambda: mean().predict(3, replace(plain(), sampling_time=0.2)),
-            "sampled like the training record, every 0.1 s, got every 0.2 s",
-        ),
-        (lambda: fitted("linear").predict(LENGTH), r"u must hold the 100 samples to come in 1 ch"),
-        (
-            lambda: fitted("linear").predict(9, u=np.ones((8, 1))),
-            r"u must hold the 9 samples to come in 1 channel\(s\), got \(8, 1\)",
-        ),
-        (
-            lambda: fitted("simulator").predict(9, y_sim=np.ones(8)),
-            r"y_sim must hold the 9 samples to come in 1 channel\(s\), got \(8, 1\)",
-        ),
-        (
-            lambda: fitted("simulator").predict(
-                9, replace(record()[:TRAIN], y_sim=None, beyond=None)
-            ),
-            "history must bring a simulator's output",
-        ),
-        (lambda: sb.Linear().fit(plain()), "linear needs known inputs, the record has none"),
-        (
-            lambda: SETUP.forecaster("filtered-gru").fit(plain()),
-            "filtered-gru needs a simulator, the record has none",
-        ),
-        (
-            lambda: fitted("residual-rnn").predict(5, interrupted()),
-            "history must have 8 measured samples in a row to warm up on, got 15 samples, of which "
-            "14",
-        ),
-        (
-            lambda: fitted("mean").predict(5, untyped(record().y)),
-            "history must be a Record, got ndarray",
-        ),
-        (lambda: sb.Linear().fit(untyped([record()])), "records must be a Record, got list"),
-        (lambda: sb.compare(untyped(record().y), TRAIN), "record must be a Record, got ndarray"),
-        (
-            lambda: fitted("mean").stream(untyped(record().y)),
-            "history must be a Record, got ndarray",
-        ),
-        (
-            lambda: sb.Single(untyped(GRU)),
-            r"must be an object, such as GRU\(...\), got the class GRU",
-        ),
-        (lambda: sb.Filtered(sb.Mean(), GRU(3)), "base must say something about the whole record"),
-        (lambda: sb.Ensemble(sb.Mean(), 0), "count must be at least 1, got 0"),
-        (lambda: sb.named("mena"), r"methods must be .*, got 'mena' \(did you mean mean\?\)"),
-    ],
-)
-def test_errors_say_what_is_wrong(call: Callable[[], Any], message: str) -> None:
-    with pytest.raises((ValueError, TypeError), match=message):
-        call()
-
-
 def test_a_history_that_is_shorter_than_a_warm_up_is_said() -> None:
     with pytest.warns(sb.ExtrapolationWarning, match="the history has 3 of the 8 samples"):
         fitted("gru").predict(5, record()[:3], other_record=True)
-
-
-@pytest.mark.parametrize("level", [0.0, 1.0, -0.5, 2.0])
-def test_a_level_is_a_share(level: float) -> None:
-    with pytest.raises(ValueError, match="level must be"):
-        mean().predict(5, level=level)
 
 
 def test_a_linear_model_begins_anew_where_inputs_in_between_are_not_known() -> None:
@@ -465,45 +313,6 @@ def test_before_the_training_record_a_simulator_begins_with_the_history() -> Non
         late.predict(STEPS, replace(known[:100], start=20.0))
 
 
-@pytest.mark.parametrize(
-    ("other", "message"),
-    [
-        ({"columns": ("b", "a")}, "columns of history must be in the order .* a, b, got b, a"),
-        ({"inputs": ("w", "v")}, "inputs of history must be in the order .* v, w, got w, v"),
-        ({"sampling_time": 0.2}, "history must be sampled like the training record, every 0.1 s"),
-    ],
-)
-def test_a_history_has_the_channels_of_the_training_record(
-    other: dict[str, Any], message: str
-) -> None:
-    values = np.random.default_rng(1).standard_normal((60, 2))
-    known = Record(values, DT, values, columns=("a", "b"), inputs=("v", "w"))
-    model = sb.Linear().fit(known)
-    with pytest.raises(ValueError, match=message):
-        model.predict(5, replace(known, **other), u=values[:5])
-
-
-def test_the_time_since_the_training_record_asks_for_its_sampling() -> None:
-    """A two-hundredth is off by five samples after a thousand."""
-    t: Array = DT * np.arange(1000, dtype=np.float64)
-    harmonic = sb.Harmonic().fit(Record(np.sin(t), DT))
-    with pytest.raises(ValueError, match=r"for harmonic, .* every 0.1 s, got every 0.1005 s"):
-        harmonic.predict(5, Record(np.sin(1.005 * t), 1.005 * DT))
-    assert sb.Mean().fit(Record(np.sin(t), DT)).predict(5, Record(t, 1.005 * DT))
-
-
-@pytest.mark.parametrize("name", ["gru", "linear"])
-def test_inputs_to_come_are_numbers(name: str) -> None:
-    with pytest.raises(ValueError, match="u must hold finite numbers"):
-        fitted(name).predict(2, u=[1.0, np.nan])
-
-
-def test_further_training_records_are_of_the_same_system() -> None:
-    one, two = Record(np.ones(9), DT), Record(np.ones((9, 2)), DT, name="other")
-    with pytest.raises(ValueError, match=r"other must have the training record's 1 channel\(s\)"):
-        sb.Mean().fit(one, two)
-
-
 def test_a_saved_model_of_several_records_has_the_interval_that_was_asked_for(
     tmp_path: Path,
 ) -> None:
@@ -548,36 +357,3 @@ def test_every_level_follows_from_forecasts_that_are_made_once(
         np.testing.assert_array_equal(found.upper, upper)
     uppers = [loaded.predict(STEPS, u=u, level=level).upper for level in (0.5, 0.7, 0.9)]
     assert (np.diff(np.array(uppers), axis=0) > 0).all()
-
-
-@pytest.mark.parametrize(
-    ("argument", "call", "values"),
-    [
-        ("steps", lambda n: mean().predict(n), [3.0, "3", None, float("nan"), True]),
-        ("seed", lambda n: sb.Mean().fit(record()[:30], seed=n), [None]),
-        ("count", lambda n: sb.Ensemble(sb.Mean(), n), ["3"]),
-        ("seeds", lambda n: sb.Ensemble(sb.Mean(), seeds=[0, n]), [True]),
-        ("hidden_size", GRU, [float("nan")]),
-        ("window", lambda n: sb.Settings(window=n), [3.0]),
-        ("order", lambda n: sb.Bands(order=n), ["3"]),
-        ("train", lambda n: sb.compare(record(), n, [sb.Mean()]), [True]),
-        ("steps", lambda n: sb.forecast(record(), n, [sb.Mean()]), [None]),
-        ("seeds", lambda n: sb.compare(record(), 30, [sb.Mean()], seeds=n), [3.0]),
-    ],
-)
-def test_what_must_be_a_whole_number_is_named(
-    argument: str, call: Callable[[Any], Any], values: list[Any]
-) -> None:
-    for value in values:
-        with pytest.raises(ValueError, match=f"^{argument} must be a whole number, got "):
-            call(value)
-
-
-def test_a_whole_number_of_numpy_is_one(tmp_path: Path) -> None:
-    three = np.int64(3)
-    assert len(mean().predict(three).y) == 3  # type: ignore[arg-type]
-    settings = sb.Settings(window=np.int64(20), warmup=three, epochs=1)  # type: ignore[arg-type]
-    model = sb.Single(GRU(three), settings).fit(record()[:TRAIN], seed=three)  # type: ignore[arg-type]
-    model.save(tmp_path)
-    u = record()[:TRAIN].u_beyond
-    np.testing.assert_array_equal(sb.load(tmp_path).predict(3, u=u).y, model.predict(3, u=u).y)

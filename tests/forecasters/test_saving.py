@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,9 @@ def ahead(model: sb.Forecaster, level: float | None = None) -> sb.Prediction:
     return model.predict(STEPS, u=TRAIN.u_beyond, y_sim=y_sim, level=level)
 
 
+@cache
 def small(seed: int = 0) -> sb.Forecaster:
+    """A network that is saved by many tests, and trained once."""
     return sb.Single(sb.GRU(2), SHORT).fit(TRAIN, seed=seed)
 
 
@@ -309,11 +312,15 @@ def test_no_memory_is_taken_for_what_a_file_only_says(
         sb.load(folder)
 
 
-@pytest.mark.parametrize("word", ["made", "class", "cell"])
 @pytest.mark.parametrize(
-    ("name", "module"),
-    [("system", "os"), ("Popen", "subprocess"), ("Linear", "torch.nn"), ("Fmu", None), (["x"], 3)],
-    ids=str,
+    ("word", "name", "module"),
+    [
+        ("made", "system", "os"),
+        ("class", "Popen", "subprocess"),
+        ("cell", "Linear", "torch.nn"),
+        ("made", "Fmu", None),
+        ("class", ["x"], 3),
+    ],
 )
 def test_loading_runs_no_code_that_a_file_names(
     folder: Path, word: str, name: Any, module: Any

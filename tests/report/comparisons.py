@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -55,6 +56,7 @@ def as_if_trained(found: Comparison, method: str = "persistence") -> Comparison:
     return replace(found, runs=Runs(runs))
 
 
+@cache
 def everything() -> Comparison:
     """Two channels, an input, a simulator, gaps, dates, a test record and names that are traps."""
     plain = record(ny=2, nu=1)

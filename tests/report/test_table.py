@@ -112,13 +112,14 @@ def test_the_text_names_the_method_that_the_table_marks(seeds: Comparison, best:
 
 def test_each_channel_has_errors_of_its_own(scales: Comparison, tmp_path: Path) -> None:
     record, train = scales.record, scales.setup.train
+    terminal, page = printed(scales), page_text(scales, tmp_path)
     for i, channel in enumerate(record.columns):
         held = np.full(len(record) - train, record.y[train - 1, i])
         expected = rmse(record.y[train:, i], held)
         shown = column(scales, "forecast RMSE", channel)
         assert shown.values["persistence"] == pytest.approx(expected)
-        assert shown.entry("persistence") in printed(scales)
-        assert f"forecast fit %, {channel}" in page_text(scales, tmp_path)
+        assert shown.entry("persistence") in terminal
+        assert f"forecast fit %, {channel}" in page
     assert {
         "held-out RMSE",
         "RMSE from the start",

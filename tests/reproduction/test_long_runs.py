@@ -51,11 +51,18 @@ def test_the_nearest_reading_trains_as_a_split_model_on_the_filtered_record() ->
     assert tried("split-gru", SHORT, 3)["total_rmse"] == pytest.approx(expected, rel=1e-5)
 
 
+def moved(reading: Reading) -> list[str]:
+    """What a reading takes in another way than the nearest one."""
+    return [name for name, value in vars(reading).items() if value != vars(READINGS[BASE])[name]]
+
+
 def test_every_reading_changes_the_result() -> None:
-    """A run of two epochs cannot tell apart those alone that differ in later ones."""
+    """A run of one epoch cannot tell apart those alone that differ in later ones."""
     found = {}
     for name, reading in READINGS.items():
-        changes = reading.training.changes | {"epochs": EPOCHS}
+        if len(moved(reading)) > 1:  # each of them is moved by itself in another reading
+            continue
+        changes = reading.training.changes | {"epochs": 1}
         if "milestones" in changes:
             changes["milestones"] = ((0, 1e-4),)
         short = replace(reading, training=replace(reading.training, changes=changes))

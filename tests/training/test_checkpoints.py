@@ -102,20 +102,13 @@ def test_a_checkpoint_knows_the_filter_of_a_hybrid_model(tmp_path: Path) -> None
         assert len(seen) == epochs
 
 
-@pytest.mark.parametrize("damage", ["empty", "cut", "noise"])
-def test_a_damaged_checkpoint_is_none(damage: str, tmp_path: Path) -> None:
+def test_a_damaged_checkpoint_is_none(tmp_path: Path) -> None:
     file = tmp_path / "training.safetensors"
     trained(Checkpoint(file))
-    bytes_ = file.read_bytes()
-    file.write_bytes(
-        {
-            "empty": b"",
-            "cut": bytes_[: len(bytes_) // 2],
-            "noise": np.random.default_rng(0).bytes(2000),
-            "text": b'{"a": 1}' * 100,
-        }[damage]
-    )
-    assert len(trained(Checkpoint(file))[2]) == 8
+    whole, noise = file.read_bytes(), np.random.default_rng(0).bytes(2000)
+    for damaged in (b"", whole[: len(whole) // 2], noise, b'{"a": 1}' * 100):
+        file.write_bytes(damaged)
+        assert len(trained(Checkpoint(file))[2]) == 8
 
 
 def test_where_no_checkpoint_can_be_written_training_goes_on(tmp_path: Path) -> None:

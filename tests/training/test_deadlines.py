@@ -24,7 +24,7 @@ def run(deadline: Deadline, checkpoint: Checkpoint | None = None) -> tuple[nn.Mo
         return model, fit(model, record()[:TRAIN], LONG, 0, None, checkpoint)
 
 
-@pytest.mark.parametrize("looks", [0, 1, 5, 30, 80])
+@pytest.mark.parametrize("looks", [0, 5, 80])
 def test_it_ends_soon_and_its_weights_are_finite(
     looks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

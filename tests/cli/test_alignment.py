@@ -1,0 +1,386 @@
+"""Commands put files together by their time stamps; the oracles are signals known at any time."""
+
+import json
+import shlex
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+import scipy.signal
+
+from splitband import Record, read
+from splitband.cli import main
+from splitband.cli.options.records import RecordOptions
+from splitband.cli.options.simulators import SimulatorOptions
+from splitband.cli.simulators import load_further, with_simulator
+from splitband.metrics import rmse
+from tests.data.support import SAMPLES, signal, times, write
+from tests.support import load_model as load
+
+Array = npt.NDArray[np.float64]
+DT = 0.1
+QUICK = "--recipe paper --epochs 2 --hidden 4,3 --window 30 --warmup 10"
+FUNCTIONS = """
+import numpy as np
+
+
+def exact(time):
+    return np.sin(2 * np.pi * 0.3 * time) + 0.4 * np.sin(2 * np.pi * 0.7 * time + 1)
+
+
+def slow_start(time):
+    return exact(0.97 * (time - 20))
+"""
+
+pytestmark = pytest.mark.usefixtures("simulated_here")
+
+
+@pytest.fixture(autouse=True)
+def inside_own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("functions.py").write_text(FUNCTIONS)
+
+
+def call(line: str) -> dict[str, Any]:
+    """Run a command that must succeed; what it writes to out/results.json, if it does."""
+    assert main(shlex.split(line)) == 0
+    found = Path("out/results.json")
+    facts: dict[str, Any] = json.loads(found.read_text()) if found.exists() else {}
+    return facts
+
+
+def refused(line: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line that a command ends with."""
+    assert main(shlex.split(line)) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    return error
+
+
+def simulator_error(simulator: str, time_column: str | None = None) -> float:
+    """RMSE of what --simulator comes to beside record.csv."""
+    record = read("record.csv", time_column=time_column)
+    reading = RecordOptions(time_column=time_column)
+    found = with_simulator(record, SimulatorOptions(simulator), reading)
+    assert found.y_sim is not None
+    return rmse(found.y, found.y_sim)
+
+
+# ---------------------------------------------------------------- simulators beside a record
+
+
+@pytest.mark.parametrize(
+    ("start", "step", "told"),
+    [
+        pytest.param(15.0, 0.1, None, id="earlier"),
+        pytest.param(19.97, 0.1, "0.3 of a step", id="beside"),
+        pytest.param(20.0, 0.1009, "every 0.1009 s", id="another step"),
+        pytest.param(20.0, 0.05, "every 0.05 s", id="twice as fine"),
+    ],
+)
+def test_a_perfect_simulator_has_no_error_whatever_its_time_stamps(
+    start: float, step: float, told: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(Path("record.csv"), times(20), y=signal(times(20)))
+    write(Path("sim.csv"), times(start, step, 800), y=signal(times(start, step, 800)))
+    assert simulator_error("sim.csv") < 2e-3  # by row, it is 0.2 to 1.1
+    said = capsys.readouterr().out
+    assert ("sim.csv: " in said) == (told is not None)
+    assert told is None or told in said
+
+
+def test_a_simulator_that_begins_later_than_the_record_is_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    write(Path("record.csv"), times(), y=signal(times()))
+    write(Path("sim.csv"), times(2), y=signal(times(2)))
+    said = refused("compare record.csv --methods simulator,mean --simulator sim.csv", capsys)
+    assert all(words in said for words in ("sim.csv", "0 s to 23.9 s", "2 s to 25.9 s"))
+
+
+def test_dates_beside_seconds_are_refused_with_the_name_of_the_file(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    dates = pd.Timestamp("2024-05-01") + pd.to_timedelta(times(), unit="s")
+    write(Path("record.csv"), dates, y=signal(times()))
+    write(Path("sim.csv"), times(20), y=signal(times()))
+    said = refused("compare record.csv --methods simulator,mean --simulator sim.csv", capsys)
+    assert all(words in said for words in ("sim.csv", "20 s", "2024-05-01", "all be dates"))
+
+
+def test_a_named_time_column_is_that_of_the_simulator_too() -> None:
+    for name, start, samples in (("record.csv", 20, SAMPLES), ("sim.csv", 15, SAMPLES + 100)):
+        time = times(start, samples=samples)
+        write(Path(name), time, y=signal(time)).write_text(
+            Path(name).read_text().replace("time", "stamp")
+        )
+    assert simulator_error("sim.csv", "stamp") < 1e-6
+    time = times(15, samples=SAMPLES + 200)
+    write(Path("sim.csv"), time, y=signal(time))
+    assert simulator_error("sim.csv", "stamp") < 1e-6
+
+
+def test_a_function_runs_on_the_time_stamps_of_the_record(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    write(Path("record.csv"), times(20), y=signal(times(20)))
+    assert simulator_error("functions.py:exact") < 1e-6
+    assert "run on the record's time stamps, 20 s to 43.9 s" in capsys.readouterr().out
+    dates = pd.Timestamp("2024-05-01") + pd.to_timedelta(times(), unit="s")
+    write(Path("record.csv"), dates, y=signal(times()))
+    assert simulator_error("functions.py:exact") < 1e-6
+    assert "seconds since the record's first sample, 2024-05-01" in capsys.readouterr().out
+
+
+def test_further_records_are_resampled_and_have_simulators_of_their_own_time(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    record = Record(signal(times(20)), DT, start=20.0)
+    other = times(50, 0.1009)
+    write(Path("more.csv"), other, y=signal(other))
+    write(Path("sim.csv"), times(48, samples=400), y=signal(times(48, samples=400)))
+    (found,) = load_further(
+        "--more", ["more.csv"], ["sim.csv"], record, RecordOptions(), SimulatorOptions()
+    )
+    assert (
+        "more.csv: sampled every 0.1009 s, interpolated to every 0.1 s" in capsys.readouterr().out
+    )
+    assert (found.sampling_time, found.start) == (DT, 50)
+    assert found.y_sim is not None
+    np.testing.assert_allclose(found.y_sim, found.y, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "spectrum r.csv --simulator zoned.csv",
+        "forecast r.csv --inputs u --steps 5 --method linear --future-inputs zoned.csv",
+        "simulate m --history zoned.csv --steps 5 --out f.csv --future-inputs ahead.csv",
+    ],
+)
+def test_files_with_and_without_a_time_zone_are_refused(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dates = pd.date_range("2024-05-01 10:00", periods=120, freq="1s")
+    y, u = np.random.default_rng(1).standard_normal((2, 120))
+    pd.DataFrame({"date": dates, "y": y, "u": u}).to_csv("r.csv", index=False)
+    zoned = dates.tz_localize("Europe/Berlin")
+    pd.DataFrame({"date": zoned, "y": y, "u": u}).to_csv("zoned.csv", index=False)
+    after = pd.date_range(zoned[-1], periods=6, freq="1s")[1:]
+    pd.DataFrame({"date": after, "u": 0.0}).to_csv("ahead.csv", index=False)
+    if command.startswith("simulate"):
+        assert main(shlex.split("fit r.csv --inputs u --method linear --out m")) == 0
+        capsys.readouterr()
+    assert "must all have a time zone, or none: got 2024-05-01 10:0" in refused(command, capsys)
+
+
+# ---------------------------------------------------------------- what is written
+
+
+def test_predictions_and_forecasts_go_on_with_the_time_stamps() -> None:
+    write(Path("record.csv"), times(20), y=signal(times(20)))
+    write(Path("sim.csv"), times(15, samples=400), y=signal(times(15, samples=400)))
+    facts = call("compare record.csv --methods simulator,mean --simulator sim.csv --out out")
+    assert facts["methods"]["simulator"]["total_rmse"][0] < 1e-6
+    assert facts["record"]["start"] == 20
+    np.testing.assert_array_equal(pd.read_csv("out/predictions.csv")["time"], times(20).round(9))
+    call("forecast record.csv --method persistence --steps 5 --out out")
+    found = pd.read_csv("out/forecast.csv")["time"]
+    np.testing.assert_allclose(found, times(20, samples=SAMPLES + 5)[-5:], rtol=0, atol=1e-9)
+
+
+@pytest.mark.usefixtures("drawn")
+def test_dates_are_written_as_they_were_read() -> None:
+    dates = pd.Timestamp("2024-05-01 10:00") + pd.to_timedelta(np.arange(SAMPLES + 5), unit="s")
+    stamps = [f"{date}+02:00" for date in dates]
+    write(Path("record.csv"), stamps[:SAMPLES], y=signal(times()))
+    call("compare record.csv --methods mean,persistence --out out")
+    assert pd.read_csv("out/predictions.csv")["time"].tolist() == stamps[:SAMPLES]
+    assert Path("out/rollouts.png").exists()
+    stamps = [str(date) for date in dates]
+    write(Path("record.csv"), stamps[:SAMPLES], y=signal(times()))
+    call("forecast record.csv --method persistence --steps 5 --out out")
+    assert pd.read_csv("out/forecast.csv")["time"].tolist() == stamps[SAMPLES:]
+    assert Path("out/forecast.png").exists()
+
+
+# ---------------------------------------------------------------- inputs to come
+
+
+@pytest.fixture
+def driven() -> Callable[[Array], Array]:
+    """A record of a linear system from 20 s on, in record.csv; its forecast for given inputs."""
+    u = np.sign(np.sin(np.arange(SAMPLES) ** 1.3 / 20))
+    filtered = [0.3, 0.1], [1, -1.6, 0.8]
+    write(Path("record.csv"), times(20), y=scipy.signal.lfilter(*filtered, u), force=u)
+    return lambda coming: np.asarray(
+        scipy.signal.lfilter(*filtered, np.concatenate([u, coming]))[SAMPLES:]
+    )
+
+
+COMING = np.sign(np.cos(np.arange(200) / 7))
+LINEAR = "forecast record.csv --columns y --inputs force --method linear --steps 40 --out out"
+
+
+def test_inputs_to_come_follow_the_record_by_their_time_stamps(
+    driven: Callable[[Array], Array],
+) -> None:
+    """Rows before the record's end are left out."""
+    time = times(20 + DT * (SAMPLES - 50), samples=100)
+    write(Path("coming.csv"), time, force=COMING[:100])
+    call(f"{LINEAR} --future-inputs coming.csv")
+    expected = driven(COMING[50:90])
+    np.testing.assert_allclose(pd.read_csv("out/forecast.csv")["y"], expected, atol=1e-5)
+
+
+def test_inputs_to_come_at_another_step_are_interpolated(
+    driven: Callable[[Array], Array], capsys: pytest.CaptureFixture[str]
+) -> None:
+    time = times(20 + DT * SAMPLES, 2 * DT, 21)
+    write(Path("coming.csv"), time, force=COMING[:21])
+    call(f"{LINEAR} --future-inputs coming.csv")
+    assert "coming.csv: sampled every 0.2 s, interpolated" in capsys.readouterr().out
+    expected = driven(np.interp(np.arange(40) / 2, np.arange(21), COMING[:21]))
+    np.testing.assert_allclose(pd.read_csv("out/forecast.csv")["y"], expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("off", [20.0, -20.0, 0.1])
+def test_inputs_to_come_that_do_not_follow_the_record_are_refused(
+    driven: Callable[[Array], Array], off: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    time = times(44 + off, samples=60)
+    write(Path("coming.csv"), time, force=COMING[:60])
+    said = refused(f"{LINEAR} --future-inputs coming.csv", capsys)
+    assert all(words in said for words in ("coming.csv", "44 s to 47.9 s", f"{44 + off:g} s to"))
+
+
+# ---------------------------------------------------------------- saved models
+
+
+@pytest.fixture(scope="module")
+def late_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A hybrid model whose simulator is 3 % too slow, of a record that begins at 20 s."""
+    folder = tmp_path_factory.mktemp("late")
+    (folder / "functions.py").write_text(FUNCTIONS)
+    write(folder / "record.csv", times(20), y=signal(times(0)))
+    line = (
+        f"fit {folder}/record.csv --method filtered-gru --calibrate {QUICK} --out {folder}/model "
+        f"--simulator {folder}/functions.py:slow_start"
+    )
+    assert main(shlex.split(line)) == 0
+    return folder / "model"
+
+
+def ahead(model: Path, history: str, options: str) -> Array:
+    call(f"simulate {model} --history {history} --steps 60 --out ahead.csv {options}")
+    return pd.read_csv("ahead.csv").to_numpy()
+
+
+@pytest.mark.parametrize("simulator", ["functions.py:slow_start", "cut.csv"])
+def test_a_later_history_is_simulated_on_as_the_whole_one_is(
+    late_model: Path, simulator: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The clock that was found counts from the training record, wherever the history begins."""
+    assert load(late_model)[1]["calibration"]["clock"] == pytest.approx(1 / 0.97, abs=5e-3)
+    write(Path("whole.csv"), times(20)[:180], y=signal(times())[:180])
+    write(Path("later.csv"), times(20)[100:180], y=signal(times())[100:180])
+    simulated = signal(0.97 * times(samples=400))
+    write(Path("cut.csv"), times(20, samples=400)[150:], y=simulated[150:])
+    whole = ahead(late_model, "whole.csv", "--simulator functions.py:slow_start")
+    capsys.readouterr()
+    later = ahead(late_model, "later.csv", f"--simulator {simulator}")
+    np.testing.assert_allclose(later[:, 0], times(38, samples=60), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(later, whole, rtol=0, atol=2e-4)
+    assert "begins +10 s after the training record" in capsys.readouterr().out
+
+
+def test_a_history_between_the_samples_of_the_training_record_is_simulated_on(
+    late_model: Path,
+) -> None:
+    time = times(30.03, samples=80)
+    write(Path("later.csv"), time, y=signal(time - 20))
+    simulated = signal(0.97 * times(samples=400))
+    write(Path("sim.csv"), times(20, samples=400), y=simulated)
+    asked = ahead(late_model, "later.csv", "--simulator functions.py:slow_start")
+    exported = ahead(late_model, "later.csv", "--simulator sim.csv")
+    np.testing.assert_allclose(asked, exported, rtol=0, atol=1e-3)
+
+
+def test_a_history_before_the_training_record_is_refused_where_the_clock_was_calibrated(
+    late_model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(Path("early.csv"), times()[:80], y=signal(times())[:80])
+    said = refused(
+        f"simulate {late_model} --history early.csv --steps 9 --out a.csv "
+        "--simulator functions.py:exact",
+        capsys,
+    )
+    assert all(words in said for words in ("--history", "20 s", "0 s", "clock 1.03"))
+
+
+def test_a_history_without_time_stamps_begins_where_the_training_record_did(
+    late_model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(Path("whole.csv"), times(20)[:180], y=signal(times())[:180])
+    whole = ahead(late_model, "whole.csv", "--simulator functions.py:slow_start")
+    np.savetxt("plain.txt", signal(times())[:180])
+    plain = ahead(late_model, "plain.txt", "--simulator functions.py:slow_start")
+    assert "begin where the training record did, at 20 s" in capsys.readouterr().out
+    np.testing.assert_allclose(plain[:, 1], whole[:, 1], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(plain[:, 0], DT * np.arange(1, 61))
+
+
+def changed(model: Path, folder: Path, start: Any) -> None:
+    """Copy a saved model, with another time stamp of its training record's beginning."""
+    shutil.copytree(model, folder)
+    description = json.loads((folder / "forecaster.json").read_text())
+
+    def change(part: Any) -> None:
+        if isinstance(part, dict) and part.get("class") == "Fitted":
+            part["fields"]["start"] = start
+        for each in part.values() if isinstance(part, dict) else ():
+            change(each)
+
+    change(description["forecaster"])
+    (folder / "forecaster.json").write_text(json.dumps(description))
+
+
+def test_a_model_of_a_record_without_time_stamps_begins_with_the_history(
+    late_model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(Path("whole.csv"), times(20)[:180], y=signal(times())[:180])
+    whole = ahead(late_model, "whole.csv", "--simulator functions.py:slow_start")
+    capsys.readouterr()
+    changed(late_model, Path("old"), None)
+    old = ahead(Path("old"), "whole.csv", "--simulator functions.py:slow_start")
+    assert "does not know when its training record began" in capsys.readouterr().out
+    np.testing.assert_array_equal(old, whole)
+
+
+@pytest.mark.parametrize("start", ["soon", True, [1.0], "NaT", {"date": "NaT"}])
+def test_a_damaged_start_is_one_line(
+    late_model: Path, start: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changed(late_model, Path("bad"), start)
+    write(Path("h.csv"), times(20), y=signal(times()))
+    said = refused("simulate bad --history h.csv --steps 5 --out a.csv", capsys)
+    assert "bad" in said
+
+
+def test_a_history_of_a_slightly_other_sampling_time_is_resampled(
+    late_model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    time = times(20, 0.1009, 180)
+    write(Path("h.csv"), time, y=signal(time - 20))
+    found = ahead(late_model, "h.csv", "--simulator functions.py:slow_start")
+    assert "h.csv: sampled every 0.1009 s, interpolated to every 0.1 s" in capsys.readouterr().out
+    exact = times(20, DT, 181)
+    assert exact[-1] <= time[-1] < exact[-1] + DT
+    write(Path("exact.csv"), exact, y=signal(exact - 20))
+    expected = ahead(late_model, "exact.csv", "--simulator functions.py:slow_start")
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-3)

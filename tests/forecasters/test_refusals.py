@@ -1,0 +1,190 @@
+"""What a forecaster refuses: the argument, the rule and the value are named."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import splitband as sb
+from splitband import GRU, Forecaster, Record
+from tests.forecasters.support import (
+    DT,
+    LENGTH,
+    SETUP,
+    TRAIN,
+    WARMUP,
+    Array,
+    fitted,
+    record,
+)
+
+
+def plain() -> Record:
+    return replace(record(), u=None, y_sim=None, inputs=())
+
+
+def interrupted() -> Record:
+    """Two stretches that are a sample shorter than a warm-up each."""
+    known = np.ones((2 * WARMUP - 1, 1), bool)
+    known[WARMUP - 1] = False
+    return replace(record()[: len(known)], measured=known)
+
+
+def two_channels() -> Record:
+    r = plain()
+    return replace(r, y=np.hstack([r.y, r.y]), columns=())
+
+
+def untyped(value: Any) -> Any:
+    """What type checkers would refuse."""
+    return value
+
+
+def mean() -> Forecaster:
+    return sb.Mean().fit(plain()[:TRAIN])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: sb.Mean().predict(3), "mean must be fitted before it is asked"),
+        (lambda: sb.Single(GRU(3)).save("nowhere"), "gru must be fitted before it is asked"),
+        (lambda: sb.Mean().fit(), "records must be one or several, got none"),
+        (lambda: mean().predict(0), "steps must be at least 1, got 0"),
+        (lambda: mean().predict(3, u=np.ones(3)), "u must be given exactly for a record with in"),
+        (
+            lambda: mean().predict(3, two_channels()),
+            r"training record's 1 channel\(s\) and 0 input\(s\), got 2 and 0",
+        ),
+        (
+            lambda: mean().predict(3, replace(plain(), sampling_time=0.2)),
+            "sampled like the training record, every 0.1 s, got every 0.2 s",
+        ),
+        (lambda: fitted("linear").predict(LENGTH), r"u must hold the 100 samples to come in 1 ch"),
+        (
+            lambda: fitted("linear").predict(9, u=np.ones((8, 1))),
+            r"u must hold the 9 samples to come in 1 channel\(s\), got \(8, 1\)",
+        ),
+        (
+            lambda: fitted("simulator").predict(9, y_sim=np.ones(8)),
+            r"y_sim must hold the 9 samples to come in 1 channel\(s\), got \(8, 1\)",
+        ),
+        (
+            lambda: fitted("simulator").predict(
+                9, replace(record()[:TRAIN], y_sim=None, beyond=None)
+            ),
+            "history must bring a simulator's output",
+        ),
+        (lambda: sb.Linear().fit(plain()), "linear needs known inputs, the record has none"),
+        (
+            lambda: SETUP.forecaster("filtered-gru").fit(plain()),
+            "filtered-gru needs a simulator, the record has none",
+        ),
+        (
+            lambda: fitted("residual-rnn").predict(5, interrupted()),
+            "history must have 8 measured samples in a row to warm up on, got 15 samples, of which "
+            "14",
+        ),
+        (
+            lambda: fitted("mean").predict(5, untyped(record().y)),
+            "history must be a Record, got ndarray",
+        ),
+        (lambda: sb.Linear().fit(untyped([record()])), "records must be a Record, got list"),
+        (lambda: sb.compare(untyped(record().y), TRAIN), "record must be a Record, got ndarray"),
+        (
+            lambda: fitted("mean").stream(untyped(record().y)),
+            "history must be a Record, got ndarray",
+        ),
+        (
+            lambda: sb.Single(untyped(GRU)),
+            r"must be an object, such as GRU\(...\), got the class GRU",
+        ),
+        (lambda: sb.Filtered(sb.Mean(), GRU(3)), "base must say something about the whole record"),
+        (lambda: sb.Ensemble(sb.Mean(), 0), "count must be at least 1, got 0"),
+        (lambda: sb.named("mena"), r"methods must be .*, got 'mena' \(did you mean mean\?\)"),
+    ],
+)
+def test_errors_say_what_is_wrong(call: Callable[[], Any], message: str) -> None:
+    with pytest.raises((ValueError, TypeError), match=message):
+        call()
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0, -0.5, 2.0])
+def test_a_level_is_a_share(level: float) -> None:
+    with pytest.raises(ValueError, match="level must be"):
+        mean().predict(5, level=level)
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        ({"columns": ("b", "a")}, "columns of history must be in the order .* a, b, got b, a"),
+        ({"inputs": ("w", "v")}, "inputs of history must be in the order .* v, w, got w, v"),
+        ({"sampling_time": 0.2}, "history must be sampled like the training record, every 0.1 s"),
+    ],
+)
+def test_a_history_has_the_channels_of_the_training_record(
+    other: dict[str, Any], message: str
+) -> None:
+    values = np.random.default_rng(1).standard_normal((60, 2))
+    known = Record(values, DT, values, columns=("a", "b"), inputs=("v", "w"))
+    model = sb.Linear().fit(known)
+    with pytest.raises(ValueError, match=message):
+        model.predict(5, replace(known, **other), u=values[:5])
+
+
+def test_the_time_since_the_training_record_asks_for_its_sampling() -> None:
+    """A two-hundredth is off by five samples after a thousand."""
+    t: Array = DT * np.arange(1000, dtype=np.float64)
+    harmonic = sb.Harmonic().fit(Record(np.sin(t), DT))
+    with pytest.raises(ValueError, match=r"for harmonic, .* every 0.1 s, got every 0.1005 s"):
+        harmonic.predict(5, Record(np.sin(1.005 * t), 1.005 * DT))
+    assert sb.Mean().fit(Record(np.sin(t), DT)).predict(5, Record(t, 1.005 * DT))
+
+
+@pytest.mark.parametrize("name", ["gru", "linear"])
+def test_inputs_to_come_are_numbers(name: str) -> None:
+    with pytest.raises(ValueError, match="u must hold finite numbers"):
+        fitted(name).predict(2, u=[1.0, np.nan])
+
+
+def test_further_training_records_are_of_the_same_system() -> None:
+    one, two = Record(np.ones(9), DT), Record(np.ones((9, 2)), DT, name="other")
+    with pytest.raises(ValueError, match=r"other must have the training record's 1 channel\(s\)"):
+        sb.Mean().fit(one, two)
+
+
+@pytest.mark.parametrize(
+    ("argument", "call", "values"),
+    [
+        ("steps", lambda n: mean().predict(n), [3.0, "3", None, float("nan"), True]),
+        ("seed", lambda n: sb.Mean().fit(record()[:30], seed=n), [None]),
+        ("count", lambda n: sb.Ensemble(sb.Mean(), n), ["3"]),
+        ("seeds", lambda n: sb.Ensemble(sb.Mean(), seeds=[0, n]), [True]),
+        ("hidden_size", GRU, [float("nan")]),
+        ("window", lambda n: sb.Settings(window=n), [3.0]),
+        ("order", lambda n: sb.Bands(order=n), ["3"]),
+        ("train", lambda n: sb.compare(record(), n, [sb.Mean()]), [True]),
+        ("steps", lambda n: sb.forecast(record(), n, [sb.Mean()]), [None]),
+        ("seeds", lambda n: sb.compare(record(), 30, [sb.Mean()], seeds=n), [3.0]),
+    ],
+)
+def test_what_must_be_a_whole_number_is_named(
+    argument: str, call: Callable[[Any], Any], values: list[Any]
+) -> None:
+    for value in values:
+        with pytest.raises(ValueError, match=f"^{argument} must be a whole number, got "):
+            call(value)
+
+
+def test_a_whole_number_of_numpy_is_one(tmp_path: Path) -> None:
+    three = np.int64(3)
+    assert len(mean().predict(three).y) == 3  # type: ignore[arg-type]
+    settings = sb.Settings(window=np.int64(20), warmup=three, epochs=1)  # type: ignore[arg-type]
+    model = sb.Single(GRU(three), settings).fit(record()[:TRAIN], seed=three)  # type: ignore[arg-type]
+    model.save(tmp_path)
+    u = record()[:TRAIN].u_beyond
+    np.testing.assert_array_equal(sb.load(tmp_path).predict(3, u=u).y, model.predict(3, u=u).y)

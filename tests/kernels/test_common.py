@@ -1,0 +1,126 @@
+"""What kernels share: products, tanh, rows split over threads, and what is said of compiling."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from concurrent.futures import Future
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numba import from_dtype, types
+
+import splitband
+from splitband.kernels import common
+from splitband.kernels import matmul as products
+
+
+@pytest.mark.parametrize(("blocks", "dtype"), [("_WIDE", np.float32), ("_NARROW", np.float64)])
+def test_products_of_any_shape_on_any_processor(
+    monkeypatch: pytest.MonkeyPatch, blocks: str, dtype: type[np.floating[Any]]
+) -> None:
+    monkeypatch.setattr(products, "_BLOCKS", getattr(products, blocks))
+
+    @common.part
+    def product(out: common.Array, a: common.Array, w: common.Array, accumulate: bool) -> None:
+        products._matmul(out, a, w, accumulate)
+
+    # Compiled once, for arrays of any strides, and not for each layout that they happen to have.
+    array = types.Array(from_dtype(np.dtype(dtype)), 2, "A")
+    dispatcher: Any = product
+    dispatcher.compile((array, array, array, types.boolean))
+    dispatcher.disable_compile()
+    rng = np.random.default_rng(0)
+    for rows, inner, columns in [(1, 1, 16), (7, 3, 48), (25, 0, 64), (11, 9, 112), (16, 40, 80)]:
+        a = rng.standard_normal((inner, rows + 1)).astype(dtype)[:, 1:].T
+        w = rng.standard_normal((inner, columns + 3)).astype(dtype)[:, 3:]
+        out = rng.standard_normal((rows, columns)).astype(dtype)
+        before, beside = out.copy(), np.full((rows + 2, columns + 2), 7, dtype)
+        product(out, a, w, True)
+        product(beside[1:-1, 1:-1], a, w, False)
+        tolerance = 1e-5 if dtype == np.float32 else 1e-12
+        np.testing.assert_allclose(out, before + a @ w, atol=tolerance)
+        np.testing.assert_allclose(beside[1:-1, 1:-1], a @ w, atol=tolerance)
+        beside[1:-1, 1:-1] = 7
+        assert (beside == 7).all()
+
+
+def test_tanh_in_float32_is_exact_to_four_ulp_odd_and_bounded() -> None:
+    @common.part
+    def compiled(x: common.Array) -> None:
+        for i in range(x.size):
+            x[i] = common.tanh(x[i])
+
+    x = np.concatenate([np.linspace(-12, 12, 100_001), np.logspace(-30, 0, 1000)])
+    x = np.concatenate([x, [np.inf, -np.inf, np.nan, 0.0]]).astype(np.float32)
+    y = x.copy()
+    compiled(y)
+    np.testing.assert_allclose(y, np.tanh(x.astype(np.float64)), rtol=5e-7)
+    assert np.isnan(y[-2])
+    assert np.nanmax(np.abs(y)) <= 1 + 2**-22
+
+
+def test_rows_are_split_evenly_over_the_threads_that_the_work_is_worth(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert common.split_rows(5, 100) == [slice(0, 2), slice(2, 5)]
+    assert common.split_rows(1, 100) == [slice(0, 1)]
+    monkeypatch.setattr(common, "_WORTH_A_THREAD", 60)
+    assert common.split_rows(5, 100) == [slice(0, 5)]
+
+
+def test_jobs_that_no_thread_takes_are_done_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Lost:
+        def submit(self, work: Callable[[], None]) -> Future[None]:
+            return Future()
+
+    done: list[int] = []
+    monkeypatch.setattr(common, "_POOL", Lost())
+    common.run_rows(done.append, [(i,) for i in range(5)])
+    assert sorted(done) == list(range(5))
+
+
+def test_an_error_in_a_job_is_raised() -> None:
+    def fail(i: int) -> None:
+        if i == 1:
+            raise MemoryError
+
+    with pytest.raises(MemoryError):
+        common.run_rows(fail, [(0,), (1,), (2,)])
+
+
+def test_compiling_is_announced_once_and_only_then(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    # A kernel of a compiled part, as those of the package, that takes no time to compile.
+    (tmp_path / "tiny.py").write_text(
+        """
+from splitband.kernels.common import kernel, part
+
+@part
+def half(x):
+    return x / 2
+
+@kernel
+def quarter(x):
+    return half(half(x))
+"""
+    )
+    monkeypatch.setattr(splitband, "__path__", [*splitband.__path__, str(tmp_path)])
+
+    def announced() -> int:
+        """As in a process that has not compiled anything yet."""
+        caplog.clear()
+        monkeypatch.setattr(common._Announcement, "said", False)
+        monkeypatch.delitem(sys.modules, "splitband.tiny", raising=False)
+        quarter = import_module("splitband.tiny").quarter
+        assert not quarter.signatures  # importing compiles nothing
+        assert (quarter(4.0), quarter(4)) == (1.0, 1.0)
+        return caplog.text.count("compiling kernels")
+
+    assert announced() == 1
+    assert announced() == 0
+    sys.modules.pop("splitband.tiny")
