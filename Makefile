@@ -10,17 +10,17 @@ ifneq ($(wildcard ../shared/data),)
 export SPLITBAND_DATA_DIR ?= $(abspath ../shared/data)
 endif
 
-.PHONY: axe demo test check kernels format figures docs paper bench fuzz soak memory clean
+.PHONY: axe demo test check float32 float64 format figures docs paper bench fuzz soak memory clean
 
 demo: .venv/.ready
 	$(BIN)/splitband demo --out demo
 
 test:
-	$(MAKE) --jobs=2 check kernels
+	$(MAKE) --jobs=3 check float32 float64
 	$(BIN)/pytest -n auto
 
-kernels: .venv/.ready
-	$(BIN)/python -m tests.kernels.compiling
+float32 float64: .venv/.ready
+	$(BIN)/python -m tests.kernels.compiling $@
 
 check: .venv/.ready
 	$(BIN)/ruff check .
