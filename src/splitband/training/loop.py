@@ -47,7 +47,7 @@ class History:
 
 def fit(
     model: Model,
-    trajectory: Record | Sequence[Record],
+    records: Record | Sequence[Record],
     settings: Settings | None = None,
     seed: int = 0,
     progress: Callable[[Progress], None] | None = None,
@@ -68,17 +68,17 @@ def fit(
     Parameters
     ----------
     model : What to train; its initial parameters are the caller's.
-    trajectory : The training record, and nothing else: cut it before. Several of the same system
-        train one model.
+    records : The training record, and nothing else: cut it before. Several of the same system train
+        one model.
     settings : How; by default `Settings.of` the shortest record's samples.
     seed : For the order of the windows.
     progress : Called after each epoch.
     checkpoint : Where the same training goes on if it was cut off, with the same numbers to the
         bit; nothing is trained again if it was not.
     """
-    records = [trajectory] if isinstance(trajectory, Record) else [*trajectory]
+    records = [records] if isinstance(records, Record) else [*records]
     if not records:
-        raise ValueError("trajectory must be a record or several, got none")
+        raise ValueError("records must be one or several, got none")
     settings = settings or Settings.of(min(map(len, records)))
     for record in records:
         _check_channels(model, record)
