@@ -1,1 +1,1 @@
-"""Define fits without a network: seasonal, trend, harmonic, periodic and linear."""
+"""Fit baselines, which need no network: seasonal, trend, harmonic, periodic and linear."""

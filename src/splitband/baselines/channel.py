@@ -1,7 +1,7 @@
 """Fit the output-error model of one channel: y = (B u + C δ) / A + offset.
 
-More poles have to pay for themselves on held-out samples (`baselines.origins`). For given poles the
-rest is linear; the poles are found by the Steiglitz-McBride iteration (1965), then refined.
+The number of poles is chosen on held-out samples (`baselines.origins`). For given poles the other
+parameters are linear; the poles are found by the Steiglitz-McBride iteration (1965), then refined.
 """
 
 from __future__ import annotations
@@ -22,19 +22,17 @@ from splitband.runtime.deadlines import OverError, check
 from splitband.runtime.options import saved
 
 ORDERS = (1, 2, 3, 4, 6, 8)
-"""Numbers of poles that are tried. By eye; which of them is taken is decided over rolling
-origins."""
+"""Numbers of poles that are tried. By eye; forecasts from rolling origins decide between them."""
 ROUNDS = 20
-"""Iterations that look for a denominator, at most; the search goes on from the best one. By eye."""
+"""Most Steiglitz-McBride iterations; the best denominator is then refined. By eye."""
 CONVERGED = 1e-9
-"""The iteration ends where no coefficient changes by more than this, far above rounding. By eye."""
+"""The iteration ends when no coefficient changes by more than this, far above rounding. By eye."""
 FARTHEST_POLE = 0.9999
-"""Largest absolute value of a pole: a record hardly tells a slower decay from growth. By eye."""
+"""Largest absolute value of a pole: a slower decay can hardly be told from growth. By eye."""
 _RANK = 1e-10
-"""Singular values below this share of the largest one are cut: they are those of rounding."""
+"""Singular values below this share of the largest one are rounding errors and are cut."""
 _DECAYED_SHARE = 0.1
-"""A response to the initial state below this share of its peak is taken to have died out.
-By eye."""
+"""A response to the initial state counts as decayed below this share of its peak. By eye."""
 
 
 @saved
@@ -44,7 +42,7 @@ class Channel(NamedTuple):
     Attributes
     ----------
     a, b, c, offset : A `(n + 1,)`, B `(nu, n + 1)`, C `(n,)` and the offset of `OutputError`.
-    states : Those in the training records, in the coordinates of C.
+    states : States in the training records, in the coordinates of C.
     """
 
     a: Array
@@ -68,7 +66,7 @@ class Channel(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """Hold a stretch of a record: a channel `(time,)`, NaN in gaps, and the inputs `(time, nu)`."""
+    """Hold a part of a record: one channel `(time,)`, NaN in gaps, and the inputs `(time, nu)`."""
 
     y: Array
     u: Array
@@ -77,9 +75,9 @@ class _Part(NamedTuple):
 def fit_channels(
     records: Sequence[tuple[Array, Array]], most: int | None = None
 ) -> tuple[Channel, ...]:
-    """Return the model of each channel, of `y` and normalised `u` of each record.
+    """Fit a model with at most `most` poles to each channel.
 
-    They have `most` poles at most.
+    `records` holds `y` and the normalised `u` of each record.
     """
     return tuple(
         _fit_channel([_Part(y[:, i], u) for y, u in records], most)
@@ -94,7 +92,7 @@ def _fit_channel(records: Sequence[_Part], most: int | None) -> Channel:
     parts = [_recent(part, LONGEST // len(others)) for part in others]
     begin, _ = recent(first.y[:, None])
     a = _denominator([_recent(first), *parts], most)
-    # The initial state is that of the whole of the first record, of which the end is fitted.
+    # Only the end of the first record is fitted, but its initial state is that at its beginning.
     whole = [first._replace(y=np.where(np.arange(len(first.y)) < begin, np.nan, first.y)), *parts]
     fitted, simulated = _solved(a, whole)
     order, nu = len(a) - 1, first.u.shape[1]
@@ -109,7 +107,7 @@ def _fit_channel(records: Sequence[_Part], most: int | None) -> Channel:
 
 
 def _recent(part: _Part, longest: int | None = None) -> _Part:
-    """Return the part from the first sample of `common.recent` on."""
+    """Return the part without the samples that `common.recent` drops at its beginning."""
     if not len(known(part.y)):
         return part
     begin, end = recent(part.y[:, None], longest)
@@ -121,12 +119,12 @@ def _joined(parts: Sequence[_Part]) -> Array:
 
 
 def _denominator(parts: Sequence[_Part], most: int | None) -> Array:
-    """Return the denominator A, of a higher order where that pays on held-out samples."""
+    """Return the denominator A; a higher order must lower the held-out error."""
     nu = parts[0].u.shape[1]
     enough_samples = max((len(known(_joined(parts))) // 3 - nu - 1) // (2 + nu), 1)
     most = enough_samples if most is None else min(most, enough_samples)
     best, errors = ORDERS[0], dict[int, Array]()
-    with suppress(OverError):  # the best of the orders so far is what there is then
+    with suppress(OverError):  # at the deadline, take the best order so far
         for order in (order for order in ORDERS if order <= most):
             errors[order] = _held_out(parts, order)
             if pays(errors[order], errors[best]):
@@ -135,7 +133,7 @@ def _denominator(parts: Sequence[_Part], most: int | None) -> Array:
 
 
 def _held_out(parts: Sequence[_Part], order: int) -> Array:
-    """Return the RMSE of the forecasts of held-out samples, from each origin."""
+    """Return the held-out RMSE of the forecast from each origin."""
     y, errors = _joined(parts), []
     for ends in zip(*map(_ends, parts), strict=True):
         check()
@@ -157,7 +155,7 @@ def _ends(part: _Part) -> list[int]:
 
 
 def _of_order(parts: Sequence[_Part], order: int) -> Array:
-    """Return the best denominator of this order, out of those that are tried."""
+    """Return the denominator of this order with the least error over all iterations."""
     return min(_tried(parts, order), key=lambda at: at[0])[1]
 
 
@@ -165,8 +163,8 @@ def _tried(parts: Sequence[_Part], order: int) -> Iterator[tuple[float, Array]]:
     """Yield mean squared errors and denominators of the Steiglitz-McBride iteration (1965).
 
     Output, inputs and offset are filtered by 1/A, and the next A is fitted to the filtered signals
-    by least squares. Gaps of y are filled by the simulation of the model before, by straight lines
-    at first. It ends early where the denominator does not change any more.
+    by least squares. Gaps of y are filled by linear interpolation at first, then by the simulation
+    of the previous model. The iteration ends early when the denominator has converged.
     """
     y = _joined(parts)
     whole = np.concatenate([_filled(part.y) for part in parts])
@@ -191,7 +189,7 @@ def _tried(parts: Sequence[_Part], order: int) -> Iterator[tuple[float, Array]]:
 
 
 def _filled(y: Array) -> Array:
-    """Fill gaps by straight lines."""
+    """Fill gaps by linear interpolation."""
     rows = known(y)
     return np.interp(np.arange(len(y)), rows, y[rows]) if len(rows) else np.zeros_like(y)
 
@@ -209,12 +207,12 @@ def _refined(a: Array, parts: Sequence[_Part]) -> Array:
 
 
 def _solved(a: Array, parts: Sequence[_Part]) -> tuple[Array, Array]:
-    """Return the best B, C of each part and offset for a given A, and their simulation."""
+    """Return B, C of each part and the offset that are optimal for A, and the simulation."""
     return _weighed(_driven(a, parts), len(a), parts)
 
 
 def _weighed(driven: Array, size: int, parts: Sequence[_Part]) -> tuple[Array, Array]:
-    """Return what `_solved` does from the regressors of an A of this size."""
+    """Return the same as `_solved`, given the regressors `driven` and the length of A, `size`."""
     y = _joined(parts)
     rows = known(y)
     basis = np.hstack([driven, np.ones((len(y), 1))])
@@ -226,16 +224,17 @@ def _weighed(driven: Array, size: int, parts: Sequence[_Part]) -> tuple[Array, A
 
 
 def _determined(free: Array, rows: npt.NDArray[np.int_]) -> Array:
-    """Return the measured rows of responses to an initial state, 0 where they do not determine it.
+    """Return the measured rows of the responses to an initial state.
 
-    That is where the response has died out before the first measured sample.
+    Responses that have decayed before the first measured sample, and so do not determine the
+    state, are set to 0.
     """
     gone = abs(free[rows]).max(axis=0) < _DECAYED_SHARE * abs(free).max(axis=0)
     return np.where(gone, 0.0, free[rows])
 
 
 def initial_state(channel: Channel, y: Array, u: Array) -> Array:
-    """Return C of a channel `(time,)` that is NaN before its first measured sample."""
+    """Return the best C for a channel `(time,)` that may begin with NaN."""
     left = y - channel._replace(c=np.zeros_like(channel.c)).simulate(u)
     free, rows = _free(channel.a, u), known(y)
     return np.asarray(np.linalg.lstsq(_determined(free, rows), left[rows], rcond=_RANK)[0])
@@ -254,7 +253,7 @@ def _driven(a: Array, parts: Sequence[_Part]) -> Array:
         passed = scipy.signal.lfilter([1.0], a, u, axis=0).T
         forced.append(np.hstack([_delayed(x, len(a)) for x in passed]))
         free.append(_free(a, u))
-    # Of one part, as nearly always, its own: SciPy takes its time to find that out.
+    # A shortcut for a single part, the usual case: block_diag is slow.
     of_states = free[0] if len(free) == 1 else scipy.linalg.block_diag(*free)
     return np.hstack([np.concatenate(forced), of_states])
 
@@ -269,14 +268,14 @@ def _delayed(x: Array, delays: int) -> Array:
 
 
 def stable(a: Array) -> Array:
-    """Mirror poles from outside the unit circle into it, to `FARTHEST_POLE` at most."""
+    """Mirror unstable poles at the unit circle, and limit all to `FARTHEST_POLE`."""
     poles = np.roots(a)
     size = abs(poles)
     if (size <= FARTHEST_POLE).all():
         return a
     inside = np.minimum(np.where(size > 1, 1 / np.maximum(size, 1), size), FARTHEST_POLE)
     a = np.real(np.poly(np.where(size > 0, poles * inside / np.maximum(size, 1e-300), 0)))
-    # Of nearly equal poles rounding leaves few digits, and may put them outside again.
+    # Rounding may move nearly equal poles outside the unit circle again.
     while (largest := abs(np.roots(a)).max(initial=0.0)) > 1:
         a = a * (0.999 / largest) ** np.arange(len(a))
     return a

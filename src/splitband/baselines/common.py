@@ -1,7 +1,7 @@
 """Select and scale the samples to which baselines are fitted.
 
-A baseline is what a trained model has to beat to be worth its training. It is fitted to the
-training samples in closed form, and predicts by time index, which counts from the first of them.
+A baseline is a method that needs no training of a network; a network has to beat it. It is fitted
+to the training samples by least squares. Time indices count from the first training sample.
 """
 
 from __future__ import annotations
@@ -14,29 +14,28 @@ import numpy.typing as npt
 from splitband.runtime.arrays import Array
 
 LONGEST = 4000
-"""Measured samples of a channel that least squares fits use at most, to bound their time.
-By eye."""
+"""Most measured samples of a channel in a least-squares fit, to limit its time. By eye."""
 FARTHEST_BACK = 10 * LONGEST
-"""Rows before the end of a record in which these are looked for, where there are gaps. By eye."""
+"""Where there are gaps, only so many rows before a record's end are searched for them. By eye."""
 
 
 class ByTime(Protocol):
-    """Define the interface of closed-form fits: functions of time from the first fitted sample."""
+    """Define the interface of baselines without inputs: functions of the time index."""
 
     @classmethod
     def fit(cls, y: Array) -> Self:
         """Fit to measured samples `(time, ny)`, NaN in gaps."""
 
     def predict(self, start: float, steps: int) -> Array:
-        """Return the samples `start`..`start + steps - 1`, counted from there, `(steps, ny)`."""
+        """Return the samples `start`..`start + steps - 1`, `(steps, ny)`; 0 is the first fitted."""
 
 
 def recent(y: Array, longest: int | None = None) -> tuple[int, Array]:
-    """Return the index from which on `y` `(time, ny)` is fitted, and `y` from there on.
+    """Return the first index of `y` `(time, ny)` that is fitted, and `y` from there on.
 
-    Of each channel the last `longest` measured samples are kept, by default `LONGEST`; those among
-    them that are farther back than `FARTHEST_BACK` rows only where there are no others. The rest
-    becomes NaN.
+    The last `longest` measured samples of each channel are kept, by default `LONGEST`; others
+    become NaN. Samples more than `FARTHEST_BACK` rows before the end are dropped too, unless a
+    channel has no later ones.
     """
     y = y.copy()
     for channel in y.T:
@@ -53,6 +52,6 @@ def known(y: Array) -> npt.NDArray[np.int_]:
 
 
 def units(y: Array) -> tuple[float, float]:
-    """Return mean and range of a channel; for a constant one its value, and 1."""
+    """Return the mean and range of a channel; for a constant channel its value and 1."""
     low, high = float(np.nanmin(y)), float(np.nanmax(y))
     return (float(np.nanmean(y)), high - low) if low < high else (low, 1.0)

@@ -1,7 +1,7 @@
 """Estimate the dead time of inputs in samples.
 
-An input that acts only after many samples needs as many parameters of a linear model, or a memory
-as long of a network. Shifted by its delay it needs neither.
+For an input that acts only after many samples, a linear model needs as many parameters and a
+network as long a memory. Shifting the input by its delay avoids both.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 
 SHORTEST = 4
-"""Samples: a shorter delay is left to a model's own coefficients. By eye."""
+"""Shortest delay in samples; the model's coefficients account for shorter ones. By eye."""
 LONGEST_DELAY = 200
-"""Samples: no longer delay is looked for. By eye."""
+"""Longest delay in samples. By eye."""
 _COEFFICIENTS = 400
-"""Most coefficients of the model in which delays are looked for: it bounds the time. By eye."""
+"""Most coefficients of the ARX model that delays are read from, to limit the time. By eye."""
 _SAMPLES_EACH = 5
-"""Fewest samples for each of them. By eye."""
+"""Fewest samples per coefficient. By eye."""
 _PAST = 4
-"""Past outputs in that model. By eye."""
+"""Past outputs in the ARX model. By eye."""
 _CHANCE = 1e-3
-"""Probability that an input without any effect is found to have one. By eye."""
+"""Probability of a false detection for an input without effect. By eye."""
 
 
 def check_delays(delays: Sequence[int], inputs: int) -> None:
-    """Raise ValueError where delays, perhaps of a forged file, are not those of so many inputs."""
+    """Check the number and range of delays, which may come from a file; raises ValueError."""
     if len(delays) != inputs:
         raise ValueError(f"delays must be those of {inputs} inputs, got {len(delays)}")
     for delay in delays:
@@ -38,7 +38,7 @@ def check_delays(delays: Sequence[int], inputs: int) -> None:
 
 
 def delayed(u: Array, delays: Sequence[int]) -> Array:
-    """Return inputs `(time, nu)`, each late by its delay in samples; at first its value is held."""
+    """Return inputs `(time, nu)`, each delayed in samples; the first value is held before it."""
     if not any(delays):
         return u
     rows = np.arange(len(u))[:, None] - np.asarray(delays)
@@ -48,10 +48,10 @@ def delayed(u: Array, delays: Sequence[int]) -> Array:
 def candidates(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
     """Return for each input the first delay at which it has a significant effect.
 
-    That is the first significant coefficient of an input in a linear regression of the output on
-    all inputs up to a longest delay, and on its own past, which whitens the errors: ARX. It is 0
+    This is the lag of the input's first significant coefficient in an ARX model: a regression of
+    the output on the lagged inputs and on its own past, which whitens the errors. The delay is 0
     for an input without a significant effect, for one that acts after fewer than `SHORTEST`
-    samples, and where there are too few samples.
+    samples, and for records with too few samples.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Fit sinusoids that may decay and a trend to a record by least squares.
 
-A naive baseline (see `baselines.common`), and a strong one: what a driven linear system does is a
-sum of such sinusoids and of exponentials.
+A strong baseline (see `baselines.common`): the free response of a linear system, and its response
+to sinusoids, are sums of such sinusoids and of exponentials.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
 MOST_SINUSOIDS = 10
-"""Default limit of the number of sinusoids of a channel. By eye."""
+"""Largest number of sinusoids of a channel by default. By eye."""
 STRONG_EVIDENCE = 6.0
-"""By how much the information criterion must prefer decays to sinusoids that go on for ever. Where
-two of these beat more slowly than the record is long, decays may be worse by as much: such a pair
-describes a decay within the record, and grows again after it. Chosen on the simulated pendulum
-(ii), then tried on 360 drawn records (docs/results/rules.md)."""
+"""Margin of the BIC by which decaying sinusoids must be better than undamped ones. Where two
+undamped sinusoids beat more slowly than the record is long, decaying ones may be worse by this
+margin: the pair describes a decay within the record, but grows again after it. Chosen on the
+simulated pendulum (ii), then tested on 360 drawn records (docs/results/rules.md)."""
 
 
 @saved
@@ -32,8 +32,8 @@ class HarmonicRegression:
 
     Attributes
     ----------
-    channels : The sinusoids of each.
-    begin : Index of the first sample that was fitted, from which they decay.
+    channels : The sinusoids of each channel.
+    begin : Index of the first fitted sample, from which on they decay.
     """
 
     channels: tuple[Modes, ...]
@@ -41,13 +41,13 @@ class HarmonicRegression:
 
     @classmethod
     def fit(cls, y: Array, sinusoids: int | None = None, damped: bool = True) -> HarmonicRegression:
-        """Fit `y` `(time, ny)`, each channel by itself; NaN is what was not measured.
+        """Fit `y` `(time, ny)`, each channel separately, NaN in gaps.
 
-        A trend is kept where it pays on held-out samples (`trend.find`). Sinusoids are added one by
-        one at the peak of the residual's spectrum and then moved together to the least squares. By
-        default as many as the Bayesian information criterion is willing to pay for, at most
-        `MOST_SINUSOIDS`. With `damped` each may decay where that pays too, as the free vibrations
-        of a driven system do. Of a long record the last `common.LONGEST` samples are fitted.
+        A trend is kept if it lowers the held-out error (`trend.find`). Sinusoids are added one by
+        one at the peak of the residual's spectrum, and all are then refined by least squares. By
+        default the Bayesian information criterion (BIC) sets their number, at most
+        `MOST_SINUSOIDS`. With `damped`, they may decay like free vibrations of a driven system, if
+        the BIC improves. The last `common.LONGEST` samples of a long record are fitted.
         """
         begin, y = recent(y)
         return cls(tuple(_fit_channel(channel, sinusoids, damped) for channel in y.T), begin)
@@ -81,7 +81,7 @@ def _fit_channel(y: Array, sinusoids: int | None, damped: bool) -> Modes:
 
 
 def _greedy(y: Array, sinusoids: int | None, damping: float, shape: Shape | None) -> Modes:
-    """Add sinusoids one by one; each begins with `damping`, which stays if it is zero."""
+    """Add sinusoids one by one, each with the initial `damping`; zero stays zero."""
     n = len(known(y))
     most = min(
         MOST_SINUSOIDS if sinusoids is None else sinusoids, max((n - 2) // (4 if damping else 3), 0)
@@ -97,7 +97,7 @@ def _greedy(y: Array, sinusoids: int | None, damping: float, shape: Shape | None
 
 
 def _sustained(modes: Modes, y: Array) -> Modes:
-    """Drop each damping that does not pay for itself, the slowest decay first."""
+    """Set each damping to zero if that lowers the BIC, the slowest decay first."""
     for i in np.argsort(modes.dampings):
         kept = np.where(np.arange(len(modes.dampings)) == i, 0.0, modes.dampings)
         without = modes._replace(dampings=kept).refined(y)

@@ -1,7 +1,7 @@
 """Fit a linear output-error model from the known inputs to the measured channels.
 
-A naive baseline (see `baselines.common`) for records with inputs; for a linear system with white
-measurement noise no other model does better. Its state at the beginning of a history is estimated
+A baseline (see `baselines.common`) for records with inputs; for a linear system with white
+measurement noise it is the optimal model structure. The initial state of a history is estimated
 from that history. See L. Ljung, System Identification, 2nd ed., Sec. 4.2.
 """
 
@@ -42,7 +42,7 @@ class OutputError:
     delays: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        """Check what may come from a file."""
+        """Check values that may come from a file."""
         check_delays(self.delays, len(self.mean))
 
     @classmethod
@@ -55,19 +55,19 @@ class OutputError:
     ) -> OutputError:
         """Fit to the first samples of a record, by least squares of the simulation error.
 
-        Each channel has a model of its own. Its poles are stable, and more of them have to pay for
-        themselves on held-out samples (`baselines.origins`). Of a long record the
-        last samples are fitted, see `common.recent`. Where an input acts late, a model with that
-        delay is fitted, too, and the one with the lower Bayesian information criterion is taken.
-        After the deadline of `runtime.deadlines` no more orders and no delays are tried.
+        Each channel has its own model with stable poles, whose number is chosen on held-out samples
+        (`baselines.origins`). The last samples of a long record are fitted, see `common.recent`. If
+        an input acts with a delay, a model with that delay is fitted as well, and the Bayesian
+        information criterion chooses between them. After the deadline of `runtime.deadlines` no
+        more orders and no delays are tried.
 
         Parameters
         ----------
-        y : `(train, ny)`; NaN is what was not measured.
+        y : `(train, ny)`, NaN in gaps.
         u : Inputs of the same samples, `(train, nu)`.
-        others : `y` and `u` of further records of the same system. Together they may have as many
-            samples in the fit as the first record. Each has an initial state of its own.
-        most : Poles of each channel at most, for a model without delays.
+        others : `y` and `u` of further records of the same system, each with its own initial
+            state. The limit `common.LONGEST` on fitted samples is divided between them.
+        most : Most poles of each channel; delays are then not tried.
         """
         together = np.concatenate([u, *(inputs for _, inputs in others)])
         mean, scale = together.mean(axis=0), spread(together)
@@ -77,7 +77,7 @@ class OutputError:
             return at_once
         delays = candidates(records)
         begin, shifted = max(delays), [(seen, delayed(x, delays)) for seen, x in records]
-        # Fitted from the first sample on whose inputs are known, with a state of its own there.
+        # Fit from the first sample whose delayed inputs are known, with an initial state there.
         acted = [(seen[begin:], x[begin:]) for seen, x in shifted]
         if not begin or np.isnan(acted[0][0]).all(axis=0).any():
             return at_once
@@ -106,10 +106,10 @@ class OutputError:
         ----------
         u : Inputs from the first sample on, `(time, nu)`.
         y : The first samples, `(any time, ny)`, NaN in gaps.
-        before : Where the record may go on from the training record, the inputs since the first
-            sample of that, `(any time, nu)`, empty where both begin together. What the model says
-            of the training record's state is corrected by as much as `y` demands. None: the
-            state is only known to be one of those that the training record had.
+        before : If the record continues the training record, the inputs from the first training
+            sample to its beginning, `(any time, nu)`; empty if both begin together. The simulated
+            state is then corrected as far as `y` contradicts it. None: the prior of the state is
+            the distribution of the states in training.
         """
         since = u if before is None else np.concatenate([before, u])
         scaled, late = self._scaled(since), max(self.delays)
@@ -133,7 +133,7 @@ class OutputError:
         return b, np.append(channel.a, np.zeros(late))
 
     def state_space(self) -> tuple[Array, Array, Array, Array]:
-        """Return A, B, C and D of the deviations from `mean` and the offsets, delays included.
+        """Return A, B, C and D, including delays, for deviations from `mean` and the offsets.
 
         The states are those of each channel in observer form, then the delayed inputs.
         """
@@ -144,7 +144,7 @@ class OutputError:
         c[:, : len(own)] = seen
         first = len(own)
         for j, late in enumerate(self.delays):
-            # What acts on the channels: the input, or the last of its delayed values.
+            # The channels are driven by the input, or by the last of its delayed values.
             into, out, column = (a, c, first + late - 1) if late else (b, d, j)
             into[: len(own), column], out[:, column] = driven[:, j], direct[:, j]
             if late:
@@ -160,7 +160,7 @@ class OutputError:
         return a, b, c, d
 
     def criterion(self, samples: float) -> float:
-        """Return the Bayesian information criterion of a fit to so many samples of each channel."""
+        """Return the Bayesian information criterion of a fit to `samples` samples per channel."""
         tiny = np.finfo(np.float64).tiny
         return sum(
             2 * samples * np.log(max(channel.states.error, tiny))
@@ -185,7 +185,7 @@ def _after(y: Array, begin: int) -> Array:
 
 
 def input_delays(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
-    """Return the dead time of each input in samples, as the linear model has it.
+    """Return the dead time of each input in samples, as estimated by the linear model.
 
     `records` are `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each.
     """

@@ -15,25 +15,23 @@ from splitband.runtime.deadlines import check
 from splitband.runtime.options import saved
 
 RESOLUTION = 0.1
-"""Sinusoids too close to be told apart are fitted as one: singular values below this are cut.
+"""Singular values below this share are cut: sinusoids of nearly the same frequency count as one.
 By eye."""
 AS_HIGH = 0.95
-"""Peaks of the spectrum of at least this share of the highest one's power count as equally high.
+"""Peaks of the spectrum with at least this share of the highest one's power count as equally high.
 By eye."""
 FASTEST_DECAY = 20.0
-"""E-foldings of a sinusoid within the record, at most: there is little to fit of a faster one.
-By eye."""
+"""Most e-foldings of a sinusoid within the record: a faster decay leaves little to fit. By eye."""
 FEWEST_CYCLES = 0.5
-"""Of a sinusoid within the record: a constant would be hard to tell from a slower one. By eye."""
+"""Fewest cycles of a sinusoid within the record: a slower one resembles a constant. By eye."""
 
 
 @saved
 class Modes(NamedTuple):
     """Hold the sinusoids of one channel `y` `(time,)`, NaN in gaps, with an offset and a trend.
 
-    A frequency of which the record shows less than one cycle is no oscillation, as far as anyone
-    can tell. Such a sinusoid describes how the level moved within the record; before and after the
-    record it is held.
+    A sinusoid with less than one cycle in the record cannot be told from a drift. It describes the
+    drift within the record, and is held constant before and after it.
 
     Attributes
     ----------
@@ -42,7 +40,7 @@ class Modes(NamedTuple):
     coefficients : Offset, cosine and sine amplitudes, and the size of the trend if there is one.
     samples : Number of samples that were fitted, from index 0 on.
     shape : Shape of the trend; None without one.
-    harmonics : The first so many are multiples of the first one, and move with it.
+    harmonics : Number of leading frequencies that stay multiples of the first one.
     """
 
     frequencies: Array
@@ -80,7 +78,8 @@ class Modes(NamedTuple):
     def with_another(self, y: Array, damping: float, weight: float = 0.0) -> Modes:
         """Add a sinusoid at the peak of the residual's spectrum, and refine all of them.
 
-        A damping of zero stays. A `weight` lets the beginning of the record count more.
+        A damping of zero stays zero. A positive `weight` emphasises the beginning of the record in
+        the search for the peak.
         """
         left = np.nan_to_num(self.residual(y)) * np.exp(-weight * np.arange(len(y)) / len(y))
         frequencies, power = scipy.signal.periodogram(left, nfft=8 * len(y), detrend=False)
@@ -96,7 +95,7 @@ class Modes(NamedTuple):
         phase = 2 * np.pi * at * self.frequencies
         cosine, sine = np.cos(phase), np.sin(phase)
         if self.dampings.any():
-            # Before the record the size is held, where it would grow.
+            # Before the record the amplitude is held, as it would grow there.
             size = np.exp(-np.maximum(at, 0) * self.dampings)
             cosine, sine = size * cosine, size * sine
         columns = [np.ones((len(index), 1)), cosine, sine]
@@ -116,11 +115,11 @@ class Modes(NamedTuple):
         return y - self.predict(np.arange(len(y)))
 
     def exact(self, y: Array) -> bool:
-        """Return whether nothing is left to explain, so that `information` can only rise."""
+        """Return whether the residual is rounding error, so that `information` can only rise."""
         return float(np.nanmean(self.residual(y) ** 2)) <= _rounding(y)
 
     def information(self, y: Array) -> float:
-        """Return the BIC of a Gaussian residual, which counts as 1e-8 of y at least."""
+        """Return the BIC for a Gaussian residual, of at least 1e-8 times the RMS of y."""
         samples, left = len(known(y)), float(np.nanmean(self.residual(y) ** 2))
         variance = max(left, _rounding(y))
         count = len(self.frequencies)
@@ -136,14 +135,14 @@ class Modes(NamedTuple):
 
 
 def _rounding(y: Array) -> float:
-    """Return the mean square of a residual that counts as rounding: 1e-8 of the signal's RMS."""
+    """Return the mean square below which a residual is rounding error: (1e-8 RMS of y) squared."""
     return max(1e-16 * float(np.nanmean(y**2)), 1e-300)
 
 
 def _highest(power: Array, whole: bool) -> int:
-    """Return the index of the highest peak; with gaps the first of those of nearly that height.
+    """Return the index of the highest peak; with gaps, of the first peak of nearly that height.
 
-    What is measured now and then has images of its frequencies above them.
+    Gaps create images of a frequency at higher frequencies.
     """
     highest = 1 + int(np.argmax(power[1:]))
     if whole:
@@ -156,8 +155,8 @@ def _highest(power: Array, whole: bool) -> int:
 class _Refinement:
     """Optimise the nonlinear parameters by least squares; the linear ones are eliminated.
 
-    What moves are the frequencies, of which the harmonics stay multiples of the first, then the
-    dampings that are not zero, then the rate of the trend where it is an exponential.
+    The nonlinear parameters are, in this order, the frequencies (harmonics stay multiples of the
+    first one), the dampings that are not zero, and the rate of an exponential trend.
     """
 
     def __init__(self, modes: Modes, y: Array) -> None:
@@ -194,7 +193,7 @@ class _Refinement:
     def _limits(self) -> tuple[list[Array], list[Array], list[Array], list[Array]]:
         """Return initial values, lower and upper bounds, and step scales of the parameters."""
         reach = 1 / len(self.y)
-        # The highest harmonic moves by a multiple of what the fundamental moves by.
+        # The highest harmonic moves by a multiple of the step of the fundamental.
         around = reach / self.multiples.max(axis=0, initial=1)
         slowest = FEWEST_CYCLES * reach
         low = np.clip(self.free - around, slowest, 0.5)
@@ -220,9 +219,9 @@ class _Refinement:
     def _at(self, moved: Array) -> tuple[Modes, Array]:
         """Return the modes with these values, and a triangular factor of Jacobian and residual.
 
-        Its columns have the lengths of the slopes and of the residual, and the same products, which
-        is all that the solver needs of them; it is much smaller. The solver asks for the residual
-        and then for the slopes at the same values, so that the last answer is kept.
+        The factor has the same inner products as the Jacobian and the residual, which is all that
+        the solver needs, and far fewer rows. The last result is cached, as the solver evaluates the
+        residual and then the Jacobian at the same values.
         """
         if self._last is None or not np.array_equal(self._last[0], moved):
             check()
@@ -236,7 +235,7 @@ class _Refinement:
         return self._last[1], self._last[2]
 
     def _with(self, moved: Array) -> Modes:
-        """Return the modes with these values, before their coefficients are solved for."""
+        """Return the modes with these values, without updating their coefficients."""
         modes, free = self.modes, len(self.free)
         rates = np.zeros(len(modes.frequencies))
         rates[self.decaying] = moved[free : free + self.decaying.sum()]
@@ -249,7 +248,7 @@ class _Refinement:
     def _slopes(self, modes: Modes, span: _Span) -> Array:
         """Return the Jacobian of the residual with respect to the parameters.
 
-        The derivative of the basis, as far as the basis itself cannot make up for it (Kaufman's
+        This is the derivative of the basis, projected onto the complement of its span (Kaufman's
         approximation of variable projection).
         """
         basis, index = span.basis, self.rows
@@ -268,14 +267,14 @@ class _Refinement:
 class _Span(NamedTuple):
     """Represent the span of a basis `(time, n)`, without nearly dependent directions.
 
-    It is computed from the products of the columns, which takes a tenth of the time of a singular
-    value decomposition of the basis. Squaring loses no digits that matter: what `RESOLUTION` keeps
-    has a condition number of 10 at most.
+    It is computed from the Gram matrix, in a tenth of the time of a singular value decomposition of
+    the basis. The loss of precision is harmless: the directions that `RESOLUTION` keeps have a
+    condition number of 10 at most.
 
     Attributes
     ----------
     basis : The columns.
-    inverse : The pseudo-inverse of their products, `(n, n)`.
+    inverse : The pseudo-inverse of their Gram matrix, `(n, n)`.
     """
 
     basis: Array
@@ -292,6 +291,6 @@ class _Span(NamedTuple):
     def coefficients(self, values: Array) -> Array:
         """Return the columns' coefficients that fit `values` `(time, ...)` best."""
         found = self.inverse @ (self.basis.T @ values)
-        # A second step mends what rounding has left of the first.
+        # A second step corrects rounding errors of the first.
         left = values - self.basis @ found
         return np.asarray(found + self.inverse @ (self.basis.T @ left))

@@ -1,7 +1,8 @@
-"""Say from where known samples are forecast, and what has to pay for itself there.
+"""Define rolling origins of held-out forecasts, and when a richer model pays on them.
 
-A fit to the beginning of a record forecasts the rest of it, from several origins. The same ones
-decide on trends, periods and poles, give a method its held-out error and an interval its width.
+From each origin, a fit to the samples before it forecasts the samples after it. The same origins
+select trends, periods and poles, and give the held-out errors of methods and the width of
+intervals.
 """
 
 from __future__ import annotations
@@ -11,23 +12,23 @@ import numpy as np
 from splitband.runtime.arrays import Array
 
 HELD_OUT = (0.5, 0.375, 0.25, 0.2, 0.15, 0.1)
-"""Shares of a record that are forecast by what is fitted to the samples before. Half a record shows
-how errors grow; a tenth is forecast by nearly the final fit. By the regret of trends, periods and
-poles on development records, also with the last four alone (docs/results/rules.md)."""
+"""Shares of a record that are held out, one for each origin. A long share shows how errors grow; a
+short one is forecast by nearly the final fit. Chosen by the regret of trends, periods and poles on
+development records, also with the last four alone (docs/results/rules.md)."""
 NEGLIGIBLE = 1e-8
-"""RMSE, of a channel whose range is about 1, below which it is that of rounding. By eye."""
+"""RMSE below which an error is rounding, for a channel with a range of about 1. By eye."""
 
 
 def origins(samples: int) -> list[int]:
-    """Return how many of so many samples are fitted, for each of the shares that are held out."""
+    """Return how many of `samples` samples are fitted, for each held-out share."""
     return [max(samples - max(1, round(share * samples)), 1) for share in HELD_OUT]
 
 
 def pays(more: Array, less: Array) -> bool:
-    """Return whether a fit with more freedom is better than one with less, by one standard error.
+    """Return whether a richer model is better than a simpler one, by one standard error.
 
-    Both are RMSE of the forecasts from each origin; what is compared are their logarithms, so that
-    a forecast counts as much as another one that is longer.
+    `more` and `less` are their RMSE from each origin. Logarithms are compared, so that each
+    forecast counts the same, however long it is.
     """
     gain = np.log(np.maximum(less, NEGLIGIBLE)) - np.log(np.maximum(more, NEGLIGIBLE))
     if len(gain) < 2:

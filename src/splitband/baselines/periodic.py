@@ -1,8 +1,8 @@
-"""Fit a Fourier series of the record's own period, a trend and free vibrations.
+"""Fit a Fourier series with an estimated period, a trend and free vibrations.
 
-A naive baseline (see `baselines.common`). A system that is driven periodically, linear or not,
-repeats itself once its free vibrations have died out. Seasonal-naive repeats one period and its
-noise; this takes the mean of all periods, which need not be a whole number of samples.
+A baseline (see `baselines.common`). The response of a periodically driven system usually becomes
+periodic once its free vibrations have decayed. Seasonal-naive repeats one period with its noise;
+this averages over all periods, and the period need not be a whole number of samples.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MOST_HARMONICS = 30
 VIBRATIONS = 4
 """Largest number of decaying sinusoids. By eye."""
 LAGS = 4
-"""At which a record resembles itself, that are tried as periods. By eye."""
+"""Number of lags at which a record resembles itself that are tried as periods. By eye."""
 
 
 @saved
@@ -37,7 +37,7 @@ class PeriodicRegression:
     Attributes
     ----------
     sinusoids : All sinusoids; those of the series come first.
-    periods : Period in samples, by channel; 0 for a channel without one, which is constant here.
+    periods : Period in samples, by channel; 0 for a channel without one (offset and trend only).
     vibrations : Number of decaying sinusoids, by channel.
     """
 
@@ -47,13 +47,13 @@ class PeriodicRegression:
 
     @classmethod
     def fit(cls, y: Array) -> PeriodicRegression:
-        """Fit `y` `(time, ny)`, each channel by itself; NaN is what was not measured.
+        """Fit `y` `(time, ny)`, each channel separately, NaN in gaps.
 
-        A trend is kept where it pays on held-out samples (`trend.find`). The period is a lag at
-        which the channel resembles itself, or a whole fraction of it, with as many harmonics as the
-        Bayesian information criterion selects. The series is kept, its period may move, and
-        vibrations that die out may be added, each where that pays on held-out samples
-        (`baselines.origins`). Of a long record the last `common.LONGEST` samples are used.
+        A trend is kept if it lowers the held-out error (`trend.find`). The period is a lag at which
+        the channel resembles itself, or an integer fraction of it; the Bayesian information
+        criterion selects the harmonics. The series itself, the refinement of its period, and
+        additional decaying vibrations are each kept only if they lower the held-out error
+        (`baselines.origins`). The last `common.LONGEST` samples of a long record are used.
         """
         begin, y = recent(y)
         channels = [_fit_channel(channel) for channel in y.T]
@@ -84,7 +84,7 @@ class PeriodicRegression:
 def _fit_channel(y: Array) -> Modes:
     """Fit one channel, scaled to its range.
 
-    The result has no period if a Fourier series does not pay on held-out samples. That is seen
+    The result has no period if a Fourier series does not lower the held-out error. This is tested
     before the period is refined, which takes most of the time.
     """
     offset, scale = units(y)
@@ -98,7 +98,7 @@ def _fit_channel(y: Array) -> Modes:
     parts = [scaled[: later[0]] for later in held]
 
     def errors(fits: Sequence[Modes]) -> Array:
-        """Return the RMSE on held-out samples of fits to each of the parts."""
+        """Return the held-out RMSE of the fit to each part."""
         left = (scaled[at] - fit.predict(at) for at, fit in zip(held, fits, strict=True))
         return np.array([np.sqrt(np.mean(error**2)) for error in left])
 
@@ -113,7 +113,7 @@ def _fit_channel(y: Array) -> Modes:
 
 
 def _candidates(series: Modes, y: Array) -> tuple[Modes, Modes, Modes]:
-    """Return the series of a whole lag, with its period refined, and with vibrations added."""
+    """Return the series itself, with refined period, and with decaying vibrations added."""
     if not len(series.frequencies):
         return series, series, series
     refined = dying = modes = series.refined(y)
@@ -126,12 +126,12 @@ def _candidates(series: Modes, y: Array) -> tuple[Modes, Modes, Modes]:
 
 
 def _best_series(y: Array, shape: Shape | None) -> Modes:
-    """Return the best Fourier series out of lags at which the record resembles itself."""
+    """Return the best Fourier series over the lags at which the record resembles itself."""
     level = Modes.none(y, shape)
     if len(known(y)) < 2:
         return level
     channel = level.residual(y)[:, None]
-    # Of multiples of a period that tie, seasonal-naive takes the shortest.
+    # Where multiples of a period tie, seasonal-naive takes the shortest one.
     periods = {len(last_period(channel)), *self_similar_lags(channel, LAGS)}
     candidates = [_series(y, lag, shape) for lag in sorted(periods)]
     return min(candidates, key=lambda modes: modes.information(y))
@@ -155,7 +155,7 @@ def _series(y: Array, lag: int, shape: Shape | None) -> Modes:
     pairs = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(index), -1)
     level = none.basis(index)
     directions = np.linalg.qr(np.hstack([level, pairs]))[0]
-    # What is left of the power with each further harmonic.
+    # The residual power after each further harmonic.
     power = np.nansum(y**2)
     left = power - np.cumsum((directions.T @ y[index]) ** 2)[level.shape[1] - 1 :: 2]
     left = np.maximum(left, 1e-16 * power + 1e-300)
@@ -163,7 +163,7 @@ def _series(y: Array, lag: int, shape: Shape | None) -> Modes:
     kept = strongest[: int(np.argmin(information))]
     if not len(kept):
         return none
-    # Where all of them are harmonics of a fraction of the lag, that fraction is the period. Weak
+    # If all of them are harmonics of a fraction of the lag, that fraction is the period. Weak
     # harmonics between them are kept too.
     whole = int(np.gcd.reduce(kept))
     order = np.arange(1, min(kept.max() // whole, MOST_HARMONICS) + 1)

@@ -1,8 +1,8 @@
 """Realise a linear output-error model in state space.
 
-Polynomials of one channel become the observer canonical form, those of several channels blocks of
-one model. Its states are scaled to a deviation of 1 in the record, uncorrelated, so that units of a
-network that see them are neither saturated nor idle. See T. Kailath, Linear Systems, 1980, Ch. 2.
+The polynomials of each channel become a block in observer canonical form. The states are
+decorrelated and scaled to a standard deviation of 1 in the record, so that they neither saturate
+the units of a network nor leave them idle. See T. Kailath, Linear Systems, 1980, Ch. 2.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from splitband.baselines.linear import OutputError
 from splitband.runtime.arrays import Array
 
 _FASTEST, _SLOWEST = 0.5, 0.95
-"""Poles of states that the linear model does not need. By eye."""
+"""Range of the poles of additional states that the output does not depend on. By eye."""
 _RANK = 1e-6
-"""Share of the largest variance below which a state is not scaled up any more. By eye."""
+"""Variances below this share of the largest one are raised to it before scaling. By eye."""
 _RIDGE = 1e-6
-"""Of the least squares for the first state, as a share of the regressors' mean square. By eye."""
+"""Ridge penalty of the state estimator, as a share of the regressors' mean square. By eye."""
 
 
 class Realisation(NamedTuple):
-    """Hold x_{n+1} = A x_n + B u_n, y_n = C x_n + D u_n + c, and an estimate of its state.
+    """Hold x_{n+1} = A x_n + B u_n, y_n = C x_n + D u_n + offset, and its simulated states.
 
-    The inputs are those of the record.
+    The inputs u_n are in the record's units.
 
     Attributes
     ----------
     a, b, c, d, offset : `(states, states)`, `(states, nu)`, `(ny, states)`, `(ny, nu)`, `(ny,)`.
-    states : In each record, `(time, states)`.
+    states : State trajectory in each record, `(time, states)`.
     """
 
     a: Array
@@ -46,17 +46,17 @@ class Realisation(NamedTuple):
 def realised(
     model: OutputError, inputs: Sequence[Array], states: int, rng: np.random.Generator
 ) -> Realisation:
-    """Return a model with so many states, and its states in the records.
+    """Return a state-space model with `states` states, and its states in the records.
 
-    Where the polynomials have more poles, the states that matter least are left out (balanced
-    truncation); where they have fewer, there are further states that the output does not depend on.
+    If the polynomials have more poles, the least important states are removed (balanced
+    truncation). If they have fewer, states are added that the output does not depend on.
 
     Parameters
     ----------
-    model : Without delays.
-    inputs : Of each training record, `(time, nu)`.
-    states : How many.
-    rng : Draws further states.
+    model : A model without delays.
+    inputs : Inputs of each training record, `(time, nu)`.
+    states : Number of states.
+    rng : Draws the input matrix of additional states.
     """
     a, b, c, d = model.without_delays()
     first = np.concatenate([channel.c for channel in model.channels])
@@ -79,7 +79,7 @@ def realised(
     a, b, c = into @ a @ out, into @ b / model.scale, c @ out
     d = d / model.scale
     offset = np.array([channel.offset for channel in model.channels]) - d @ model.mean
-    # The inputs' means move the states by constants, which the offset of the output takes.
+    # The means of the inputs shift the states by constants; the output's offset compensates.
     still = np.linalg.solve(np.eye(states) - a, b @ model.mean)
     offset = offset - c @ still
     return Realisation(a, b, c, d, offset, tuple(run @ into.T + still for run in runs))
@@ -88,15 +88,16 @@ def realised(
 def state_estimator(
     runs: Sequence[tuple[Array, Array]], states: Sequence[Array], samples: int
 ) -> tuple[Array, Array]:
-    """Return a linear map of samples and inputs to the state at the first of them, and a constant.
+    """Fit a linear map from a window of `y` and `u` to the state at its first sample.
 
-    Least squares over all places of the records where everything was measured.
+    Returns the matrix and the constant of the map, by ridge regression over all windows of the
+    records without gaps.
 
     Parameters
     ----------
     runs : `y` `(time, ny)`, NaN in gaps, and the network's inputs `(time, nu)`, of each record.
-    states : Of each record, `(time, states)`.
-    samples : From the first one on; their values lie sample by sample, y before u.
+    states : States in each record, `(time, states)`.
+    samples : Samples of a window; its values are ordered sample by sample, y before u.
     """
     seen, wanted = [], []
     for (y, u), x in zip(runs, states, strict=True):
@@ -120,7 +121,7 @@ def state_estimator(
 
 
 def _simulated(a: Array, b: Array, x: Array, u: Array) -> Array:
-    """Return the states, `(time, states)`."""
+    """Simulate the states from the initial state `x`, `(time, states)`."""
     forced, found = u @ b.T, np.empty((len(u), len(a)))
     for n in range(len(u)):
         found[n] = x
@@ -129,7 +130,7 @@ def _simulated(a: Array, b: Array, x: Array, u: Array) -> Array:
 
 
 def _reduction(a: Array, b: Array, c: Array, states: int) -> tuple[Array, Array]:
-    """Return maps into the most important states and back (Moore, 1981; roots of Gramians)."""
+    """Return maps to the most important states and back (balanced truncation; Moore, 1981)."""
     reach = scipy.linalg.solve_discrete_lyapunov(a, b @ b.T)
     seen = scipy.linalg.solve_discrete_lyapunov(a.T, c.T @ c)
     roots = []

@@ -1,6 +1,6 @@
-"""Repeat the last period of a record, on top of a trend where there is one.
+"""Repeat the last period of a record, on top of a trend if there is one.
 
-A naive baseline (see `splitband.baselines.common`).
+The seasonal-naive baseline (see `splitband.baselines.common`).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
 ENOUGH_PAIRS = 0.25
-"""Share of the largest number of pairs of measured samples at any lag. A lag with fewer pairs is
-left out: they may agree by chance. By eye."""
+"""Fewest pairs of measured samples at a lag, as a share of the largest number at any lag. A lag
+with fewer pairs is left out, as they may agree by chance. By eye."""
 
 
 @saved
@@ -27,9 +27,9 @@ class LastPeriod:
 
     Attributes
     ----------
-    period : The samples that repeat, without the trend, `(lag, ny)`.
+    period : The samples that are repeated, without the trend, `(lag, ny)`.
     end : Index after the last of them.
-    trends : Of each channel, where it has one.
+    trends : Trend of each channel; None without one.
     """
 
     period: Array
@@ -40,9 +40,9 @@ class LastPeriod:
     def fit(cls, y: Array) -> LastPeriod:
         """Choose the lag whose last period, repeated backwards, fits `y` `(time, ny)` best.
 
-        A trend that pays (see `trend.find`) is taken out first. Where `y` is NaN nothing was
-        measured, and the period before has to do. Compared are the lags up to half the record at
-        which the record resembles itself: the local minima of its mean squared difference at a lag.
+        A trend, if there is one (`trend.find`), is removed first. Gaps (NaN) are filled from the
+        period before. The candidates are the lags, up to half the record, at which the record
+        resembles itself: local minima of its mean squared difference at a lag.
         """
         trends = tuple(find(channel) for channel in y.T)
         return cls(last_period(y - trending(trends, np.arange(len(y)))), len(y), trends)
@@ -58,7 +58,7 @@ class LastPeriod:
         return self.period[(index - self.end) % self.lag] + self.trend(round(start), steps)
 
     def trend(self, start: float, steps: int) -> Array:
-        """Return the trend alone of the samples from `start` on, `(steps, ny)`."""
+        """Return only the trend from sample `start` on, `(steps, ny)`."""
         return trending(self.trends, start + np.arange(steps))
 
     def __str__(self) -> str:
@@ -77,9 +77,9 @@ def last_period(y: Array) -> Array:
 
 
 def self_similar_lags(y: Array, most: int = 200) -> list[int]:
-    """Return the lags of local minima of the mean of (y_n - y_{n+lag})^2, the least one first.
+    """Return the lags of local minima of the mean of (y_n - y_{n+lag})^2, the lowest first.
 
-    They are half of `y` at most.
+    Lags of up to half the length of `y` are considered.
     """
     difference = _differences(y)
     # With infinity behind it, the last lag can be a minimum too.
@@ -91,8 +91,8 @@ def self_similar_lags(y: Array, most: int = 200) -> list[int]:
 def _differences(y: Array) -> Array:
     """Return the mean of (y_n - y_{n+lag})^2 for the lags 1, 2, ... to half of `y` `(time, ny)`.
 
-    The mean is over pairs of measured samples, and infinite where there are few; channels are
-    added, each in units of its variance.
+    The mean is taken over pairs of measured samples, and is infinite where these are few. The
+    channels are summed, each in units of its variance.
     """
     n = len(y)
     lags = np.arange(1, n // 2 + 1)
@@ -126,7 +126,7 @@ def seasons(y: Array, lag: int) -> Array:
 
 
 def all_around(period: Array) -> Array:
-    """Fill NaN in a period `(lag, ny)` by straight lines, which wrap around its ends."""
+    """Fill NaN in a period `(lag, ny)` by periodic linear interpolation."""
     filled, phase = period.copy(), np.arange(len(period))
     for channel in filled.T:
         seen = ~np.isnan(channel)
@@ -137,7 +137,7 @@ def all_around(period: Array) -> Array:
 def _last_period(y: Array, lag: int) -> tuple[Array, Array]:
     """Return the last measured sample by phase, `(lag, ny)`, and mean squared errors, `(ny,)`.
 
-    The errors are those for all earlier samples; a channel without any has its variance.
+    The errors compare all earlier samples with it; a channel without any gets its variance.
     """
     by_season = seasons(y, lag)
     count = len(by_season)

@@ -18,14 +18,13 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
 FACTORS = np.geomspace(1e-4, 1e6, 41)
-"""Multiples of the usual covariance by which an initial state may differ from what is expected.
-By eye."""
+"""Candidate factors of the prior covariance of an initial state. By eye."""
 SURPRISING = 8.0
-"""By how much twice the log-likelihood must rise for a factor other than the usual one. By eye."""
+"""Rise of twice the log-likelihood that a factor other than the usual one must bring. By eye."""
 EXACT = 1e-9
-"""Of the usual response to a state: a smaller error of a model is that of rounding."""
+"""Smallest model error, as a share of the response to a usual state; smaller ones are rounding."""
 _MOST_CORRELATED = 0.999
-"""Largest correlation of successive errors of a model that is believed. By eye."""
+"""Upper limit of the correlation of successive errors. By eye."""
 
 
 @saved
@@ -34,10 +33,9 @@ class States(NamedTuple):
 
     Attributes
     ----------
-    mean, root : Of the states: their mean, `(n,)`, and rows of which random multiples with
-        deviation 1 add up to deviations from it, `(n, n)`.
+    mean, root : Mean of the states, `(n,)`, and a square root R of their covariance R'R, `(n, n)`.
     error : RMSE of the simulation of the training records.
-    correlation : Of two neighbouring errors, 0 to 1.
+    correlation : Correlation of successive errors, 0 to 1.
     """
 
     mean: Array
@@ -49,15 +47,14 @@ class States(NamedTuple):
     def of(
         cls, a: Array, b: Array, runs: Sequence[tuple[Array, Array]], errors: Sequence[Array]
     ) -> States:
-        """Return the states of simulations.
+        """Return the statistics of the states and errors of simulations.
 
         Parameters
         ----------
         a : A, `(n + 1,)`.
         b : B of each input, `(nu, n + 1)`.
-        runs : Of each simulation the output without the offset, `(time,)`, and the inputs,
-            `(time, nu)`.
-        errors : Of each, `(time,)`; NaN where nothing was measured.
+        runs : Output without the offset, `(time,)`, and inputs, `(time, nu)`, of each simulation.
+        errors : Errors of each simulation, `(time,)`, NaN in gaps.
         """
         states = np.concatenate([_states(a, b, y, u) for y, u in runs])
         mean = states.mean(axis=0)
@@ -71,27 +68,27 @@ class States(NamedTuple):
         return cls(mean, root, float(np.sqrt(power)), min(max(correlation, 0.0), _MOST_CORRELATED))
 
     def scaled(self, scale: float) -> States:
-        """Return them for outputs that are `scale` times as large."""
+        """Return the statistics for outputs that are `scale` times as large."""
         return self._replace(
             mean=scale * self.mean, root=scale * self.root, error=scale * self.error
         )
 
     def correction(self, left: Array, samples: int, a: Array, expected: bool) -> Array:
-        """Return by how much a simulation changes with its initial state, `(samples,)`.
+        """Return the correction of a simulation for its estimated initial state, `(samples,)`.
 
-        The state is the most probable one for normal errors, neighbouring ones correlated as in
-        training, and a state that differs from the assumed one by the usual covariance times a
-        factor. The factor is the most probable one (empirical Bayes) where the first samples are
-        surprising, so that noise alone does not move a state that was expected.
+        The state is the maximum a posteriori estimate, for Gaussian errors correlated as in
+        training, and for a prior around the assumed state: the covariance in training times a
+        factor. If the first samples are surprising, the factor is the most likely one (empirical
+        Bayes); otherwise the usual one, so that noise alone does not move an expected state.
 
         Parameters
         ----------
-        left : By how much the first samples are above the simulation from the assumed state,
-            `(any time,)`; NaN where nothing was measured.
-        samples : From the first of `left` on.
+        left : First measured samples minus the simulation from the assumed state, `(any time,)`,
+            NaN in gaps.
+        samples : Number of samples to return, from the first of `left` on.
         a : A, `(n + 1,)`.
-        expected : Whether that state was simulated, so that a factor of 0 is usual; otherwise it
-            is the mean, and the factor 1 is.
+        expected : Whether the assumed state was simulated (usual factor 0), or is the mean of
+            the states in training (usual factor 1).
         """
         impulse = np.asarray(np.arange(samples) == 0, dtype=np.float64)
         answers = np.stack([scipy.signal.lfilter(c, a, impulse) for c in self.root], axis=1)
@@ -114,7 +111,7 @@ class States(NamedTuple):
         return np.asarray(answers @ (inner.T @ (factor * size * seen / (noise + factor * size**2))))
 
     def _whitened(self, x: Array, rows: npt.NDArray[np.int_]) -> Array:
-        """Return samples at these rows, `(rows, any)`, less what the last error predicts."""
+        """Return samples at these rows, `(rows, any)`, whitened by the correlation of errors."""
         kept = self.correlation ** np.diff(rows)[:, None]
         return np.concatenate([x[:1], (x[1:] - kept * x[:-1]) / np.sqrt(1 - kept**2)])
 

@@ -1,8 +1,8 @@
 """Find the trend of a channel: a straight line, or an exponential that settles at a limit.
 
-A trend is kept only if it pays on held-out samples (`baselines.origins`) against a constant and
-against the last value. Oscillations are fitted along with it, so that neither is taken
-for the other.
+A trend is kept only if its held-out forecasts (`baselines.origins`) are better than a constant and
+than the last value. Sinusoids are fitted together with it, so that neither is mistaken for the
+other.
 """
 
 from __future__ import annotations
@@ -20,32 +20,32 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
 SLOWEST, FASTEST = 0.5, 20.0
-"""E-foldings of an exponential within the record. A slower one is as good as a straight line, a
-faster one is over before there is much to fit. By eye."""
+"""E-foldings of an exponential within the record. A slower one is nearly a straight line, a faster
+one leaves little to fit. By eye."""
 MOST_BLOCKS = 256
-"""A trend is slow: means over so many blocks show it, at a small part of the work. By eye."""
+"""Most block means to which a trend is fitted: it is slow, and this saves time. By eye."""
 FEWEST = 15
 """Smallest number of blocks for held-out tests; with fewer there is no trend. By eye."""
 SINUSOIDS = 6
 """Largest number of sinusoids that are fitted along with a trend. By eye."""
 EVIDENCE = 3.0
-"""Of a sinusoid or of the trend itself, per logarithm of the number of blocks: its power, against
-that of what is left. Noise alone has peaks, too, and what sinusoids leave of a period that they do
-not fit to the end has a slope. By eye."""
+"""Sum of squares that a sinusoid or the trend must explain, by the residual's mean square and the
+logarithm of the number of blocks. Noise has peaks too, and the residual of an incomplete period has
+a slope. By eye."""
 NEGLIGIBLE = 1e-16
 """Mean square that counts as zero, in units of the record's range squared."""
 _RANK = 0.03
-"""Of the sinusoids fitted along with a trend: singular values below this share are cut. By eye."""
+"""Singular values below this share are cut in fits of a trend with sinusoids. By eye."""
 
 
 @saved
 class Shape(NamedTuple):
-    """Represent a function of time of mean 0 and deviation 1 over the fitted samples.
+    """Represent a line or exponential with mean 0 and deviation 1 over the fitted samples.
 
     Attributes
     ----------
     rate : Decay of the exponential per sample; 0 for a straight line.
-    begin, samples : What was fitted: from which sample on, and how many. It is constant before.
+    begin, samples : First fitted sample, and their number. The shape is constant before `begin`.
     """
 
     rate: float
@@ -62,9 +62,9 @@ class Shape(NamedTuple):
         return (np.exp(-folds * elapsed) - mean) / deviation
 
     def by_rate(self, index: npt.NDArray[np.number]) -> Array:
-        """Return the derivative of an exponential by its rate, `(len(index),)`.
+        """Return the derivative of an exponential with respect to its rate, `(len(index),)`.
 
-        Mean and deviation count as fixed: offset and size, which are fitted, make up for them.
+        Mean and deviation are treated as constants: the fitted offset and size compensate.
         """
         since = np.maximum(index - self.begin, 0)
         return np.asarray(-since * np.exp(-self.rate * since) / self._moments()[1])
@@ -97,11 +97,10 @@ class Trend(NamedTuple):
 def find(y: Array) -> Trend | None:
     """Return the trend of a channel `(time,)`, NaN in gaps, or None if none lowers the error.
 
-    What follows each origin is forecast from what comes before it: by the last value; by a
-    constant, by a line and by an exponential, to each of which the strongest sinusoids are added.
-    A line has to pay for itself against both the last value and the constant, and an exponential
-    against the line, where there is one. In the fit to all of the record the trend must stand out
-    of what that leaves.
+    Four forecasts are compared over rolling origins: the last value, and a constant, a line and an
+    exponential, each with the strongest sinusoids. A line must be better than the last value and
+    the constant; an exponential better than the line, or than those two if no line is kept. In the
+    fit to the whole record, the trend must also stand out from the residual.
     """
     begin, end = recent(y[:, None])
     offset, scale = units(end[:, 0])
@@ -127,19 +126,19 @@ def find(y: Array) -> Trend | None:
 
 
 def trending(trends: Sequence[Trend | None], index: npt.NDArray[np.number]) -> Array:
-    """Return the trends of channels, `(len(index), ny)`; 0 where there is none."""
+    """Return the trend of each channel, `(len(index), ny)`; 0 for a channel without one."""
     none = np.zeros(len(index))
     return np.stack([trend.predict(index) if trend else none for trend in trends], axis=1)
 
 
 def described(shapes: Sequence[Shape | None]) -> str:
-    """Describe the trends of channels; empty without any."""
+    """Return a description of the channels' trends; empty without any."""
     kinds = [str(shape) for shape in shapes if shape is not None]
     return f", on {' and '.join(dict.fromkeys(kinds))}" if kinds else ""
 
 
 def _blocks(y: Array, begin: int) -> tuple[Array, Array]:
-    """Return centres and means of blocks of equal length, NaN where nothing was measured."""
+    """Return centres and means of blocks of equal length; NaN for blocks without measurements."""
     length = -(-len(y) // MOST_BLOCKS)
     first = len(y) % length
     by_block = y[first:].reshape(-1, length)
@@ -167,7 +166,7 @@ def _held_out(at: Array, blocks: Array, cuts: list[int], shapes: list[Shape]) ->
 
 
 class _Sketch(NamedTuple):
-    """Fit a trend or none with the strongest sinusoids; frequencies are in cycles per sample."""
+    """Hold a fit of the strongest sinusoids (cycles per sample), with or without a trend."""
 
     shape: Shape | None
     frequencies: list[float]
@@ -177,8 +176,8 @@ class _Sketch(NamedTuple):
     def fit(cls, at: Array, y: Array, shapes: list[Shape]) -> _Sketch:
         """Fit the best shape out of `shapes` with sinusoids, by orthogonal matching pursuit.
 
-        One sinusoid after the other is taken at the peak of the residual's spectrum, where it has
-        a cycle or more in the record.
+        Sinusoids are added one by one at the peak of the residual's spectrum, among frequencies of
+        at least one cycle per record.
         """
         rows = known(y)
         times, values = at[rows], y[rows]
@@ -234,7 +233,7 @@ def _with(shape: Shape | None, at: Array, sinusoids: Array) -> Array:
 
 
 def _best(shapes: list[Shape], at: Array, y: Array, sinusoids: Array) -> Shape | None:
-    """Return the shape with the least residual of `y`, and refine an exponential's rate."""
+    """Return the shape that fits `y` best; the rate of an exponential is refined."""
     if len(shapes) < 2:
         return shapes[0] if shapes else None
     directions = np.linalg.qr(sinusoids)[0]

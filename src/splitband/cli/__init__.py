@@ -1,4 +1,4 @@
-"""Define the command line; nothing else of the package prints."""
+"""Define the command line, the only part of the package that prints."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ COMMANDS = {
     "data": "Download and list the public records.",
     "doctor": "Check that this machine has what the package needs.",
 }
-"""Each command, as its module is called, which is loaded when it is given; and a line about it."""
+"""A line about each command; the module of the same name is imported when the command runs."""
 
 
 class Claiming(typer.core.TyperCommand):
-    """Begin a command only where its --out is no input, and not in use."""
+    """Run a command only if its --out replaces no input and is not in use."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
@@ -44,16 +44,16 @@ class Claiming(typer.core.TyperCommand):
 
 
 class Commands(TyperGroup):
-    """List the commands by name. Loading torch for a list of them would take seconds."""
+    """List the commands without importing their modules: importing torch takes seconds."""
 
     listing = False
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return their names, in the order of a first look."""
+        """Return the names of the commands, in the order in which a new user needs them."""
         return [*COMMANDS]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command, of a list just its name and a line about it."""
+        """Return a command; for the list of commands, a placeholder with its name and line."""
         if cmd_name not in COMMANDS:
             return None
         if self.listing:
@@ -76,7 +76,7 @@ class Commands(TyperGroup):
 
 
 QUIET, JSON = "--quiet", "--json"
-"""Options of every command; they may stand before it or after it."""
+"""Options of every command, accepted before and after its name."""
 
 
 def _print_version(wanted: bool) -> None:
@@ -115,13 +115,13 @@ def splitband(
 
 
 INTERRUPTED = 130
-"""Status after Ctrl-C, as shells have it and typer returns it."""
+"""Exit status after Ctrl-C: the convention of shells, and what typer returns."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; bad input is one line on the error stream and exit status 2."""
+    """Run the command line; report bad input in one line on stderr, with exit status 2."""
     clock.begin(own_process=arguments is None)
-    if arguments is None:  # what ends a batch job is heard as Ctrl-C is, and leaves no files
+    if arguments is None:  # SIGTERM, which ends batch jobs, is handled like Ctrl-C
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     given = _global_first(sys.argv[1:] if arguments is None else arguments)
     try:
@@ -140,7 +140,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _global_first(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments, those for every command before the command."""
+    """Return the arguments with --quiet and --json moved to the front."""
     end = arguments.index("--") if "--" in arguments else len(arguments)
     own = [word for word in arguments[:end] if word in (QUIET, JSON)]
     rest = [word for word in arguments[:end] if word not in (QUIET, JSON)]
@@ -148,7 +148,7 @@ def _global_first(arguments: Sequence[str]) -> list[str]:
 
 
 def _value(error: TyperException, given: Sequence[str]) -> str:
-    """Return what an option was given that the message does not repeat."""
+    """Return ", got VALUE" for the option that an error is about; empty if there is none."""
     names = getattr(getattr(error, "param", None), "opts", [])
     values = ""
     for word, following in zip(given, [*given[1:], ""], strict=False):
@@ -173,11 +173,11 @@ OPTIONS = (
 
 
 EXPECTED = (ValueError, OSError, FloatingPointError, MemoryError, OverflowError)
-"""What bad input raises; other exceptions are errors of the package."""
+"""Exceptions that bad input raises; any other is a defect of the package."""
 
 
 def in_words(error: Exception) -> str:
-    """Return what an error says in one line, with options in place of the library's arguments."""
+    """Return an error's message in one line, with --options in place of argument names."""
     said = " ".join(str(error).split())
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         said = f"{error.strerror}: {error.filename}"

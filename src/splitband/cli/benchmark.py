@@ -35,10 +35,10 @@ from splitband.runtime.processes import over
 from splitband.runtime.threads import available_cores
 
 CORES_OF_A_CASE = 2
-"""Cores that the work of a comparison is planned for by default (`evaluation.search`). By eye."""
+"""Cores for which a comparison's work is planned by default (`evaluation.search`). By eye."""
 PROCESSES_OF_A_CORE = 4
-"""Cases of a cluster for each core of this machine, which reads records and draws pictures.
-By eye."""
+"""Concurrent cases for each core of this machine with --cluster, as this machine still reads
+records and draws pictures. By eye."""
 
 
 @with_groups
@@ -95,7 +95,7 @@ def benchmark(
         calibrate=calibrate, conditioned=conditioned,
     )  # fmt: skip
     cases = read_cases(listed, shared)
-    # What is wrong with any record is said before the first one is read.
+    # Check the options that all cases share before the first record is read.
     setups.options_of(model, 1)
     if methods is not None:
         with_variants(setups.names(methods), calibrate, conditioned)
@@ -109,7 +109,7 @@ def benchmark(
 
 
 def _check_out(out: Path, listed: Path, cases: Sequence[Case]) -> None:
-    """Raise ValueError where the results of a case would replace a file of the list."""
+    """Raise ValueError if the results would replace the list or a file that it names."""
     inputs = {path: f"{listed}, case {case.name}" for case in cases for path in case.files.values()}
     targets = [
         path for folder in (out, *(out / c.name for c in cases)) for path in replaced(folder)
@@ -118,14 +118,14 @@ def _check_out(out: Path, listed: Path, cases: Sequence[Case]) -> None:
 
 
 def cases_at_once(cases: int, cores: int, asked: int | None, commanding: int | None = None) -> int:
-    """Return how many cases are compared side by side; each has a process, and its record in it.
+    """Return how many cases run in parallel, each in a process that holds its record.
 
     Parameters
     ----------
-    cases : There are so many.
-    cores : That carry out the trainings of all of them.
-    asked : By the user; None where nobody has.
-    commanding : Cores of the machine on which the processes are, where that is not the same one.
+    cases : Number of cases.
+    cores : Cores that train, shared by all cases.
+    asked : Value of --at-once; None if it is not given.
+    commanding : Cores of this machine, which runs the processes, if a cluster trains.
     """
     most = cores if commanding is None else PROCESSES_OF_A_CORE * commanding
     return max(1, min(cases, asked or min(cores // CORES_OF_A_CASE, most)))
@@ -134,12 +134,12 @@ def cases_at_once(cases: int, cores: int, asked: int | None, commanding: int | N
 def _rows(
     cases: Sequence[Case], out: Path, cores: int, cluster: str | None, at_once: int
 ) -> list[report.Row]:
-    """Compare all cases, so many at once; return their rows in the order of the list."""
+    """Compare all cases, `at_once` in parallel; return their rows in the order of the list."""
     share, starting = -(-cores // at_once), None
     if at_once > 1:
         starting = clock.starting()
-        # Python's tracker of resources, a process that begins with this environment, would warn on
-        # Ctrl-C of semaphores that ended processes have left.
+        # On Ctrl-C Python's resource tracker, a process that inherits this environment, would warn
+        # of semaphores that ended processes have left.
         before = os.environ.get("PYTHONWARNINGS")
         os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [before, "ignore:resource_tracker"]))
         showing.console.print(f"{at_once} cases at once, each on {share} of {cores} cores")
@@ -161,22 +161,22 @@ def _compared(
     case: Case,
     _: Callable[[Any], None],
 ) -> report.Row:
-    """Compare one case, in this process or in one of those for cases (where `starting` is given).
+    """Compare one case, in the command's process or in a worker process.
 
-    `starting` is how many seconds the command took to load.
+    `starting` is the seconds that the command took to load; None in the command's process.
     """
     if starting is not None:
         clock.begin_again(starting)
         showing.console.quiet = True
-    # A scheduler that is gone ends the command, not the case.
+    # A lost scheduler ends the whole command, not only this case.
     with workers(None if cluster else cores, cluster) as work:
         return _row(case, out / case.name, replace(work, jobs=cores))
 
 
 def _row(case: Case, folder: Path, work: Work) -> report.Row:
-    """Return the result of a case that is there, or that is computed now."""
+    """Return the row of a case: the stored one, or else compare the case now."""
     try:
-        with locked(folder):  # `compare` may be at work there, too
+        with locked(folder):  # `compare` may be writing to it
             identity = case.identity()
             found = _finished(case.name, folder, identity)
             if found is not None:
@@ -187,13 +187,13 @@ def _row(case: Case, folder: Path, work: Work) -> report.Row:
             save(result, folder, facts)
             return report.Row.of(case.name, _read(folder))
     except ConnectionError:
-        raise  # without its cluster no case goes on
-    except Exception as error:  # whatever is wrong with one case, the others go on
+        raise  # without the cluster no case can go on
+    except Exception as error:  # an error in one case does not stop the others
         return report.Row(case.name, failed=in_words(error))
 
 
 def _finished(name: str, folder: Path, identity: dict[str, Any]) -> report.Row | None:
-    """Return the row of a case whose results are there; None where they are others', or damaged."""
+    """Return the stored row of a case; None if its results are missing, outdated or damaged."""
     try:
         facts = _read(folder)
         if not json.loads(json.dumps(identity)).items() <= facts.items():
@@ -201,7 +201,7 @@ def _finished(name: str, folder: Path, identity: dict[str, Any]) -> report.Row |
         row = report.Row.of(name, facts)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
-    # They are still there where the command was killed just before it removed them.
+    # Checkpoints remain if the command was killed just before it removed them.
     shutil.rmtree(folder / CHECKPOINTS, ignore_errors=True)
     return row
 

@@ -28,9 +28,9 @@ _NAMED: dict[str, tuple[str, ...]] = {
     "record": tuple(RECORDS), "test": (), "more": (), "simulator_reads": (),
     **dict.fromkeys(("simulator", "test_simulator", "more_simulator"), (*SIMULATORS, *BASES)),
 }  # fmt: skip
-"""Columns of files, and what may stand there that is none."""
+"""Columns that name files, and the other names that each accepts."""
 OVERALL = ("results.json", "table.csv", "report.html")
-"""What lies beside the folders of the cases."""
+"""Files in the output folder, next to the folders of the cases."""
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class Case:
 
     Attributes
     ----------
-    name : Of the case, and of its folder.
-    request : What is to be compared; its files as they are opened.
-    listed : The same; its files as they stand in the list.
-    files : Each file as it stands in the list, and where it is.
+    name : Name of the case and of its folder.
+    request : The comparison, with paths of files that can be opened.
+    listed : The same, with files as written in the list.
+    files : Path of each file, by its name in the list.
     """
 
     name: str
@@ -51,9 +51,9 @@ class Case:
     files: Mapping[str, Path]
 
     def identity(self) -> dict[str, Any]:
-        """Return what decides the numbers of a comparison: its options, and its files' content.
+        """Return what determines a comparison's numbers: its options and its files' digests.
 
-        What carries it out is none of it, as the numbers do not depend on it but for rounding.
+        Cores and cluster are left out, as they change the numbers by rounding only.
         """
         values: dict[str, Any] = {}
         for field in fields(self.listed):
@@ -75,14 +75,14 @@ def read_cases(path: Path, shared: Request) -> list[Case]:
 
     Parameters
     ----------
-    path : Files in it are relative to its folder.
-    shared : What holds for all cases; its record is not looked at.
+    path : The CSV file; files that it names are relative to its folder.
+    shared : The options of all cases; its record is ignored.
 
     Raises
     ------
     ValueError
-        For a column that is unknown, a value that cannot be, a file that is missing, two cases of
-        one name and a list of none; the message names row, column, rule and value.
+        For an unknown column, an invalid value, a missing file, two cases of the same name and a
+        list without cases; the message names row, column, rule and value.
     """
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "does not exist"
@@ -94,7 +94,7 @@ def read_cases(path: Path, shared: Request) -> list[Case]:
     for row, cells in _rows(path):
         where = f"{path}, row {row}"
         case = _case(where, cells, path.parent, shared)
-        key = case.name.casefold()  # as some file systems compare names of folders
+        key = case.name.casefold()  # some file systems ignore case
         if key in cases:
             raise ValueError(
                 f"{where}, column name: must differ from that of row {rows[key]} (without a name a "
@@ -107,7 +107,7 @@ def read_cases(path: Path, shared: Request) -> list[Case]:
 
 
 def _rows(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
-    """Yield the number of each row, of which the header is 1, and its cells that are not empty."""
+    """Yield the line number of each row (the header is 1) and its non-empty cells by column."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as opened:
             reader = csv.reader(opened, strict=True)
@@ -170,7 +170,7 @@ def _case(where: str, cells: Mapping[str, str], folder: Path, shared: Request) -
 
 
 def _value(column: str, cell: str) -> Any:
-    """Return a cell as the option of its column takes it."""
+    """Convert a cell to the value that the option of its column takes."""
     if column in _SEVERAL:
         return [part.strip() for part in cell.split(";") if part.strip()]
     if (column, cell) == ("warmup", "auto"):
@@ -200,7 +200,7 @@ def _or_named(column: str) -> str:
 
 
 def _request(values: Mapping[str, Any], shared: Any) -> Any:
-    """Return a group of options with other values, also in the groups that it holds."""
+    """Return a group of options with some values replaced, also in nested groups."""
     changed = {}
     for field in fields(shared):
         value = getattr(shared, field.name)

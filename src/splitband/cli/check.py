@@ -52,7 +52,7 @@ def check(
     responses = None
     with showing.warnings_as_lines():
         found = model.check_residuals(past)
-        with suppress(ValueError):  # of a model without inputs, or that does not run by itself
+        with suppress(ValueError):  # the model has no inputs, or needs a simulator
             responses = model.step_responses()
     asked = f"splitband check {model_dir} --record {record}"
     results.save_check(found, out, model.in_words(), responses, Usage(asked=asked))

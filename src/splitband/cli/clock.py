@@ -1,15 +1,15 @@
-"""Tell when a command began, and how long it took to load; light, as it is loaded first."""
+"""Keep when a command began and how long it took to load; a light module, imported first."""
 
 from __future__ import annotations
 
 from splitband.runtime.deadlines import now, process_began
 
 _times: dict[str, float] = {}
-"""By the clock of `runtime.deadlines.now`; empty before there is a command."""
+"""Times in s, by `runtime.deadlines.now`; empty before a command begins."""
 
 
 def begin(own_process: bool) -> None:
-    """Note that a command begins: with the process, where that has been started for it."""
+    """Note that a command begins; with `own_process` it began when the process did."""
     _times["began"] = _times["loaded"] = process_began() if own_process else now()
 
 
@@ -19,7 +19,7 @@ def loaded() -> None:
 
 
 def begin_again(starting: float) -> None:
-    """Note that a part of the command begins in this process; it took `starting` s to load."""
+    """Note that part of a command begins in this process; the command took `starting` s to load."""
     _times["loaded"] = now()
     _times["began"] = _times["loaded"] - starting
 

@@ -52,7 +52,7 @@ def compare(
 
 
 def show(result: Comparison, out: Path, used: Usage) -> None:
-    """Print the table, what is recommended and why, what to be warned of, and how it is used."""
+    """Print the table, the recommendation with its reason, warnings, and how to use the model."""
     setup, trial, best = result.setup, result.require_trial(), result.recommended
     said = {}
     for name, note in remarks(result).items():
@@ -86,7 +86,7 @@ def _title(result: Comparison) -> str:
 
 
 def _show_bands(result: Comparison) -> None:
-    """Print where the recommended model splits the record, and which methods were left out."""
+    """Print the cut-off of the recommended model, and whether hybrids were left out."""
     bands, training = result.setup.bands, result.plan.training
     network = result.forecasters[result.recommended].network
     splits = network is not None and network.bands is not None

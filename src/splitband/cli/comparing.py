@@ -1,4 +1,4 @@
-"""Make a plan of the options of a command, and carry it out, for every command that fits."""
+"""Plan what the options of a command ask for, and carry it out, for all commands that fit."""
 
 from __future__ import annotations
 
@@ -48,18 +48,18 @@ from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.threads import available_cores
 
 WRITING, AS_STARTING = 2.0, 1.5
-"""Seconds for pictures and page, besides so many times what the command took to start: both are
-work of the same kind on the same machine, whatever else it does. By eye, held against `python -m
+"""Estimated time to write pictures and page: seconds, plus a multiple of the command's start-up
+time, which measures how fast and how busy the machine is. By eye, checked against `python -m
 benchmarks.budget`."""
 NUMBER, USUAL_START = 3e-6, 3.0
-"""Seconds for a number in the tables, where a command starts within so many. By eye."""
+"""Seconds to write a number of a table if a command starts within `USUAL_START` s. By eye."""
 MOST = 0.4
-"""Share of the time that is kept for writing, at most. By eye."""
+"""Largest share of a budget that is reserved for writing results. By eye."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """Say what is to be compared: the options of `compare`, but for where its results go."""
+    """Hold the options of `compare`, except those for its results, cores and cluster."""
 
     record: RecordArgument
     reading: RecordOptions = field(default_factory=RecordOptions)
@@ -99,15 +99,15 @@ def planned(
     future_inputs: Path | None = None,
     fitting: bool = False,
 ) -> Plan:
-    """Read the records and simulators that the options name, and plan what is to be done with them.
+    """Read the records and simulators that the options name, and return the plan for them.
 
     Parameters
     ----------
     asked : The options.
-    cores : What a budget is spent on.
-    steps, future_inputs : Samples to forecast beyond the end of the record, all of which is trained
-        on, and the file of its inputs there.
-    fitting : A single method is fitted, and nothing is forecast; by default to all of the record.
+    cores : Cores on which a budget is spent.
+    steps, future_inputs : Samples to forecast beyond the record, all of which is training data, and
+        the file of the inputs there.
+    fitting : Fit a single method, by default to the whole record, and forecast nothing.
     """
     reading, simulator = asked.reading, with_own_parameters(asked.simulator)
     saved = setups.load_settings(asked.settings, asked.model)
@@ -149,7 +149,7 @@ def planned(
 def _names(
     asked: Request, record: Record, saved: SavedSettings | None, fitting: bool
 ) -> list[str] | None:
-    """Return the methods that the options ask for; None where they do not."""
+    """Return the names of the methods that the options select; None if they select none."""
     base = asked.simulator.simulator
     if asked.methods is not None:
         names = setups.names(asked.methods)
@@ -184,7 +184,7 @@ def _further(
 
 
 def _check_needs(methods: Sequence[Forecaster], record: Record) -> None:
-    """Raise ValueError, which names the option, where a record lacks what a method needs."""
+    """Raise ValueError, naming the option, if the record lacks a signal that a method needs."""
     for need, given in (("simulator", record.y_sim), ("inputs", record.u)):
         lacking = next((m for m in methods if need in m.needs and given is None), None)
         if lacking is not None:
@@ -193,7 +193,7 @@ def _check_needs(methods: Sequence[Forecaster], record: Record) -> None:
 
 @contextmanager
 def workers(jobs: int | None, cluster: str | None = None) -> Iterator[Work]:
-    """Yield how trainings are carried out, by what --jobs and --cluster ask for."""
+    """Yield how trainings are carried out, as --jobs and --cluster say."""
     if cluster is None:
         yield Work(jobs or available_cores())
         return
@@ -225,15 +225,15 @@ def watched(
     samples: int = 0,
     began: float | None = None,
 ) -> Iterator[Work]:
-    """Yield the work on a plan with a progress bar, its time, and checkpoints in the folder `out`.
+    """Yield `work` with a progress bar, the time budget and checkpoints in the folder `out`.
 
     Parameters
     ----------
-    plan, work : What is to be done, and by what.
-    out : Where a command that was cut off goes on.
-    label : Stands beside the bar.
-    samples : Of each method that will be written.
-    began : When the time that a budget limits did, by default with the command.
+    plan, work : The plan, and how its trainings are carried out.
+    out : Folder of the results; an interrupted command resumes from its checkpoints.
+    label : Text before the progress bar.
+    samples : Predicted samples of each method that will be written.
+    began : Start of the time that a budget limits; by default the start of the command.
     """
     began, seconds, after = clock.began() if began is None else began, None, 0.0
     if plan.setup.search is not None and plan.setup.search.seconds is not None:
@@ -250,16 +250,16 @@ def watched(
 def compared(
     plan: Plan, work: Work, out: Path, label: str = "comparing", began: float | None = None
 ) -> Comparison:
-    """Return the comparison that is planned; the rest is as in `watched`."""
+    """Run a planned comparison; the other parameters are those of `watched`."""
     samples = len(plan.record) + sum(map(len, plan.tests))
     with watched(plan, work, out, label, samples, began) as busy:
         return run(plan, busy)
 
 
 def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> Usage:
-    """Write the results, `facts` first, in place of the checkpoints; return what the page shows.
+    """Write the results, `facts` first, and remove the checkpoints; return the usage.
 
-    That is the commands that use the recommended method, from the options among the facts.
+    The usage is the commands that use the recommended method, built from the options in `facts`.
     """
     used = usage(facts["command"], facts["arguments"], out, comparison.plan, comparison.model)
     results.save(comparison, out, dict(facts), used)
@@ -268,7 +268,7 @@ def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> Usage:
 
 
 def command_of(context: typer.Context) -> dict[str, Any]:
-    """Return the command and its options, as a file of results has them."""
+    """Return the name of the command and its options, as results.json stores them."""
     return {"command": context.info_name, "arguments": arguments(context.params)}
 
 

@@ -19,7 +19,7 @@ from splitband.evaluation.setup import Options
 from splitband.forecasters.names import Sizes
 
 TRAIN = 2000
-"""Samples to learn from, half of the record."""
+"""Training samples, half of the record."""
 SIMULATOR, NETWORK, BOTH = "simulator", "gru", "residual-gru-conditioned"
 ALONE = (SIMULATOR, "linear", NETWORK)
 METHODS = [*ALONE, "filtered-gru-conditioned", BOTH, "persistence"]
@@ -28,7 +28,7 @@ RECIPE: dict[str, Any] = {"window": 150, "warmup": 30, "epochs": 5, "quasi_newto
 SIZES = Sizes(hidden_high=20, hidden_low=12)
 """Hidden units of the networks: small, so that the demo ends within a minute. By eye."""
 STRETCH = 30.0
-"""Seconds at either end of the forecast whose errors are set side by side. By eye."""
+"""Seconds at the beginning and at the end of the forecast whose errors are compared. By eye."""
 
 
 def demo(

@@ -16,7 +16,7 @@ from splitband.report.environment import environment
 from splitband.runtime.threads import available_cores
 
 EXTRAS = {"fmu": "fmpy", "onnx": "onnx", "control": "control", "cluster": "distributed"}
-"""A module of each optional part of the package that is for users."""
+"""The extras for users, and a module that each installs."""
 
 
 def doctor() -> None:
@@ -56,7 +56,7 @@ def _accelerators() -> str:
 
 
 def _state(name: str) -> str:
-    """Return whether a public record is there and as published; nothing is downloaded."""
+    """Return whether a public record has been downloaded and is intact; nothing is downloaded."""
     folder = data_folder()
     if not (folder / PUBLIC[name].path).is_file():
         return "not there: splitband data fetch"

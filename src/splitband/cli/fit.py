@@ -132,7 +132,7 @@ def fit(
 
 
 def _try_out(forecaster: Forecaster) -> None:
-    """Find out how wide intervals must be; the model is saved without them where that fails."""
+    """Calibrate intervals; if that fails, warn, and the model is saved without them."""
     try:
         with showing.without_warnings():
             forecaster.tried_out()

@@ -1,4 +1,4 @@
-"""Define `splitband methods`: what there is to choose from, grouped and explained."""
+"""Define `splitband methods`, which lists and explains the methods by group."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from splitband.forecasters.names import BASED, HYBRIDS, NAMES, QUICK, variants
 
 
 class Group(NamedTuple):
-    """Group methods of one kind: what they are, and for which record they are worth trying."""
+    """Hold methods of one kind: what they are, and for which record they are worth trying."""
 
     title: str
     when: str
@@ -21,7 +21,7 @@ class Group(NamedTuple):
 
 
 def _alone(cells: int) -> tuple[str, ...]:
-    """Return the methods of so many networks that stand beside nothing."""
+    """Return the methods of this number of networks (`cells`) and no simulator or fitted model."""
     return tuple(n for n, m in NAMES.items() if not parts_of(m) and len(m.cells) == cells)
 
 

@@ -1,4 +1,4 @@
-"""Check --out: it is nothing that a command reads, and no folder of another command."""
+"""Check that --out replaces no input and is not in use by another command."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def claimed(context: Any) -> Iterator[None]:
 
     Parameters
     ----------
-    context : Of typer, with the command and its parameters.
+    context : Typer's context, with the command and its parameters.
 
     Raises
     ------
     ValueError
-        Where --out would replace an input, or is in use.
+        If --out would replace an input, or is in use.
     """
     out = context.params.get("out")
     if out is None:
@@ -53,7 +53,7 @@ def replaced(out: Path) -> list[Path]:
 
 
 def refuse_inputs(out: Path, targets: Iterable[Path], inputs: Mapping[Path, str]) -> None:
-    """Raise ValueError where a target is an input, whatever links lead to either."""
+    """Raise ValueError if a target is an input file, also through links."""
     for target in targets:
         for path, option in inputs.items():
             if os.path.isfile(target) and os.path.samefile(target, path):
@@ -64,7 +64,7 @@ def refuse_inputs(out: Path, targets: Iterable[Path], inputs: Mapping[Path, str]
 
 
 def _inputs(context: Any) -> dict[Path, str]:
-    """Return the files that options name, those of saved models too, and the option of each."""
+    """Return the input files, those of saved models included, and the option that names each."""
     found: dict[Path, str] = {}
     for parameter in context.command.params:
         value = context.params.get(parameter.name)
@@ -79,8 +79,8 @@ def _inputs(context: Any) -> dict[Path, str]:
 
 
 def _files(named: str) -> list[Path]:
-    """Return the files of a value; none where it is no file."""
+    """Return the files that a value names: a file, or those of a saved model."""
     path = Path(parts_of(named)[0])
-    if os.path.isfile(path):  # False, too, for what can be no path
+    if os.path.isfile(path):  # also False for text that cannot be a path
         return [path]
     return saving.files(path) if os.path.isdir(path) else []

@@ -1,4 +1,4 @@
-"""Read the records and known inputs that options name, and put them beside each other."""
+"""Read the records and known inputs that options name, and align them in time."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from splitband.evaluation.saved_settings import SavedSettings
 
 
 def load_record(name: str, reading: RecordOptions, saved: SavedSettings | None = None) -> Record:
-    """Return a named record, or read a file, and print what its channels and inputs are.
+    """Return a named record, or read a file, and print its channels and inputs.
 
-    Columns and inputs that no option names are those of --settings (`saved`). Raises ValueError
-    where they are others than these.
+    Columns and inputs default to those of --settings (`saved`). Raises ValueError if the record's
+    differ from these.
     """
     if name in RECORDS:
         for option in ("columns", "inputs", "time_column", "sampling_time"):
@@ -85,7 +85,7 @@ def announce(record: Record, name: str) -> None:
 
 
 def check_file(path: str | Path, argument: str, other: str = "") -> None:
-    """Raise OSError where an argument must be a file, or one of `other` names, and is none."""
+    """Raise OSError if an argument is not a file; `other` extends the rule in the message."""
     rule = f"{argument} must be a file{other}"
     if not os.path.exists(path):
         raise FileNotFoundError(f"{rule}, got {path}")
@@ -94,9 +94,9 @@ def check_file(path: str | Path, argument: str, other: str = "") -> None:
 
 
 def read_file(path: str | Path, argument: str, needed: str = "", **options: Any) -> Record:
-    """Read the file that an argument names, and print what its reader warns of.
+    """Read the file that an argument names, and print the warnings of its reader.
 
-    Where a column is not there, the error ends with what is `needed`.
+    `needed` is appended to the error for a missing column.
     """
     check_file(path, argument)
     with warnings.catch_warnings(record=True) as caught:
@@ -113,9 +113,9 @@ def read_file(path: str | Path, argument: str, needed: str = "", **options: Any)
 def read_beside(
     path: str | Path, argument: str, sampling_time: float, time_column: str | None, **others: Any
 ) -> Record:
-    """Read a file that an argument puts beside a record of that sampling time.
+    """Read a file that accompanies a record, whose sampling time is the default.
 
-    Its time column is the record's, or one with a usual name where it has no such column.
+    The time column is the record's, or one with a usual name if the file has no such column.
     """
     others["fallback_sampling_time"] = sampling_time
     try:
@@ -127,9 +127,9 @@ def read_beside(
 
 
 def like(record: Record, sampling_time: float, what: str) -> Record:
-    """Return the record at a sampling time from which its own differs by 1 % at most.
+    """Resample a record to a sampling time that differs from its own by 1 % at most.
 
-    It is left as it is where it differs by more, and where both end within half a sample.
+    Return it unchanged if they differ by more, or if both grids end within half a sample.
     """
     if not near_sampling(record.sampling_time, sampling_time) or same_sampling(
         record.sampling_time, sampling_time, len(record)
@@ -145,7 +145,7 @@ def like(record: Record, sampling_time: float, what: str) -> Record:
 def history_of(
     file: Path, option: str, record: Record, time_column: str | None, gaps: Gaps
 ) -> Record:
-    """Return the measured samples of an option, at the sampling time of the training record."""
+    """Read the measured history that an option names, at the training record's sampling time."""
     past = read_file(
         file,
         option,
@@ -169,9 +169,9 @@ def history_of(
 def inputs_ahead(
     file: Path | None, known: Record, steps: int, time_column: str | None, since: int = 0
 ) -> npt.NDArray[np.float64] | None:
-    """Return known inputs of the samples after a record, `(steps, nu)`, where there are any.
+    """Return the known inputs of the samples after a record, `(steps, nu)`; None without inputs.
 
-    A named record without time stamps brings its own from the sample `since` on.
+    From a named record without time stamps, they are taken from its sample `since` on.
     """
     inputs = known.inputs
     if file is None:
@@ -191,7 +191,7 @@ def inputs_ahead(
         coming = coming if named.start is not None else coming[since:]
     else:
         coming = read_beside(file, "--future-inputs", ahead.step, time_column, columns=inputs)
-    # Straight lines, as inputs may jump.
+    # Linear interpolation, as inputs may jump.
     u = aligned(f"--future-inputs {file}", coming.y, coming.grid, ahead, smooth=False)
     if u.note:
         showing.console.print(f"{file}: {u.note}")

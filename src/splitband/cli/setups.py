@@ -1,4 +1,4 @@
-"""Read what the options of a command say of models and their training."""
+"""Convert the options of a command to the setup of models and their training."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from splitband.forecasters.names import Sizes
 from splitband.training import Settings
 
 _DECIDES = "window", "epochs", "learning_rate", "lr_milestones", "recipe"
-"""Options that say how to train, so that nothing is left to be found out."""
+"""Options that fix how to train, so that no search is needed."""
 
 
 def names(text: str) -> list[str]:
@@ -28,9 +28,9 @@ def names(text: str) -> list[str]:
 
 
 def options_of(given: ModelOptions, cores: int, saved: SavedSettings | None = None) -> Options:
-    """Return what the options say, the rest as `saved`, or else left open.
+    """Return the setup that the options give; the rest is as `saved`, or else left open.
 
-    `cores` are what a budget is spent on.
+    A budget is spent on `cores`.
     """
     search = _search(given, cores)
     check_device(given.device)
@@ -50,13 +50,13 @@ def options_of(given: ModelOptions, cores: int, saved: SavedSettings | None = No
     if saved is None:
         return Options(given.recipe, None, changes, bands, sizes, search)
     said = {name: value for name, value in vars(bands).items() if value is not None}
-    # What was found for one cut-off is not for another one.
+    # The saved order and down-sampling hold for the saved cut-off only.
     bands = bands if given.cutoff is not None else replace(saved.bands, **said)
     return Options("default", saved.settings, changes, bands, sizes)
 
 
 def load_settings(path: Path | None, options: ModelOptions) -> SavedSettings | None:
-    """Return what --settings names; raises ValueError for options that it leaves nothing to."""
+    """Read the file of --settings; raises ValueError for options that conflict with it."""
     if path is None:
         return None
     if not path.is_file():
@@ -70,7 +70,7 @@ def load_settings(path: Path | None, options: ModelOptions) -> SavedSettings | N
 
 
 def check_device(name: str) -> None:
-    """Raise ValueError, which names the option, for a device that is not there."""
+    """Raise ValueError, naming the option, for a device that is not available."""
     try:
         torch.zeros(1, device=name).item()
     except (RuntimeError, AssertionError, NotImplementedError) as error:
@@ -91,7 +91,7 @@ def seconds(duration: str, option: str = "--budget") -> float:
 
 
 def _search(options: ModelOptions, cores: int) -> Search | None:
-    """Return how much goes into finding out how to train; None where no option says so."""
+    """Return the limits of the search for how to train; None without --budget and --effort."""
     if options.budget is not None and options.effort is not None:
         raise ValueError(
             "--budget and --effort exclude each other (the one limits the time, the other the "
@@ -106,7 +106,7 @@ def _search(options: ModelOptions, cores: int) -> Search | None:
 
 
 def _check_search(options: ModelOptions, decides: str) -> None:
-    """Raise ValueError where an option limits a search to which another one leaves nothing."""
+    """Raise ValueError if --budget or --effort is given although `decides` replaces the search."""
     for option, value in (("--budget", options.budget), ("--effort", options.effort)):
         if value is not None:
             raise ValueError(

@@ -39,7 +39,7 @@ _errors = Console(stderr=True, soft_wrap=True, markup=False, emoji=False, highli
 
 @dataclass
 class _Mode:
-    """Say where results go as JSON; None where a command prints tables for people, or nothing."""
+    """Hold the stream for results as JSON; None if a command prints tables, or nothing."""
 
     results: TextIO | None = None
 
@@ -49,9 +49,9 @@ _mode = _Mode()
 
 @contextmanager
 def saying(quiet: bool, json: bool) -> Iterator[None]:
-    """Set what is printed; results as JSON leave no room for anything else.
+    """Set what is printed; with `json`, standard output holds nothing but the results.
 
-    What a user's simulator prints goes to the error stream then, in C and in other processes, too.
+    A user's simulator then prints to the error stream, also from C and from other processes.
     """
     with ExitStack() as stack:
         stack.callback(setattr, console, "quiet", console.quiet)
@@ -64,9 +64,9 @@ def saying(quiet: bool, json: bool) -> Iterator[None]:
 
 
 def _kept_stdout(stack: ExitStack) -> TextIO:
-    """Return the output stream for results alone; its descriptor is the error stream's till then.
+    """Return a stream to standard output for results; all else goes to the error stream meanwhile.
 
-    One that has been put in its place in Python has no descriptor of its own.
+    A stream that replaces sys.stdout in Python has no descriptor, and is returned as it is.
     """
     stream = sys.__stdout__
     if stream is None or stream is not sys.stdout:
@@ -81,18 +81,18 @@ def _kept_stdout(stack: ExitStack) -> TextIO:
 
 
 def warn(message: str) -> None:
-    """Print a warning, on the error stream where the other one is kept clean."""
+    """Print a warning, on the error stream if standard output is quiet."""
     (_errors if console.quiet else console).print(f"warning: {message}", style="yellow")
 
 
 def as_json(facts: object) -> None:
-    """Print what a command came to, if that is wanted as JSON."""
+    """Print the results of a command as JSON, with --json only."""
     if _mode.results is not None:
         print(to_json(facts), file=_mode.results)
 
 
 def results_of(out: Path, page: bool = True) -> None:
-    """Print where the page of a result is, or all of the result if that is wanted as JSON."""
+    """Print the path of the page of a result; with --json, print results.json."""
     if page:
         console.print(f"page: {out / 'report.html'}")
     if _mode.results is not None:
@@ -104,8 +104,8 @@ def methods(
 ) -> None:
     """Print a table of columns with a row for each method; the best of each column is bold.
 
-    Of several outputs each has a line in every row. Where the terminal is too narrow, the last
-    columns are left out. Below stands what is `said` of each method.
+    With several outputs, a row has a line for each. If the terminal is too narrow, the last
+    columns are left out. Remarks on the methods (`said`) follow the table.
     """
     of_heading: dict[tuple[str, str], list[Column]] = {}
     for column in listed:
@@ -159,18 +159,18 @@ def _table(
 def progress(
     label: str, time: TimeBudget, checkpoints: Path
 ) -> Iterator[Callable[[RunProgress], None]]:
-    """Show one bar for the whole command, with the phase by name; nothing where nobody watches.
+    """Show a progress bar for the whole command, with the phase by name, if stderr is a terminal.
 
-    It shows what is done by estimated costs, the time that has passed since the command began, and
-    what remains by both: no more than is left until the deadline. Before that it says how many
-    trainings are kept that an earlier command has left among the `checkpoints`.
+    Progress is by estimated cost. The time left is extrapolated from it and the elapsed time, and
+    is at most the time until the deadline. A line before the bar says how many trainings of an
+    earlier command are kept in `checkpoints`.
     """
-    # What begins with a dot was being written when a command was killed.
+    # Names that begin with a dot are of files that were half written when a command was killed.
     if kept := len([p for p in checkpoints.rglob("*.safetensors") if p.name[0] != "."]):
         said = f"resuming: {kept} training{'s' if kept != 1 else ''} kept"
         if not console.quiet:
             Console(stderr=True).print(said, markup=False, highlight=False)
-    # What is done now comes last and is cut where the terminal ends: it may be longer than a line.
+    # The current stage comes last and is cut at the end of the line, as it may be longer.
     bar = Progress(
         TextColumn(label),
         BarColumn(bar_width=20),
@@ -211,7 +211,7 @@ def _clock(seconds: float) -> str:
 
 @contextmanager
 def without_warnings() -> Iterator[None]:
-    """Silence the library's warnings of extrapolation, where the command says so itself."""
+    """Silence the library's extrapolation warnings, where the command reports them itself."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExtrapolationWarning)
         yield

@@ -1,4 +1,4 @@
-"""Run what --simulator names: a file or a name becomes the record's `y_sim`."""
+"""Run the simulator that --simulator names, whose output becomes the record's `y_sim`."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ def with_simulator(
     ahead: int = 0,
     beyond: bool = False,
 ) -> Record:
-    """Return the record with the trajectory of the simulator that the options name.
+    """Return the record with the output of the simulator that the options name.
 
-    It has to reach `ahead` samples beyond the record. `beyond` asks for more, for its calibration;
-    one that cannot say more is taken as it is. `reading` says how the record was read.
+    The output has to reach `ahead` samples beyond the record. `beyond` asks for more samples, for
+    calibration, if the simulator can run that long. `reading` says how the record was read.
     """
     simulator = options.simulator
-    if options.parameters is not None:  # it is run by what fits them
+    if options.parameters is not None:  # it is run when its parameters are fitted
         return record
     if simulator is None and (beyond or ahead) and record.y_sim is not None:
         simulator = record.name  # run a named record's own simulator for longer
@@ -101,8 +101,8 @@ def load_further(
 ) -> list[Record]:
     """Return the records of --more or --test (`option`), with the columns of `record`.
 
-    Where there are `simulators`, or they are `needed`, each record has its own, which `beyond` asks
-    for more than its length.
+    If there are `simulators`, or they are `needed`, each record has its own; `beyond` asks for an
+    output that is longer than the record.
     """
     files, simulators = files or [], simulators or []
     if (simulators or needed) and len(simulators) != len(files):
@@ -134,7 +134,7 @@ def load_further(
 def opened_simulator(
     options: SimulatorOptions, record: Record, time_column: str | None = None
 ) -> Simulator:
-    """Return what --simulator names, with the columns that --simulator-columns chooses."""
+    """Return the simulator that --simulator names, with the columns of --simulator-columns."""
     text, timeout = options.simulator or "", options.simulator_timeout
     if not math.isfinite(timeout):
         raise ValueError(f"--simulator-timeout must be a number of seconds, got {timeout:g}")
@@ -200,7 +200,7 @@ def opened_with_simulator(
 
 
 def with_own_parameters(options: AnyOptions) -> AnyOptions:
-    """Return the options, with --parameters where FILE.py:NAME is an `sb.Ode` with its own."""
+    """Set --parameters if FILE.py:NAME is an `sb.Ode` with parameters to fit, or with inputs."""
     file, name = parts_of(options.simulator or "")
     known = options.parameters is not None or defines_function(file, name)
     if known or not name or not Path(file).is_file():

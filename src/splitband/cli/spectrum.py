@@ -101,7 +101,7 @@ def spectrum(
 
 
 def _warn_of_nothing_to_learn(record: Record, cutoff: float, order: int) -> dict[str, Any]:
-    """Return the oracle check of training samples, and of a calibrated simulator where it fails."""
+    """Return the oracle check on training samples; if it fails, warn and add a calibrated one."""
     assert record.y_sim is not None
     rate = record.sampling_rate
     found = oracle(record.y, record.y_sim, rate, cutoff, order, record.seen)

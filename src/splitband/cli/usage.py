@@ -1,4 +1,4 @@
-"""Say on the page of a result how it can be used."""
+"""Write the commands and the code that use a result, for its page."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FOUND = (
     "cutoff", "order", "downsampling", "warmup", "window", "epochs", "recipe", "learning_rate",
     "lr_milestones", "hidden", "budget", "effort",
 )  # fmt: skip
-"""What a file of settings says."""
+"""Options that a file of --settings replaces."""
 _FIT = (
     "columns", "inputs", "time_column", "sampling_time", "gaps", *_SIMULATOR, "parameters", "more",
     "more_simulator", *_FOUND, "settings", "device",
@@ -46,13 +46,13 @@ def usage(
 
     Parameters
     ----------
-    command, given : What made it, with its options as in results.json.
+    command, given : The command that made it, and its options as in results.json.
     out : The folder of its results, with the model.
-    plan : What was asked.
-    model : The recommended method as it was trained; None: there is none.
+    plan : The plan of the run; None if there was none.
+    model : The recommended method as it was trained; None if there is none.
     """
     record = str(given.get("record", ""))
-    of_case = command == "benchmark" and record  # one of its cases is a comparison of its own
+    of_case = command == "benchmark" and record  # each of its cases is a `compare` run
     asked = _line(f"splitband {'compare' if of_case else command}", given, [*given])
     if plan is None or model is None:
         return Usage(asked=asked)
@@ -69,7 +69,7 @@ def usage(
             end = [f"--method {model.name}", f"--out {shlex.quote(str(out / 'model-of-all'))}"]
             fit = _line("splitband fit", given, ["record", *_FIT], end)
             commands.append(("Fit it to the whole record", fit))
-        # A simulator, or a user's equation, stays outside of what is exported.
+        # A simulator or a user's equation cannot be exported.
         if model.name in TRAINED or not ("simulator" in model.needs or model.parameters):
             export = f"splitband export {shlex.quote(str(out / MODEL))} model.fmu"
             commands.append(("Export it: .fmu for Simulink, .c for a controller, .onnx", export))
@@ -77,7 +77,7 @@ def usage(
         tested = shlex.quote(str(given["test"][0]))
         checked = f"splitband check {shlex.quote(str(out / MODEL))}"
         commands.append(("Check it on the test record", f"{checked} --record {tested}"))
-    commands.sort(key=lambda each: "FILE" in each[1])  # what can be pasted as it is comes first
+    commands.sort(key=lambda each: "FILE" in each[1])  # those with a placeholder come last
     if "simulator" not in model.needs and not model.parameters:
         commands.append(("Use it in Python", _python(out, plan)))
     return Usage(commands, asked)
@@ -94,7 +94,7 @@ def _python(out: Path, plan: Plan) -> str:
 
 
 def _simulate(given: Mapping[str, Any], out: Path, plan: Plan, model: Forecaster) -> str:
-    """Return the command that goes on from where the model was fitted."""
+    """Return the command that simulates the model beyond its training samples."""
     ahead = 0 if plan.refit else len(plan.record) - plan.train
     steps = min(plan.horizon or STEPS, STEPS)
     options: dict[str, Any] = {"time_column": given.get("time_column")}
@@ -102,7 +102,7 @@ def _simulate(given: Mapping[str, Any], out: Path, plan: Plan, model: Forecaster
         options |= {name: given.get(name) for name in _SIMULATOR}
         options["simulator"] = given.get("simulator") or given["record"]
     if plan.record.nu:
-        # By time stamps it is known where the record's own inputs go on; without, the user knows.
+        # With time stamps the inputs to come are read from the record; else the user names a file.
         stamped = plan.record.start is not None or given["record"] in RECORDS
         known = ahead and stamped
         options["future_inputs"] = given.get("future_inputs") or (
@@ -113,7 +113,7 @@ def _simulate(given: Mapping[str, Any], out: Path, plan: Plan, model: Forecaster
 
 
 def _line(begin: str, given: Mapping[str, Any], names: Any, end: Sequence[str] = ()) -> str:
-    """Return a command with those of its options that were given, in lines that a shell joins."""
+    """Return a command with the options that were given, in lines that end with a backslash."""
     words = [begin]
     for name in sorted(names, key=lambda name: name not in ("record", "listed")):
         value = given.get(name)

@@ -1,4 +1,4 @@
-"""Hold measured records: the container, readers for the usual files, the public records."""
+"""Define the container for measured records, readers for common file formats, public records."""
 
 from splitband.data.alignment import Aligned, aligned, resampled
 from splitband.data.public import PUBLIC, PublicFile, double_torsion, drill_string, fetch

@@ -1,4 +1,4 @@
-"""Align signals by their time stamps, never by row number where the stamps differ."""
+"""Align signals by their time stamps; signals without stamps are assumed to begin together."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from splitband.data.timing import Grid, same_sampling, seconds_between
 from splitband.runtime.arrays import Array
 
 NEAR = 0.01
-"""Fraction of a step within which times count as equal, as stamps are rounded. By eye."""
+"""Share of a step within which times count as equal, as stamps may be rounded. By eye."""
 
 
 @dataclass(frozen=True, eq=False)
 class Aligned:
-    """Represent a signal at the sampling times of another one.
+    """Hold a signal at the sampling times of another one.
 
     Attributes
     ----------
@@ -30,21 +30,21 @@ class Aligned:
 
 
 def aligned(what: str, values: Array, own: Grid, onto: Grid, smooth: bool = True) -> Aligned:
-    """Return the values of a signal at other times, by the time stamps of both.
+    """Return the values of a signal at other times, aligned by the time stamps of both.
 
-    Where just one of them has time stamps, or none has, both begin together. Between its samples
-    the signal is interpolated. It may end half a sample short of the times, and is held there.
+    Unless both have time stamps, they are assumed to begin together. The signal is interpolated
+    between its samples. At either end it may be half a step of `onto` short, and is held there.
 
-    Raises ValueError where the signal does not cover the times; the message has the time stamps of
+    Raises ValueError if the signal does not cover the times; the message states the time stamps of
     both.
 
     Parameters
     ----------
-    what : What messages call the signal.
+    what : Name of the signal in messages.
     values : `(time, n)`, all finite, at the times `own`.
-    own, onto : The times of the signal, and those to align it to.
-    smooth : Interpolate by a cubic spline, as between the samples of a simulator; by straight
-        lines otherwise, as between inputs, which may jump.
+    own, onto : Sampling times of the signal, and those to align it to.
+    smooth : Interpolate by a cubic spline, as for a simulator's output; otherwise linearly, as for
+        inputs, which may jump.
     """
     try:
         rows = _rows(own, onto)
@@ -63,9 +63,10 @@ def aligned(what: str, values: Array, own: Grid, onto: Grid, smooth: bool = True
 
 
 def reach(own: Grid, onto: Grid) -> int:
-    """Return how many times from the first of `onto` on a signal with times `own` covers.
+    """Return how many times from the first of `onto` on are covered by a signal at times `own`.
 
-    The length of `onto` does not matter. Raises ValueError if just one of them has dates.
+    The length of `onto` does not matter. Raises ValueError if one has dates and the other seconds,
+    or if only one has a time zone.
     """
     begin = _rows(own, replace(onto, samples=1))[0]
     return max(0, int(np.floor((own.samples - 1 - begin) * own.step / onto.step + NEAR)) + 1)
@@ -74,9 +75,8 @@ def reach(own: Grid, onto: Grid) -> int:
 def resampled(record: Record, sampling_time: float) -> Record:
     """Return a record resampled to another sampling time in s, from its first sample on.
 
-    What was measured, and what a simulator says, is interpolated by a cubic spline, known inputs
-    by straight lines. A sample counts as measured where both of its neighbours were. What is known
-    beyond the record is dropped.
+    Outputs and the simulator's output are interpolated by a cubic spline, known inputs linearly. A
+    sample counts as measured if both of its neighbours were. `beyond` and `u_beyond` are dropped.
     """
     samples = reach(record.grid, replace(record.grid, step=sampling_time))
     rows = np.minimum(np.arange(samples) * (sampling_time / record.sampling_time), len(record) - 1)
@@ -102,7 +102,7 @@ def resampled(record: Record, sampling_time: float) -> Record:
 
 
 def interpolated(values: Array, rows: Array, smooth: bool = True) -> Array:
-    """Interpolate `values` `(time, n)` at fractional rows; beyond the ends they are held."""
+    """Interpolate `values` `(time, n)` at fractional rows; the first and last value are held."""
     index = np.arange(len(values))
     rows = np.clip(rows, 0, len(values) - 1)
     if smooth and len(values) > 1:
@@ -140,7 +140,7 @@ def _one_sided(own: Grid, onto: Grid) -> str:
 
 
 def _resampled(own: Grid, onto: Grid, off: float) -> str:
-    """Describe the resampling of a signal whose rows are up to `off` samples from the times."""
+    """Describe the resampling of a signal whose samples are up to `off` steps off the times."""
     if same_sampling(own.step, onto.step, onto.samples):
         return f"its samples lie up to {off:.2g} of a step beside the record's: interpolated"
     how = "interpolated" if off > NEAR else "taken"

@@ -1,4 +1,4 @@
-"""Simulate an overhead crane with a swinging load, as a record for first trials."""
+"""Simulate an overhead crane with a swinging load, as a first example record."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from splitband.data.record import Record
 from splitband.runtime.arrays import Array
 
 STEP = 0.1
-"""Sampling time, s. The crane is made up, and so are its numbers."""
+"""Sampling time, s. The crane and its parameters are fictitious."""
 GRAVITY = 9.81
 """Acceleration of gravity, m/s^2."""
 DRIVE_LAG = 0.4
@@ -24,9 +24,9 @@ def overhead_crane(samples: int = 4000, noise: float = 0.02, seed: int = 0) -> R
     """Return the position of a crane's load, its operator's inputs, and a simulator without swing.
 
     A trolley follows a commanded speed, and the load hangs from it on a rope whose length changes
-    while it moves; how the load swings is nonlinear and depends on that length. The simulator
-    integrates the commanded speed, as if the load were fixed below an ideal trolley: right in the
-    large, wrong in detail.
+    during the motion. The swing is nonlinear and depends on that length. The simulator integrates
+    the commanded speed, as if the load were fixed below an ideal trolley: it is accurate at low
+    frequencies and omits the swing.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def _swinging(speed: Array, rope: Array) -> Array:
 
     def crane(t: float, state: Array) -> list[float]:
         _, velocity, angle, rate = state
-        # Between two samples what is known runs along a straight line.
+        # Inputs are interpolated linearly between samples.
         n = min(int(t / STEP), len(known) - 2)
         share = t / STEP - n
         commanded, length, hoisting = (1 - share) * known[n] + share * known[n + 1]

@@ -1,4 +1,4 @@
-"""Find gaps, samples that were not measured, and fill them."""
+"""Find and fill gaps: samples that were not measured."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ Gaps = Literal["refuse", "mask"]
 
 
 def filled(what: str, values: Array) -> tuple[Array, Flags]:
-    """Fill values that are not finite by straight lines; return them and where they were finite.
+    """Interpolate values that are not finite; return the result and a mask of finite values.
 
-    Both have the shape of `values`, `(time, n)`. Before the first and after the last finite value
-    of a channel that value is held.
+    Both have the shape of `values`, `(time, n)`. Interpolation is linear; before the first and
+    after the last finite value of a channel that value is held.
 
     Raises ValueError for a channel without finite values.
     """
@@ -45,13 +45,13 @@ def places(rows: Flags, most: int = 6) -> str:
 
 
 def last_before(complete: Flags, length: int, at: int) -> int | None:
-    """Return the last index up to `at` with `length` complete samples right before it, or None."""
+    """Return the last index up to `at` directly after `length` complete samples, or None."""
     ends = _ends(complete[:at], length)
     return int(ends[-1]) if len(ends) else None
 
 
 def first_after(complete: Flags, length: int) -> int | None:
-    """Return the first index with `length` complete samples right before it, or None."""
+    """Return the first index directly after `length` complete samples, or None."""
     ends = _ends(complete, length)
     return int(ends[0]) if len(ends) else None
 

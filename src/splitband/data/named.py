@@ -1,4 +1,4 @@
-"""Define the records that are known by name: public measurements and simulated systems."""
+"""Define the named records: public measurements and simulated systems."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def double_mass_spring(samples: int = 1000, noise_variance: float = 0.1, seed: i
 
     Parameters
     ----------
-    samples : At 0.1 s.
+    samples : Number of samples, one every 0.1 s.
     noise_variance : Variance of the Gaussian noise on `y`; `y_true` has none.
     seed : Seed of the noise.
     """
@@ -70,18 +70,18 @@ UNFORCED_START = [-2.0, 1.0]
 
 
 def unforced_van_der_pol(_: float, state: Array) -> Array:
-    """Return the time derivative of the simulator of (v): no force, a damping of 3.81 for 5."""
+    """Return the state derivative of the simulator of (v): no force, damping 3.81 instead of 5."""
     x, y = state
     return np.array([y, -x + 3.81 * (1 - x**2) * y])
 
 
 @dataclass(frozen=True)
 class NamedRecord:
-    """Describe a record that is known by name.
+    """Describe a named record.
 
     Attributes
     ----------
-    make : Returns the record; for hybrid systems with the simulator's output as `y_sim`.
+    make : Returns the record, with the simulator's output as `y_sim` if there is one.
     train : Default number of training samples, as in the paper; None for three quarters.
     """
 

@@ -6,18 +6,18 @@ import re
 from collections.abc import Sequence
 
 _NUMBERED = re.compile(r"[yu]\d*|\d+")
-"""Names that are only a letter or a number, see `same_names`."""
+"""Default names such as "y", "u1" or "2", see `same_names`."""
 
 _UNIT = re.compile(r"[ _][(\[]([^()\[\]]+)[)\]]$")
 
 
 def numbered(letter: str, count: int) -> tuple[str, ...]:
-    """Return the names of signals without names: the letter, numbered where there are several."""
+    """Return default names of signals: the letter, with a number if there are several."""
     return (letter,) if count == 1 else tuple(f"{letter}{i}" for i in range(count))
 
 
 def check_names(field: str, names: tuple[str, ...], what: str, count: int) -> None:
-    """Raise ValueError unless there are so many names, no two of them the same."""
+    """Raise ValueError unless there are `count` different names."""
     if len(names) != count:
         raise ValueError(f"{field} must name {what}: got {names}")
     if len(set(names)) < count:
@@ -25,15 +25,15 @@ def check_names(field: str, names: tuple[str, ...], what: str, count: int) -> No
 
 
 def unit_of(name: str) -> str:
-    """Return the unit that ends a column's name in brackets, "m" of "x (m)" or "x [m]"; or ""."""
+    """Return the unit in brackets at the end of a name, "m" of "x (m)" or "x [m]", or ""."""
     found = _UNIT.search(name)
     return found[1] if found else ""
 
 
 def same_names(names: Sequence[str], others: Sequence[str]) -> bool:
-    """Tell whether two lists can name the same signals; names by number alone fit any others.
+    """Return whether two lists can name the same signals; numbered names match any others.
 
-    These are what `Record` calls signals without names, and positions in a file.
+    Numbered names are the defaults of `Record`, and column positions in a file.
     """
     if sorted(names) == sorted(others) or len(names) != len(others):
         return tuple(names) == tuple(others)
@@ -41,5 +41,5 @@ def same_names(names: Sequence[str], others: Sequence[str]) -> bool:
 
 
 def described(columns: Sequence[str], inputs: Sequence[str]) -> str:
-    """Return inputs and outputs of a record, by name, for messages."""
+    """Return the names of a record's inputs and outputs for a message."""
     return f"inputs: {', '.join(inputs) or 'none'}; outputs: {', '.join(columns)}"

@@ -1,4 +1,4 @@
-"""Prepare records: what was done to one is remembered, and undone on predictions."""
+"""Prepare records: detrend, clip and resample. Steps are stored, and undone on predictions."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 
 Numbers = tuple[float, ...]
 AHEAD = "beyond", "u_beyond"
-"""Signals of a record that go on after its end."""
+"""Signals of a record after its end."""
 SIGNALS = "y", "y_true", "y_sim", "u", *AHEAD
 
 
 class Preparation:
-    """Represent something that is done to a record."""
+    """Define the interface of a preparation step; by default it changes nothing."""
 
     def apply(self, record: Record) -> Record:
-        """Return the record with it done; to a simulator's output what is done to outputs."""
+        """Return the prepared record; `y_true`, `y_sim` and `beyond` pass through `outputs`."""
         time = seconds(record)
         done = {"y": self.measured, "u": self.inputs, "u_beyond": self.inputs}
         changed: dict[str, Any] = {}
@@ -37,27 +37,27 @@ class Preparation:
         return replace(record, **changed)
 
     def measured(self, y: Array, time: Array) -> Array:
-        """Return measured samples `(time, ny)` at `time`, in seconds, with it done."""
+        """Prepare measured samples `(time, ny)` at `time`, in seconds."""
         return y
 
     def inputs(self, u: Array, time: Array) -> Array:
-        """Return inputs `(time, nu)` with it done."""
+        """Prepare inputs `(time, nu)`."""
         return u
 
     def inputs_restored(self, u: Array, time: Array) -> Array:
-        """Return inputs `(time, nu)` with it undone."""
+        """Undo the step on inputs `(time, nu)`."""
         return u
 
     def outputs(self, y: Array, time: Array) -> Array:
-        """Return a simulator's output `(time, ny)` with it done."""
+        """Prepare a simulator's output, or the noise-free signal, `(time, ny)`."""
         return y
 
     def restored(self, y: Array, time: Array) -> Array:
-        """Return predictions `(time, ny)` with it undone."""
+        """Undo the step on predictions `(time, ny)`."""
         return y
 
     def counted_from(self, begin: float) -> Preparation:
-        """Return the same for times that count from `begin`, in seconds."""
+        """Return the same step for times counted from `begin`, in seconds."""
         return self
 
 
@@ -69,9 +69,9 @@ class Detrended(Preparation):
 
     Attributes
     ----------
-    begin : Seconds at which the levels are given.
-    levels, slopes : Of the outputs, `ny` each; slopes per second.
-    input_levels, input_slopes : The same of the inputs.
+    begin : Time in seconds to which the levels refer.
+    levels, slopes : Levels and slopes per second of the outputs, `ny` each.
+    input_levels, input_slopes : The same for the inputs.
     """
 
     begin: float
@@ -82,7 +82,7 @@ class Detrended(Preparation):
 
     @classmethod
     def of(cls, record: Record, order: int) -> Detrended:
-        """Fit to a record: means (order 0) or straight lines (order 1)."""
+        """Fit means (order 0) or straight lines (order 1) to a record."""
         time = seconds(record)
         begin = float(time[0]) if order else 0.0
         fits = [
@@ -96,11 +96,11 @@ class Detrended(Preparation):
         return cls(begin, levels[:ny], slopes[:ny], levels[ny:], slopes[ny:])
 
     def measured(self, y: Array, time: Array) -> Array:
-        """Return measured samples less the trend."""
+        """Return measured samples without the trend."""
         return y - self._trend(time)
 
     def inputs(self, u: Array, time: Array) -> Array:
-        """Return inputs less their trend."""
+        """Return inputs without their trend."""
         return u - np.array(self.input_levels) - self._risen(time, self.input_slopes)
 
     def inputs_restored(self, u: Array, time: Array) -> Array:
@@ -108,7 +108,7 @@ class Detrended(Preparation):
         return u + np.array(self.input_levels) + self._risen(time, self.input_slopes)
 
     def outputs(self, y: Array, time: Array) -> Array:
-        """Return a simulator's output less the trend of the outputs."""
+        """Return a simulator's output without the trend of the outputs."""
         return self.measured(y, time)
 
     def restored(self, y: Array, time: Array) -> Array:
@@ -116,14 +116,14 @@ class Detrended(Preparation):
         return y + self._trend(time)
 
     def counted_from(self, begin: float) -> Detrended:
-        """Return the same trend for times that count from `begin`."""
+        """Return the same trend for times counted from `begin`."""
         return replace(self, begin=self.begin - begin)
 
     def _trend(self, time: Array) -> Array:
         return np.array(self.levels) + self._risen(time, self.slopes)
 
     def _risen(self, time: Array, slopes: Numbers) -> Array:
-        """Return by how much straight lines have risen, `(time, channels)`."""
+        """Return the rise of straight lines since `begin`, `(time, channels)`."""
         if not any(slopes):
             return np.zeros((1, len(slopes)))
         return (time - self.begin)[:, None] * np.array(slopes)
@@ -133,9 +133,9 @@ class Detrended(Preparation):
 @saved
 @dataclass(frozen=True)
 class Clipped(Preparation):
-    """Limit the outputs to a range each.
+    """Limit each output to a range.
 
-    `low` and `high`: of each output.
+    `low` and `high` hold the limits of each output.
     """
 
     low: Numbers
@@ -143,16 +143,16 @@ class Clipped(Preparation):
 
     @classmethod
     def of(cls, record: Record, deviations: float) -> Clipped:
-        """Return limits: the median, and so many deviations, as the median deviation has them."""
+        """Return limits of `deviations` robust standard deviations around the median."""
         seen = record.seen
         middle = np.nanmedian(seen, axis=0)
-        # The factor makes the median deviation the standard deviation of what is normal.
+        # The factor turns the median deviation into the standard deviation of a Gaussian.
         reach = deviations * 1.4826 * np.nanmedian(abs(seen - middle), axis=0)
         reach = np.where(reach > 0, reach, np.inf)
         return cls(tuple(map(float, middle - reach)), tuple(map(float, middle + reach)))
 
     def measured(self, y: Array, time: Array) -> Array:
-        """Return measured samples in range; what is NaN stays so."""
+        """Return measured samples limited to the range; NaN stays NaN."""
         clipped = np.clip(y, np.array(self.low), np.array(self.high))
         return np.where(np.isnan(y), y, clipped)
 
@@ -161,19 +161,19 @@ class Clipped(Preparation):
 @saved
 @dataclass(frozen=True)
 class Resampled(Preparation):
-    """Take the mean of every `factor` samples, which does not look ahead.
+    """Replace every `factor` samples by their mean, without looking ahead.
 
-    The newest samples are kept: those that are too few for a mean are left out at the beginning.
-    The time stamp of a mean is that of its last sample. A prediction has the new step; so have
-    the inputs that are given for it.
+    Samples that are too few for a mean are dropped at the beginning of the record. The time stamp
+    of a mean is that of its last sample. Predictions, and the inputs given for them, have the new
+    sampling time.
 
-    `factor`: samples of a mean.
+    `factor` is the number of samples per mean.
     """
 
     factor: int
 
     def apply(self, record: Record) -> Record:
-        """Return the record of means."""
+        """Return the resampled record."""
         k = self.factor
         if len(record) < 2 * k:
             raise ValueError(f"record must have {2 * k} samples to be resampled, got {len(record)}")
@@ -194,14 +194,14 @@ class Resampled(Preparation):
 
 
 def seconds(record: Record) -> Array:
-    """Return the times of a record in seconds, `(time,)`; dates since 1970."""
+    """Return the times of a record in seconds, `(time,)`; for dates, since 1970."""
     start = record.start
     begin = start.timestamp() if isinstance(start, pd.Timestamp) else seconds_of(start)
     return np.asarray(begin + record.sampling_time * np.arange(float(len(record))))
 
 
 def _line(time: Array, signal: Array, order: int) -> tuple[float, float]:
-    """Return level and slope of what was measured."""
+    """Fit the level and slope of the measured samples."""
     known = ~np.isnan(signal)
     if not order:
         return float(signal[known].mean()), 0.0

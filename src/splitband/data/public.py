@@ -1,4 +1,4 @@
-"""Fetch the public records of the paper: downloaded once, from a pinned commit, and hashed."""
+"""Fetch the public records of the paper: download once from a pinned commit, check the hash."""
 
 from __future__ import annotations
 
@@ -84,14 +84,14 @@ PUBLIC: dict[str, PublicFile] = {file.name: file for file in _FILES}
 def fetch(name: str, data_dir: str | os.PathLike[str] | None = None) -> Path:
     """Return the path of a public record, after checking its SHA-256.
 
-    The file is looked for below `data_dir`, by default below the folder that the environment
-    variable SPLITBAND_DATA_DIR names, at `PUBLIC[name].path`. With neither, it is downloaded
-    once into the user's cache from a pinned commit of github.com/boschresearch/hybrid-observer,
-    with the licence and citation that `PUBLIC[name]` states.
+    The file is `PUBLIC[name].path` below `data_dir`, by default below the folder in the environment
+    variable SPLITBAND_DATA_DIR. With neither, it is downloaded once into the user's cache from a
+    pinned commit of github.com/boschresearch/hybrid-observer; `PUBLIC[name]` states its licence
+    and citation.
 
     Raises ValueError if the name is unknown, or the content is not the published one (the file is
-    left alone). Raises FileNotFoundError if the folder lacks the file. Raises OSError if it cannot
-    be downloaded.
+    left unchanged). Raises FileNotFoundError if the folder lacks the file. Raises OSError if the
+    download fails.
     """
     if name not in PUBLIC:
         raise ValueError(f"public record {name!r} is unknown: there are {', '.join(PUBLIC)}")
@@ -113,7 +113,7 @@ def fetch(name: str, data_dir: str | os.PathLike[str] | None = None) -> Path:
 
 
 def data_folder() -> Path:
-    """Return the folder that `fetch` searches: SPLITBAND_DATA_DIR, or the user's cache."""
+    """Return the default folder of `fetch`: SPLITBAND_DATA_DIR, or the user's cache."""
     variable = os.environ.get("SPLITBAND_DATA_DIR")
     if variable:
         return Path(variable)
@@ -137,7 +137,7 @@ def _download(record: PublicFile) -> Path:
             fname=filename,
             path=data_folder() / folder,
         )
-    except OSError as error:  # those of requests and urllib among them
+    except OSError as error:  # includes the errors of requests and urllib
         raise OSError(
             f"{record.name} could not be downloaded ({type(error).__name__} at {url}): check the "
             f"connection, or set SPLITBAND_DATA_DIR to a folder that holds {record.path}"

@@ -38,18 +38,18 @@ class ColumnError(ValueError):
 
 
 class ReadingWarning(UserWarning):
-    """Report that a column of a file is left out, or that its meaning was inferred."""
+    """Warn that a column of a file is left out, or that its meaning was inferred."""
 
 
 @dataclass(frozen=True)
 class _Picked:
-    """Hold the columns that make up a record.
+    """Hold the names of the columns of a record.
 
     Attributes
     ----------
     stamps : The column of time stamps, if there is one.
     known, measured : The inputs and the channels.
-    left_out : Other columns with content, each with the reason why it is left out.
+    left_out : Other columns with content, each with the reason for leaving it out.
     """
 
     stamps: list[str]
@@ -70,39 +70,38 @@ def read(
 ) -> Record:
     """Read a record from CSV, TSV, Parquet, NPZ, NPY, MAT (up to v7.2), text, or a DataFrame.
 
-    Columns are chosen by name, or by position from 0 where a text or NPY file names none; a single
-    column without a name is called y. A variable of an NPZ or MAT file is a column, and a matrix
-    `m` is picked whole as "m" or by column as "m[0]"; a file with one row of numbers is one channel
-    over time. Text may be separated by commas, semicolons, tabs or
-    spaces, with `#` comments. A text file has one decimal sign, a point or a comma, and may have
-    thousands separators.
+    Columns are chosen by name, or by position from 0 in a text or NPY file without names; a single
+    column without a name is called y. A variable of an NPZ or MAT file is a column; of a matrix
+    `m`, "m" chooses all columns and "m[0]" the first. A file with one row of numbers is one channel
+    over time. Text may be separated by commas, semicolons, tabs or spaces, with `#` comments. A
+    text file has one decimal sign, a point or a comma, and may have thousands separators.
 
     Parameters
     ----------
     columns : measured channels; by default every column that holds a number, has a name, and is
-        neither an input nor a time (in NPZ and MAT: among the longest variables). What else holds
-        something is left out with a `ReadingWarning` that names it.
+        neither an input nor a time (in NPZ and MAT: among the longest variables). Other columns
+        with content are left out, with a `ReadingWarning` that names them.
     inputs : known inputs `u`.
-    time_column : stamps in seconds, in another unit that ends the name ("t [ms]", "time_min"),
+    time_column : stamps in seconds, in another unit at the end of the name ("t [ms]", "time_min"),
         or dates; by default a column called time, t, timestamp, datetime or date. "" ignores it.
-        Numbers in a column called date or datetime are Excel's serial days where they can be.
+        Numbers in a column called date or datetime are read as Excel's serial days if possible.
         Steps may differ by 1 %, or by the rounding of the stamps: less than one unit in their
         last printed place, both from the mean step and from the straight line through the ends,
         as long as that unit is below a step. No stamp may be more than half a step away from an
         even grid. The record's `start` is that of the grid.
-    sampling_time : seconds; by default from the stamps, from which it may differ by less than half
-        a step over the record, else a scalar `sampling_time`, `dt` or `Ts` of the file.
-    fallback_sampling_time : seconds, for a file that says nothing of time.
-    gaps : "refuse" values that are not finite, and stamps with rows missing between them; "mask"
-        takes both for samples that were not measured, see `Record.with_gaps`.
+    sampling_time : seconds; by default from the stamps, otherwise a scalar `sampling_time`, `dt`
+        or `Ts` of the file. It may deviate from the stamps by half a step over the record.
+    fallback_sampling_time : seconds, for a file without any of these.
+    gaps : "refuse" values that are not finite, and missing rows between the stamps; "mask" marks
+        both as not measured, see `Record.with_gaps`.
 
     Raises
     ------
     FileNotFoundError, IsADirectoryError, PermissionError
         If the file cannot be opened.
     ValueError
-        If it cannot be understood: the message names the file, the column and the data row,
-        counted from 0 without the header. A `ColumnError` where a column is not there.
+        If its content is invalid: the message names the file, the column and the data row,
+        counted from 0 without the header. A `ColumnError` if a column is missing.
 
     Examples
     --------
@@ -134,7 +133,7 @@ def read(
 def _picked(
     table: Table, columns: _Names | None, inputs: _Names, time_column: str | int | None
 ) -> _Picked:
-    """Pick the columns of a record by the options; see `read`."""
+    """Choose the columns of a record by the options of `read`."""
     known = _find(table, inputs)
     stamps = [] if time_column is None or time_column == "" else _find(table, time_column)
     picked = stamps + known + ([] if columns is None else _find(table, columns))
@@ -159,7 +158,7 @@ def _picked(
 
 
 def _reason(name: str, column: Column, rows: int) -> str:
-    """Return why a column is no channel; empty for one that is."""
+    """Return the reason why a column is not a channel; empty if it is one."""
     if name.startswith("Unnamed: "):  # an index or a trailing separator
         counts = is_numeric_dtype(column) and bool((column.diff().iloc[1:] == 1).all())
         return _EXPECTED if counts or not column.notna().any() else "no name"
@@ -174,7 +173,7 @@ def _reason(name: str, column: Column, rows: int) -> str:
 
 
 def _check_orientation(names: Sequence[str], rows: int) -> None:
-    """Refuse more columns than rows where no names tell that columns are meant."""
+    """Raise ValueError for more unnamed columns than rows: the table may be transposed."""
     numbered = [name for name in names if re.fullmatch(r"\d+|.*\[\d+\]", name)]
     if len(numbered) > rows:
         raise ValueError(
@@ -184,7 +183,7 @@ def _check_orientation(names: Sequence[str], rows: int) -> None:
 
 
 def _assemble(table: Table, picked: _Picked, spaced: Spacing, gaps: Gaps, *, name: str) -> Record:
-    """Check every cell of the columns, and make a record of them."""
+    """Check every cell of the columns, and return the record."""
     known, measured = picked.known, picked.measured
     y = _matrix(table, measured, gaps, spaced.places)
     u = _matrix(table, known, gaps, spaced.places) if known else None
@@ -198,7 +197,7 @@ def _assemble(table: Table, picked: _Picked, spaced: Spacing, gaps: Gaps, *, nam
 def _matrix(
     table: Table, names: Sequence[str], gaps: Gaps, places: NDArray[np.int_] | None
 ) -> Array:
-    """Return the columns as a matrix, with NaN in rows that are missing."""
+    """Return the columns as a matrix, with NaN in missing rows."""
     matrix = np.column_stack([numbers(f"column {name!r}", table[name]) for name in names])
     if gaps == "refuse":
         try:
@@ -217,7 +216,7 @@ def _matrix(
 
 
 def _common_length(table: Table, picked: Sequence[str]) -> int:
-    """Return the rows of the picked columns, by default of the longest column."""
+    """Return the number of rows of the picked columns, by default of the longest column."""
     if twice := [column for column in picked if picked.count(column) > 1]:
         raise ValueError(f"column {twice[0]!r} is asked for twice, in columns, inputs or time")
     lengths = {column: len(table[column]) for column in picked or table}
@@ -233,7 +232,7 @@ def _common_length(table: Table, picked: Sequence[str]) -> int:
 
 
 def _find(table: Table, wanted: _Names) -> list[str]:
-    """Return the keys of the wanted columns, a matrix being all of its columns."""
+    """Return the keys of the wanted columns; a matrix stands for all of its columns."""
     all_keys = []
     for column in [wanted] if isinstance(wanted, str | int) else wanted:
         name = str(column).strip()
@@ -259,7 +258,7 @@ def _listed(names: Sequence[str]) -> str:
 def _spacing(
     table: Table, stamps: Sequence[str], given: float | None, fallback: float | None, gaps: Gaps
 ) -> Spacing:
-    """Return the grid of the time stamps, or else the step given by the caller or by the file."""
+    """Return the grid of the time stamps; without stamps, the step from the caller or the file."""
     if stamps:
         what = f"time column {stamps[0]!r}"
         spaced = spacing(what, stamps[0], table[stamps[0]], gaps)

@@ -39,24 +39,24 @@ class Record:
     sampling_time : seconds between two samples.
     u : known inputs, (time, nu): forces, set-points, or another model's prediction.
     y_true : the noise-free signal where it is known, (time, ny).
-    y_sim : a simulator's trajectory, (time, ny).
-    beyond : what the simulator says after the record's end, (any time, ny): for forecasts, and for
-        its calibration.
+    y_sim : the simulator's output, (time, ny).
+    beyond : the simulator's output after the record's end, (any time, ny), for forecasts and for
+        calibration.
     u_beyond : the known inputs after the record's end, (any time, nu), for forecasts.
-    name : what plots and tables call the record.
-    columns : names of the channels of y; without them "y", or "y0", "y1", ...
-    inputs : names of the inputs; without them "u", or "u0", "u1", ...
-    measured : where y was measured, (time, ny); elsewhere something stands in for it, that nothing
-        is compared with. None: everywhere.
-    start : time stamp of the first sample, seconds or a date. None where the record has no time
-        stamps: what is put beside it is then taken to begin with it.
-    prepared : what `detrend`, `clip_outliers` and `resample` have done, in that order.
+    name : name of the record in plots and tables.
+    columns : names of the channels of y; by default "y", or "y0", "y1", ...
+    inputs : names of the inputs; by default "u", or "u0", "u1", ...
+    measured : where y was measured, (time, ny); other values are fillers, and are excluded from
+        every comparison. None: everywhere.
+    start : time stamp of the first sample, seconds or a date. None for a record without time
+        stamps: other signals are then assumed to begin with it.
+    prepared : the steps of `detrend`, `clip_outliers` and `resample` so far, in their order.
 
     Raises
     ------
     ValueError
-        If a signal is not real and finite, its unit such that its square would not be (1e120, or a
-        range of 1e-120), lengths or channels differ, there are fewer than two samples, the
+        If a signal is not real and finite, exceeds 1e120 or has a range below 1e-120 (squares would
+        overflow or vanish), lengths or channels differ, there are fewer than two samples, the
         sampling time is not positive, or `start` is no time stamp. Rows are counted from 0.
 
     Examples
@@ -65,7 +65,7 @@ class Record:
     >>> record.y.shape, record.time
     ((4, 1), array([0. , 0.5, 1. , 1.5]))
 
-    A slice keeps what is known of the time after it: here the input.
+    A slice keeps the inputs that are known after its end:
 
     >>> record[:3].u_beyond
     array([[0.]])
@@ -132,10 +132,10 @@ class Record:
 
     @classmethod
     def with_gaps(cls, y: Any, sampling_time: float, u: Any = None, **others: Any) -> Record:
-        """Return a record from y and u that may hold values that are not finite.
+        """Return a record of y and u that may contain NaN or infinite values.
 
-        Straight lines across them stand in for what is missing. Where an input is not known, this
-        sample and the next, on which it acts, do not count as measured.
+        These values are interpolated linearly. Where an input is missing, its sample and the next
+        one, which also depends on it, do not count as measured.
         """
         y, measured = filled("y", signal_of("y", y))
         if u is not None:
@@ -149,10 +149,10 @@ class Record:
         return len(self.y)
 
     def __getitem__(self, key: slice) -> Record:
-        """Return the samples `key`, of every signal, with their time stamps.
+        """Return the slice `key` of every signal, with its time stamps.
 
-        What is known beside them for later samples, the simulator's output and the inputs, goes
-        on as `beyond` and `u_beyond`. Without time stamps, `time` starts at 0 again.
+        The simulator's output and the inputs after the slice are kept as `beyond` and `u_beyond`.
+        Without time stamps, `time` starts at 0 again.
         """
         if not isinstance(key, slice):
             raise TypeError(f"a Record takes slices only, as in traj[a:b]: got {key!r}")
@@ -165,7 +165,7 @@ class Record:
         beyond, u_beyond = _after(self.y_sim, self.beyond, end), _after(self.u, self.u_beyond, end)
         y, measured = self.y[key], None if self.measured is None else self.measured[key]
         if measured is not None:
-            # Gaps are filled again, without the samples after the slice.
+            # Gaps are filled again, from the samples of the slice only.
             known = measured.any(axis=0)
             y = y.copy()
             y[:, known] = filled("y", self.seen[key][:, known])[0]
@@ -178,17 +178,17 @@ class Record:
         )  # fmt: skip
 
     def to_frame(self) -> pd.DataFrame:
-        """Return a table with a column of time stamps, then inputs and outputs; gaps are NaN."""
+        """Return a table of time stamps, inputs and outputs, with NaN in gaps."""
         named = dict(zip(self.columns, self.seen.T, strict=True))
         known = {} if self.u is None else dict(zip(self.inputs, self.u.T, strict=True))
         header = "time (s)" if "time" in (*named, *known) else "time"
         return pd.DataFrame({header: self.stamps, **known, **named})
 
     def detrend(self, order: int = 0) -> Record:
-        """Return the record less the means of its outputs and inputs, or less straight lines.
+        """Return the record without the means, or straight lines, of its outputs and inputs.
 
-        A model of it remembers them: they are subtracted from a history that has them, and added
-        to the prediction.
+        A model of the record stores them. It subtracts them from a raw history, and adds them to
+        the prediction.
 
         Parameters
         ----------
@@ -204,20 +204,20 @@ class Record:
         return self._with(Detrended.of(self, order))
 
     def clip_outliers(self, deviations: float = 5.0) -> Record:
-        """Return the record with each output limited to its median and so many deviations.
+        """Return the record with each output limited to `deviations` deviations from its median.
 
-        The deviation is 1.4826 times the median one, which outliers do not change. A model of the
-        record limits a history likewise; predictions are not limited.
+        The deviation is 1.4826 times the median absolute deviation, which is robust to outliers. A
+        model of the record applies the same limits to a history, but not to predictions.
         """
         if not deviations > 0:
             raise ValueError(f"deviations must be above 0, got {deviations}")
         return self._with(Clipped.of(self, deviations))
 
     def resample(self, sampling_time: float) -> Record:
-        """Return the record with a longer step, a whole multiple of its own.
+        """Return the record with a longer sampling time, a multiple of its own.
 
-        Each new sample is the mean of those since the one before it, so that nothing looks ahead.
-        A model of the record does the same to a history of the old step, and predicts at the new.
+        Each new sample is the mean of the samples since the previous one, so nothing looks ahead. A
+        model of the record resamples a history in the same way, and predicts at the new step.
         """
         factor = round(positive_seconds(sampling_time) / self.sampling_time)
         if factor < 1 or not near_sampling(sampling_time, factor * self.sampling_time):
@@ -228,9 +228,9 @@ class Record:
         return self._with(Resampled(factor)) if factor > 1 else self
 
     def prepared_as(self, other: Record) -> Record:
-        """Return the record with done to it what was done to another one.
+        """Return the record prepared like another one.
 
-        Raises ValueError where something else was done to it already.
+        Raises ValueError if it has been prepared differently before.
         """
         if self.prepared == other.prepared:
             return self
@@ -270,7 +270,7 @@ class Record:
 
     @property
     def complete(self) -> Flags:
-        """Return where every channel was measured, (time,)."""
+        """Return a mask of the samples at which every channel was measured, (time,)."""
         if self.measured is None:
             return np.ones(len(self), dtype=np.bool_)
         return np.asarray(self.measured.all(axis=1))
@@ -287,7 +287,7 @@ class Record:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Return the unit of each channel, as its name ends with it: "m" of "position (m)"."""
+        """Return the unit of each channel from its name: "m" of "position (m)"."""
         return tuple(unit_of(name) for name in self.columns)
 
     @property
@@ -314,7 +314,7 @@ class Record:
 
 
 def _after(signal: Array | None, beyond: Array | None, end: int) -> Array | None:
-    """Return the known samples from row `end` of a signal on, (any time, channels), or None."""
+    """Return a signal and its continuation from row `end` on, (any time, channels), or None."""
     later = [
         part for part in (None if signal is None else signal[end:], beyond) if part is not None
     ]
@@ -322,7 +322,7 @@ def _after(signal: Array | None, beyond: Array | None, end: int) -> Array | None
 
 
 def require_records(what: str, *given: Any) -> None:
-    """Raise TypeError, which says what to do, where something else than a record is given."""
+    """Raise TypeError unless all are records; the message says how to make one."""
     for each in given:
         if not isinstance(each, Record):
             raise TypeError(
@@ -333,10 +333,10 @@ def require_records(what: str, *given: Any) -> None:
 
 
 def check_alike(other: Record, record: Record, name: str) -> None:
-    """Check that another record, called `name`, can be of the same system.
+    """Check that another record, called `name` in messages, can be of the same system.
 
-    Raises ValueError for other channels or inputs, by number, name or order, and for a sampling
-    time that is off by more than a hundredth. Records without names are told by numbers alone.
+    Raises ValueError if the number, names or order of channels or inputs differ, or the
+    preparation, or the sampling time by more than 1 %. Default names match any others.
     """
     if (other.ny, other.nu) != (record.ny, record.nu):
         raise ValueError(

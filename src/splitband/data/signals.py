@@ -11,11 +11,11 @@ from splitband.data.gaps import places
 from splitband.runtime.arrays import Array
 
 LARGEST, SMALLEST = 1e120, 1e-120
-"""Limits of values, and of the range of a channel: sums of their squares must not overflow."""
+"""Largest value and smallest range of a channel: sums of squares must not over- or underflow."""
 
 
 def positive_seconds(value: Any) -> float:
-    """Return a sampling time as a number; raises ValueError for one that is none."""
+    """Return a sampling time as a float; raises ValueError unless it is finite and positive."""
     try:
         seconds = float(value)
     except (TypeError, ValueError):
@@ -42,7 +42,7 @@ def signal_of(what: str, value: Any) -> Array:
 
 
 def require_finite(what: str, values: Array, columns: Sequence[str] = ()) -> None:
-    """Raise a ValueError that says where values are not finite, or out of all proportion."""
+    """Raise ValueError, naming the place, for values not finite or beyond the limits above."""
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         column = f", column {columns[bad[0, 1]]!r}" if columns else ""

@@ -23,7 +23,7 @@ TIME_NAMES = ("time", "t", "timestamp", "datetime", "date")
 _CLOCK_STEPS = (
     *(n * unit for unit in (1, 60) for n in (1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30)), 3600, 7200,
 )  # fmt: skip
-"""Usual seconds between samples where a clock counts in minutes and hours."""
+"""Common sampling times, in seconds, of loggers that count in minutes and hours."""
 _UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "min": 60.0, "h": 3600.0}
 _UNITS |= {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
 _UNIT = re.compile(rf"[\s_/(\[]+({'|'.join(_UNITS)})[)\]]?$")
@@ -40,8 +40,8 @@ class Spacing:
     ----------
     step : In s.
     start : Time stamp of its first row; None for a file without time stamps.
-    places : Where each row of the file belongs `(time,)`, if others are missing between them.
-    note : What was inferred of the stamps, for their user.
+    places : Grid index of each row of the file, `(time,)`; None if no rows are missing.
+    note : Message about how the stamps were interpreted; empty if that is certain.
     """
 
     step: float
@@ -51,16 +51,16 @@ class Spacing:
 
 
 def time_name(column: str) -> tuple[str, float]:
-    """Split a name such as "Time [ms]" into what it names and the seconds in its unit."""
+    """Split a name such as "Time [ms]" into "time" and its unit in seconds."""
     name = column.strip().lower()
     unit = _UNIT.search(name)
     return (name[: unit.start()], _UNITS[unit[1]]) if unit else (name, 1.0)
 
 
 def also_time(name: str, column: Column) -> bool:
-    """Tell whether a column such as "time_2" or "elapsed time" tells the time, too.
+    """Return whether a column such as "time_2" or "elapsed time" is another time column.
 
-    Its name has a word for time in it, and its values increase from row to row.
+    Its name contains a word for time, and its values increase from row to row.
     """
     words = set(re.findall("[a-z]+", name.lower()))
     if not words & {*TIME_NAMES} - {"t"} or not has_number(column):  # T_1 is a temperature
@@ -72,8 +72,8 @@ def also_time(name: str, column: Column) -> bool:
 def spacing(what: str, name: str, column: Column, gaps: Gaps) -> Spacing:
     """Return the even grid of time stamps.
 
-    Raises ValueError for what is no stamp, or comes out of turn; see `reading.read` for the
-    tolerance.
+    Raises ValueError for cells that are not stamps, and for stamps that do not increase evenly;
+    `reading.read` states the tolerance.
     """
     days = _serial_days(what, name, column)
     stamps, grain, date = _seconds(what, name, column) if days is None else _seconds_of_days(days)
@@ -89,7 +89,7 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps) -> Spacing:
 
 
 def _note(what: str, name: str, column: Column, stamps: Array, date: Stamp | None) -> str:
-    """Say how numbers were read where they could have been read otherwise."""
+    """Return how numbers were read, if they could have been read otherwise."""
     if not has_number(column):
         return ""
     if date is not None:
@@ -104,10 +104,10 @@ def _note(what: str, name: str, column: Column, stamps: Array, date: Stamp | Non
 
 
 def _serial_days(what: str, name: str, column: Column) -> Array | None:
-    """Return Excel's days since 1899-12-30 of a column of stamps; None where they are others.
+    """Return a column of Excel's serial days, since 1899-12-30; None for other stamps.
 
-    They are numbers from 20,000 to 80,000, which is 1954 to 2119, in a column called date or
-    datetime, or in one of another name without a unit that steps as a clock does in days. Raises
+    They are numbers from 20,000 to 80,000 (1954 to 2119) in a column called date or datetime, or
+    in another column without a unit whose steps are a common sampling time in days. Raises
     ValueError for numbers in a column of dates that cannot be seconds since 1970 either.
     """
     dated = name.strip().lower() in ("date", "datetime")
@@ -126,9 +126,9 @@ def _serial_days(what: str, name: str, column: Column) -> Array | None:
 
 
 def _steps_in_days(stamps: Array) -> bool:
-    """Tell whether stamps step as a clock does, in days: by 0.0416667, which is an hour.
+    """Return whether the step of stamps is a common sampling time in days: 0.0416667 is an hour.
 
-    With four decimals or fewer they are taken for seconds.
+    Stamps with four decimals or fewer are taken for seconds.
     """
     unit, steps = _last_place(stamps), np.diff(stamps)
     if unit > 1e-5 or steps.min() <= 0:
@@ -141,8 +141,8 @@ def _steps_in_days(stamps: Array) -> bool:
 
 
 def _seconds_of_days(days: Array) -> tuple[Array, float, pd.Timestamp]:
-    """Return serial days as `_seconds` returns stamps."""
-    # Excel itself holds milliseconds.
+    """Convert serial days to the result of `_seconds`."""
+    # Excel resolves milliseconds.
     first = pd.Timestamp("1899-12-30") + pd.Timedelta(round(8.64e7 * days[0]), unit="ms")
     grain = max(_last_place(days), 2 * float(np.spacing(days.max())))
     return (days - days[0]) * 86400, grain * 86400, first
@@ -166,7 +166,7 @@ def _seconds(what: str, name: str, column: Column) -> tuple[Array, float, pd.Tim
         cell = str(column.iloc[bad[0]])[:40]
         raise ValueError(f"{what} must hold numbers or dates: row {bad[0]} holds {cell!r}")
     first = dates.iloc[0].as_unit("ns")
-    # pandas gives a time without a date today's date. Here it counts from midnight.
+    # pandas adds today's date to a time without a date; here it is counted from midnight.
     of_day = _TIME_OF_DAY.match(str(column.iloc[0])) is not None
     since = dates - (first.normalize() if of_day else first)
     seconds = np.asarray(since / pd.Timedelta(1, unit="s"), dtype=np.float64)
@@ -176,8 +176,8 @@ def _seconds(what: str, name: str, column: Column) -> tuple[Array, float, pd.Tim
 def _dates(column: Column) -> pd.Series:
     """Parse dates in UTC, NaT where that fails: day or month first, whichever parses more cells.
 
-    Where both can be, as on the first days of a month, an even step decides; where that does not
-    tell either, days come first in what is written with dots, and months otherwise.
+    If both parse, as in the first days of a month, the more even step decides. If that is equal
+    too, dates written with dots are read day first, others month first.
     """
     dotted = _DOTTED.match(str(column.iloc[0])) is not None
     with warnings.catch_warnings():
@@ -189,7 +189,7 @@ def _dates(column: Column) -> pd.Series:
         ]
 
     def doubt(parsed: pd.Series) -> tuple[int, float]:
-        """Return the number of missing dates, and the unevenness of steps by their median."""
+        """Return the number of missing dates, and the unevenness of the steps (relative)."""
         steps = parsed.dropna().diff().dropna().dt.total_seconds()
         usual = abs(steps.median()) or 1.0
         uneven = round(float((steps - usual).abs().max() / usual), 2) if len(steps) else 0.0
@@ -213,7 +213,7 @@ def _check_zones(what: str, column: Column) -> None:
 def _in_its_zone(date: pd.Timestamp, column: Column) -> pd.Timestamp:
     """Convert a date that was read as UTC to the time zone of its column, if that has one.
 
-    Tables and messages are to show dates as the file does.
+    Tables and messages then show dates as the file does.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -224,7 +224,7 @@ def _in_its_zone(date: pd.Timestamp, column: Column) -> pd.Timestamp:
 def _even_grid(what: str, stamps: Array, unit: float, masked: bool) -> tuple[float, float]:
     """Return the step and the first stamp of an even grid, in s; see `reading.read` for tolerances.
 
-    `unit` is that of their last place.
+    `unit` is one unit in the last place of the stamps, in s.
     """
     steps = np.diff(stamps)
     if (back := np.flatnonzero(steps <= 0)).size:
@@ -239,7 +239,7 @@ def _even_grid(what: str, stamps: Array, unit: float, masked: bool) -> tuple[flo
     rounded = np.maximum(np.abs(steps - mean), line) < 0.999 * unit
     off = np.abs(steps - median)
     if (bad := np.flatnonzero((off > 0.01 * median) & ~rounded)).size:
-        gaps = bad[off[bad] > 1.001 * unit]  # true gaps are named first, they shift the rest
+        gaps = bad[off[bad] > 1.001 * unit]  # report true gaps first: they shift the other rows
         row = int((gaps if gaps.size else bad)[0]) + 1
         raise ValueError(
             f"{what} must be even: expected a step of {median:.6g} s at row {row}, found "
@@ -247,7 +247,7 @@ def _even_grid(what: str, stamps: Array, unit: float, masked: bool) -> tuple[flo
             + (", gaps='mask' (--gaps mask) allows for missing rows" if not masked else "")
         )
     centred = np.arange(len(stamps)) - 0.5 * len(steps)
-    # The slope of a straight line, which averages the rounding of the stamps out.
+    # The slope of a fitted line, which averages out the rounding of the stamps.
     slope = centred @ (stamps - stamps[0]) / (centred @ centred)
     step = float(f"{slope:.12g}")
     beside = stamps - stamps[0] - step * np.arange(len(stamps))
@@ -261,7 +261,7 @@ def _even_grid(what: str, stamps: Array, unit: float, masked: bool) -> tuple[flo
         )
     if abs(first) < 1e-6 * step:
         return step, float(stamps[0])
-    # Rounded to a tenth of the last printed place, as the stamps tell no more than that.
+    # Rounded to a tenth of the last printed place, the resolution of the stamps.
     digits = 0.1 * unit or 1e-6 * step
     return step, float(np.rint((stamps[0] + first) / digits) * digits)
 
@@ -269,16 +269,17 @@ def _even_grid(what: str, stamps: Array, unit: float, masked: bool) -> tuple[flo
 def _on_grid(what: str, stamps: Array) -> tuple[NDArray[np.int_], Array]:
     """Return each stamp's row on the grid without gaps, `(time,)`, and the stamps of all rows.
 
-    Where stamps rise evenly, the rows are 0, 1, 2... A logger that starts again after a gap does so
-    at any moment: its stamps go to the closest rows of the grid of those before it, so that the
-    rows do not drift away from the stamps over many gaps.
+    For evenly rising stamps the rows are 0, 1, 2... A logger may restart at any time after a gap:
+    its stamps are then moved to the closest rows of the grid that begins at the first stamp, so
+    that rows do not drift away from the stamps over many gaps.
 
-    Raises ValueError when nearly all are missing, which is a wrong stamp rather.
+    Raises ValueError if more than `MOST_MISSING` of the rows are missing: a stamp is then probably
+    wrong.
     """
     steps = np.diff(stamps)
-    if not len(steps) or steps.min() <= 0:  # `spacing` refuses it and names the row
+    if not len(steps) or steps.min() <= 0:  # `_even_grid` raises an error that names the row
         return np.arange(len(stamps)), stamps
-    usual = float(np.quantile(steps, 0.1))  # the least may be jitter
+    usual = float(np.quantile(steps, 0.1))  # the smallest steps may be jitter
     usual = float(steps[steps < 1.75 * usual].mean())  # stamps may be rounded to few units
     missing = float(np.maximum(np.rint(steps / usual) - 1, 0).sum())
     if missing > MOST_MISSING * (missing + len(stamps)):
@@ -291,7 +292,7 @@ def _on_grid(what: str, stamps: Array) -> tuple[NDArray[np.int_], Array]:
     index = np.arange(len(stamps))
     if not gap.any():
         return index, stamps
-    begins = np.concatenate([[0], np.flatnonzero(gap) + 1])  # of the stretches between the gaps
+    begins = np.concatenate([[0], np.flatnonzero(gap) + 1])  # first rows of the stretches
     stretch = np.concatenate([[0], np.cumsum(gap)])
     closest = np.rint((stamps[begins] - stamps[0]) / usual).astype(int)
     rows = closest[stretch] + index - begins[stretch]

@@ -1,4 +1,4 @@
-"""Load the columns of a file, whatever its format, with pandas and SciPy."""
+"""Load the columns of a file in any supported format, with pandas and SciPy."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Table: TypeAlias = dict[str, Column]
 
 
 def load(path: Path) -> Table:
-    """Read every column of a file; each failure of a reader becomes a ValueError."""
+    """Read every column of a file; an error of any reader is raised as a ValueError."""
     kind, reader = _READERS.get(path.suffix.lower(), ("text", None))
     with path.open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -46,8 +46,8 @@ def load(path: Path) -> Table:
 
 
 def _read_text(path: Path, file: BufferedReader) -> Table:
-    """Read separated numbers, with or without a header; of a pipe, which can be read once only."""
-    most = MOST_BYTES // 4  # it is held as bytes, as lines and as numbers
+    """Read separated numbers, with or without a header, in one pass: `file` may be a pipe."""
+    most = MOST_BYTES // 4  # memory holds it as bytes, as lines and as numbers
     check_size(4 * path.stat().st_size)
     raw = file.read(most + 1)
     check_size(4 * len(raw))
@@ -56,7 +56,7 @@ def _read_text(path: Path, file: BufferedReader) -> Table:
 
 
 def check_size(size: int) -> None:
-    """Refuse a file whose numbers would not fit into memory, before reading it."""
+    """Raise ValueError for a file whose numbers, in bytes, exceed `MOST_BYTES`."""
     if size > MOST_BYTES:
         raise ValueError(f"it would take {size / 2**30:.1f} GiB, at most {MOST_BYTES / 2**30:g} do")
 
@@ -71,7 +71,7 @@ def _read_parquet(path: Path) -> Table:
 
 
 def of_frame(frame: pd.DataFrame) -> Table:
-    """Return the columns of a table; an index with a name, or of times, is one of them."""
+    """Return the columns of a table, including an index that has a name or holds times."""
     times = isinstance(frame.index, pd.DatetimeIndex | pd.TimedeltaIndex)
     if times or (frame.index.name is not None and not isinstance(frame.index, pd.RangeIndex)):
         frame = frame.reset_index(names=str(frame.index.name or "time"))
@@ -79,7 +79,7 @@ def of_frame(frame: pd.DataFrame) -> Table:
 
 
 def _read_numpy(path: Path) -> Table:
-    with path.open("rb") as file:  # np.load leaves a damaged file open that it opened itself
+    with path.open("rb") as file:  # np.load(path) would leave a damaged file open
         zipped = zipfile.is_zipfile(file)
         file.seek(0)
         if zipped:
@@ -123,12 +123,12 @@ def _columns(frame: pd.DataFrame) -> Table:
 
 
 def _native(array: _AnyArray) -> _AnyArray:
-    """Drop axes of length 1, keeping one, and foreign byte orders, which pandas rejects."""
+    """Return an array without axes of length 1 (one stays), in native byte order for pandas."""
     return np.atleast_1d(array.astype(array.dtype.newbyteorder("="), copy=False).squeeze())
 
 
 def _variables(variables: Mapping[str, object]) -> Table:
-    """Turn named arrays into columns: a matrix `m` becomes `m[0]`, `m[1]`, ..."""
+    """Return named arrays as columns: a matrix `m` becomes `m[0]`, `m[1]`, ..."""
     table: Table = {}
     names = [name.strip() for name in variables]
     check_different(names)

@@ -1,4 +1,4 @@
-"""Read tables from text: find separators, header and decimal sign; pandas does the parsing."""
+"""Read tables from text: detect separator, header and decimal sign, and parse with pandas."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from pandas.api.types import is_object_dtype, is_string_dtype
 from splitband.data.columns import Column
 
 _SIGNS = {".": ",", ",": "."}
-"""Decimal signs, and the thousands separator that goes with each."""
+"""Decimal signs, each with its thousands separator."""
 _ERRORS_OF_CELLS = r"N/A|DIV/0!|REF!|VALUE!|NAME\?|NUM!|NULL!"
-"""What spreadsheets write into a cell behind a "#", which begins no comment then."""
+"""Error values of spreadsheets after a "#", which then does not begin a comment."""
 _DIGIT_BLANK_DIGIT = re.compile(r"\d,\d+\s+[-+]?\d+,\d")
 
 
@@ -27,8 +27,8 @@ def read_table(raw: bytes, suffix: str) -> pd.DataFrame:
     Numbers have a decimal point or a decimal comma, the same in the whole file, and may have
     thousands separators.
 
-    Raises ValueError for a file without data, for columns of one name, and where the decimal sign
-    cannot be told; pandas raises its own errors for what is no table.
+    Raises ValueError for a file without data, for duplicate column names, and for an ambiguous
+    decimal sign; pandas raises its own errors for text that is not a table.
     """
     lines = _lines(raw, mark_inside=suffix not in (".csv", ".tsv"))
     body = [line for line in lines if line]
@@ -72,7 +72,7 @@ def check_different(names: Sequence[str]) -> None:
 
 
 def _lines(raw: bytes, mark_inside: bool) -> list[str]:
-    """Decode, and empty the comments; `mark_inside`: a "#" within a line starts one, too.
+    """Decode the file and blank out comments, with `mark_inside` also those within a line.
 
     Blank lines stay, so that the line numbers in pandas' messages are those of the file.
     """
@@ -92,7 +92,7 @@ def _lines(raw: bytes, mark_inside: bool) -> list[str]:
 
 
 def _separator(body: Sequence[str], suffix: str) -> str:
-    """Return what separates the columns; spaces as " "."""
+    """Return the separator of the columns; " " stands for any spaces."""
     if suffix == ".tsv":
         return "\t"
     line = body[min(1, len(body) - 1)]
@@ -101,7 +101,7 @@ def _separator(body: Sequence[str], suffix: str) -> str:
 
 
 def _is_header(cells: Sequence[str]) -> bool:
-    """Tell whether some cell is a word, while none is a number other than a bare 0, 1, 2..."""
+    """Return whether some cell is a word, and the only numbers are bare 0, 1, 2..."""
     words = False
     for cell in cells:
         if _is_number(cell):
@@ -132,12 +132,12 @@ def _number(decimal: str) -> str:
 def _decimal(cells: pd.DataFrame, sep: str) -> str:
     """Return the decimal sign of a file from all of its cells.
 
-    "0,5" has a decimal comma, "1,234.5" a decimal point, and "1,234" may have either. Where no cell
-    of the file tells, the sign is taken for the decimal sign, as long as it neither separates the
-    columns nor is missing in whole numbers of the same column (999 before 1.006).
+    "0,5" has a decimal comma, "1,234.5" a decimal point, and "1,234" is ambiguous. If all cells of
+    the file are ambiguous, the sign counts as decimal sign, unless it separates the columns or its
+    column also contains integers without it (999 before 1.006).
 
-    Raises ValueError where cells contradict each other, or none tells; the message names columns
-    and cells.
+    Raises ValueError if cells contradict each other, or if the sign stays ambiguous; the message
+    names columns and cells.
     """
     found: dict[str, str] = {}
     open_signs: dict[str, str] = {}
@@ -146,7 +146,7 @@ def _decimal(cells: pd.DataFrame, sep: str) -> str:
         matches = {sign: column.str.fullmatch(_number(sign), na=False) for sign in _SIGNS}
         either = matches["."] | matches[","]
         if not 2 * int(either.sum()) > int(column.notna().sum()):
-            continue  # text, in which a number says nothing of the others
+            continue  # a text column: its numbers may be written differently
         for sign, other in _SIGNS.items():
             only = matches[sign] & ~matches[other]
             if only.any():
@@ -171,13 +171,13 @@ def _decimal(cells: pd.DataFrame, sep: str) -> str:
 
 
 def _cell(name: Any, column: Column, where: pd.Series[bool]) -> str:
-    """Name the first such cell for a message."""
+    """Return a description of the first marked cell for a message."""
     row = int(where.to_numpy().argmax())
     return f"column {str(name)!r} holds {column.iloc[row]!r} at row {row}"
 
 
 def _without_separators(column: Column, decimal: str) -> Column:
-    """Return the numbers of a column; where a cell is no number, text as `float` reads it."""
+    """Return a column as numbers; if a cell is not a number, as text that `float` can read."""
     is_number = column.str.fullmatch(_number(decimal), na=False)
     plain = column.str.replace(_SIGNS[decimal], "", regex=False)
     plain = column.where(~is_number, plain.str.replace(decimal, ".", regex=False))

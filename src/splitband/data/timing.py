@@ -1,4 +1,4 @@
-"""Handle time stamps and the even grids that they make up."""
+"""Define time stamps, and evenly spaced grids of them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Stamp: TypeAlias = float | pd.Timestamp
 
 
 def as_stamp(value: Any) -> Stamp:
-    """Check a time stamp; raises ValueError for what is neither a finite number nor a date."""
+    """Check a time stamp; raises ValueError unless it is a finite number or a date."""
     if isinstance(value, datetime | np.datetime64) and not pd.isna(value):
         return pd.Timestamp(value).as_unit("ns")
     try:
@@ -43,9 +43,9 @@ def stamp_after(stamp: Stamp, seconds: float) -> Stamp:
 
 
 def seconds_between(first: Stamp, second: Stamp) -> float:
-    """Return how much later the second one is, in s.
+    """Return how much later the second time stamp is, in s.
 
-    Raises ValueError if just one of them is a date, or just one has a time zone.
+    Raises ValueError if only one of them is a date, or only one has a time zone.
     """
     if isinstance(first, pd.Timestamp) and isinstance(second, pd.Timestamp):
         if zones_differ(first, second):
@@ -63,13 +63,13 @@ def seconds_between(first: Stamp, second: Stamp) -> float:
 
 
 def zones_differ(first: Stamp | None, second: Stamp | None) -> bool:
-    """Return whether both are dates and just one of them has a time zone."""
+    """Return whether both are dates and only one of them has a time zone."""
     dates = [each for each in (first, second) if isinstance(each, pd.Timestamp)]
     return len(dates) == 2 and (dates[0].tzinfo is None) != (dates[1].tzinfo is None)
 
 
 def seconds_of(stamp: Stamp | None) -> float:
-    """Return the time stamp in s for a simulator; 0 for a date or no stamp."""
+    """Return the time stamp in s for a simulator; 0 for a date or None."""
     return stamp if isinstance(stamp, float) else 0.0
 
 
@@ -94,7 +94,7 @@ def near_sampling(step: float, other: float) -> bool:
 
 
 def same_sampling(step: float, other: float, samples: int) -> bool:
-    """Return whether two grids of so many samples, begun together, end within half a step."""
+    """Return whether two grids with the same start and length end within half a step."""
     return abs(step - other) * samples < 0.5 * min(step, other)
 
 

@@ -1,4 +1,4 @@
-"""Render a program as C99: no allocation, and nothing needed but math.h."""
+"""Render a program as C99 that allocates no memory and needs nothing but math.h."""
 
 from __future__ import annotations
 
@@ -169,5 +169,5 @@ def _unused(word: str, body: str) -> bool:
 
 
 def _comment(text: str) -> str:
-    """Return a text that may stand in a comment of C."""
+    """Return a text made safe for a C comment."""
     return text.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *")

@@ -34,7 +34,7 @@ _REUSED = ("matmul", "scan", "cond", "view", "reshape")
 
 
 class Renderer:
-    """Write the operations of a block as statements; `names` are those of the inputs."""
+    """Write the operations of a block as statements; `names` holds the names of the inputs."""
 
     def __init__(self, precision: Precision, names: dict[Symbol, str]) -> None:
         self.precision, self.names = precision, names
@@ -96,7 +96,7 @@ class Renderer:
     def stored_outputs(self, block: Block) -> list[str]:
         """Write the outputs of the program to variables; return their names.
 
-        It is empty for what has no elements, and for what is the input of the same place.
+        A name is empty if the output has no elements, or is the input at the same position.
         """
         named = []
         for symbol, old in zip_longest(block.outputs, block.inputs[: len(block.outputs) - 2]):
@@ -113,7 +113,7 @@ class Renderer:
         self.lines.append("    " * self.indent + line)
 
     def number(self, value: float) -> str:
-        """Return a literal."""
+        """Return a number as a C literal."""
         if np.isnan(value):
             return "NAN"
         if np.isinf(value):
@@ -123,14 +123,14 @@ class Renderer:
         return f"({text})" if text.startswith("-") else text
 
     def copy(self, shape: tuple[int, ...], target: str, source: str) -> None:
-        """Write a copy of an array, or of a number."""
+        """Write a copy of an array or a scalar."""
         if not shape:
             self.write(f"{target} = {source};")
         else:
             self.loops((int(np.prod(shape)),), lambda i: f"{target}[{i[0]}] = {source}[{i[0]}];")
 
     def function(self, name: str) -> str:
-        """Return math.h's function for the precision."""
+        """Return the name of a function of math.h in the chosen precision."""
         if name == "sigmoid":
             self.functions.add(name)
             return name
@@ -176,7 +176,7 @@ class Renderer:
         return name
 
     def _kept(self, shape: tuple[int, ...], flag: bool, value: Value) -> str:
-        """Write values to a new variable, which is constant where it is a number."""
+        """Write values to a new variable, `const` if it is a scalar; return its name."""
         name, kind = self._new(), "int" if flag else "real"
         if not shape:
             self.write(f"const {kind} {name} = {value(())};")
@@ -186,16 +186,16 @@ class Renderer:
         return name
 
     def _put(self, target: str, shape: tuple[int, ...], value: Value) -> None:
-        """Write a value for each index to the elements of a variable, or to a number."""
+        """Write a value for each index to the elements of an array, or one to a scalar."""
         self.loops(shape, lambda i: f"{_element(target, shape, i)} = {value(i)};")
 
     def _copied(self, symbol: Symbol) -> str:
-        """Write a copy of a symbol, which may be an input, a constant or a view."""
+        """Write a copy of a symbol (an input, a constant or a view); return its name."""
         return self._kept(symbol.shape, symbol.flag, lambda i: self.element(symbol, i))
 
     @contextmanager
     def braces(self, opening: str) -> Iterator[None]:
-        """Write what is written in here between braces."""
+        """Enclose what this context writes in braces."""
         self.write(f"{opening} {{")
         self.indent += 1
         yield
@@ -329,7 +329,7 @@ def _reads_once(node: Node, symbol: Symbol) -> bool:
 
 
 def _broadcast(shape: tuple[int, ...], index: Index) -> list[str | int]:
-    """Return the index of an operand by that of the result."""
+    """Return the index into an operand for an index into the broadcast result."""
     own = index[len(index) - len(shape) :]
     return [0 if length == 1 else i for length, i in zip(shape, own, strict=True)]
 
@@ -342,12 +342,12 @@ def _affine(start: int, step: int, i: str | int) -> str | int:
 
 
 def _element(name: str, shape: tuple[int, ...], index: Index) -> str:
-    """Return an element of a variable, which is a number where it has no axes."""
+    """Return the expression for an element of an array, or for a scalar."""
     return f"{name}[{_flat(shape, index)}]" if shape else name
 
 
 def _flat(shape: tuple[int, ...], index: Index) -> str:
-    """Return the place of an element, the last axis fastest."""
+    """Return the flat index of an element, in row-major order."""
     terms: list[str] = []
     fixed, stride = 0, 1
     for length, i in zip(reversed(shape), reversed(index), strict=True):

@@ -1,4 +1,4 @@
-"""Write a program as a functional mock-up unit for co-simulation (FMI 2.0), around its C."""
+"""Write a program as a functional mock-up unit for co-simulation (FMI 2.0), around its C code."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from splitband.export.c import render
 from splitband.export.program import Program
 
 COMPILERS = "cc", "gcc", "clang"
-"""Looked for where the environment variable CC names none."""
+"""Compilers to look for if the environment variable CC names none."""
 
 
 @dataclass(frozen=True)
 class Variable:
-    """Hold a variable of an FMU; those that are numbers are referred to by their place.
+    """Hold a variable of an FMU; its value reference is its position among those of its type.
 
     Attributes
     ----------
-    name, causality, description : As FMI has them.
-    start : Value before it is set; None for what is computed.
-    unit : Of a number; empty where it is not known.
+    name, causality, description : As FMI defines them.
+    start : Value before it is set; None for a computed variable.
+    unit : Unit of a number; empty if unknown.
     """
 
     name: str
@@ -105,7 +105,7 @@ def _compile(sources: Path, name: str, library: Path) -> None:
 
 
 def _numbers(program: Program) -> list[Variable]:
-    """Return the outputs, the inputs, the simulator's output and the measured samples."""
+    """Return the real variables: outputs, inputs, the simulator's output, measured samples."""
     record = program.record
     y, u = program.usual()
 
@@ -143,7 +143,7 @@ def _unique(variables: Sequence[Variable]) -> list[Variable]:
 
 
 def _given(program: Program) -> str:
-    """Return where in the list of numbers inputs and the simulator's output begin, as arguments."""
+    """Return C arguments that point to inputs and simulator's output in the list of numbers."""
     at, arguments = program.record.ny, ""
     for name in ("u", "y_sim"):
         if name in program.given:

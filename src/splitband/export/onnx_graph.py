@@ -19,7 +19,7 @@ except ImportError:
     raise ValueError("ONNX needs the package onnx: pip install 'splitband[onnx]'") from None
 
 OPSET, IR_VERSION = 18, 9
-"""Versions of the operators and of the format of the files; onnxruntime reads them since 1.16."""
+"""Versions of operators and file format, which onnxruntime reads from its version 1.16 on."""
 _OPERATORS = {
     "add": "Add", "sub": "Sub", "mul": "Mul", "div": "Div", "neg": "Neg", "tanh": "Tanh",
     "exp": "Exp", "log": "Log", "sqrt": "Sqrt", "sin": "Sin", "cos": "Cos", "abs": "Abs",
@@ -31,7 +31,7 @@ _REDUCTIONS = {"sum": "ReduceSum", "largest": "ReduceMax", "smallest": "ReduceMi
 
 
 class _Writer:
-    """Write the operations of a program as nodes; those of loops and branches are in graphs."""
+    """Write the operations of a program as nodes; bodies of loops and branches are subgraphs."""
 
     def __init__(self, precision: Precision) -> None:
         self.real = TensorProto.DOUBLE if precision == "double" else TensorProto.FLOAT
@@ -68,7 +68,7 @@ class _Writer:
         return self.constant(np.array(numbers, dtype=np.int64))
 
     def name(self, symbol: Symbol) -> str:
-        """Return what a symbol is called."""
+        """Return the name of a symbol, or of the constant that it stands for."""
         if symbol.value is not None:
             value = symbol.value
             return self.constant(value if value.dtype == np.bool_ else value.astype(np.float64))
@@ -104,7 +104,7 @@ class _Writer:
         if node.op in _REDUCTIONS:
             axis = self.whole(node.options["axis"])
             return self.one(_REDUCTIONS[node.op], inputs[0], axis, keepdims=0)
-        if node.op == "where" and node.outputs[0].flag:  # onnxruntime has it for numbers alone
+        if node.op == "where" and node.outputs[0].flag:  # onnxruntime's Where takes only numbers
             flag, yes, no = inputs
             others = self.one("And", self.one("Not", flag), no)
             return self.one("Or", self.one("And", flag, yes), others)
@@ -140,7 +140,7 @@ class _Writer:
         return name
 
     def _inner(self, block: Block, inputs: Sequence[Symbol], outputs: Sequence[Symbol]) -> Any:
-        """Return the graph of a block."""
+        """Return the subgraph of a block."""
         outer, self.nodes = self.nodes, []
         given = []
         for symbol in inputs:
@@ -208,7 +208,7 @@ def render(program: Program, precision: Precision) -> tuple[bytes, bytes]:
 
 
 def _step(program: Program, writer: _Writer) -> Any:
-    """Return the graph of a step, whose state is a vector."""
+    """Return the graph of a step, with the state as one vector."""
     block = program.block
     sizes = [leaf.begun.size for leaf in program.leaves]
     state = helper.make_tensor_value_info("state", writer.real, [sum(sizes) + 1])

@@ -1,4 +1,4 @@
-"""Trace what a stream does with a sample, as the program that is rendered as C or ONNX."""
+"""Trace a stream's update by one sample as a program, which is rendered as C or ONNX."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Leaf:
 
     Attributes
     ----------
-    name : Of a field of the state.
-    begun : Its value where the program begins.
+    name : Name of the field of the state.
+    begun : Its value when the program begins.
     cleared : Its value before anything has been measured.
     """
 
@@ -37,19 +37,19 @@ class Leaf:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Say what is done with a sample.
+    """Hold the update of a forecaster's state by one sample.
 
     Attributes
     ----------
     name : An identifier.
-    forecaster : Of which it is the program.
+    forecaster : The forecaster.
     block : Inputs are the state's leaves, y, u and y_sim; outputs are the state's leaves, the
         predicted sample and whether it could be predicted.
     leaves : The state.
-    given : Names and shapes of what comes with each sample: y, and u and y_sim where there are any.
-    raw : Whether signals are given as they were before the record was prepared.
-    empty : Whether it begins with nothing measured, as the simulator was not there to say what it
-        did until then.
+    given : Names and shapes of the signals of a sample: y, and u and y_sim if the model has them.
+    raw : Whether signals are given as measured, before the record was prepared.
+    empty : Whether it begins with nothing measured, because the simulator's output for the history
+        was not available.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Program:
         return self.forecaster.require_fitted().record
 
     def usual(self) -> tuple[Array, Array]:
-        """Return outputs `(ny,)` and inputs `(nu,)` that are usual, in the units that are given."""
+        """Return the record's last outputs `(ny,)` and inputs `(nu,)`, in the program's units."""
         record = self.record
         y, time = record.y[-1:], seconds(record)[-1:]
         u = np.zeros((1, 0)) if record.u is None else record.u[-1:]
@@ -78,7 +78,7 @@ class Program:
 def program(forecaster: Forecaster, name: str, history: Record | None = None) -> Program:
     """Return the program of a fitted forecaster, which begins after a history.
 
-    Raises ValueError, with the name of what cannot be exported.
+    Raises ValueError, naming the forecaster, if it cannot be exported.
     """
     recursion, state = program_of(forecaster, history)
     cleared = recursion.initial()
@@ -112,7 +112,7 @@ def program(forecaster: Forecaster, name: str, history: Record | None = None) ->
 
 
 def identifier(name: str) -> str:
-    """Return a name as C and FMI take it."""
+    """Turn a name into an identifier that is valid in C and FMI."""
     word = re.sub(r"\W", "_", name, flags=re.ASCII)
     return f"model_{word}" if not word or word[0].isdigit() or word[0] == "_" else word
 
@@ -123,7 +123,7 @@ def size(symbol: Symbol) -> int:
 
 
 def _prune(block: Block) -> set[Symbol]:
-    """Drop operations and outputs on which no output of a block depends; return what it uses."""
+    """Drop operations and inner outputs that a block does not need; return the symbols it uses."""
     needed = {symbol for symbol in block.outputs if size(symbol)}
     kept = []
     for node in reversed(block.nodes):
@@ -143,7 +143,7 @@ def _prune(block: Block) -> set[Symbol]:
 
 
 def used_by(node: Node) -> Iterator[Symbol]:
-    """Yield the symbols that a node uses, its blocks included; some of them are their own."""
+    """Yield the symbols that a node and its blocks use, including the blocks' own symbols."""
     yield from (symbol for symbol in node.inputs if size(symbol))
     for block in node.blocks:
         for inner in block.nodes:

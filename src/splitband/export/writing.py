@@ -1,4 +1,4 @@
-"""Write a fitted forecaster in the form that the ending of a file's name asks for."""
+"""Write a fitted forecaster in the format that the extension of a file's name asks for."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def export(
     precision: Precision = "double",
     history: Record | None = None,
 ) -> list[Path]:
-    """Write a program; return the files. See `Forecaster.export`."""
+    """Export a forecaster; return the files. See `Forecaster.export`."""
     path = Path(path)
     writer = WRITERS.get(path.suffix.lower())
     if writer is None:
@@ -47,7 +47,7 @@ def _c(made: Program, path: Path, precision: Precision) -> list[Path]:
 
 
 def _onnx(made: Program, path: Path, precision: Precision) -> list[Path]:
-    onnx_graph = import_module("splitband.export.onnx_graph")  # it needs the extra
+    onnx_graph = import_module("splitband.export.onnx_graph")  # needs the extra `onnx`
     beside = path.with_name(f"{path.stem}-rollout{path.suffix}")
     contents = onnx_graph.render(made, precision)
     for file, content in zip((path, beside), contents, strict=True):
@@ -65,4 +65,4 @@ def _fmu(made: Program, path: Path, precision: Precision) -> list[Path]:
 
 
 WRITERS: dict[str, Writer] = {".c": _c, ".fmu": _fmu, ".onnx": _onnx}
-"""By the endings of files."""
+"""Writers by file extension."""

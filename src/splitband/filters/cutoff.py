@@ -1,7 +1,7 @@
 """Choose the filter pair from the training samples: cut-off, order and down-sampling.
 
-Not in the paper, which sets them by eye. No network is trained for it; docs/results/rules.md says
-what the rules were tried on.
+Not in the paper, which sets them by eye. No network is trained; docs/results/rules.md lists the
+records on which the rules were tested.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.options import saved
 
 ORDERS = (1, 2)
-"""The second only where the first does not do: on held-out samples it is no better, on the
-simulated pendulum (iii) and on (vi) it is worse (0.31 and 0.17, 0.35 and 0.28)."""
+"""Order 2 is chosen only where order 1 is not acceptable: on held-out samples it is no better, and
+on the simulated pendulum (iii) and on (vi) it is worse (0.31 and 0.17, 0.35 and 0.28)."""
 MOST_DOWNSAMPLING = 10
-"""Most samples of which one is kept in the low band. By eye."""
+"""Largest down-sampling factor of the low band. By eye."""
 LEAST_WARMUP = 10
 """Smallest number of warm-up samples of the down-sampled low band. By eye."""
 LEAST_PASSED = 0.5
@@ -38,12 +38,12 @@ LEFT_BY_NETWORK = 0.02
 """Share of the power that a network conditioned on the simulator is expected not to predict. From
 held-out errors of hybrids on (v) and (vi) (docs/results/rules.md)."""
 WORTH_USING = 0.5
-"""A simulator's low band must be wrong by less than this share of the power that is there.
+"""The error of a simulator's low band must have less than this share of the power in that band.
 By eye."""
 _CUTOFFS = 24
-"""Cut-offs that are tried, at even ratios. By eye."""
+"""Number of cut-offs that are tried, evenly spaced on a logarithmic scale. By eye."""
 _WARMUPS = 40
-"""Warm-ups on which the error at their ends is measured. By eye."""
+"""Number of warm-ups over which the error at their ends is averaged. By eye."""
 _NYQUIST_MARGIN = 0.8
 """Highest cut-off, as a share of the Nyquist frequency of the down-sampled low band. By eye."""
 
@@ -58,8 +58,8 @@ class Candidate:
     cutoff : In Hz.
     order : Of each Butterworth filter.
     downsampling : The largest k that keeps the low band, and enough samples of a warm-up.
-    passed : Share of the power that the low-pass filter leaves in the low band. As a filter is not
-        steep, it differs from the share of the power below the cut-off.
+    passed : Share of the power that passes the low-pass filter. It differs from the share below
+        the cut-off, as the filter is not steep.
     loss : Criterion, as a share of the power, see `choose` and `choose_with_simulator`.
     rejected : Reason why it is not used; empty for the chosen pair.
     """
@@ -105,19 +105,20 @@ def choose(
 ) -> Choice:
     """Choose the filter pair for networks that are learned from a record alone.
 
-    It has the lowest cut-off that leaves half of the power in the low band and `MOST_LOST` at most
-    to both bands (2 |L H|, which neither network sees as it is) and to the ends of filtered
-    warm-ups lost: the lower it is, the fewer samples the low-band network has to look ahead by.
+    The chosen cut-off is the lowest one that leaves half of the power in the low band and loses
+    `MOST_LOST` of it at most. Power is lost to band overlap (2 |L H|, which neither network sees
+    as it is) and to errors at the ends of filtered warm-ups. A lower cut-off allows more
+    down-sampling, so that the low-band network predicts fewer samples.
 
-    Raises ValueError for constant samples, where the cut-off is not decided, and for a decision
-    that breaks the Nyquist condition.
+    Raises ValueError for constant samples if no cut-off is given, and for given values that
+    violate the Nyquist condition.
 
     Parameters
     ----------
     y : The training samples, `(time, ny)`; constant channels do not count.
     sampling_rate : In Hz.
     warmup : R, in samples.
-    cutoff, order, downsampling : Values that are given; None to choose them.
+    cutoff, order, downsampling : Fixed values; None to choose them.
     """
     y = y[:, _varying(y)]
     spectrum = periodogram(y, sampling_rate)
@@ -173,12 +174,13 @@ def choose_with_simulator(
 ) -> Choice:
     """Choose the filter pair of a hybrid model whose low band comes from the simulator.
 
-    Where record and simulator agree, the simulator is to have the say: the pair that lets the least
-    through of the simulator's error, low-passed, and of what a network is expected to leave
-    (`LEFT_BY_NETWORK`), high-passed. Both filters work one way, as in the model. A simulator that
-    is wrong even there (`WORTH_USING`) is better left out.
+    The pair minimises the expected error of the hybrid: the simulator's error after the low-pass
+    filter, plus the network's expected error (`LEFT_BY_NETWORK`) after the high-pass filter. Both
+    filters run one way, as in the model. A simulator that is wrong even in the chosen low band
+    (`WORTH_USING`) is better left out.
 
-    Parameters as for `choose`; `y_sim` is aligned with `y`, and calibrated if that is what is used.
+    Parameters as for `choose`; `y_sim` is aligned with `y`, and calibrated if the model uses the
+    calibrated simulator.
     """
     varying = _varying(y)
     scale = spread(y)[varying]
@@ -246,7 +248,7 @@ def _grid(
     order: int | None,
     downsampling: int | None,
 ) -> list[tuple[float, int]]:
-    """Return the cut-offs in Hz and orders to consider, from three cycles of the record on."""
+    """Return the pairs of cut-off in Hz and order to consider, from three cycles per record on."""
     orders = [order] if order is not None else [n for n in ORDERS if _shortest(n) <= warmup] or [1]
     if cutoff is not None:
         butterworth(cutoff, sampling_rate, orders[0])
@@ -258,7 +260,7 @@ def _grid(
     highest = _NYQUIST_MARGIN * sampling_rate / 2 / (downsampling or 2)
     lowest = min(3 * sampling_rate / len(y), highest / 2)
     cutoffs = [float(f"{value:.3g}") for value in np.geomspace(lowest, highest, _CUTOFFS)]
-    # At a low cut-off rounding makes a filter of high order unstable: it is left out.
+    # At a low cut-off, rounding makes a filter of high order unstable; such pairs are left out.
     pairs = [(c, n) for c in cutoffs for n in orders if _exists(c, sampling_rate, n)]
     if not pairs:
         butterworth(cutoffs[-1], sampling_rate, orders[0])

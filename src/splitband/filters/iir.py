@@ -1,9 +1,9 @@
 """Filter batches of signals by IIR filters, one way or both ways, exactly and differentiably.
 
 A fixed IIR filter is a linear map, so its gradient is the same filter run backwards in time, with
-the ends handled in turn. Both run as a compiled recurrence in float64, whatever the dtype of the
-signal; SciPy designs the filters and is what the tests compare with (benchmarks/filters.py for
-the speed).
+the adjoint of the end extension. Both run as a compiled recurrence in float64, whatever the dtype
+of the signal. SciPy designs the filters and is the reference of the tests (speed:
+benchmarks/filters.py).
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ def lfilter(
 
     The sign of the feedback is SciPy's, not the paper's (docs/deviations.md).
 
-    Raises ValueError for `start="odd"`, which needs both directions, or a `first` of another length
-    than P.
+    Raises ValueError for `start="odd"`, which needs both directions, and for a `first` that does
+    not have P samples.
 
     Parameters
     ----------
     b, a : Coefficients; the longer one has P + 1.
     x : The signal.
-    start : `"zeros"`, or `"steady"`: as if the first sample had always been there.
+    start : `"zeros"`, or `"steady"`: as if all earlier samples had the value of the first one.
     first : The first P outputs, in place of `start`; the paper starts its hybrid model with the
         training signal.
     dim : The time axis; by default 0 for a 1-D signal and -2 otherwise.
@@ -74,7 +74,7 @@ def filtfilt(
     start: Start = "odd",
     dim: int | None = None,
 ) -> Signal:
-    """Filter forwards and backwards, so with no phase shift and the response squared.
+    """Filter forwards and backwards: no phase shift, and a squared magnitude response.
 
     Raises ValueError for a signal that is too short for the extension.
 
@@ -109,7 +109,7 @@ class _Passes:
         self.pad = 3 * len(a) if start == "odd" else 0
         self.directions = (False, True) if both_ways else (False,)
         order = len(a) - 1
-        # A pass begins in this state, multiplied by its first sample.
+        # The initial state of a pass, for a first sample of 1.
         self.steady = np.zeros(order) if start == "zeros" else _steady(tuple(b), tuple(a))
 
     def map(self, x: npt.NDArray[Any]) -> Array:
@@ -204,7 +204,7 @@ def _steady(b: tuple[float, ...], a: tuple[float, ...]) -> Array:
 
 
 def _run_on(b: Array, a: Array, x: Tensor, first: Tensor) -> Tensor:
-    """Filter `(..., time)` one way in float64, going on from the first P outputs."""
+    """Filter `(..., time)` one way in float64, given its first P outputs."""
     order, x = len(a) - 1, x.double()
     state = [
         sum(
@@ -228,7 +228,7 @@ def _along_time(
     first: Signal | None,
     dim: int | None,
 ) -> Signal:
-    """Call `run` with the time axis last, on tensors, and give back what came in."""
+    """Call `run` on tensors with the time axis last; return the result in the form of `x`."""
     axis = time_axis(x.ndim, dim)
     signal = as_tensor(x)
     # Computed in float64 for any input, as filters of high order lose many digits.
@@ -245,7 +245,7 @@ def _check_start(start: Start) -> None:
 
 
 def check_first(first: tuple[int, ...], signal: tuple[int, ...], order: int, axis: int) -> None:
-    """Check that `first` has the signal's shape but `order` samples, and the signal that many."""
+    """Check that `first` has the shape of the signal's first `order` samples."""
     if signal[axis] < order:
         raise ValueError(f"the signal must have at least {order} samples, got {signal[axis]}")
     wanted = [*signal]
@@ -257,7 +257,7 @@ def check_first(first: tuple[int, ...], signal: tuple[int, ...], order: int, axi
 
 
 def as_tensor(x: npt.NDArray[Any] | Tensor) -> Tensor:
-    """Return a signal as a tensor of floating-point numbers, which may share its memory."""
+    """Return a signal as a floating-point tensor, which may share its memory."""
     if not isinstance(x, Tensor):
         x = torch.from_numpy(np.require(x, requirements=["C", "W"]))
     return x if x.is_floating_point() else x.double()
@@ -273,7 +273,7 @@ def time_axis(ndim: int, dim: int | None) -> int:
 
 
 def normalised(b: npt.ArrayLike, a: npt.ArrayLike) -> tuple[Array, Array]:
-    """Bring the coefficients to one length, with a_0 = 1."""
+    """Return the coefficients padded to equal length and divided by a_0."""
     b, a = np.atleast_1d(np.asarray(b, float)), np.atleast_1d(np.asarray(a, float))
     if not a[0]:
         raise ValueError(f"a[0] must not be zero, got {a[0]:g}")

@@ -49,7 +49,7 @@ def butterworth(
         raise ValueError(f"order must be at least 1, got {order}")
     low, a = scipy.signal.iirfilter(order, cutoff, btype="low", ftype="butter", fs=sampling_rate)
     high, _ = scipy.signal.iirfilter(order, cutoff, btype="high", ftype="butter", fs=sampling_rate)
-    # What passes without loss: zero frequency, z = 1, and the Nyquist frequency, z = -1.
+    # The gain must be 1 at zero frequency (z = 1, low-pass) and at Nyquist (z = -1, high-pass).
     for b, z in ((low, 1.0), (high, -1.0)):
         rest = np.polyval(a, z)
         gain = float(np.polyval(b, z) / rest) if rest else float("inf")
@@ -122,8 +122,8 @@ class ComplementaryPair:
     ) -> ComplementaryPair:
         """Return two Butterworth filters that share a cut-off.
 
-        They satisfy `|L|^2 + |H|^2 = 1`, so in both directions any order adds up to the identity
-        away from the ends of a signal. One way, only order 1 does.
+        They satisfy `|L|^2 + |H|^2 = 1`: filtered in both directions, the bands sum to the signal
+        for any order, except at its ends. One way, only order 1 does.
 
         Parameters
         ----------
@@ -150,8 +150,8 @@ class ComplementaryPair:
     ) -> ComplementaryPair:
         """Complete any stable filter with coefficients `b`, `a` to L + H = 1 (paper, Sec. 3.3).
 
-        `band` says which of the two `b` describes; the other is a - b. L + H = 1 holds one way;
-        in both directions the pair adds up to L^2 + H^2 instead.
+        `band` is the band of the filter `b`; the numerator of the other is a - b. L + H = 1 holds
+        one way; in both directions the sum is L^2 + H^2 instead.
         """
         b, a = normalised(b, a)
         low, high = (b, a - b) if band == "low" else (a - b, b)
@@ -159,7 +159,7 @@ class ComplementaryPair:
         return cls(low, high, a, sampling_rate, cutoff, zero_phase, start)
 
     def one_way(self) -> ComplementaryPair:
-        """Return the same filters forwards in time only: their gains are the square roots."""
+        """Return the same filters run forwards only: their gains are the square roots."""
         if not self.zero_phase:
             return self
         start: Start = "steady" if self.start == "odd" else self.start
@@ -187,9 +187,9 @@ class ComplementaryPair:
     ) -> Signal:
         """Return L(low) + H(high), the joint recurrence (paper, Eq. 7), shaped like its arguments.
 
-        One way, `first` may give the first P outputs of the sum. The recurrence is linear, so the
-        low part runs by itself and the high part starts from what it leaves of `first`: a low
-        part that does not change needs to be filtered only once.
+        One way, `first` may give the first P outputs of the sum. The recurrence is linear: the low
+        band is filtered separately, and the high band starts from `first` minus the low band. A
+        low band that does not change then needs to be filtered only once.
         """
         if first is not None:
             check_first(first.shape, low.shape, self.order, time_axis(low.ndim, dim))
@@ -206,7 +206,7 @@ class ComplementaryPair:
         return lfilter(self.b_high, self.a, y, first=first, dim=dim)
 
     def response(self, freqs: npt.ArrayLike) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """Return the complex responses `(L, H)` at `freqs` in Hz, squared moduli for zero phase."""
+        """Return the complex responses `(L, H)` at `freqs` in Hz; squared moduli for zero phase."""
         pair = [
             scipy.signal.freqz(b, self.a, worN=np.atleast_1d(freqs), fs=self.sampling_rate)[1]
             for b in (self.b_low, self.b_high)
@@ -215,7 +215,7 @@ class ComplementaryPair:
         return low, high
 
     def reconstruction_error(self, y: Signal, dim: int | None = None) -> Signal:
-        """Return y - L(y) - H(y), shaped like `y`; it is largest at the ends."""
+        """Return y - L(y) - H(y), shaped like `y`; the error is largest at the ends."""
         low, high = self.split(y, dim)
         return y - low - high
 

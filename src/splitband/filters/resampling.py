@@ -17,10 +17,10 @@ Alignment = Literal["time", "paper"]
 
 
 def check_downsampling(downsampling: int, cutoff: float, sampling_rate: float) -> None:
-    """Check that a signal of band limit `cutoff` survives: 2 cutoff < sampling_rate / k.
+    """Check that down-sampling keeps frequencies up to `cutoff`: 2 cutoff < sampling_rate / k.
 
-    Raises ValueError for k < 1, and for a cut-off at or above the Nyquist frequency after down-
-    sampling (Hz).
+    Raises ValueError for k < 1, and for a cut-off (Hz) that is not below the Nyquist frequency
+    after down-sampling.
     """
     if downsampling < 1:
         raise ValueError(f"downsampling must be at least 1, got {downsampling}")
@@ -44,11 +44,11 @@ def downsample(y: Signal, k: int, offset: int = 0) -> Signal:
 
 
 def upsample(y: Signal, k: int, length: int | None = None, align: Alignment = "time") -> Signal:
-    """Fill in k - 1 samples after each by linear interpolation (paper, Sec. 4.2).
+    """Insert k - 1 samples after each one by linear interpolation (paper, Sec. 4.2).
 
     Parameters
     ----------
-    y : The slow signal of n samples.
+    y : The down-sampled signal, n samples.
     k : The factor.
     length : How many samples to return, at most k n; all by default.
     align : `"time"` keeps sample j of `y` at index j k, and holds the last one for k - 1 samples;

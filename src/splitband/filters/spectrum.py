@@ -29,7 +29,7 @@ class Spectrum:
     density: Array
 
     def share_below(self, cutoff: float) -> float:
-        """Return the share of the power, mean excluded, at or below `cutoff` in Hz; in 0..1."""
+        """Return the share (0 to 1) of the power at or below `cutoff` in Hz, without the mean."""
         total = self._power().sum()
         if not total:
             return 1.0
@@ -38,9 +38,9 @@ class Spectrum:
     def peaks(self, count: int = 5, least: float = 0.005) -> list[tuple[float, float]]:
         """Return the strongest maxima: `(frequency in Hz, share of the power in the main lobe)`.
 
-        The window spreads a sinusoid over `LOBE` bins on either side of the maximum; what lies
-        there belongs to the stronger one of two peaks. At most `count`, each with a share of at
-        least `least`.
+        The window spreads a sinusoid over `LOBE` bins on either side of its maximum. Where two
+        peaks overlap, these bins count for the stronger one. At most `count` peaks are returned,
+        each with a share of at least `least`.
         """
         power = self._power()
         total, left = power.sum(), power.copy()
@@ -56,12 +56,12 @@ class Spectrum:
         return [(frequency, share) for frequency, share in strongest if share >= least]
 
     def shares(self) -> Array:
-        """Return the share of the power, mean excluded, by bin, `(bins,)`; zeros for a constant."""
+        """Return the share of the power by bin, without the mean, `(bins,)`; 0 for a constant."""
         power = self._power()
         return np.asarray(power / (power.sum() or 1.0))
 
     def _power(self) -> Array:
-        """Return the power by bin, `(bins,)`, with equal weights of the channels."""
+        """Return the power by bin, `(bins,)`, each channel weighted equally."""
         totals = self.density[1:].sum(axis=0)
         power = (self.density / np.where(totals > 0, totals, 1.0)).sum(axis=1)
         power[0] = 0.0
@@ -79,9 +79,9 @@ def periodogram(y: Array, sampling_rate: float) -> Spectrum:
 
 
 def coherence(y: Array, y_sim: Array, sampling_rate: float) -> tuple[Array, Array]:
-    """Return the coherence of record and simulator, `(frequencies in Hz, (bins, ny) in 0..1)`.
+    """Return frequencies in Hz and the coherence of record and simulator, `(bins, ny)`, 0 to 1.
 
-    Welch's estimate over eighths of the record, half overlapping.
+    Welch's estimate with half-overlapping segments of an eighth of the record.
     """
     segment = min(max(8, len(y) // 8), len(y))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -93,12 +93,12 @@ def coherence(y: Array, y_sim: Array, sampling_rate: float) -> tuple[Array, Arra
 
 @dataclass(frozen=True)
 class Oracle:
-    """Hold the RMSE that a hybrid model could reach at a cut-off (paper, Sec. 4.4).
+    """Hold the RMSE that a hybrid could reach at a cut-off (paper, Sec. 4.4).
 
     Attributes
     ----------
     cutoff : In Hz.
-    perfect_network : RMSE of H(y) + L(y_sim), as with a network that knows the record.
+    perfect_network : RMSE of H(y) + L(y_sim), the hybrid with a perfect network.
     no_network : RMSE of L(y_sim) alone.
     """
 
@@ -108,16 +108,16 @@ class Oracle:
 
     @property
     def nothing_to_learn(self) -> bool:
-        """Return whether a perfect network has a larger error than one that adds nothing.
+        """Return whether a perfect network has a larger error than a zero network.
 
-        Training, which looks for a small error, then does not lead to the former. It happens where
-        the delay of the low-pass filter makes up for a simulator that runs ahead: L(y_sim) is then
-        nearer to y than L(y) is.
+        Training minimises the error, so it does not find the perfect network then. This happens
+        where the delay of the low-pass filter compensates for a simulator that runs ahead:
+        L(y_sim) is then closer to y than L(y) is.
         """
         return self.perfect_network > self.no_network
 
     def describe(self) -> str:
-        """Describe the case in which there is nothing to learn."""
+        """Return a sentence for the case in which there is nothing to learn."""
         return (
             "nothing to learn: on the training samples the low-passed simulator alone has RMSE "
             f"{self.no_network:.3g}, with a network that is exactly right "
@@ -133,9 +133,9 @@ def oracle(
     order: int = 1,
     seen: Array | None = None,
 ) -> Oracle:
-    """Run the oracle check of the paper's filter design, with the hybrid model's one-way pair.
+    """Run the oracle check of the paper's filter design, with the hybrid's one-way pair.
 
-    Where y has gaps that something stands in for, errors are against `seen`, with NaN in them.
+    If gaps of `y` have been filled, errors are computed against `seen`, with NaN in the gaps.
     """
     seen = y if seen is None else seen
     b, a = butterworth(cutoff, sampling_rate, order)
@@ -145,6 +145,6 @@ def oracle(
 
 
 def oracle_cutoffs(samples: int, sampling_rate: float) -> list[float]:
-    """Return cut-offs in Hz for the oracle check, from two cycles of the record to Nyquist / 2."""
+    """Return cut-offs in Hz for the oracle check, from two cycles per record to Nyquist / 2."""
     lowest, highest = 2 * sampling_rate / samples, sampling_rate / 4
     return [float(f"{f:.2g}") for f in np.geomspace(min(lowest, highest / 2), highest, 12)]

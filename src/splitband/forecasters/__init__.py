@@ -1,1 +1,1 @@
-"""Put whatever predicts behind one interface: networks, simulators, baselines, means of seeds."""
+"""Define one interface for all predictors: networks, simulators, baselines, ensembles of seeds."""

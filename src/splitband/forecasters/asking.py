@@ -1,4 +1,4 @@
-"""Ask a forecaster: what it may know, and what it says with every reason to doubt it."""
+"""Prepare the data for a forecast, and return the forecast with reasons to doubt it."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 
 SHORT = 20_000
-"""Samples of a training record with a simulator that is saved as a whole. By eye."""
+"""Longest training record with a simulator's output, in samples, that is saved whole. By eye."""
 OVERFLOWED = 1e100
-"""Stands for predicted values that are not finite, so that their errors are finite, and huge. Its
+"""Replaces predicted values that are not finite, so that their errors are finite, and huge. Its
 square is finite, too."""
 
 
@@ -40,7 +40,7 @@ def first_needed(forecaster: Forecaster) -> int:
         first = min(first, (forecaster.warmup if start is None else start) - forecaster.warmup)
     first -= max(forecaster.delays, default=0)
     if "simulator" in forecaster.needs:
-        # A calibrated delay or clock uses earlier output, a seventh of it at most.
+        # A calibrated delay or clock uses earlier output, up to a seventh of the record.
         first = min(first, len(record) - len(record) // 5)
     return max(0, min(first, len(record) - 2))
 
@@ -53,7 +53,7 @@ def known_of(
     y_sim: npt.ArrayLike | None,
     other_record: bool = False,
 ) -> tuple[Known, Record]:
-    """Return what may be known of `steps` samples, and the history; see `Forecaster.predict`."""
+    """Return the data for a forecast of `steps` samples, and the history; see `predict`."""
     fitted = forecaster.require_fitted()
     if other_record and forecaster.anchored:
         raise ValueError(
@@ -92,7 +92,7 @@ def known_of(
 def known_at_origin(
     forecaster: Forecaster, history: Record | None, other_record: bool = False
 ) -> Known:
-    """Return what is known at the end of a history, of the training record by default."""
+    """Return the data at the end of a history, by default of the training record."""
     past = forecaster.require_fitted().record if history is None else history
     u = None if past.u is None else past.u[:0]
     y_sim = past.beyond if past.y_sim is None or past.beyond is not None else past.y_sim[:0]
@@ -100,7 +100,7 @@ def known_at_origin(
 
 
 def predicted(forecaster: Forecaster, known: Known, past: Record) -> Prediction:
-    """Return what a forecaster says, and the reasons to doubt it."""
+    """Return the prediction of a forecaster, with the reasons to doubt it."""
     fitted, steps = forecaster.require_fitted(), known.steps
     extrapolated = forecaster.extrapolate(known)
     parts = extrapolated if isinstance(extrapolated, dict) else {"": extrapolated}
@@ -134,7 +134,7 @@ def predicted(forecaster: Forecaster, known: Known, past: Record) -> Prediction:
 def prepared_like(
     record: Record, history: Record, u: npt.ArrayLike | None, y_sim: npt.ArrayLike | None
 ) -> tuple[Record, npt.ArrayLike | None, npt.ArrayLike | None]:
-    """Return a history, inputs and simulator's output to come, prepared as a record was."""
+    """Return a history, future inputs and future simulator output, prepared like a record."""
     prepared = history.prepared_as(record)
     for step in record.prepared:
         if u is not None:
@@ -147,11 +147,11 @@ def prepared_like(
 
 
 def seconds_after(record: Record, samples: int) -> Array:
-    """Return the seconds of so many samples after a record."""
+    """Return the times of the `samples` that follow a record, in s."""
     return np.asarray(seconds(record)[-1] + record.sampling_time * np.arange(1.0, samples + 1))
 
 
 def total(parts: Sequence[Array]) -> Array:
-    """Return their sum, with `OVERFLOWED` where it is not finite."""
+    """Return the sum of the components, with `OVERFLOWED` where it is not finite."""
     most = OVERFLOWED
     return np.nan_to_num(np.sum(parts, axis=0), nan=most, posinf=most, neginf=-most)

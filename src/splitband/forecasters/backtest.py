@@ -1,7 +1,7 @@
-"""Ask a forecaster about samples that are known, from several origins.
+"""Forecast known samples from several origins.
 
-Both protocols of a comparison, the trial on held-out training samples and the interval around a
-forecast are made of these forecasts.
+Both protocols of a comparison, the trial on held-out training samples, and the calibration of
+intervals use these forecasts.
 """
 
 from __future__ import annotations
@@ -30,23 +30,24 @@ from splitband.training import Checkpoint, Progress
 AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
 
 HELD_OUT = 0.25
-"""Share of the training part that is forecast, for a trial, by what is fitted to the rest. A
+"""Share of the training part that is held out for a trial, while models are fitted to the rest. A
 convention; longer parts chose no better (docs/results/rules.md)."""
 FEWEST_FITTED = 20
-"""Measured samples of each channel that a baseline is fitted to for the intervals. By eye."""
+"""Fewest measured samples of each channel to which a baseline is fitted for the intervals.
+By eye."""
 FAILED_FIT_RATIO = 5.0
-"""A fit has failed, and tells nothing about the errors of others, if the error of its first
-forecast samples is above this multiple of the method's usual one. By eye."""
+"""A fit has failed, and its errors are discarded, if the error of its first forecast samples is
+above this multiple of the method's usual one. By eye."""
 
 
 @dataclass(frozen=True, order=True)
 class Origin:
-    """Say where a forecast begins.
+    """Define where a forecast begins.
 
     Attributes
     ----------
-    fitted : How many samples from the beginning of the record the forecaster is fitted to.
-    at : The index of the first sample that is forecast; it warms up on those before.
+    fitted : Number of samples at the beginning of the record to which the forecaster is fitted.
+    at : Index of the first forecast sample; the warm-up is before it.
     """
 
     fitted: int
@@ -55,23 +56,22 @@ class Origin:
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """Ask a forecaster for forecasts of a record.
+    """Specify forecasts of a record.
 
     Attributes
     ----------
-    record : What is known. No prediction sees a measured sample after its origin.
-    origins : From where it is to be forecast, what matters most first. The forecaster is fitted to
-        the beginning of the record, once for each number of samples among them; those that share
-        one stand together.
-    end : To which sample, exclusively. It may lie beyond the record, as far as its inputs and its
-        simulator's output are known (`u_beyond`, `beyond`).
+    record : The measured record. No prediction sees a measured sample after its origin.
+    origins : Of the forecasts, the most important first. The forecaster is fitted once for each
+        number of samples `fitted`; origins with the same number must be adjacent.
+    end : End of the forecasts, exclusive. It may lie beyond the record, as far as its inputs and
+        its simulator's output are known (`u_beyond`, `beyond`).
     others : Further training records.
-    tests : Other records, each to be simulated to its end from its first samples, by what has been
+    tests : Other records, each simulated to its end from its first samples, by the model that was
         fitted to the most samples.
-    warmup : Samples at the beginning of a test record that are the history of what has no warm-up
-        of its own (`Forecaster.warmup` is 0).
-    keep : Whether what has been fitted to the most samples is handed back with its forecasts.
-    initial : Samples at the beginning of a test record that are known to all, in place of these.
+    warmup : Length of the history at the beginning of a test record, for a forecaster without a
+        warm-up (`Forecaster.warmup` is 0).
+    keep : Whether to return the model that was fitted to the most samples.
+    initial : Length of this history for all forecasters, in place of their warm-ups.
     """
 
     record: Record
@@ -86,19 +86,19 @@ class Question:
 
 @dataclass(frozen=True, eq=False)
 class Backtest:
-    """Keep what one forecaster with one seed says from several origins.
+    """Hold the forecasts of one forecaster with one seed from several origins.
 
     Attributes
     ----------
-    predictions : From each origin on, up to the same last sample.
-    tests : Of each test record, to its end; none where it has nothing to say about one of them.
-    report : What the fit did; of several fits the one to the most samples.
-    y_range : Lowest and highest value of each channel that it was fitted to, `(2, ny)`.
-    description : What it has settled on.
-    unfiltered : What a model's filters are fed with from the origin in the samples that it was
-        fitted to; empty for a model without filters, and without such an origin.
-    weights : Of a network, the state of its model.
-    model : What has been fitted to the most samples, where it was asked for.
+    predictions : By origin, all up to the same last sample.
+    tests : Simulations of the test records, to their ends; empty where one of them is impossible.
+    report : Of the fit to the most samples.
+    y_range : Lowest and highest training value of each channel, `(2, ny)`.
+    description : Of the fitted forecaster.
+    unfiltered : Inputs of a model's filters, from the origin within the training samples on; empty
+        for a model without filters, and without such an origin.
+    weights : The state dict of a network's model.
+    model : The model that was fitted to the most samples, if requested.
     """
 
     predictions: Mapping[Origin, Prediction]
@@ -118,10 +118,10 @@ def backtest(
     progress: Callable[[Progress], None] | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Backtest:
-    """Forecast a record from several origins on, with copies of a forecaster.
+    """Forecast a record from several origins, with copies of a forecaster.
 
-    It is fitted for one origin after the other, in their order. Where the deadline of the job comes
-    before the last fit, what has been forecast so far is the result.
+    The copies are fitted in the order of the origins. If the deadline of the job comes before the
+    last fit, the result holds the forecasts so far.
 
     `seed`, `progress` and `checkpoint` are those of `Forecaster.fit`.
     """
@@ -146,7 +146,7 @@ def backtest(
             break
         for origin in of_fit:
             history = record[: origin.at]
-            with without_warnings(ExtrapolationWarning):  # they are kept with the prediction
+            with without_warnings(ExtrapolationWarning):  # the prediction holds them
                 predictions[origin] = fitted.predict(end - origin.at, history)
             if origin.at < samples:
                 unfiltered = fitted.unfiltered(end - origin.at, history)
@@ -168,7 +168,7 @@ def backtest(
 
 
 def _tested(fitted: Forecaster, question: Question) -> tuple[list[Prediction], str]:
-    """Return each test record, simulated to its end from its first samples; or none, and why."""
+    """Return simulations of the test records from their first samples; or none, with the reason."""
     predictions: list[Prediction] = []
     simulated = "simulator" not in fitted.needs or all(t.y_sim is not None for t in question.tests)
     if fitted.anchored or not simulated:
@@ -185,9 +185,9 @@ def _tested(fitted: Forecaster, question: Question) -> tuple[list[Prediction], s
 
 
 def first_origin(record: Record, train: int, warmup: int) -> Origin:
-    """Return the first sample with `warmup` measured ones right before it (the paper's protocol).
+    """Return the first origin with `warmup` measured samples right before it (as in the paper).
 
-    There are two at least, as a history is a record, which has no fewer.
+    The history has at least 2 samples, as every record.
     """
     start = first_after(record.complete, max(warmup, 2))
     if start is None:
@@ -196,12 +196,12 @@ def first_origin(record: Record, train: int, warmup: int) -> Origin:
 
 
 def held_out_from(samples: int) -> int:
-    """Return the first sample of the last quarter of so many, which is held out."""
+    """Return the first sample of the held-out part, the last quarter of `samples`."""
     return samples - max(1, round(HELD_OUT * samples))
 
 
 def check_held_out(record: Record) -> None:
-    """Check that something was measured in each channel of a record's last quarter."""
+    """Raise ValueError for a channel without a measured sample in a record's last quarter."""
     held_out = record.seen[held_out_from(len(record)) :]
     for column, channel in zip(record.columns, held_out.T, strict=True):
         if np.isnan(channel).all():
@@ -212,17 +212,17 @@ def check_held_out(record: Record) -> None:
 
 
 def for_trial(forecaster: AnyForecaster, samples: int) -> AnyForecaster:
-    """Return the forecaster as it is fitted to all but the held-out part of so many samples."""
+    """Return the forecaster adapted to `samples` without their held-out part."""
     return forecaster.for_samples(held_out_from(samples), samples)
 
 
 def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
-    """Return from where forecasts of a record's own last quarter are tried.
+    """Return the origins of forecasts of a record's last quarter.
 
     A network is trained once, and forecasts from the beginning of that quarter, from a third and
     from two thirds of it, as a method may be lucky from a single origin: persistence is, for
-    instance, where the last sample happens to equal the mean. What is fitted quickly is fitted
-    again for each of several origins, some of them earlier.
+    instance, if the last sample happens to equal the mean. A method that is quick to fit is
+    refitted for each of several origins, some of them earlier.
     """
     samples = len(record)
     fitted = held_out_from(samples)
@@ -238,10 +238,10 @@ def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
 def held_out_errors(
     record: Record, forecasts: Mapping[Origin, Array], earlier: bool = False
 ) -> list[Array]:
-    """Return the errors of forecasts from a record's last quarter on, which count in a score.
+    """Return the errors of forecasts that begin in a record's last quarter, for a score.
 
-    They are by horizon, in the order of their origins; with `earlier`, those of the forecasts that
-    begin before that quarter.
+    Each is by horizon, in the order of origins. With `earlier`, return the errors of the forecasts
+    that begin before that quarter instead.
     """
     seen, first = record.seen, held_out_from(len(record))
     return [
@@ -252,16 +252,16 @@ def held_out_errors(
 
 
 def held_out(record: Record, forecasts: Mapping[Origin, Array]) -> HeldOut:
-    """Return what intervals beyond a record follow from: how well its last part was forecast."""
+    """Return the held-out errors of a record, from which intervals beyond it follow."""
     scored = held_out_errors(record, forecasts)
     longer = held_out_errors(record, forecasts, earlier=True)[::-1]
     return HeldOut.of(_sound(scored, longer, spread(record.seen)), record.seen)
 
 
 def held_out_by(forecaster: Forecaster) -> HeldOut:
-    """Return the same of a fitted forecaster: copies are tried on its training record's end.
+    """Return the held-out errors of a fitted forecaster, of copies fitted to less of its record.
 
-    Raises ValueError for one that was loaded and has not kept all of its training records.
+    Raises ValueError for a loaded forecaster, which does not have all of its training records.
     """
     fitted = forecaster.require_fitted()
     record = fitted.record
@@ -278,7 +278,7 @@ def held_out_by(forecaster: Forecaster) -> HeldOut:
 
 
 def mean_forecasts(done: Sequence[Backtest]) -> dict[Origin, Array]:
-    """Return, by origin, the mean over the seeds of what was forecast."""
+    """Return the mean forecast over the seeds, by origin."""
     return {
         origin: np.mean([backtest.predictions[origin].y for backtest in done], axis=0)
         for origin in done[0].predictions
@@ -286,17 +286,17 @@ def mean_forecasts(done: Sequence[Backtest]) -> dict[Origin, Array]:
 
 
 def root_mean_square(errors: Sequence[Array]) -> float:
-    """Return that of all errors `(time, ny)` of several forecasts; NaN does not count."""
+    """Return the RMS of the errors `(time, ny)` of several forecasts together, ignoring NaN."""
     every = np.concatenate(errors)
     return rmse(every, np.zeros_like(every))
 
 
 def _sound(scored: Sequence[Array], longer: Sequence[Array], scale: Array) -> list[Array]:
-    """Return all errors, without the `longer` ones of fits to too few samples.
+    """Return all errors, except those in `longer` from fits to too few samples.
 
-    `longer` begins with the fit to the most samples. A fit to too few samples, less than a period
-    of the record for instance, is wrong from its first forecast samples on; errors that merely grow
-    with the horizon are still small there.
+    `longer` begins with the fit to the most samples. A fit to too few samples, such as less than a
+    period, is wrong from its first forecast samples on, where errors that merely grow with the
+    horizon are still small.
     """
     near = min(map(len, scored))
     usual = root_mean_square([e[:near] / scale for e in scored])

@@ -1,4 +1,4 @@
-"""Say which frequency band is whose: cut-off, order and down-sampling, given or chosen."""
+"""Define the frequency bands of a model: cut-off, order and down-sampling, given or chosen."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from splitband.runtime.options import Written, saved
 @saved
 @dataclass(frozen=True, repr=False)
 class Bands(Written):
-    """Describe how a filter pair splits a signal; None is chosen by the training samples.
+    """Hold the parameters of a filter pair; those that are None are chosen on training samples.
 
     Attributes
     ----------
     cutoff : In Hz.
     order : Of each Butterworth filter.
     downsampling : k: the low band keeps every k-th sample.
-    choice : Why they are what they are, where they were chosen.
+    choice : Result and reason of the choice, where they were chosen.
     """
 
     cutoff: float | None = None
@@ -38,22 +38,22 @@ class Bands(Written):
 
     @property
     def complete(self) -> bool:
-        """Return whether nothing is left to be chosen."""
+        """Return whether all parameters are given."""
         return None not in (self.cutoff, self.order, self.downsampling)
 
     def chosen(
         self, y: Array, sampling_rate: float, warmup: int, y_sim: Array | None = None
     ) -> Bands:
-        """Return the bands with what is missing chosen by the training samples.
+        """Return the bands with missing parameters chosen on the training samples.
 
         Parameters
         ----------
         y : The training samples, `(time, ny)`.
         sampling_rate : In Hz.
         warmup : R, in samples.
-        y_sim : The output of the simulator that is to have the low band, `(time, ny)`; by default
-            a network is. Where the simulator does not help, the choice says so
-            (`simulator_helps`), and is that for networks.
+        y_sim : The output of the simulator of the low band, `(time, ny)`; None for a network in the
+            low band. If the simulator does not help, the bands are chosen as for networks, and
+            `choice.simulator_helps` is False.
         """
         given = self.cutoff, self.order, self.downsampling
         learned = choose(y, sampling_rate, warmup, *given)
@@ -71,7 +71,7 @@ class Bands(Written):
         return ComplementaryPair.butterworth(cutoff, sampling_rate, order)
 
     def one_way_pair(self, sampling_rate: float) -> ComplementaryPair:
-        """Return the pair of a hybrid model, which filters forwards only."""
+        """Return the pair of a hybrid, which filters forwards only."""
         cutoff, order = self._known()
         b, a = butterworth(cutoff, sampling_rate, order)
         return ComplementaryPair.perfect(b, a, sampling_rate, cutoff=cutoff)
@@ -83,4 +83,4 @@ class Bands(Written):
 
 
 OPEN = Bands()
-"""All of it is chosen by the training samples."""
+"""Bands whose parameters are all chosen on the training samples."""

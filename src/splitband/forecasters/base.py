@@ -1,4 +1,4 @@
-"""Define what predicts: fitted to a record, it forecasts what follows."""
+"""Define the interface of all forecasters: fitted to a record, they forecast what follows."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 
 class Training(TypedDict):
-    """Say how `Forecaster.learn` is to go about it: `seed`, `progress`, `checkpoint` of `fit`."""
+    """Hold the options `seed`, `progress` and `checkpoint` that `fit` passes to `learn`."""
 
     seed: int
     progress: Callable[[Progress], None] | None
@@ -62,17 +62,16 @@ class Training(TypedDict):
 class Forecaster(Configurable):
     """Predict what follows a record: a network, a simulator, a baseline, a mean of several.
 
-    A forecaster of your own says what it is called (`name`), what it learns (`learn`) and what
-    comes next (`extrapolate`); `known` is already aligned in time. Its constructor keeps each
-    argument under an attribute of the same name, which `fit` leaves as it is. Everything else is
-    found by `fit`, and each fit begins without it.
+    A forecaster of your own defines its `name`, its training (`learn`) and its forecast
+    (`extrapolate`); `known` is already aligned in time. Its constructor keeps each argument under
+    an attribute of the same name, which `fit` does not change. All other attributes are set by
+    `fit`, which first removes those of an earlier fit.
 
     Attributes
     ----------
-    fitted : What is remembered of the training records; None before `fit`.
-    delays : By how many samples each input acts late, as found in training; empty where that is
-        not asked.
-    held_out : How well copies of it forecast known samples, once an interval has been asked for.
+    fitted : The training records and the report of the fit; None before `fit`.
+    delays : Delay of each input in samples, as found in training; empty where none are estimated.
+    held_out : Errors of held-out forecasts, once an interval has been requested.
     """
 
     affine: ClassVar[bool] = False
@@ -83,31 +82,31 @@ class Forecaster(Configurable):
 
     @property
     def calibration(self) -> Calibration | None:
-        """Return the calibration of the simulator that it runs, where one has been fitted."""
+        """Return the fitted calibration of its simulator, or None."""
         return None
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Return what is known of the fitted parameters of its simulator, as JSON can hold it."""
+        """Return the fitted parameters of its simulator, in a form that JSON can hold."""
         return {}
 
     def for_seed(self, seed: int) -> Forecaster:
-        """Return the forecaster that is fitted with a seed."""
+        """Return the forecaster to fit with this seed."""
         return self.by_seed.get(seed, self)
 
     @property
     def of_one_seed(self) -> Forecaster:
-        """Return what is averaged, of a mean over seeds; else itself."""
+        """Return one member of an ensemble over seeds; any other forecaster itself."""
         return self
 
     @property
     def warmup(self) -> int:
-        """Return how many measured samples in a row a forecast begins with."""
+        """Return the length of the warm-up: measured samples in a row before a forecast."""
         return 0
 
     @abstractmethod
     def extrapolate(self, known: Known) -> Array | dict[str, Array]:
-        """Return what comes after `known.y`, `(steps, ny)`, or its parts by name."""
+        """Return the forecast after `known.y`, `(steps, ny)`, or its components by name."""
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit to the records; by default there is nothing to learn.
@@ -115,40 +114,40 @@ class Forecaster(Configurable):
         Parameters
         ----------
         records : The training records.
-        how : See `Training`; what needs none of it takes `**_`.
+        how : See `Training`; a method that needs none of the options takes `**_`.
         """
 
     def trajectory(self, known: Known) -> Array:
-        """Return what it says of the history and of what comes after, `(time + steps, ny)`.
+        """Return its simulation of the history and of the forecast, `(time + steps, ny)`.
 
-        A forecaster that has this method can hold the slow part of a network.
+        A forecaster with this method can be the slow component of a hybrid.
         """
         raise NotImplementedError(f"{self.name} says nothing about a history")
 
     def on(self, record: Record, first: bool = True) -> Record:
-        """Return a training record, the `first` or another, with its trajectory as `y_sim`."""
+        """Return a training record, the `first` or another, with the trajectory as `y_sim`."""
         begin = 0.0 if first else None
         known = Known(record.seen, 0, begin, record.u, record.y_sim, record.grid)
         return replace(record, y_sim=self.trajectory(known), beyond=None)
 
     def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
-        """Return what filters are fed with, by name; empty for a forecaster without filters."""
+        """Return the inputs of its filters by name; empty for a forecaster without filters."""
         return {}
 
     def describe(self) -> str:
-        """Return what the fit has settled on, in a few words for a table."""
+        """Return the result of the fit, in a few words for a table."""
         return ""
 
     def doubts(self, known: Known) -> list[str]:
-        """Return reasons to doubt what it extrapolates, in sentences, beside those for all."""
+        """Return the method's own reasons to doubt its forecast, in sentences."""
         return []
 
     def given(self, simulator: Any) -> Forecaster:
-        """Return it with this simulator where it fits the parameters of one and has none."""
+        """Return it with this simulator, where it needs one to fit the parameters of."""
         return self.with_parts(lambda part: part.given(simulator))
 
     def calibrated(self) -> Forecaster:
-        """Return it with its simulator calibrated, if it has one; itself otherwise."""
+        """Return it with its simulator calibrated; itself if it has none."""
         return self.with_parts(lambda part: part.calibrated())
 
     @final
@@ -163,18 +162,18 @@ class Forecaster(Configurable):
 
         Parameters
         ----------
-        records : The training records, and nothing else: cut them before. Forecasts go on from
-            the end of the first one where no other history is given.
-        seed : For all that is random, initial weights included: the same seed, the same result.
+        records : The training records, already cut to the training part. Without another history,
+            forecasts start at the end of the first one.
+        seed : Of all random numbers, initial weights included: the same seed, the same result.
         progress : Called after each epoch of a training.
-        checkpoint : Where a training that was cut off goes on, with the same numbers to the bit.
+        checkpoint : Where an interrupted training resumes, with results equal to the bit.
 
         Raises
         ------
         ValueError
             For records that do not fit together or to the forecaster, see `check`.
         TypeError
-            For something else than records.
+            For arguments that are not records.
         FloatingPointError
             When a training diverges.
         """
@@ -203,27 +202,27 @@ class Forecaster(Configurable):
         level: float | None = None,
         other_record: bool = False,
     ) -> Prediction:
-        """Return the samples that come after a history.
+        """Return the forecast of the samples after a history.
 
         Parameters
         ----------
-        steps : How many.
+        steps : Number of samples.
         history : Measured samples up to the origin; by default the (first) training record. The
-            state that a forecast begins with is estimated from them. By its time stamps it is known
-            how much later than that record it begins; without any it is taken to begin with it.
+            initial state of the forecast is estimated from them. Its time stamps are compared with
+            those of the training record; without time stamps both are taken to begin together.
             Where the training record was detrended, clipped or resampled and the history was not,
             the same is done to the history and the inputs, and undone on the prediction.
-        u : Known inputs of the samples to come, `(steps, nu)`; by default what the history says of
-            them (`u_beyond`), as a slice of a longer record does.
-        y_sim : A simulator's output of the samples to come, `(steps or more, ny)`, likewise
-            (`beyond`); a calibrated delay or clock may need it beyond the last of them. What needs
-            none, or has a simulator of its own, does not look at it.
-        level : Of the interval, 0 to 1: the share of samples that should lie in it. The first time
-            one is asked for, the forecaster is fitted again to three quarters of its training
-            record, to see how well it forecasts the rest; the intervals of all levels follow.
-        other_record : The history is of another record: its time stamps are not compared with
-            those of the training record. What depends on the time since then (`anchored`) has
-            nothing to say.
+        u : Known inputs of the forecast samples, `(steps, nu)`; by default those that the history
+            brings (`u_beyond`), as a slice of a longer record does.
+        y_sim : Simulator output of the forecast samples, `(steps or more, ny)`; by default the
+            history's (`beyond`). A calibrated delay or clock may need more than `steps`. Ignored by
+            forecasters that need none or run their own simulator.
+        level : Of the interval, 0 to 1: the share of samples that should lie in it. The first call
+            with a level refits copies of the forecaster to shorter parts of its training record (a
+            network: to three quarters) and forecasts the rest; the errors give all intervals.
+        other_record : Whether the history is of another record: its time stamps are then not
+            compared with those of the training record. A forecaster that depends on the time since
+            the training record began (`anchored`) raises ValueError.
 
         Raises
         ------
@@ -231,15 +230,15 @@ class Forecaster(Configurable):
             For a forecaster that has not been fitted, and for a history, inputs or a simulator's
             output that do not fit it or are too short.
         TypeError
-            For a history that is no `Record`.
+            For a history that is not a `Record`.
 
         Warns
         -----
         ExtrapolationWarning
-            For a history of another record whose dates have a time zone where those of the training
-            record have none, or the reverse, for inputs beyond their range in training, for a
-            simulator's output that ends too early, for a function of time that disagrees with the
-            history, and for a prediction that leaves the range of the training samples by far.
+            For a history whose dates have a time zone where those of the training record have none,
+            or the reverse, for inputs beyond their range in training, for a simulator's output that
+            ends too early, for a history shorter than the warm-up, for a function of time that
+            disagrees with the history, and for a prediction far outside the training range.
         """
         fitted = self.require_fitted()
         if history is not None:
@@ -269,32 +268,32 @@ class Forecaster(Configurable):
 
         Parameters
         ----------
-        steps : Samples of the response. As many pass before it, with constant inputs, so that the
-            outputs settle.
+        steps : Samples of the response. The outputs settle for as many samples before it, with
+            constant inputs.
         at : The operating point, `(nu,)`; by default the means of the training inputs.
-        size : Of the steps, `(nu,)`; by default a tenth of each input's range in training. Half of
-            it is a step up, half one down; `y` is the difference for a step of 1.
+        size : Step sizes, `(nu,)`; by default a tenth of each input's range in training. One run
+            steps up by half of it and one down; `y` is their difference, scaled to a step of 1.
 
         Raises
         ------
         ValueError
-            For a forecaster without inputs, and one whose simulator stays outside of it.
+            For a forecaster without inputs, and one that needs a simulator's output from a record.
         """
         found: Responses = provided("step responses")(self, steps, at, size)
         return found
 
     def check_residuals(self, record: Record) -> ModelCheck:
-        """Check the fitted forecaster on a record, best one that it was not fitted to.
+        """Check the fitted forecaster on a record, preferably one that it was not fitted to.
 
         Returns the fit of a simulation and of predictions a few samples ahead, the tests of the
         residuals, whether a long free run stays in range, and inputs beyond their range in
-        training; see `splitband.forecasters.checking`. What depends on the time since the training
-        record began is asked about `record` by its time stamps.
+        training; see `splitband.forecasters.checking`. For an `anchored` forecaster, the time
+        stamps of `record` count from the beginning of the training record.
 
         Raises
         ------
         ValueError
-            For a forecaster that has not been fitted, and a record that does not fit it or is too
+            For a forecaster that has not been fitted, and a record that does not match it or is too
             short.
         """
         found: ModelCheck = provided("check")(self, record)
@@ -302,16 +301,16 @@ class Forecaster(Configurable):
 
     @final
     def stream(self, history: Record | None = None, other_record: bool = False) -> Stream:
-        """Return the forecaster with a state, that goes on sample by sample from a history.
+        """Return the forecaster as a stream, which goes on from a history sample by sample.
 
         Each step takes constant time and memory. A forecaster of your own, and a few that look
-        ahead or interpolate a simulator's output, are asked anew for each sample, which is slower.
+        ahead or interpolate a simulator's output, call `predict` for each sample, which is slower.
 
         Parameters
         ----------
         history, other_record : See `predict`. Where the training record was detrended, clipped or
-            resampled, samples are in the units of before; they have its step. After a history that
-            was prepared in the same way they are in its units.
+            resampled, samples are in the measured units, at the step of the prepared record; after
+            a history that was prepared in the same way, they are in the history's units.
         """
         return stream_of(self, history, other_record)
 
@@ -321,8 +320,8 @@ class Forecaster(Configurable):
     ) -> TorchSimulation:
         """Return a torch module that simulates what follows a history, as `predict` does.
 
-        It takes batches of inputs and is differentiable: for predictive control, inputs that lead
-        to a wanted output, or a loss of your own.
+        It takes batches of inputs and is differentiable, for predictive control, for finding the
+        inputs of a desired output, or for a loss of your own.
 
         Parameters
         ----------
@@ -331,8 +330,8 @@ class Forecaster(Configurable):
         Raises
         ------
         ValueError
-            For a grey box, a network on another network, and what is your own and does not define
-            `differentiable`; for a training record that was detrended, clipped or resampled.
+            For a grey box, a network on another network, and a forecaster of your own that does not
+            define `differentiable`; for a training record that was detrended, clipped or resampled.
 
         Examples
         --------
@@ -356,7 +355,7 @@ class Forecaster(Configurable):
         return TorchSimulation(self.differentiable(known), record.nu)
 
     def differentiable(self, known: Known) -> nn.Module:
-        """Return what maps inputs after a history `(batch, steps, nu)` to `(batch, steps, ny)`."""
+        """Return the module from inputs `(batch, steps, nu)` to outputs `(batch, steps, ny)`."""
         if not self.affine:
             raise ValueError(f"{self.name} cannot be run by torch: it is not affine in the inputs")
         return Affine(self, known)
@@ -370,44 +369,44 @@ class Forecaster(Configurable):
     ) -> list[Path]:
         """Write the fitted forecaster as a program that needs no Python; return its files.
 
-        What is written runs as `stream` does, sample by sample, with the same numbers. A
-        simulator's output is one of its inputs.
+        The program runs sample by sample as `stream` does, with the same results. A simulator's
+        output is one of its inputs.
 
         Parameters
         ----------
-        path : Where to; its ending says as what. `.c` is C99, with a header beside it; `.fmu` is a
-            functional mock-up unit for co-simulation (FMI 2.0); `.onnx` is the graph of a step,
-            with the one of a whole simulation beside it.
+        path : Output file, whose ending sets the format: `.c` is C99, with a header file; `.fmu` is
+            a functional mock-up unit for co-simulation (FMI 2.0); `.onnx` is the graph of a step,
+            with a second graph for a whole simulation.
         precision : Of all numbers; an FMU computes in double precision.
-        history : After which it begins; by default the training record.
+        history : The program starts at its end; by default the training record.
 
         Raises
         ------
         ValueError
-            For another ending, and with the name of what cannot be exported, such as a cell of
-            your own.
+            For another ending, and for a part that cannot be exported, which it names, such as a
+            cell of your own.
         """
         files: list[Path] = provided("export")(self, path, precision, history)
         return files
 
     def stepped(self, outside: bool = False) -> Recursion:
-        """Return what the fitted forecaster does with each sample, by default that of its `part`.
+        """Return the recursion of the fitted forecaster, by default that of its `part`.
 
         Parameters
         ----------
-        outside : Whether the output of a simulator of its own comes with each sample, too, as in a
-            program that is exported.
+        outside : Whether its own simulator's output is given with each sample, as in an exported
+            program, in place of running the simulator.
 
         Raises
         ------
         NotSteppedError
-            With the reason where `predict` has to be asked.
+            With the reason, where there is no recursion and `predict` is needed.
         """
         record = self.require_fitted().record
         return Extrapolated(self.part(outside), record.ny, record.nu)
 
     def part(self, outside: bool = False) -> Part:
-        """Return what the fitted forecaster says sample by sample, by itself or in a hybrid.
+        """Return the recursive form of the fitted forecaster, for use alone or in a hybrid.
 
         Raises NotSteppedError, see `stepped`.
         """
@@ -416,15 +415,15 @@ class Forecaster(Configurable):
     def save(self, folder: str | Path) -> None:
         """Write the fitted forecaster to a folder, whole or not at all; `splitband.load` reads it.
 
-        With it go the end of the training record, on which a forecast warms up, calibration, units,
-        ranges of the inputs, and the intervals, if one has been asked for.
+        The folder also holds the end of the training record (for the warm-up), the calibration,
+        units, input ranges, and the held-out errors, if an interval has been requested.
         """
         provided("saving")(self, folder)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all that makes the forecaster, for `save`: options, and what has been found.
+        """Return the options and fitted attributes of the forecaster, for `save`.
 
-        Of the training record that is the end, on which a forecast warms up.
+        Only the end of the training record is kept, on which a forecast warms up.
         """
         end = None if self.fitted is None else self.fitted.end(self.first_needed())
         kept = {name: value for name, value in vars(self).items() if name != "by_seed"}
@@ -432,7 +431,7 @@ class Forecaster(Configurable):
 
     @classmethod
     def from_dict(cls, found: dict[str, Any]) -> Self:
-        """Return a forecaster made of what `to_dict` said; its constructor is not called."""
+        """Return the forecaster that `to_dict` described; its constructor is not called."""
         new = object.__new__(cls)
         vars(new).update(found)
         if new.fitted is not None and new.delays:
@@ -444,21 +443,21 @@ class Forecaster(Configurable):
         return first_needed(self)
 
     def state(self) -> dict[str, Tensor]:
-        """Return the weights that have been trained, with which another training may begin."""
+        """Return the trained weights, from which another training can start."""
         return {}
 
     def require_fitted(self) -> Fitted:
-        """Return what is remembered of the training records; raises ValueError before `fit`."""
+        """Return the training records and the report of the fit; raises ValueError before `fit`."""
         if self.fitted is None:
             raise ValueError(f"{self.name} must be fitted before it is asked: call fit(record)")
         return self.fitted
 
     @final
     def tried_out(self) -> HeldOut:
-        """Return how well it forecasts known samples, from which intervals of all levels follow.
+        """Return the errors of held-out forecasts, from which intervals of all levels follow.
 
-        The first time it is fitted again, to three quarters of its training record. ValueError is
-        raised where that is too short, and for a loaded forecaster that was not tried out before.
+        The first call refits copies to shorter parts of its training record. ValueError is raised
+        where that is too short, and for a loaded forecaster that was saved without these errors.
         """
         if self.held_out is None:
             self.held_out = provided("held-out forecasts")(self)

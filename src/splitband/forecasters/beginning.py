@@ -1,7 +1,7 @@
-"""Begin a network's training with the linear model of its record, or with an earlier training.
+"""Start a network's training from the linear model of its record, or from an earlier training.
 
-What a linear model explains, no gradient has to find: from random weights a network may take as
-long for it as for all else, or never find it.
+The training then need not find the linear dynamics: from random weights it may take as long for
+them as for everything else, or never find them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from splitband.training import Settings
 
 @runtime_checkable
 class LinearPart(Protocol):
-    """Describe a cell with a linear part that can be set, as `StateSpace` has it."""
+    """Describe a cell with a linear part that can be set, such as `StateSpace`."""
 
     ny: int
     nu: int
@@ -33,24 +33,24 @@ class LinearPart(Protocol):
     encoded: int
 
     def begin_linear(self, model: Realisation, first: tuple[Array, Array] | None) -> None:
-        """Begin as a linear model, whose first state is such a map of what is `encoded`."""
+        """Set the linear part to a model; `first` maps the `encoded` samples to its first state."""
 
 
 @dataclass(frozen=True, eq=False)
 class Earlier:
-    """Go on from earlier trainings, of another part of the record or of fewer iterations.
+    """Continue earlier trainings, on another part of the record or with fewer iterations.
 
     Attributes
     ----------
-    iterations : Of L-BFGS that they had.
-    weights : The state of the model, by seed.
+    iterations : Number of L-BFGS iterations that they ran.
+    weights : The state dict of the model, by seed.
     """
 
     iterations: int = 0
     weights: Mapping[int, Mapping[str, Tensor]] = field(default_factory=dict)
 
     def remaining(self, settings: Settings, seed: int) -> Settings:
-        """Return the settings of what is left of a training."""
+        """Return the settings of the rest of a training."""
         if seed not in self.weights:
             return settings
         more = (settings.quasi_newton or 0) - self.iterations
@@ -70,20 +70,20 @@ def _fitted(most: int, first: tuple[Array, Array], *others: tuple[Array, Array])
 
 
 FITTED: Remembered[Any] = Remembered(_fitted)
-"""All seeds and sizes of a search begin with the same linear models."""
+"""Cache of linear models, from which all seeds and sizes of a search start."""
 
 
 def begin_as_linear(model: Model, records: Sequence[Record], normalize: bool, seed: int) -> None:
-    """Set the linear parts of a model's networks, in place, where it has such networks.
+    """Set the linear parts of a model's networks to linear models, in place.
 
-    They then simulate as `baselines.linear` does with at most as many poles for each channel as
-    states fall to it. Networks of a down-sampled band, and those of records without inputs, stay
-    as they are.
+    They then simulate like `baselines.linear`, with at most `states // ny` poles a channel.
+    Networks without a linear part, of a down-sampled band, or of records without inputs do not
+    change.
 
     Parameters
     ----------
     model : Not trained.
-    records : The training records, as the model sees them.
+    records : The training records, with delayed inputs and the base's output.
     normalize : See `Settings`.
     seed : For states that the linear model does not have.
     """
@@ -117,7 +117,7 @@ def _set(
     linear = FITTED(max(1, cell.states // cell.ny), *zip(targets, inputs, strict=True))
     found = realised(linear, inputs, cell.states, np.random.default_rng(seed))
     nu = inputs[0].shape[1]
-    # A row of the network's inputs is [u of this sample, u of the next one, what else it is told].
+    # A row of the network's inputs is [u of this sample, u of the next one, other inputs].
     b, d = np.zeros((cell.states, cell.nu)), np.zeros((cell.ny, cell.nu))
     b[:, :nu], d[:, nu : 2 * nu] = found.b, found.d
     first = None

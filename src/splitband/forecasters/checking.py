@@ -26,22 +26,22 @@ from splitband.runtime.threads import without_warnings
 AHEAD = (1, 10)
 """Horizons in samples of the predictions from within the record. By eye."""
 ORIGINS = 100
-"""From which these predictions are made, at even distances. By eye."""
+"""Largest number of origins of these predictions, evenly spaced. By eye."""
 LONGER = 10
-"""Times the record: the length of the free run that must stay in range. By eye."""
+"""Length of the free run that must stay in range, in multiples of the record. By eye."""
 WARMUP = 50
-"""Samples before the simulation, of a forecaster that does not say how many it needs. By eye."""
+"""Most samples before the simulation, for a forecaster without a warm-up. By eye."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModelCheck:
-    """Hold what the check of a forecaster on a record found.
+    """Hold the results of checking a forecaster on a record.
 
     Attributes
     ----------
-    method : Its name.
-    record : What it was checked on.
-    simulation : Its free run from a warm-up on the first samples, to the end.
+    method : Name of the forecaster.
+    record : The record of the check.
+    simulation : The free run from a warm-up on the first samples to the end.
     fits : Fit in percent of each output: "simulation", and "1 step ahead" and so on.
     tests : Of the residuals of each output.
     leaves : Samples of a free run of `LONGER` times the record before it leaves the range of the
@@ -61,7 +61,7 @@ class ModelCheck:
 
     @property
     def accepted(self) -> bool:
-        """Tell whether no test rejects the model, and its long free run stays in range.
+        """Return whether no test rejects the model, and a long free run, if any, stays in range.
 
         Without inputs the residuals have to be white.
         """
@@ -69,7 +69,7 @@ class ModelCheck:
         return self.leaves is None and all(tested)
 
     def in_words(self) -> list[str]:
-        """Return what was found, in sentences."""
+        """Return the results in sentences, without the fits."""
         said = [test.verdict() for test in self.tests]
         if self.unchecked:
             said.append(f"Stability was not checked: {self.unchecked}.")
@@ -93,7 +93,7 @@ class ModelCheck:
                           *self.in_words()])  # fmt: skip
 
     def as_json(self) -> dict[str, Any]:
-        """Return all numbers."""
+        """Return all results, for a JSON file."""
         return {
             "method": self.method,
             "record": self.record.name,
@@ -159,7 +159,7 @@ def _ahead(
         try:
             made[at] = forecaster.predict(max(AHEAD), record[:at], other_record=other).y
         except ValueError:
-            continue  # a gap where it has to warm up
+            continue  # a gap in the warm-up
     return {
         f"{k} step{'s' if k > 1 else ''} ahead": _fit(
             np.stack([record.truth[at + k - 1] for at in made]),
@@ -171,7 +171,7 @@ def _ahead(
 
 
 def _leaves(forecaster: Forecaster, record: Record, begin: int, other: bool) -> int | None:
-    """Return when a long free run, with the record's inputs repeated, leaves the range."""
+    """Return after how many samples a long free run, with inputs repeated, leaves the range."""
     steps = LONGER * len(record)
     u = None if record.u is None else np.tile(record.u, (LONGER + 1, 1))[begin : begin + steps]
     long = forecaster.predict(steps, record[:begin], u=u, other_record=other)

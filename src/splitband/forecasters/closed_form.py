@@ -1,4 +1,4 @@
-"""Forecast by baselines: fitted in closed form, with nothing to train."""
+"""Forecast with baselines, which need no training."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
 
 SEVERAL = 3.0
-"""Multiple of its error in training from which on a function of time disagrees with a history.
-By eye."""
+"""A function of time disagrees with a history if its error exceeds this multiple of the training
+error. By eye."""
 _EXACT = 1e-6
-"""Of the range of a channel: a smaller error in training is that of rounding. By eye."""
+"""Share of a channel's range: a smaller training error is due to rounding. By eye."""
 
 
 @final
 class Mean(Forecaster):
-    """Forecast the mean of the training samples, the best where nothing can be foreseen."""
+    """Forecast the mean of the training samples, the best forecast of unpredictable signals."""
 
     affine = True
     name = "mean"
@@ -49,13 +49,13 @@ class Mean(Forecaster):
         return np.tile(self.level, (known.steps, 1))
 
     def part(self, outside: bool = False) -> Part:
-        """Return the mean."""
+        """Return the mean as a constant part."""
         return Constant(self.level)
 
     words = "mean of the training samples"
 
     def describe(self) -> str:
-        """Return what it is."""
+        """Return a description."""
         return "the mean of the training samples"
 
 
@@ -75,13 +75,13 @@ class Persistence(Forecaster):
         return np.tile(np.take_along_axis(known.y, last[None], axis=0), (known.steps, 1))
 
     def part(self, outside: bool = False) -> Part:
-        """Return the sample that is held."""
+        """Return the part that holds the last measured sample."""
         return Held(self.require_fitted().record.ny)
 
     words = "last measured value, held"
 
     def describe(self) -> str:
-        """Return what it is."""
+        """Return a description."""
         return "the last measured sample, held"
 
 
@@ -93,7 +93,7 @@ class _ByTime(Forecaster):
     """RMSE of each channel in training, `(ny,)`."""
 
     fits: ClassVar[type[ByTime]]
-    """What is fitted."""
+    """The class of the fitted function."""
     anchored = True
     affine = True
 
@@ -104,11 +104,11 @@ class _ByTime(Forecaster):
         self.error = _rmse_of_channels(seen - self.baseline.predict(0, len(seen)))
 
     def extrapolate(self, known: Known) -> Array:
-        """Return its values after the history."""
+        """Return the values of the function after the history."""
         return self.baseline.predict(_whole(known.begin) + len(known.y), known.steps)
 
     def trajectory(self, known: Known) -> Array:
-        """Return its values, over the history too, `(time + steps, ny)`."""
+        """Return the values of the function over history and forecast, `(time + steps, ny)`."""
         return self.baseline.predict(_whole(known.begin), len(known.y) + known.steps)
 
     def part(self, outside: bool = False) -> Part:
@@ -116,7 +116,7 @@ class _ByTime(Forecaster):
         return InTime(self.baseline.predict)
 
     def doubts(self, known: Known) -> list[str]:
-        """Return whether it disagrees with the history: that is none of the training record."""
+        """Return a warning where it disagrees with the history, unless that is `known.own`."""
         if known.own:
             return []
         found = _rmse_of_channels(known.y - self.trajectory(replace(known, steps=0)))
@@ -131,13 +131,13 @@ class _ByTime(Forecaster):
         ]
 
     def describe(self) -> str:
-        """Return the periods and trends that were found."""
+        """Return the fitted periods and trends."""
         return str(self.baseline) + first_only(self.require_fitted())
 
 
 @final
 class SeasonalNaive(_ByTime):
-    """Repeat the last period, on top of a trend where there is one."""
+    """Repeat the last period, plus a trend where there is one."""
 
     name = "seasonal-naive"
     baseline: LastPeriod
@@ -146,7 +146,7 @@ class SeasonalNaive(_ByTime):
     fits = LastPeriod
 
     def part(self, outside: bool = False) -> Part:
-        """Return the period and its trend."""
+        """Return the part that repeats the period, plus its trend."""
         return Repeated(self.baseline.period, self.baseline.end, self.baseline.trend)
 
 
@@ -163,7 +163,7 @@ class Harmonic(_ByTime):
 
 @final
 class Periodic(_ByTime):
-    """Fit a Fourier series of the record's own period, and a trend (`baselines.periodic`)."""
+    """Fit a Fourier series with the period of the record, and a trend (`baselines.periodic`)."""
 
     name = "periodic"
 
@@ -176,7 +176,7 @@ class Periodic(_ByTime):
 class Linear(Forecaster):
     """Fit an output-error model of the known inputs (`baselines.linear`).
 
-    Several records are fitted together, each with an initial state of its own.
+    Several records are fitted together, each with its own initial state.
     """
 
     name = "linear"
@@ -188,7 +188,7 @@ class Linear(Forecaster):
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Fit the model to all records."""
-        first, *others = [(r.seen, r.u) for r in records if r.u is not None]  # `check` says: all
+        first, *others = [(r.seen, r.u) for r in records if r.u is not None]  # all: see `check`
         self.u = first[1]
         self.model = OutputError.fit(*first, others)
         self.delays = self.model.delays
@@ -196,18 +196,18 @@ class Linear(Forecaster):
         self.fitted = replace(fitted, report=replace(fitted.report, cut=current().over))
 
     def extrapolate(self, known: Known) -> Array:
-        """Return its output after the history."""
+        """Return the output of the model after the history."""
         return self.trajectory(known)[len(known.y) :]
 
     def trajectory(self, known: Known) -> Array:
-        """Return its output, over the history too, from a state that the history tells.
+        """Return its output over history and forecast, from a state estimated on the history.
 
-        Where inputs are known from the beginning of the training record on, as for a history that
-        is a part of it, the state to which they lead is what the history is compared with.
+        Where all inputs since the first sample of the training record are known, the prior of this
+        state is simulated; else it is the distribution of states in training.
         """
         begin = -1 if known.begin is None or known.begin % 1 else int(known.begin)
         before = self.u[:begin] if 0 <= begin <= len(self.u) else None
-        y = np.full_like(known.y, np.nan) if known.own else known.y  # the fit has told its state
+        y = np.full_like(known.y, np.nan) if known.own else known.y  # its state is fitted
         assert known.u is not None
         return self.model.continued(known.u, y, before)
 
@@ -218,23 +218,23 @@ class Linear(Forecaster):
     def state_space(self) -> scipy.signal.StateSpace:
         """Return the fitted model as a discrete-time system, delays included.
 
-        It relates deviations from the operating point of `operating_point`.
+        Its inputs and outputs are deviations from `operating_point`.
         """
         self.require_fitted()
         matrices = self.model.state_space()
         return scipy.signal.StateSpace(*matrices, dt=self.require_fitted().record.sampling_time)
 
     def operating_point(self) -> tuple[Array, Array]:
-        """Return the inputs `(nu,)` and outputs `(ny,)` that `state_space` counts from."""
+        """Return the inputs `(nu,)` and outputs `(ny,)` at the operating point."""
         self.require_fitted()
         return self.model.mean, np.array([channel.offset for channel in self.model.channels])
 
     def poles(self) -> npt.NDArray[np.complex128]:
-        """Return the poles in the z plane, those at 0 of delayed inputs included."""
+        """Return the poles in the z plane, including those at 0 of delayed inputs."""
         return np.asarray(np.linalg.eigvals(self.state_space().A), np.complex128)
 
     def transfer_function(self, output: int = 0, input_: int = 0) -> scipy.signal.TransferFunction:
-        """Return the fitted transfer function from an input to an output, counted from 0.
+        """Return the fitted transfer function from an input to an output, by index from 0.
 
         The input's delay is a factor z^-delay, whose poles are at 0.
         """
@@ -251,7 +251,7 @@ class Linear(Forecaster):
         )  # fmt: skip
 
     def describe(self) -> str:
-        """Return the orders that were chosen, and which inputs act late."""
+        """Return the chosen orders, and the delays of the inputs."""
         late = self.require_fitted().late_inputs(self.delays)
         return "; ".join(filter(None, [str(self.model), late]))
 
@@ -262,6 +262,6 @@ def _rmse_of_channels(errors: Array) -> Array:
 
 
 def _whole(begin: float | None) -> float:
-    """Return the time as an integer where it is one, so that times are the same to the bit."""
+    """Return the time as an integer where it is one, so that times are equal to the bit."""
     assert begin is not None, "what depends on the time is not asked about other records"
     return int(begin) if begin == int(begin) else begin

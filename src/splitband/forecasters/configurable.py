@@ -1,4 +1,4 @@
-"""Define what is known of a forecaster before it is fitted: options, parts, needs."""
+"""Define the properties of a forecaster before it is fitted: options, parts, needs."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class AsBase:
-    """Tell what a hybrid says of the forecaster that holds its slow part.
+    """Hold the texts with which a hybrid describes the forecaster of its slow component.
 
     Attributes
     ----------
-    label : Of the slow part, among the components of a prediction.
-    before, after : What the hybrid's name has before and after the cell's.
-    words : In a sentence, such as "a linear model".
-    described : Whether the hybrid's description has that of its base.
+    label : Of the slow component of a prediction.
+    before, after : Parts of the hybrid's name before and after the cell's.
+    words : In a sentence, such as "linear model".
+    described : Whether the hybrid's description includes that of its base.
     """
 
     label: str
@@ -42,18 +42,18 @@ class AsBase:
 
 
 class Configurable(Written, ABC):
-    """Say what a comparison has to know of a forecaster, and make others of it.
+    """Define the options and needs of a forecaster, and make changed copies of it.
 
-    What holds for one of its parts, an option that is a forecaster itself, holds for it.
+    Parts are options that are forecasters themselves. A property of a part is one of the whole.
 
     Attributes
     ----------
     cells : Options that hold the templates of its networks' cells; empty without networks.
-    settings : How its networks are trained; None where that is open, or there is nothing to train.
-    words : What it is, where that is the same for all of its class; see `in_words`.
-    slow_part : What it is as a hybrid's slow part, likewise; see `as_base`.
-    by_seed : What is fitted in its place with some seeds, as networks of other sizes and settings;
-        not saved.
+    settings : Of its networks' training; None where they are not set or nothing is trained.
+    words : Description that all instances of the class share; see `in_words`.
+    slow_part : Description as the slow component of a hybrid; see `as_base`.
+    by_seed : Forecasters that replace it for some seeds, such as networks of other sizes and
+        settings; not saved.
     """
 
     cells: ClassVar[tuple[str, ...]] = ()
@@ -65,39 +65,39 @@ class Configurable(Written, ABC):
     @property
     @abstractmethod
     def name(self) -> str:
-        """Return what tables and files call it; two of one comparison must differ."""
+        """Return its name in tables and files, unique within a comparison."""
 
     @property
     def needs(self) -> frozenset[str]:
-        """Return what a record must bring: "inputs", "simulator"."""
+        """Return what it needs of a record: "inputs", "simulator"."""
         return frozenset().union(*(part.needs for part in parts_of(self).values()))
 
     @property
     def random(self) -> bool:
-        """Return whether the result depends on a seed: it is trained then, which takes longer."""
+        """Return whether its fit depends on a seed, as the slow training of a network does."""
         return any(part.random for part in parts_of(self).values())
 
     @property
     def anchored(self) -> bool:
         """Return whether a forecast depends on the time since the training record began.
 
-        Such a forecaster cannot be asked about a record that has nothing to do with that time.
+        Such a forecaster cannot predict a record whose time is unrelated to that of training.
         """
         return any(part.anchored for part in parts_of(self).values())
 
     @property
     def calibrates(self) -> bool:
-        """Return whether a simulator is calibrated first, which may need output beyond the end."""
+        """Return whether it calibrates a simulator, which may need output beyond the record."""
         return any(part.calibrates for part in parts_of(self).values())
 
     @property
     def seeds(self) -> tuple[int, ...]:
-        """Return those of the members of a mean of several, else just the first one."""
+        """Return the seeds of an ensemble's members; (0,) for a single forecaster."""
         return (0,)
 
     @property
     def network(self) -> Network | None:
-        """Return it where it is trained by gradients: with settings, sizes and weights."""
+        """Return itself if it is a network, with settings, sizes and weights; else None."""
         return None
 
     @property
@@ -107,16 +107,16 @@ class Configurable(Written, ABC):
 
     @property
     def refits(self) -> bool:
-        """Return whether it is fitted again quickly, for each origin of a trial."""
+        """Return whether it is refitted at each origin of a trial, as its fit is quick."""
         return not self.random
 
     @property
     def as_base(self) -> AsBase:
-        """Return what a hybrid says of it where it holds the slow part."""
+        """Return its texts as the slow component of a hybrid."""
         return AsBase(self.name, before=f"-{self.name}", words=self.slow_part)
 
     def in_words(self) -> str:
-        """Return what it is, in words that follow "is"; empty where nothing is known."""
+        """Return a description that can follow "is"; empty where there is none."""
         return self.words
 
     def training_in_words(self) -> str:
@@ -130,17 +130,17 @@ class Configurable(Written, ABC):
         return self
 
     def with_defaults(self, settings: Settings, bands: Bands) -> Self:
-        """Return it with what a comparison shares, where it does not say otherwise."""
+        """Return it with a comparison's settings and bands, where its own are not set."""
         return self.with_parts(lambda part: part.with_defaults(settings, bands))
 
     def for_samples(self, samples: int, instead_of: int) -> Self:
-        """Return it for a part of the training record, of so many samples instead of all."""
+        """Return it adapted to `samples` of a training record of `instead_of` samples."""
         return self.with_parts(lambda part: part.for_samples(samples, instead_of))
 
     def simulated(self, record: Record, horizon: int, *others: Record) -> Self:
-        """Return it with the output of its own simulator computed, the same in every process.
+        """Return it with its own simulator's output computed once, for all processes.
 
-        That is over the training record and `horizon` samples more, and over other records.
+        The output covers the training record and `horizon` samples more, and other records.
         """
         return self.with_parts(lambda part: part.simulated(record, horizon, *others))
 
@@ -160,15 +160,16 @@ class Configurable(Written, ABC):
         workers: int | Executor = 1,
         folder: Path | None = None,
     ) -> None:
-        """Compute once what the fits of several forecasters and seeds to records share.
+        """Compute once the results that the fits of several forecasters and seeds share.
 
-        `workers` may help, and what is cut off may go on from files in the `folder`.
+        `workers` may run it in parallel; an interrupted computation may resume from files in
+        `folder`.
         """
         for part in parts_of(self).values():
             part.prepare(records, workers, folder)
 
     def check(self, *records: Record) -> None:
-        """Raise ValueError for what is wrong with the training records, before anything runs."""
+        """Raise ValueError for unsuitable training records, before anything runs."""
         if not records:
             raise ValueError("records must be one or several, got none")
         require_records("records", *records)
@@ -183,7 +184,7 @@ class Configurable(Written, ABC):
             part.check(*records)
 
     def get_params(self) -> dict[str, Any]:
-        """Return the options, which are what the constructor takes, by name.
+        """Return the options by name: the arguments of the constructor.
 
         Raises TypeError where the constructor does not keep an argument as an attribute.
         """
@@ -192,7 +193,7 @@ class Configurable(Written, ABC):
     def set_params(self, **params: Any) -> Self:
         """Change some options and return the forecaster itself, which is then not fitted.
 
-        Raises TypeError for an unknown option, and what the constructor raises.
+        Raises TypeError for an unknown option, and the errors of the constructor.
         """
         self._become(self._made({**self.get_params(), **params}), {})
         return self
@@ -214,7 +215,7 @@ class Configurable(Written, ABC):
         return new
 
     def _become(self, other: Self, kept: dict[str, Any]) -> None:
-        """Take over all attributes of another one but those that are kept."""
+        """Replace all attributes by those of another forecaster and those that are kept."""
         vars(self).clear()
         vars(self).update({**vars(other), **kept})
 
@@ -222,7 +223,7 @@ class Configurable(Written, ABC):
 def parts_of(forecaster: Configurable) -> dict[str, Forecaster]:
     """Return the options of a forecaster that are forecasters themselves, by name.
 
-    Those of a list are numbered.
+    Forecasters in a list are numbered.
     """
     found: dict[str, Forecaster] = {}
     for name, option in forecaster.get_params().items():

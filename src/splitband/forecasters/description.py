@@ -1,10 +1,10 @@
-"""Describe values as JSON and arrays, and make them again from that.
+"""Describe values as JSON and arrays, and restore them from the description.
 
-What is described says the name of its class. To make it again, only classes are looked at that
-exist in the running process: nothing is imported, and no function that a file names is called.
-Those are the package's classes that are marked as `saved`, which are made from their fields;
-subclasses of the bases given to `Classes`, of which `from_dict` takes what `to_dict` said; and
-cells, which are modules with a method `sized`, made from what their constructor takes and keeps.
+A description contains the name of the class. Only classes that exist in the running process are
+restored: nothing is imported, and no function that a file names is called. These classes are the
+package's that are marked as `saved`, restored from their fields; subclasses of the bases given to
+`Classes`, restored by `from_dict` from the result of `to_dict`; and cells, which are modules with a
+method `sized`, restored from the arguments of their constructor.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ Tensors = dict[str, Tensor]
 
 _PACKAGE = __name__.partition(".")[0]
 _LARGEST = 1_000_000
-"""Largest whole number that a cell is made from: a description that asks for more is a forgery.
+"""Largest whole number that a cell's constructor gets: a larger one in a file is a forgery.
 By eye."""
 
 
 def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PLR0911, PLR0912  a line a kind
-    """Return a value as JSON; its arrays are put into `tensors`, by the place where they are.
+    """Return a value as JSON, and put its arrays into `tensors`, by their place in the value.
 
     Raises
     ------
     ValueError
-        For what cannot be described.
+        For a value that cannot be described.
     """
     if value is None or isinstance(value, bool | int | str):
         return value
@@ -77,7 +77,7 @@ def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PL
 
 
 class Classes:
-    """Make again what was described, of classes that exist in the running process.
+    """Restore described values, of classes that exist in the running process.
 
     Parameters
     ----------
@@ -89,13 +89,13 @@ class Classes:
         self.bases, self.tensors = bases, tensors
 
     def made(self, value: Any) -> Any:  # noqa: PLR0911  a line a kind
-        """Return what was described as `value`.
+        """Return the object that `value` describes.
 
         Raises
         ------
         ValueError
-            For a class that is not known, and for what no description is; a description that was
-            damaged may raise other errors, too.
+            For an unknown class, or a value that is not a description; a damaged description may
+            raise other errors, too.
         """
         if not isinstance(value, dict):
             return value
@@ -109,7 +109,7 @@ class Classes:
         if "date" in value:
             return pd.Timestamp(value["date"])
         if "device" in value:
-            return torch.device("cpu")  # where it was trained may not be there
+            return torch.device("cpu")  # the device of the training may not exist here
         if "mapping" in value:
             return self._all(value["mapping"])
         if "made" in value:
@@ -147,12 +147,12 @@ def _parts(parts: Mapping[str, Any], tensors: Tensors, place: str) -> dict[str, 
 
 
 def _found(value: Mapping[str, Any], word: str, kinds: list[type]) -> type:
-    """Return the class of that name and module, or of another module if there is just one."""
+    """Return the class of that name and module, or the only one of that name elsewhere."""
     name, module = value[word], value.get("module")
     known = [k for k in kinds if k.__qualname__ == name and _of_package(k) == (module is None)]
     there = [kind for kind in known if module in (None, kind.__module__)] or known
     if len({kind.__module__ for kind in there}) == 1:
-        return there[-1]  # of one that was defined again, as in a notebook, the latest
+        return there[-1]  # the latest definition, where a notebook defines a class repeatedly
     said, where = str(name)[:60], str(module)[:60]
     if module is None:
         raise ValueError(f"the class {said} is not known")
@@ -163,7 +163,7 @@ def _found(value: Mapping[str, Any], word: str, kinds: list[type]) -> type:
 
 
 def _below(kind: type) -> Iterator[type]:
-    """Yield all subclasses, in the order in which they were defined."""
+    """Yield all subclasses; those of one class in the order of their definition."""
     seen: dict[type, None] = {}
     todo = [kind]
     while todo:
@@ -180,25 +180,25 @@ def _of_package(kind: type) -> bool:
 
 
 def _cell(kind: type, parts: dict[str, Any]) -> Any:
-    """Return a cell to make others after: without weights, so that no size takes memory."""
+    """Return a template of a cell: on the meta device, where weights take no memory."""
     for name, part in parts.items():
         if isinstance(part, int) and abs(part) > _LARGEST:
             raise ValueError(f"{name} must be a whole number up to {_LARGEST}, got {part}")
     try:
         with torch.device("meta"):
             return kind(**parts)
-    except RuntimeError:  # a cell of the user's own may compute with values, which meta has not
+    except RuntimeError:  # a user's cell may need values, which the meta device does not have
         return kind(**parts)
 
 
 def _fields(kind: Any) -> list[str]:
-    """Return the names of what a class is made from."""
+    """Return the names of the fields that a class is restored from."""
     named: tuple[str, ...] | None = getattr(kind, "_fields", None)
     return [*named] if named else [field.name for field in fields(kind) if field.init]
 
 
 def _check_numbers(kind: type, parts: Mapping[str, Any]) -> None:
-    """Raise ValueError for a part that must be a number or an array and is none."""
+    """Raise ValueError for a field that must be a number or an array and is neither."""
     for name, wanted in get_type_hints(kind).items():
         part = parts.get(name, 0)
         if wanted is int:

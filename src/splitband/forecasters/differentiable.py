@@ -1,4 +1,4 @@
-"""Simulate what follows a history in torch, in batches and with gradients."""
+"""Simulate forecasts in torch, in batches and with gradients."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 @final
 class TorchSimulation(nn.Module):
-    """Simulate a fitted forecaster from one history on, as a part of a torch program.
+    """Simulate a fitted forecaster from one history on, as a torch module.
 
-    `Forecaster.as_torch` makes one. It is differentiable with respect to the inputs, and to the
+    `Forecaster.as_torch` returns one. It is differentiable with respect to the inputs and the
     weights of networks.
 
     Attributes
     ----------
-    simulation : What is simulated.
+    simulation : Module of the forecaster, for batches.
     nu : The number of inputs.
     """
 
@@ -42,8 +42,8 @@ class TorchSimulation(nn.Module):
 
         Parameters
         ----------
-        u : The inputs of the samples to come in measured units, `(steps, nu)`, or of several
-            futures `(batch, steps, nu)`.
+        u : Future inputs in measured units, `(steps, nu)`, or a batch of them,
+            `(batch, steps, nu)`.
 
         Returns
         -------
@@ -64,12 +64,12 @@ class TorchSimulation(nn.Module):
 
 
 class Affine(nn.Module):
-    """Simulate what is affine in the inputs, or does not depend on them.
+    """Simulate a forecaster that is affine in the inputs, or does not depend on them.
 
     Parameters
     ----------
     forecaster : Fitted, and `affine`.
-    known : What is known at the origin, without a step after it.
+    known : The data at the origin, with `steps` 0.
     """
 
     def __init__(self, forecaster: Forecaster, known: Known) -> None:
@@ -77,9 +77,9 @@ class Affine(nn.Module):
         self._forecaster, self._known = forecaster, known
 
     def forward(self, u: Tensor) -> Tensor:
-        """Return the samples after the history, `(batch, steps, ny)`, by `u` `(batch, steps, nu)`.
+        """Return the samples after the history `(batch, steps, ny)` for `u` `(batch, steps, nu)`.
 
-        What comes without inputs is added to the convolution with the impulse responses.
+        They are the response to zero inputs plus the convolution with the impulse responses.
         """
         steps, nu = u.shape[1:]
         free = self._simulated(np.zeros((steps, nu)))
@@ -89,7 +89,7 @@ class Affine(nn.Module):
         impulses = np.zeros((nu, steps, nu))
         impulses[range(nu), 0, range(nu)] = 1.0
         responses = torch.stack([self._simulated(each) - free for each in impulses]).to(u.device)
-        # Padded, so that the end does not act on the beginning.
+        # Zero-padded, as the convolution is not circular.
         spectrum = torch.fft.rfft(u.double(), 2 * steps, dim=1)
         gains = torch.fft.rfft(responses, 2 * steps, dim=1)
         both = torch.einsum("bfi,ifo->bfo", spectrum, gains)
@@ -110,12 +110,13 @@ class ModelSimulation(nn.Module):
     Parameters
     ----------
     model : Trained; it is copied.
-    warmup : Its samples `(warmup, ny)`, and inputs and base's output from its begin up to the
-        origin.
+    warmup : Its samples `(warmup, ny)`, and the inputs and the base's output from its first sample
+        up to the origin.
     since : Samples from the end of the warm-up to the origin.
-    late : The last inputs before the origin as they were given, `(time, nu)`, at least as many as
-        the longest of the `delays`, by which they act late.
-    base : Simulates what the model stands beside.
+    late : The last inputs before the origin, not delayed, `(time, nu)`; at least as many as the
+        longest of the `delays`.
+    delays : Of the inputs, in samples.
+    base : Simulates the base of a hybrid, or None.
     """
 
     def __init__(
@@ -173,5 +174,5 @@ class Average(nn.Module):
         self.members = nn.ModuleList(members)
 
     def forward(self, u: Tensor) -> Tensor:
-        """Return the mean of what the members say."""
+        """Return the mean of the members' simulations."""
         return torch.stack([member(u) for member in self.members]).mean(dim=0)

@@ -25,16 +25,16 @@ from splitband.training import Progress
 
 @final
 class Ensemble(Forecaster):
-    """Average several forecasters, each fitted with a seed of its own.
+    """Average several forecasters, each fitted with a different seed.
 
     Parameters
     ----------
-    member : What each of them is; or a list of what the first one is, the second one, ..., whose
-        sizes and settings may differ.
-    count : How many; with the seed s they are fitted with the seeds `s * count`, `s * count + 1`,
+    member : Template of all members, or a list of one template for each, whose sizes and settings
+        may differ.
+    count : Number of members. `fit(seed=s)` fits them with the seeds `s * count`, `s * count + 1`,
         ..., so that the ensembles of two seeds share no member.
     name : By default that of the member.
-    seeds : In place of `count`: the seeds with which the members are fitted, for the seed 0.
+    seeds : In place of `count`: the seeds of the members for `fit(seed=0)`.
 
     Examples
     --------
@@ -73,7 +73,7 @@ class Ensemble(Forecaster):
 
     @classmethod
     def of(cls, members: Sequence[Forecaster]) -> Ensemble:
-        """Return the mean of forecasters that have been fitted to the same records."""
+        """Return the ensemble of forecasters that were fitted to the same records."""
         seeds = [member.require_fitted().report.seed for member in members]
         ensemble = cls.unfitted([member.clone() for member in members], seeds)
         ensemble._take(members, 0)
@@ -81,7 +81,7 @@ class Ensemble(Forecaster):
 
     @classmethod
     def unfitted(cls, members: Sequence[Forecaster], seeds: Sequence[int]) -> Ensemble:
-        """Return the mean of forecasters that are to be fitted with these seeds."""
+        """Return the ensemble of forecasters that are to be fitted with these seeds."""
         alike = len({repr(member) for member in members}) == 1
         usual = [*seeds] == [*range(len(seeds))]
         of = members[0] if alike else members
@@ -89,11 +89,11 @@ class Ensemble(Forecaster):
 
     @property
     def templates(self) -> list[Forecaster]:
-        """Return what each member is, not fitted."""
+        """Return the unfitted template of each member."""
         return [self.member] * self.count if isinstance(self.member, Forecaster) else [*self.member]
 
     def _take(self, members: Sequence[Forecaster], seed: int) -> None:
-        """Become the mean of fitted members."""
+        """Take fitted members, and combine their reports."""
         self.members, self.delays = [*members], members[0].delays
         reports = [member.require_fitted().report for member in members]
         notes = tuple(f"seed {r.seed}: {note}" for r in reports for note in r.notes)
@@ -104,29 +104,29 @@ class Ensemble(Forecaster):
 
     @property
     def seeds(self) -> tuple[int, ...]:
-        """Return those of the members, when the ensemble is fitted with the seed 0."""
+        """Return the seeds of the members for `fit(seed=0)`."""
         return tuple(range(self.count)) if self._seeds is None else self._seeds
 
     @property
     def of_one_seed(self) -> Forecaster:
-        """Return a single member, not fitted; fitted with its seed it becomes that member."""
+        """Return an unfitted member, which `for_seed` replaces by the member of each seed."""
         one = self.templates[0].clone()
         one.by_seed = dict(zip(self.seeds, self.templates, strict=True))
         return one
 
     @property
     def name(self) -> str:
-        """Return the name that it was given, or the members'."""
+        """Return the given name, or that of the first member."""
         return self._name or self.templates[0].name
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Return those of the members, which are the same."""
+        """Return the fitted parameters, which are the same for all members."""
         return self.members[0].parameters if self.members else {}
 
     @property
     def warmup(self) -> int:
-        """Return that of the members."""
+        """Return the longest warm-up of the members; before `fit`, that of the first template."""
         return max([m.warmup for m in self.members], default=self.templates[0].warmup)
 
     def to(self, device: str | torch.device) -> Self:
@@ -137,22 +137,22 @@ class Ensemble(Forecaster):
 
     @classmethod
     def from_dict(cls, found: dict[str, Any]) -> Self:
-        """Return the ensemble again; raises ValueError where it is not one of its members."""
+        """Return the saved ensemble; raises ValueError where `count` does not match the members."""
         new = super().from_dict(found)
         if new.fitted is not None and len(new.members) != whole("count", new.count):
             raise ValueError(f"count must be {len(new.members)}, got {new.count}")
         return new
 
     def first_needed(self) -> int:
-        """Return the first sample that a member needs."""
+        """Return the earliest sample that a member needs."""
         return min(member.first_needed() for member in self.members)
 
     def in_words(self) -> str:
-        """Return what the first member is."""
+        """Return the description of the first member."""
         return self.templates[0].in_words()
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
-        """Fit the members, each with a checkpoint of its own beside the one given."""
+        """Fit the members, each with its own numbered checkpoint file."""
         seed, progress, checkpoint = how["seed"], how["progress"], how["checkpoint"]
         for i, (template, of_first) in enumerate(zip(self.templates, self.seeds, strict=True)):
             of_member = None if checkpoint is None else checkpoint.numbered(i)
@@ -164,7 +164,7 @@ class Ensemble(Forecaster):
         self._take(self.members, seed)
 
     def extrapolate(self, known: Known) -> dict[str, Array]:
-        """Return the mean of the members, part by part where they have the same parts."""
+        """Return the mean of the members, by component where all have the same components."""
         extrapolated = [member.extrapolate(known) for member in self.members]
         parts: list[dict[str, Array]] = [
             each if isinstance(each, dict) else {self.name: each} for each in extrapolated
@@ -174,25 +174,28 @@ class Ensemble(Forecaster):
         return {name: np.mean([p[name] for p in parts], axis=0) for name in parts[0]}
 
     def stepped(self, outside: bool = False) -> Recursion:
-        """Return the mean of the members."""
+        """Return the recursion that averages the members."""
         return Averaged([member.stepped(outside) for member in self.members])
 
     def differentiable(self, known: Known) -> nn.Module:
-        """Return the mean of the members."""
+        """Return the module that averages the members."""
         return Average([member.differentiable(known) for member in self.members])
 
     def doubts(self, known: Known) -> list[str]:
-        """Return those of every member."""
+        """Return the doubts of all members."""
         said = [doubt for member in self.members for doubt in member.doubts(known)]
         return [*dict.fromkeys(said)]
 
     def describe(self) -> str:
-        """Return what the first member has settled on."""
+        """Return the description of the first fitted member."""
         return self.members[0].describe() if self.members else ""
 
 
 def handed_out(models: Sequence[Forecaster], held_out: HeldOut | None) -> Forecaster:
-    """Return the mean of fitted models, of one alone the model, with what intervals follow from."""
+    """Return the ensemble of fitted models, with the held-out errors for its intervals.
+
+    For the seed 0 alone, and for a method without seeds, it is the (first) model itself.
+    """
     usual = [model.require_fitted().report.seed for model in models] == [0]
     model = models[0] if usual or not models[0].random else Ensemble.of(models)
     model.held_out = held_out
@@ -200,7 +203,7 @@ def handed_out(models: Sequence[Forecaster], held_out: HeldOut | None) -> Foreca
 
 
 def over_seeds(forecaster: Forecaster, seeds: Sequence[int]) -> Forecaster:
-    """Return the forecaster of these seeds, not fitted: what is random is the mean over them."""
+    """Return the unfitted forecaster for these seeds: an ensemble, if its fit depends on a seed."""
     if not forecaster.random or [*seeds] == [0]:
         return forecaster.clone()
     return Ensemble.unfitted([forecaster.for_seed(seed).clone() for seed in seeds], seeds)
@@ -209,5 +212,5 @@ def over_seeds(forecaster: Forecaster, seeds: Sequence[int]) -> Forecaster:
 def _shifted(
     progress: Callable[[Progress], None], done: int, count: int
 ) -> Callable[[Progress], None]:
-    """Return progress of one member as that of all of them."""
+    """Return a callback that converts the progress of a member to that of the ensemble."""
     return lambda at: progress(replace(at, share=(done + at.share) / count))

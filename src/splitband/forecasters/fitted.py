@@ -1,4 +1,4 @@
-"""Remember a fit: the training record, ranges, and how the fit went."""
+"""Hold the results of a fit: the training record, ranges, and a report."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
 NEAR_ROW = 1e-3
-"""Of a sample: a history that begins so close to a sample of the training record begins there.
+"""Tolerance in samples: a history that begins this close to a training sample begins at it.
 By eye."""
 
 
 @saved
 @dataclass(frozen=True)
 class FitReport:
-    """Report what a fit did.
+    """Report how a fit went.
 
     Attributes
     ----------
-    seed : It was given.
-    seconds : How long it took.
+    seed : Of the fit.
+    seconds : Run time of the fit.
     losses : Mean training loss of each epoch, by network.
-    notes : What went wrong in training and was mended.
-    cut : Whether a deadline ended the training before its time.
+    notes : Remarks on the training record, and problems in training that were corrected.
+    cut : Whether a deadline ended the training early.
     stable : False where a simulation is known to be able to grow without bound.
-    parameters : What is known of the fitted parameters of a simulator, as JSON can hold it.
+    parameters : The fitted parameters of a simulator, in a form that JSON can hold.
     """
 
     seed: int = 0
@@ -48,18 +48,18 @@ class FitReport:
 @saved
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """Remember the records that a forecaster was fitted to.
+    """Hold the records that a forecaster was fitted to, and the report of the fit.
 
     Attributes
     ----------
-    record : The first one, or the end of it that a forecast from there needs.
-    begin : How many samples of it were dropped before `record`.
-    start : Time stamp of its first sample.
+    record : The first training record, or as much of its end as a forecast needs.
+    begin : Number of samples that were dropped before `record`.
+    start : Time stamp of the first training sample, before any were dropped.
     y_range : Lowest and highest measured value of each channel in all records, `(2, ny)`.
     u_summary : Lowest, highest and mean value of each input in all records, `(3, nu)`.
     others : The other training records, which are not saved.
-    report : What the fit did.
-    whole : Whether `others` are all that there were.
+    report : Of the fit.
+    whole : Whether `others` holds all other training records.
     """
 
     record: Record
@@ -83,9 +83,9 @@ class Fitted:
         return bool(self.others) or not self.whole
 
     def end(self, first: int) -> Fitted:
-        """Return what is saved: the training record from its sample `first` on."""
+        """Return the version to save, with the training record from its sample `first` on."""
         end = replace(self.record[first:], beyond=None, u_beyond=None)
-        # The run time is left out, so that the same fit is saved as the same file, byte by byte.
+        # Without the run time, the same fit is saved as the same file, byte by byte.
         report = replace(self.report, seconds=0.0)
         whole = self.whole and not self.others
         begin = self.begin + first
@@ -93,7 +93,7 @@ class Fitted:
 
     @classmethod
     def of(cls, records: Sequence[Record], seed: int) -> Fitted:
-        """Return what is known before anything is computed."""
+        """Return records, ranges and an empty report, before the fit."""
         seen = np.concatenate([record.seen for record in records])
         inputs = [record.u for record in records if record.u is not None]
         return cls(
@@ -109,7 +109,7 @@ class Fitted:
         )
 
     def begins(self, history: Record) -> float:
-        """Return how many samples after the training record's first one a history begins."""
+        """Return where a history begins, in samples after the first training sample."""
         step = self.record.sampling_time
         if self.start is None or history.start is None:
             return 0.0
@@ -117,7 +117,7 @@ class Fitted:
         return float(round(begin)) if abs(begin - round(begin)) < NEAR_ROW else begin
 
     def beginning(self, history: Record) -> str:
-        """Return in words when a history begins, beside the training record; empty for with it."""
+        """Return in words when a history begins, relative to the training record; empty for 0."""
         if history.start is None and self.start is not None:
             return (
                 "the history has no time stamps: it is taken to begin where the training record "
@@ -132,14 +132,14 @@ class Fitted:
         return f"the history begins {later:+.7g} s after the training record" if later else ""
 
     def late_inputs(self, delays: Sequence[int]) -> str:
-        """Return in words which inputs act late; empty for none."""
+        """Return the delays of the inputs in words; empty for none."""
         step, names = self.record.sampling_time, self.record.inputs
         said = [f"{name}: {delay} samples ({delay * step:.4g} s)"
                 for name, delay in zip(names, delays, strict=False) if delay]  # fmt: skip
         return f"input delay {', '.join(said)}" if said else ""
 
     def inputs_beyond(self, u: Array | None) -> list[Extrapolation]:
-        """Return which inputs `u` `(time, nu)` go beyond those that were trained on."""
+        """Return which inputs `u`, `(time, nu)`, leave their range in training."""
         if u is None or self.u_summary is None:
             return []
         low, high, _ = self.u_summary
@@ -147,5 +147,5 @@ class Fitted:
 
 
 def first_only(fitted: Fitted) -> str:
-    """Return the end of a description that says that further training records were not used."""
+    """Return the end of a description, on further training records that were not used."""
     return "; fitted to the first record only" if fitted.several else ""

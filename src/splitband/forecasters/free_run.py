@@ -1,4 +1,4 @@
-"""Run a trained model freely from a history, beside what it stands on."""
+"""Simulate a trained model, with its base, from a history on."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class FreeRun:
-    """Hold a trained model and what is needed to ask it.
+    """Hold a trained model and what its simulation needs.
 
     Attributes
     ----------
     name : For errors.
     model : Trained.
-    warmup : Measured samples that it begins with.
-    delays : By how many samples each input acts late.
-    base : What holds the slow part, fitted; None without.
-    prehistory : What may come before a history that is shorter than the warm-up.
+    warmup : Samples of the warm-up.
+    delays : Delay of each input, in samples.
+    base : The fitted forecaster of the slow component, or None.
+    prehistory : Distribution of warm-ups, for a history that is shorter than one.
     """
 
     name: str
@@ -46,21 +46,21 @@ class FreeRun:
     prehistory: Prehistory | None
 
     def components(self, known: Known) -> dict[str, Array]:
-        """Return what comes after a history, `(steps, ny)`, part by part.
+        """Return the forecast after a history by component, `(steps, ny)` each.
 
-        It begins with the last `warmup` samples without a gap. Where the history is shorter, what
-        came before is estimated.
+        It warms up on the last `warmup` samples without a gap. Where the history is shorter, the
+        samples before it are estimated.
         """
         return self._run(self.model.simulate_components, known)
 
     def unfiltered(self, known: Known) -> dict[str, Array]:
-        """Return what the model's filters are fed with meanwhile, likewise."""
+        """Return the inputs of the model's filters over the same samples, by name."""
         return self._run(self.model.simulate_unfiltered, known)
 
     def trajectory(self, known: Known) -> Array:
-        """Return a run from the history's first warm-up on, `(time + steps, ny)`.
+        """Return a free run from the first warm-up of the history on, `(time + steps, ny)`.
 
-        Before the run begins it is what was measured.
+        The samples before the run are the measured ones.
         """
         complete = np.asarray(~np.isnan(known.y).any(axis=1))
         start = len(known.y) if self._short(known) else first_after(complete, self.warmup)
@@ -73,7 +73,7 @@ class FreeRun:
         return np.concatenate([known.y[:start], total([*self.components(begun).values()])])
 
     def doubts(self, known: Known) -> list[str]:
-        """Return those of the base, and whether the history is short."""
+        """Return the doubts of the base, and one for a history shorter than the warm-up."""
         doubts = [] if self.base is None else self.base.doubts(known)
         if self._short(known):
             short = (
@@ -84,7 +84,7 @@ class FreeRun:
         return doubts
 
     def stepped(self, outside: bool) -> Recursion:
-        """Return the same sample by sample, see `Forecaster.stepped`."""
+        """Return the recursion of model and base, see `Forecaster.stepped`."""
         try:
             model = self.model.stepped()
         except ValueError as error:
@@ -93,7 +93,7 @@ class FreeRun:
         return Warmed(model, part, self.warmup, self.delays)
 
     def differentiable(self, known: Known) -> nn.Module:
-        """Return the same as a torch module, see `Forecaster.differentiable`."""
+        """Return model and base as a torch module, see `Forecaster.differentiable`."""
         base = None
         if self.base is not None:
             if not self.base.affine:
@@ -109,7 +109,7 @@ class FreeRun:
         return made.to(next(self.model.parameters()).device)
 
     def _short(self, known: Known) -> bool:
-        """Return whether what came before a history has to be estimated, and can be."""
+        """Return whether the history is shorter than the warm-up and can be completed."""
         short = 0 < len(known.y) < self.warmup
         return short and self.prehistory is not None and not np.isnan(known.y).any()
 
@@ -119,18 +119,18 @@ class FreeRun:
         return {self._label(part): values[since:] for part, values in parts.items()}
 
     def _label(self, part: str) -> str:
-        """Return what a part of the model is called; the base labels the slow one."""
+        """Return the label of a component; the base labels the slow one."""
         if self.base is None or not part.startswith(SLOW):
             return part
-        # A base may be named as the fast component is, and two labels must not be the same.
+        # The base may have the label of the fast component; labels must differ.
         label = self.base.as_base.label
         return (label if label != FAST else "base") + part.removeprefix(SLOW)
 
     def _warmed(self, known: Known) -> tuple[Array, Array | None, Array | None, int]:
-        """Return the last warm-up without a gap, and how many samples it ends before the origin.
+        """Return the last warm-up without a gap, and the samples between its end and the origin.
 
-        Beside the measured samples `(warmup, ny)` it has inputs and the base's output, from its
-        begin to the last sample that is asked for.
+        The warm-up holds the measured samples `(warmup, ny)`, and the inputs and the base's output
+        from its beginning to the last sample of the forecast.
         """
         y, u = known.y, None if known.u is None else delayed(known.u, self.delays)
         slow = None
@@ -153,7 +153,7 @@ class FreeRun:
 
 
 def _last(u: Array, rows: int) -> Array:
-    """Return the last rows; before the first one its value is held, as `delayed` does."""
+    """Return the last rows; the first row is repeated where there are fewer, as in `delayed`."""
     return np.concatenate(
         [np.repeat(u[:1], max(rows - len(u), 0), axis=0), u[max(len(u) - rows, 0) :]]
     )

@@ -27,26 +27,24 @@ from splitband.simulators.shooting import Adjustable, Experiment, fit_key
 from splitband.simulators.starts import Effort
 
 STARTS = 0.5, 2 / 3, 5 / 6
-"""Shares of the training record, from which on forecasts are compared to choose the `memory`.
-By eye."""
+"""Origins of the forecasts that choose the `memory`, as shares of the training record. By eye."""
 SHORTEST, GROWTH = 20, 4
-"""Samples of the shortest `memory` that is tried, and by how much each one is longer than the one
-before. By eye."""
+"""Samples of the shortest `memory` that is tried, and the factor from one to the next. By eye."""
 _PAYS = 0.9
-"""Share of the error of the run from the record's beginning below which a memory replaces it.
+"""A memory is used if its error is below this share of that of the simulation from the start.
 By eye."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Describe a fit that several forecasters ask for; its result depends on its `repr` alone."""
+    """Describe a fit that several forecasters share; its result depends on its `repr` alone."""
 
     simulator: Any
     records: tuple[Record, ...]
     effort: Effort
 
     def result(self) -> Estimate:
-        """Carry it out."""
+        """Fit the parameters."""
         return identify(self.simulator, *self.records, effort=self.effort)
 
     def __repr__(self) -> str:
@@ -55,7 +53,7 @@ class _Fit:
 
 
 ESTIMATES: Remembered[Estimate] = Remembered(_Fit.result)
-"""Hybrids, seeds and trials ask for the same fit, which takes seconds."""
+"""Cache of fits: hybrids, seeds and trials need the same one, which takes seconds."""
 
 
 @final
@@ -65,16 +63,16 @@ class GreyBox(Forecaster):
     Parameters
     ----------
     simulator : With ranges for its parameters, such as `Ode` and `Fmu`; None where a comparison
-        brings it.
-    starts, seconds : Starting points, and time, that may go into the fit.
+        provides it.
+    starts, seconds : Number of starting points and time limit of the fit.
     name : By default "grey-box".
 
     Attributes
     ----------
-    estimate : The values, how certain they are, and what the record does not tell.
-    adjusted : What is known of the simulator with these values.
-    memory : Samples of a history, counted from its end, that a forecast's state is estimated from;
-        0 for all of them.
+    estimate : The values, their uncertainty, and the parameters that the record does not determine.
+    adjusted : The simulator with these values.
+    memory : Number of samples at the end of a history from which the initial state of a forecast is
+        estimated; 0 for all.
 
     Examples
     --------
@@ -103,26 +101,26 @@ class GreyBox(Forecaster):
 
     @property
     def name(self) -> str:
-        """Return the name that it was given, or "grey-box"."""
+        """Return the given name, or "grey-box"."""
         return self._name or "grey-box"
 
     slow_part = "a simulator with fitted parameters"
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Return the estimate, and the values that are used, those that were set included."""
+        """Return the estimate, and all values in use, fixed ones included."""
         if self.adjusted is None:
             return {}
         return {**self.estimate.as_json(), "used": dict(self.adjusted.values)}
 
     def given(self, simulator: Any) -> Forecaster:
-        """Return it with this simulator, if it has none."""
+        """Return it with this simulator, if it has none; else itself."""
         if self.simulator is not None:
             return self
         return self.clone().set_params(simulator=simulator)
 
     def check(self, *records: Record) -> None:
-        """Raise ValueError where it has no simulator, too."""
+        """Raise ValueError for unsuitable records, and where it has no simulator."""
         super().check(*records)
         if self.simulator is None:
             raise ValueError(
@@ -130,13 +128,13 @@ class GreyBox(Forecaster):
                 "--parameters)"
             )
         if isinstance(self.simulator, Absent):
-            self.simulator.simulate(None)  # it says that it has to be given
+            self.simulator.simulate(None)  # raises the error that asks for it
         check_runs(self.simulator, records[0])
 
     refits = False
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what is saved: of the simulator a description."""
+        """Return what is saved, with a description in place of the simulator."""
         described = None if self.simulator is None else Absent.of(self.simulator, fitted=True)
         return {**super().to_dict(), "simulator": described}
 
@@ -168,17 +166,17 @@ class GreyBox(Forecaster):
         return ESTIMATES(_Fit(self.simulator, tuple(records), effort))
 
     def extrapolate(self, known: Known) -> Array:
-        """Return what follows the state that the last samples of the history tell."""
+        """Return the simulation from the state estimated from the last samples of the history."""
         memory = min(self.memory or len(known.y), len(known.y))
         if memory == len(known.y):
             return self.trajectory(known)[len(known.y) :]
         return self._ahead(self._experiment(known), len(known.y), memory)
 
     def trajectory(self, known: Known) -> Array:
-        """Return the simulation over the history, too, `(time + steps, ny)`.
+        """Return the simulation over the history and the forecast, `(time + steps, ny)`.
 
-        A history that is a part of the training record goes on from its first state; that of
-        another one is estimated.
+        Where all inputs since the first sample of the training record are known, it starts from the
+        state of that sample; else the state at the first sample of the history is estimated.
         """
         adjusted, whole = self._adjusted(), self._experiment(known)
         if self._clock().reaches(known):
@@ -191,14 +189,14 @@ class GreyBox(Forecaster):
         return adjusted.response(whole.time, whole.u, state)[0]
 
     def part(self, outside: bool = False) -> Part:
-        """Return the simulator, integrated from the training record's first state on."""
+        """Return the simulator, integrated from the first state of the training record on."""
         if outside:
             ny = self.require_fitted().record.ny
             return Given(np.ones(ny), np.zeros(ny), self.trajectory)
         return self._integrated()
 
     def stepped(self, outside: bool = False) -> Recursion:
-        """Return the simulator with the state that its `memory` tells."""
+        """Return the simulator, with its state estimated from `memory` samples."""
         if outside:
             raise NotSteppedError(
                 f"{self.name} cannot be exported: its equation is your own code; integrate it "
@@ -209,7 +207,7 @@ class GreyBox(Forecaster):
         return FromMemory(self._integrated(), self.memory, record.ny, record.nu)
 
     def describe(self) -> str:
-        """Return the values with their standard errors, and what the record does not tell."""
+        """Return the values with standard errors, and those that the record does not determine."""
         return str(self.estimate)
 
     def _integrated(self) -> Integrated:
@@ -227,7 +225,7 @@ class GreyBox(Forecaster):
         return Clock(seconds_of(fitted.start), fitted.record.sampling_time, self.u)
 
     def _experiment(self, known: Known) -> Experiment:
-        """Return history and future; NaN is what has not been measured yet."""
+        """Return history and forecast as one experiment, with NaN for the samples to come."""
         fitted = self.require_fitted()
         step = fitted.record.sampling_time
         if known.begin is None:
@@ -239,13 +237,13 @@ class GreyBox(Forecaster):
         return Experiment(time, np.concatenate([known.y, ahead]), known.u)
 
     def _ahead(self, whole: Experiment, samples: int, memory: int) -> Array:
-        """Return what follows the first samples, by a state that the last of them tell."""
+        """Return the simulation after `samples`, from a state estimated on the last `memory`."""
         adjusted, part = self._adjusted(), whole.part(samples - memory, len(whole.y))
         state = adjusted.beginning(part.part(0, memory))
         return adjusted.response(part.time, part.u, state)[0][memory:]
 
     def _chosen_memory(self, experiment: Experiment) -> int:
-        """Return from how many samples a state is estimated best: for a right model from all."""
+        """Return the memory with the lowest forecast error: for a correct model 0, all samples."""
         samples, window = len(experiment.y), self.estimate.window
         if not self.simulator.states:
             return 0

@@ -1,4 +1,4 @@
-"""Forecast by a network beside a simulator, or beside a forecaster that is fitted first."""
+"""Forecast with hybrids: a network and a simulator, or a forecaster that is fitted first."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from splitband.training import Settings
 
 
 def as_slow_part(base: Forecaster | Simulator | None) -> Forecaster:
-    """Return what holds the slow part; raises ValueError for what knows nothing of the history."""
+    """Return the forecaster of the slow component; raises ValueError without a `trajectory`."""
     if not isinstance(base, Forecaster):
         adjustable: Any = base if getattr(base, "adjustable", False) else None
         return Simulation(base) if adjustable is None else GreyBox(adjustable)
@@ -33,16 +33,17 @@ def as_slow_part(base: Forecaster | Simulator | None) -> Forecaster:
 
 @final
 class Filtered(Network):
-    """Add something slow in the low band and a network in the high band (paper, Sec. 4.3).
+    """Combine a base in the low band with a network in the high band (paper, Sec. 4.3).
 
     Parameters
     ----------
-    base : What holds the low band: a simulator, whose parameters are fitted first (`GreyBox`), or
-        which may be `Calibrated`, or a forecaster that is fitted first, such as `Linear()`; by
-        default the simulator's output that a record brings.
-    cell : The network's.
-    bands : Where they part; by default chosen by where base and training samples agree.
-    conditioned : Tell the network what the base says, value and slope. Not in the paper.
+    base : The model of the low band: a simulator (with parameters to fit, it becomes a `GreyBox`),
+        or a forecaster with a `trajectory`, such as `Calibrated()` or `Linear()`, which is fitted
+        first; None for the simulator's output in the record.
+    cell : The network's, such as `GRU(64)`.
+    bands : Cut-off and order; by default chosen by where base and training samples agree.
+    conditioned : Use the base's output, value and slope, as an input of the network. Not in the
+        paper.
     settings, name : See `Single`.
 
     Examples
@@ -73,14 +74,14 @@ class Filtered(Network):
         self.bands, self.conditioned = bands, conditioned
 
     def build(self, record: Record, settings: Settings) -> Model:
-        """Return a network behind a high-pass filter."""
+        """Return a model with a network and a high-pass filter."""
         bands = self._bands_for(record, settings)
         cell = self.cell.sized(record.ny, self._fast_network_inputs(record), settings.warmup)
         pair = bands.one_way_pair(record.sampling_rate)
         return models.Filtered(cell, pair, self.conditioned, record.nu > 0)
 
     def in_words(self) -> str:
-        """Return what it is."""
+        """Return a description."""
         slow, network = self.base.as_base, words_of(self.cell)
         words = f"{slow.words or slow.label} in the low band, {network} network in the high band"
         return words + self.conditioned_in_words
@@ -89,7 +90,7 @@ class Filtered(Network):
         return (self.bands.order or 1) - 1
 
     def _remarks(self, record: Record) -> list[str]:
-        """Return whether the training samples reward a network that adds nothing."""
+        """Return a remark where the training samples favour a network whose output is zero."""
         bands = self._bands_for(record, self._settings_for(record))
         assert bands.cutoff is not None
         assert bands.order is not None
@@ -107,12 +108,11 @@ class Filtered(Network):
 
 @final
 class Residual(Network):
-    """Add a network to something slower, whose error it learns (paper, Sec. 5.1).
+    """Combine a base with a network that learns its error (paper, Sec. 5.1).
 
     Parameters
     ----------
-    base : What is added to: see `Filtered`.
-    cell, conditioned, settings, name : See `Filtered`.
+    base, cell, conditioned, settings, name : See `Filtered`.
 
     Examples
     --------
@@ -139,12 +139,12 @@ class Residual(Network):
         self.conditioned = conditioned
 
     def build(self, record: Record, settings: Settings) -> Model:
-        """Return a network without filters."""
+        """Return a model with a network and no filters."""
         cell = self.cell.sized(record.ny, self._fast_network_inputs(record), settings.warmup)
         return models.Residual(cell, self.conditioned, record.nu > 0)
 
     def in_words(self) -> str:
-        """Return what it is."""
+        """Return a description."""
         slow, network = self.base.as_base, words_of(self.cell)
         words = f"{slow.words or slow.label} plus {network} network that learns its error"
         return words + self.conditioned_in_words

@@ -1,10 +1,9 @@
-"""Say how sure a forecast is: an interval around it for each horizon.
+"""Calibrate an interval around a forecast, whose width depends on the horizon.
 
 Not in the paper. The method is split conformal prediction (J. Lei et al., 2018): the half-width is
-a quantile of the errors of forecasts of known samples. Errors grow with the horizon, so that they
-are divided by a power of it first (V. Vovk et al., 2005, call that a normalised score), and errors
-of neighbouring samples are alike, so that Student's quantile for the number of independent ones
-makes up for what so few cannot tell.
+a quantile of the errors of held-out forecasts. As errors grow with the horizon, they are divided by
+a power of it first (a normalised score: V. Vovk et al., 2005). As errors of neighbouring samples
+are correlated, Student's quantile for the number of independent errors widens the interval.
 """
 
 from __future__ import annotations
@@ -21,26 +20,26 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
 EXPONENTS = np.linspace(0, 1, 11)
-"""Powers of the horizon that errors may grow by: from not at all to as a drift does. Chosen among
-laws of growth on 44 development records (docs/results/rules.md)."""
+"""Candidate exponents of the growth of errors with the horizon, from 0 (constant) to 1 (a drift).
+Power laws were chosen among laws of growth on 44 development records (docs/results/rules.md)."""
 FEWEST = 2.0
-"""The least number of independent errors that is assumed; with 1, Student's quantile would be
+"""Smallest number of independent errors that is assumed; with 1, Student's quantile would be
 twice as large. By eye."""
 PARTS, BOUNDED = 4, 1.1
-"""A channel is bounded where its variance is at most `BOUNDED` times the mean of `PARTS` parts'
-own: what wanders or drifts varies more in the whole than in a part. By eye; that such channels have
-a limit makes intervals narrower on development records (docs/results/rules.md)."""
+"""A channel is bounded if its variance is at most `BOUNDED` times the mean variance of its `PARTS`
+parts: a drifting signal varies more as a whole than in a part. By eye; the limit for bounded
+channels makes intervals narrower on development records (docs/results/rules.md)."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """Give the half-widths of the interval around a forecast: `first * horizon ** exponent`.
+    """Hold the half-widths of the interval around a forecast: `first * horizon ** exponent`.
 
     Attributes
     ----------
-    first : By channel, that of the first sample forecast, in the record's unit.
+    first : By channel: half-width at the first forecast sample, in the record's unit.
     exponent : By channel.
-    most : By channel: what they cannot exceed where the record is bounded, else None.
+    most : By channel: upper limit of the half-width if the channel is bounded, else None.
     share : Of the samples that should lie inside, 0 to 1.
     """
 
@@ -50,7 +49,7 @@ class Interval:
     share: float = 0.9
 
     def widened(self, size: Array) -> Interval:
-        """Return it scaled to hold errors of this size `(time, ny)` from the first sample on."""
+        """Return it widened where needed for errors of this size, `(time, ny)`, by horizon."""
         if not len(size):
             return self
         needed = _quantile(self.share) * np.sqrt(np.mean(size**2, axis=0))
@@ -58,28 +57,28 @@ class Interval:
         return replace(self, first=tuple(map(float, first)))
 
     def half_widths(self, steps: int) -> Array:
-        """Return the half-widths of the first `steps` samples of a horizon, `(steps, ny)`."""
+        """Return the half-widths at the first `steps` samples of a forecast, `(steps, ny)`."""
         most = [np.inf if most is None else most for most in self.most]
         return np.minimum(self._growth(steps) * self.first, most)
 
     def around(self, prediction: Prediction) -> Prediction:
-        """Return the prediction of the first samples of a horizon with this interval."""
+        """Return the prediction with this interval."""
         y, half = prediction.y, self.half_widths(len(prediction))
         return replace(prediction, lower=y - half, upper=y + half, level=self.share)
 
     def _growth(self, steps: int) -> Array:
-        """Return the half-widths over the first one, `(steps, ny)`, without a bound."""
+        """Return the half-widths divided by the first one, `(steps, ny)`, without the limit."""
         return np.asarray(np.arange(1.0, steps + 1)[:, None] ** np.array(self.exponent))
 
     def coverage(self, errors: Array) -> float:
-        """Return the share of errors `(time, ny)` by horizon that lie inside, 0 to 1.
+        """Return the share of errors `(time, ny)`, by horizon, that lie inside, 0 to 1.
 
-        NaN was not measured and does not count; it is returned where nothing was.
+        NaN errors, which were not measured, are ignored; NaN is returned where all of them are.
         """
         return _share(self._inside(errors))
 
     def coverages(self, errors: Array) -> tuple[float, ...]:
-        """Return `coverage` of each channel by itself."""
+        """Return the coverage of each channel."""
         return tuple(_share(channel) for channel in self._inside(errors).T)
 
     def _inside(self, errors: Array) -> Array:
@@ -96,14 +95,14 @@ def _share(inside: Array) -> float:
 @saved
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Keep how far forecasts of known samples were off: the interval of any level follows.
+    """Hold the errors of held-out forecasts, from which the interval of any level follows.
 
     Attributes
     ----------
-    errors : Of forecasts from different samples on, `(time, ny)` each, by horizon; NaN where
-        nothing was measured.
-    largest, deviation, bounded : Of its channels, `(ny,)` each: the largest absolute value, the
-        standard deviation, and whether they keep to one level and one spread.
+    errors : Of forecasts from several origins, `(time, ny)` each, by horizon; NaN where nothing was
+        measured.
+    largest, deviation, bounded : By channel, `(ny,)` each: the largest absolute value, the standard
+        deviation, and whether level and spread are constant over the training record.
     """
 
     errors: tuple[Array, ...]
@@ -121,11 +120,11 @@ class HeldOut:
 
     @classmethod
     def of(cls, errors: Sequence[Array], y: Array) -> HeldOut:
-        """Return the errors with what counts of the training record.
+        """Return the errors with the statistics of the training record.
 
         Parameters
         ----------
-        errors : See the attribute; all of them end with the same sample.
+        errors : See the attribute; all of them end at the same sample.
         y : The training record, `(time, ny)`, NaN in gaps.
         """
         known = ~np.isnan(np.concatenate(errors)) if errors else np.empty((0, 1))
@@ -135,7 +134,7 @@ class HeldOut:
         return cls(tuple(errors), np.nanmax(abs(y), axis=0), np.nanstd(y, axis=0), bounded)
 
     def interval(self, share: float) -> Interval:
-        """Return the interval that should hold `share` of the samples, 0 to 1; found once."""
+        """Return the interval that should hold `share` of the samples, 0 to 1; it is cached."""
         if share not in self._known:
             self._known[share] = self._interval(share)
         return self._known[share]
@@ -147,7 +146,7 @@ class HeldOut:
         least = 16 * np.finfo(np.float64).eps * self.largest
         laws = [_law([e[:, i] for e in self.errors], share) for i in range(len(least))]
         first = [max(size, float(floor)) for (size, _), floor in zip(laws, least, strict=True)]
-        # The difference of two independent signals of the same deviation is this much wider.
+        # Without skill the error is the difference of two independent signals: sqrt(2) times wider.
         apart = np.sqrt(2) * _quantile(share) * self.deviation
         most = tuple(
             max(float(limit), size) if bounded else None
@@ -157,22 +156,22 @@ class HeldOut:
 
 
 def _quantile(share: float) -> float:
-    """Return the quantile of a normal distribution: +- this many deviations hold `share`."""
+    """Return the number of standard deviations of a normal distribution that hold `share`."""
     return float(scipy.special.ndtri(0.5 + share / 2))
 
 
 def _is_bounded(channel: Array) -> bool:
-    """Return whether a channel `(time,)` keeps to one level and spread; NaN was not measured."""
+    """Return whether level and spread of a channel `(time,)` are constant; NaN in gaps."""
     parts = [part[~np.isnan(part)] for part in np.array_split(channel, PARTS)]
     within = [float(np.var(part)) for part in parts if len(part)]
     return float(np.nanvar(channel)) <= BOUNDED * float(np.mean(within))
 
 
 def _law(errors: Sequence[Array], share: float) -> tuple[float, float]:
-    """Return the first half-width of one channel, and the exponent, from its errors `(time,)`.
+    """Return the first half-width and the exponent of one channel, from its errors `(time,)`.
 
-    The exponent is the likeliest one of errors of Laplace's distribution, so that a few large
-    errors do not decide.
+    The exponent maximises the likelihood of errors with Laplace's distribution, which is robust to
+    a few large errors.
     """
     known = [np.flatnonzero(~np.isnan(of_one)) for of_one in errors]
     sizes = abs(np.concatenate([e[at] for e, at in zip(errors, known, strict=True)]))
@@ -183,19 +182,19 @@ def _law(errors: Sequence[Array], share: float) -> tuple[float, float]:
         a * horizon.mean() + np.log(np.mean(sizes * np.exp(-a * horizon))) for a in EXPONENTS
     ]
     exponent = float(EXPONENTS[np.argmin(unlikely)])
-    # Forecasts from different samples on overlap: distinct samples count once.
+    # Forecasts from several origins overlap: each sample counts once.
     independent = max(map(len, known)) / _autocorrelation_time(errors)
-    # Few errors may all be small by chance. Student's quantile allows for that.
+    # Few errors may all be small by chance; Student's quantile allows for that.
     student = float(scipy.special.stdtrit(max(independent, FEWEST), 0.5 + share / 2))
     score = float(np.quantile(sizes * np.exp(-exponent * horizon), share))
     return score * student / _quantile(share), exponent
 
 
 def _autocorrelation_time(errors: Sequence[Array]) -> float:
-    """Return how many samples count as one: 1 + twice the sum of the autocorrelation.
+    """Return the number of samples per independent one: 1 + twice the sum of the autocorrelation.
 
-    The sum goes up to its first zero. About zero, not about the mean: an offset is one error,
-    however many samples show it.
+    The sum ends at the first zero. The mean is not removed: an offset counts as one error, however
+    many samples show it.
     """
     products = np.zeros(max(map(len, errors)))
     for of_one in map(np.nan_to_num, errors):

@@ -1,4 +1,4 @@
-"""Define what a forecaster may know when it is asked."""
+"""Define the data that a forecaster may use for a forecast."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from splitband.runtime.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """Hold what a forecaster may know when it is asked.
+    """Hold the data that a forecaster may use for a forecast.
 
     Attributes
     ----------
-    y : What was measured up to the origin, `(time, ny)`; NaN where nothing was.
-    steps : How many samples after it are asked for.
-    begin : How many samples after the first one of the training record `y` begins; None for
-        another record, whose time has nothing to do with that.
-    u : The inputs over both, `(time + steps, nu)`, where there are any.
-    y_sim : A simulator's output over both, `(time + steps or more, ny)`, where there is one.
-    grid : When `y` was measured, by the clock of its record.
-    own : Whether `y` is the training record, or its end: nothing is to be learned from it again.
-    since : The row from which on a trajectory over both is used; before it anything may stand.
+    y : Measured samples up to the origin, `(time, ny)`, NaN in gaps.
+    steps : Number of samples to forecast.
+    begin : Index of the first sample of `y`, counted from the first one of the training record;
+        None for a record with an unrelated time.
+    u : The inputs of history and forecast, `(time + steps, nu)`, where there are any.
+    y_sim : A simulator's output over the same samples, `(time + steps or more, ny)`, if any.
+    grid : The times of `y`, by the clock of its record.
+    own : Whether `y` is the training record or its end, to which the model is already fitted.
+    since : First row of a trajectory that is used; the rows before it may hold any values.
     """
 
     y: Array
@@ -41,18 +41,18 @@ class Known:
 def continued(
     name: str, past: Array, ahead: npt.ArrayLike | None, steps: int, more: bool = False
 ) -> Array:
-    """Return a signal up to the origin and its next `steps` samples, or with `more` all given.
+    """Return a signal up to the origin and its next `steps` samples; with `more`, all of `ahead`.
 
     Parameters
     ----------
     name : For errors.
     past : `(time, channels)`.
-    ahead : `(steps or more, channels)`, or without the latter for a single one.
+    ahead : `(steps or more, channels)`, or `(steps or more,)` for a single channel.
 
     Raises
     ------
     ValueError
-        For too few samples ahead, or other channels.
+        For too few samples ahead, or another number of channels.
     """
     channels = past.shape[1]
     values = None if ahead is None else np.asarray(ahead, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Forecast by networks alone: one on the whole band, or two, each on its band."""
+"""Forecast with networks alone: one for the whole signal, or one for each band."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from splitband.training import Settings
 
 @final
 class Single(Network):
-    """Train one network on the whole band: the baseline (paper, Sec. 4.1).
+    """Train one network on the whole signal (paper, Sec. 4.1).
 
     Parameters
     ----------
-    cell : Such as `GRU(64)`; of its sizes the hidden ones count, the others are the record's.
-    settings : How it is trained; by default the default recipe for the length of the record.
-    name : By default what it is made of.
+    cell : Such as `GRU(64)`: only hidden sizes are used, the others are those of the record.
+    settings : Of the training; by default the default recipe for the length of the record.
+    name : By default derived from the cell.
 
     Examples
     --------
@@ -40,12 +40,12 @@ class Single(Network):
         self.cell = as_template(cell)
 
     def build(self, record: Record, settings: Settings) -> Model:
-        """Return one network that sees every sample."""
+        """Return a model with one network, which runs at every sample."""
         cell = self.cell.sized(record.ny, self._fast_network_inputs(record), settings.warmup)
         return models.Recurrent(cell, record.nu > 0)
 
     def in_words(self) -> str:
-        """Return what it is."""
+        """Return a description."""
         return f"{words_of(self.cell)} network"
 
     def _derived_name(self) -> str:
@@ -54,14 +54,15 @@ class Single(Network):
 
 @final
 class Split(Network):
-    """Train two networks, each on its band (paper, Sec. 4.2): "split GRU" and "split GRU + HP".
+    """Train a network for each band (paper, Sec. 4.2): "split GRU" and "split GRU + HP".
 
     Parameters
     ----------
     low, high : The cells of the low band and of the high band.
-    bands : Where one ends and the other begins; by default chosen by the training samples.
+    bands : Cut-off, order and down-sampling; by default chosen on the training samples.
     filter_output : High-pass the fast network's output too, the paper's "+HP".
-    conditioned : Tell the fast network what the slow one predicts. Not in the paper.
+    conditioned : Use the slow network's prediction, value and slope, as an input of the fast one.
+        Not in the paper.
     settings, name : See `Single`.
 
     Examples
@@ -93,10 +94,10 @@ class Split(Network):
         self.filter_output = filter_output
 
     def build(self, record: Record, settings: Settings) -> Model:
-        """Return a network for each band."""
+        """Return a model with a network for each band."""
         bands = self._bands_for(record, settings)
         assert bands.downsampling is not None
-        # With k = 1 the slow network sees every sample as well, and each input twice.
+        # With k = 1 the slow network also runs at every sample, with this input and the next.
         nu = record.nu * (2 if bands.downsampling == 1 else 1)
         low = self.low.sized(record.ny, nu, settings.warmup)
         high = self.high.sized(record.ny, self._fast_network_inputs(record), settings.warmup)
@@ -110,7 +111,7 @@ class Split(Network):
         )
 
     def in_words(self) -> str:
-        """Return what it is."""
+        """Return a description."""
         kinds = dict.fromkeys(words_of(cell) for cell in (self.low, self.high))
         said = f"two {' and '.join(kinds)} networks, one for "
         if self.filter_output:

@@ -1,7 +1,7 @@
 """Give names to forecasters, for tables, files and the command line.
 
-A name is derived from a forecaster; nothing takes one apart. To add a method, write its class, add
-a line to `_kinds` (cells, hybrids) or `_baselines`, and export it in `splitband/__init__.pyi`.
+Names are derived from forecasters and never parsed. To add a method, write its class, add a line to
+`_kinds` (cells, hybrids) or `_baselines`, and export it in `splitband/__init__.pyi`.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from splitband.runtime.arguments import LARGEST_SIZE, did_you_mean, whole
 
 @dataclass(frozen=True)
 class Sizes:
-    """Say the sizes of the networks that go by a name.
+    """Hold the sizes of the networks that a name stands for.
 
     Attributes
     ----------
-    hidden_high, hidden_low : Hidden units of the two GRUs, here the paper's; a single GRU has
-        their sum.
-    state_size, step_size : Of the "RNN", an `EulerMLP`.
+    hidden_high, hidden_low : Hidden units of the two GRUs, by default the paper's; a single GRU
+        has their sum.
+    state_size, step_size : Of the `EulerMLP`, the paper's "RNN".
     """
 
     hidden_high: int = 64
@@ -52,7 +52,7 @@ class Sizes:
 
 
 def _kinds(sizes: Sizes) -> list[Forecaster]:
-    """Return one forecaster of each kind, simple ones last."""
+    """Return one forecaster of each kind, the simple ones last."""
     cells = (
         GRU(sizes.hidden_high + sizes.hidden_low),
         EulerMLP(1, state_size=sizes.state_size, step_size=sizes.step_size),
@@ -77,13 +77,13 @@ def _baselines() -> list[Forecaster]:
 
 
 BASES = {each.name: each for each in _baselines() if each.as_base.words}
-"""What may hold the slow part in a simulator's place: it is fitted to the training samples."""
+"""Baselines that can replace the simulator of a hybrid; they are fitted to the training samples."""
 GREY_BOX = GreyBox().name
 _IN_ITS_PLACE: dict[str, Forecaster] = {**BASES, GREY_BOX: GreyBox()}
 
 
 def _methods(sizes: Sizes) -> Iterator[Forecaster]:
-    """Return each kind: as it comes, on each base, and each of these with its variants."""
+    """Yield each kind alone and on each base, all of them with their variants."""
     for kind in _kinds(sizes):
         for based in (
             kind,
@@ -93,7 +93,7 @@ def _methods(sizes: Sizes) -> Iterator[Forecaster]:
 
 
 def variants(forecaster: Forecaster, calibrate: bool, conditioned: bool) -> list[Forecaster]:
-    """Return a forecaster and, if asked for, with its simulator calibrated, or conditioned."""
+    """Return a forecaster and, if requested, its calibrated and conditioned variants."""
     found = [forecaster]
     if calibrate:
         found.append(forecaster.calibrated())
@@ -103,7 +103,7 @@ def variants(forecaster: Forecaster, calibrate: bool, conditioned: bool) -> list
 
 
 def _on_base(forecaster: Forecaster, base: Forecaster) -> Forecaster:
-    """Return a forecaster with a base in its simulator's place."""
+    """Return a forecaster with its simulator replaced by a base."""
     if "simulator" not in forecaster.needs:
         return forecaster
     if not parts_of(forecaster):
@@ -111,16 +111,16 @@ def _on_base(forecaster: Forecaster, base: Forecaster) -> Forecaster:
     return forecaster.with_parts(lambda part: _on_base(part, base))
 
 
-# A template draws weights that are never used; that must not change the user's random numbers.
+# Templates draw weights that are never used; this must not change the user's random numbers.
 with torch.random.fork_rng(devices=[]):
     NAMES = {each.name: each for each in _methods(Sizes())}
-"""All methods by name, of the usual sizes."""
+"""All methods by name, with the default sizes."""
 TRAINED = tuple(name for name, method in NAMES.items() if method.random)
 QUICK = tuple(name for name, method in NAMES.items() if not method.random)
-"""What is fitted in closed form, and needs no seed."""
+"""Methods that need no seed."""
 HYBRIDS = tuple(name for name in TRAINED if "simulator" in NAMES[name].needs)
 BASED = tuple(name for name in TRAINED if parts_of(NAMES[name]) and name not in HYBRIDS)
-"""Hybrid models whose slow part is fitted to the record: they need no simulator."""
+"""Hybrids whose slow component is fitted to the record: they need no simulator's output."""
 
 
 def named(name: str, sizes: Sizes | None = None) -> Forecaster:
@@ -137,18 +137,18 @@ def named(name: str, sizes: Sizes | None = None) -> Forecaster:
 
 
 def with_base(names: Sequence[str], base: str) -> list[str]:
-    """Return the names with one of `BASES` in a simulator's place, in hybrids and by itself.
+    """Return the names of these methods with their simulator replaced by a base.
 
-    Or with the simulator whose parameters are fitted (`GREY_BOX`).
+    The base is one of `BASES`, or the simulator with fitted parameters (`GREY_BOX`).
     """
     put = _IN_ITS_PLACE[base]
     return [*dict.fromkeys(_on_base(named(name), put).name for name in names)]
 
 
 def with_variants(names: Sequence[str], calibrate: bool, conditioned: bool) -> list[str]:
-    """Return the names and, after each, its calibrated and its conditioned variants.
+    """Return the names, each followed by its calibrated and conditioned variants.
 
-    Raises ValueError where there are none of those that are asked for.
+    Raises ValueError where no method has a requested variant.
     """
     found = {v.name: v for name in names for v in variants(named(name), calibrate, conditioned)}
     for argument, wanted in (

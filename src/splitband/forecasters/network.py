@@ -1,8 +1,8 @@
-"""Train networks as forecasters, and run them freely.
+"""Train networks as forecasters, and simulate with them.
 
-What is trained is a model of `splitband.models`; a forecaster adds how it is trained, which bands
-it has and beside what it stands. Networks alone are in `forecasters.learned`, those beside a
-simulator or another forecaster in `forecasters.hybrids`.
+A forecaster holds a model of `splitband.models`, the settings of its training, its bands, and the
+base that it is combined with. Networks alone are in `forecasters.learned`, hybrids with a simulator
+or another forecaster in `forecasters.hybrids`.
 """
 
 from __future__ import annotations
@@ -41,56 +41,55 @@ from splitband.training.settings import SHORTEST_WINDOW, longest_window
 from splitband.training.windows import windows_in
 
 DELAYS = Remembered(input_delays)
-"""Many trainings ask for the delays of the same records."""
+"""Cache of input delays: many trainings need those of the same records."""
 CONDITIONED = "-conditioned"
-"""What it adds to a name that the fast network is told what is slower."""
+"""Suffix of the names of conditioned models."""
 
 
 class Network(Forecaster):
     """Train a forecaster by gradients.
 
-    A kind of network says which options it has, what its model is (`build`) and what it is called
-    (`_derived_name`). Attributes that it does not set keep these defaults: no base, no bands, not
-    conditioned.
+    A subclass defines its options, its model (`build`) and its name (`_derived_name`). Attributes
+    that it does not set keep these defaults: no base, no bands, not conditioned.
 
     Parameters
     ----------
-    settings : How; by default the default recipe for the length of the record.
-    name : By default what it is made of.
+    settings : Of the training; by default the default recipe for the length of the record.
+    name : By default derived from its parts.
     """
 
     cells: ClassVar[tuple[str, ...]] = ("cell",)
     base: Forecaster | None = None
-    """What holds the slow part, where the network stands beside something."""
+    """The forecaster of the slow component, in a hybrid."""
     bands: Bands | None = None
-    """Which band is whose, where it filters."""
+    """The frequency bands, where it filters."""
     conditioned: bool = False
-    """Whether the fast network is told what the slower part says."""
+    """Whether the slow component is an input of the fast network."""
     earlier: Earlier = Earlier()
-    """Trainings that `fit` goes on from; they are not saved."""
+    """Trainings that `fit` continues; they are not saved."""
     model: Model | None = None
-    """What has been trained."""
+    """The trained model."""
     trained_by: Settings | None = None
-    """How: the settings, or what has been chosen where they were left open."""
+    """The settings of the training, given or chosen."""
     trained_in: Bands | None = None
-    """The bands, or what has been chosen where they were left open."""
+    """The bands of the training, given or chosen."""
     fitted_base: Forecaster | None = None
-    """What the base has become by `fit`."""
+    """The fitted base."""
     prehistory: Prehistory | None = None
-    """What may come before a history that is shorter than the warm-up."""
+    """The distribution of warm-ups, for histories that are shorter than one."""
 
     def __init__(self, settings: Settings | None = None, name: str | None = None) -> None:
         self.settings = settings
         self.tunable = False
-        """Whether its settings are but defaults, so that a comparison may find better ones."""
+        """Whether its settings are defaults, which a search may replace."""
         self.resizable = False
-        """Whether the sizes of its cells are, too."""
+        """Whether the sizes of its cells are defaults, too."""
         self.device = torch.device("cpu")
         self._name = name
 
     @property
     def name(self) -> str:
-        """Return the name that it was given, or what it is made of."""
+        """Return the given name, or one derived from its parts."""
         return self._name or self._derived_name()
 
     random = True
@@ -102,26 +101,27 @@ class Network(Forecaster):
 
     @property
     def warmup(self) -> int:
-        """Return the samples of its warm-up; 0 where that is not decided before `fit`."""
+        """Return the samples of its warm-up; 0 where `fit` has yet to choose the settings."""
         settings = self.trained_by or self.settings
         return 0 if settings is None else settings.warmup
 
     @property
     def calibration(self) -> Calibration | None:
-        """Return that of the base."""
+        """Return the calibration of the base."""
         return None if self.fitted_base is None else self.fitted_base.calibration
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Return those of the base."""
+        """Return the fitted parameters of the base."""
         return {} if self.fitted_base is None else self.fitted_base.parameters
 
     @property
     def shares_bands(self) -> bool:
-        """Return whether its bands are open, or those of the base.
+        """Return whether it, or its base, takes the bands that a comparison chooses.
 
-        The usual bands are for the simulator whose output the record brings. Up to which frequency
-        another base is right is only known once it is fitted; they are chosen then.
+        A comparison chooses bands for networks alone and for the simulator output of the record.
+        With another base they are chosen after the base is fitted, as the frequency up to which it
+        is accurate is not known before.
         """
         beside_simulator = self.base is None or "simulator" in self.base.needs
         return (self.bands == OPEN and beside_simulator) or super().shares_bands
@@ -130,17 +130,17 @@ class Network(Forecaster):
 
     @property
     def conditioned_in_words(self) -> str:
-        """Return the end of `in_words`."""
+        """Return the words on conditioning, which end `in_words`."""
         seen = ", with the slower part's output as an input"
         return seen if self.conditioned else ""
 
     @abstractmethod
     def _derived_name(self) -> str:
-        """Return what it is made of, in a word."""
+        """Return the name that is derived from its parts."""
 
     @abstractmethod
     def build(self, record: Record, settings: Settings) -> Model:
-        """Return the untrained model for a record, its weights drawn by torch's generator."""
+        """Return the untrained model for a record, with weights drawn from torch's generator."""
 
     def to(self, device: str | torch.device) -> Self:
         """Train and run on this device from now on."""
@@ -152,10 +152,10 @@ class Network(Forecaster):
         return super().to(device)
 
     def with_defaults(self, settings: Settings, bands: Bands) -> Self:
-        """Return it with the settings and bands of a comparison, where it leaves them open."""
+        """Return it with a comparison's settings and bands, where its own are not set."""
         new = super().with_defaults(settings, bands)
         shared: dict[str, Any] = {} if self.settings is not None else {"settings": settings}
-        # What is left open beside a cut-off or an order that is given has to be chosen to suit it.
+        # Bands that are given in part are completed later, to suit the given cut-off or order.
         if self.bands == OPEN and (self.base is None or "simulator" in self.base.needs):
             shared["bands"] = bands
         if shared:
@@ -164,11 +164,11 @@ class Network(Forecaster):
         return new
 
     def trained_as(self, settings: Settings) -> Self:
-        """Return it with other settings."""
+        """Return a copy with other settings."""
         return self.clone().set_params(settings=settings)
 
     def going_on(self, earlier: Earlier) -> Self:
-        """Return it with trainings that `fit` goes on from."""
+        """Return a copy whose `fit` continues earlier trainings."""
         new = self.clone()
         new.earlier = earlier
         return new
@@ -184,16 +184,16 @@ class Network(Forecaster):
         return ", ".join(said)
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Return the state of the fitted model."""
+        """Return the state dict of the trained model, on the CPU."""
         return {name: x.detach().cpu().clone() for name, x in self._trained().state_dict().items()}
 
     def weights(self, record: Record) -> int:
-        """Return how many weights are trained, for such a record."""
+        """Return the number of trained weights, for such a record."""
         model = self._built(record, self._settings_for(record), seed=0)
         return sum(weight.numel() for weight in model.parameters())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all that makes the forecaster; of the model its weights, no earlier training."""
+        """Return what is saved: of the model the weights, and no earlier trainings."""
         said = super().to_dict()
         model = said.pop("model", None)
         said.pop("earlier", None)
@@ -201,7 +201,7 @@ class Network(Forecaster):
 
     @classmethod
     def from_dict(cls, found: dict[str, Any]) -> Self:
-        """Return the forecaster again; raises ValueError for weights that its model has not."""
+        """Return the saved forecaster; raises ValueError for weights that do not fit its model."""
         weights = found.pop("weights")
         new = super().from_dict(found)
         if new.fitted is not None:
@@ -213,12 +213,12 @@ class Network(Forecaster):
         return new
 
     def first_needed(self) -> int:
-        """Return 0 beside a network, which runs freely from the beginning of the record on."""
+        """Return 0 for a base that is a network: its free run begins with the record."""
         beside_network = self.fitted_base is not None and self.fitted_base.random
         return 0 if beside_network else super().first_needed()
 
     def for_samples(self, samples: int, instead_of: int) -> Self:
-        """Return it for a part of the training record: long windows shrink with the record."""
+        """Return it adapted to a part of the training record: long windows shrink with it."""
         new = super().for_samples(samples, instead_of)
         if self.settings is None:
             return new
@@ -229,7 +229,7 @@ class Network(Forecaster):
         return new.clone().set_params(settings=settings)
 
     def check(self, *records: Record) -> None:
-        """Raise ValueError for records that its warm-up, windows, filters or base do not fit."""
+        """Raise ValueError for records that do not fit its warm-up, windows, filters or base."""
         super().check(*records)
         if len(records) > 1 and self.base is not None and self.base.anchored:
             raise ValueError(
@@ -257,7 +257,7 @@ class Network(Forecaster):
             )
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
-        """Fit the base, choose what has been left open, and train the model."""
+        """Fit the base, choose settings and bands that are not given, and train the model."""
         seed = how["seed"]
         settings = self.trained_by = self._settings_for(records[0])
         seen = self._seen(records, seed)
@@ -277,15 +277,15 @@ class Network(Forecaster):
         self.fitted = replace(self.require_fitted(), report=report)
 
     def extrapolate(self, known: Known) -> dict[str, Array]:
-        """Return a free run from the last `warmup` samples without a gap, part by part."""
+        """Return a free run from the last `warmup` samples without a gap, by component."""
         return self._free_run().components(known)
 
     def trajectory(self, known: Known) -> Array:
-        """Return a free run from the history's first warm-up on, `(time + steps, ny)`."""
+        """Return a free run from the first warm-up of the history on, `(time + steps, ny)`."""
         return self._free_run().trajectory(known)
 
     def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
-        """Return what the model's filters are fed with; empty for a model without filters."""
+        """Return the inputs of the model's filters by name; empty for a model without filters."""
         return self._free_run().unfiltered(known_of(self, steps, history, None, None)[0])
 
     def stepped(self, outside: bool = False) -> Recursion:
@@ -297,11 +297,11 @@ class Network(Forecaster):
         return self._free_run().differentiable(known)
 
     def doubts(self, known: Known) -> list[str]:
-        """Return those of the base, and whether the history is short."""
+        """Return the doubts of the base, and one for a history shorter than the warm-up."""
         return self._free_run().doubts(known)
 
     def describe(self) -> str:
-        """Return what the base and the training have settled on."""
+        """Return the results of the base's fit, the training settings, and remarks."""
         fitted, base = self.require_fitted(), self.fitted_base
         said = []
         if base is not None and base.as_base.described:
@@ -310,16 +310,16 @@ class Network(Forecaster):
         return "; ".join(filter(None, [*said, *fitted.report.notes]))
 
     def _made(self, params: dict[str, Any]) -> Self:
-        """Return one with other options; where it runs and what may be tuned are none of them."""
+        """Return one with other options, and the same device and search flags."""
         new = super()._made(params)
         kept = ("device", "tunable", "resizable", "earlier")
         vars(new).update({name: vars(self)[name] for name in kept if name in vars(self)})
         return new
 
     def _seen(self, records: Sequence[Record], seed: int) -> list[Record]:
-        """Return the records as the model learns from them.
+        """Return the records that the model is trained on.
 
-        The slow part is their `y_sim`, and inputs act at once.
+        Their `y_sim` is the output of the base, and their inputs are shifted by the delays.
         """
         seen = [*records]
         if self.base is not None:
@@ -331,15 +331,15 @@ class Network(Forecaster):
         return [r if r.u is None else replace(r, u=delayed(r.u, self.delays)) for r in seen]
 
     def _remarks(self, record: Record) -> list[str]:
-        """Return what a user should know of a training record as the model sees it."""
+        """Return remarks for the user on a training record with the base's output."""
         return []
 
     def _shortest_warmup(self) -> int:
-        """Return the samples that the filters are longer than."""
+        """Return the number of samples that a warm-up must exceed for the filters."""
         return 0
 
     def _bands_for(self, record: Record, settings: Settings) -> Bands:
-        """Return the bands; what has been left open is chosen by the training record."""
+        """Return the bands; those that are not given are chosen on the training record."""
         assert self.bands is not None
         if self.trained_in is not None:
             return self.trained_in
@@ -349,10 +349,10 @@ class Network(Forecaster):
         return self.bands.chosen(record.y, record.sampling_rate, settings.warmup, slow)
 
     def _fast_network_inputs(self, record: Record) -> int:
-        """Return the inputs of the network that sees every sample.
+        """Return the number of inputs of the network that runs at every sample.
 
-        They are the record's, of this sample and of the next one, and value and slope of what is
-        slower.
+        They are the record's inputs at this sample and the next and, if it is conditioned, value
+        and slope of the slow component.
         """
         return 2 * record.nu + (2 * record.ny if self.conditioned else 0)
 
@@ -370,6 +370,6 @@ class Network(Forecaster):
         return self.model
 
     def _free_run(self) -> FreeRun:
-        """Return what has been trained, ready to be asked."""
+        """Return the trained model, ready to simulate."""
         asked = self.name, self._trained(), self.warmup, self.delays
         return FreeRun(*asked, self.fitted_base, self.prehistory)

@@ -27,13 +27,13 @@ class Prediction:
     Attributes
     ----------
     y : `(steps, ny)`, in the record's unit.
-    grid : When they are.
+    grid : The times of the samples.
     columns : Names of the channels.
-    components : The parts that add up to `y`, by name; empty for a whole.
-    lower, upper : The interval around `y`, `(steps, ny)`, where one was asked for.
-    level : The share of samples that should lie in it.
-    warnings : Reasons to doubt it, in sentences.
-    doubts : Those of them that the method itself has, see `Forecaster.doubts`.
+    components : The components that add up to `y`, by name; empty where there is only one.
+    lower, upper : The interval around `y`, `(steps, ny)`, if requested.
+    level : The share of samples that should lie in the interval.
+    warnings : Reasons to doubt the prediction, in sentences.
+    doubts : Those of them that come from the method itself, see `Forecaster.doubts`.
     """
 
     y: Array
@@ -68,7 +68,7 @@ class Prediction:
         return pd.DataFrame(table)
 
     def restored(self, prepared: Sequence[Preparation], time: Array) -> Prediction:
-        """Return the prediction with undone what was done to its record, at these seconds."""
+        """Return the prediction with the preparation of its record undone, at these times in s."""
         signals = {"y": self.y, "lower": self.lower, "upper": self.upper}
         for step in reversed(prepared):
             signals = {
@@ -95,7 +95,7 @@ class Prediction:
         return f"<p>{escape(repr(self))}</p>{self.to_frame().to_html(max_rows=10, index=False)}"
 
     def plot(self) -> Figure:
-        """Return a picture of it."""
+        """Return a plot of the prediction."""
         figure: Figure = provided("picture of a prediction")(self)
         return figure
 
@@ -103,7 +103,7 @@ class Prediction:
 def mean_of(predictions: Sequence[Prediction]) -> Prediction:
     """Return the mean of several predictions of the same samples, such as those of several seeds.
 
-    Parts that they all have are averaged, too; what is a reason to doubt one of them stays one.
+    Components that all of them have are averaged, too; the warnings of all are kept.
     """
     first = predictions[0]
     parts = [name for name in first.components if all(name in p.components for p in predictions)]
@@ -122,5 +122,5 @@ def mean_of(predictions: Sequence[Prediction]) -> Prediction:
 
 
 def time_header(columns: tuple[str, ...]) -> str:
-    """Return the name of the time column beside `columns`."""
+    """Return a name for the time column that differs from those in `columns`."""
     return "time (s)" if "time" in columns else "time"

@@ -1,9 +1,9 @@
-"""Estimate what came before a history that is shorter than a network's warm-up.
+"""Estimate the samples before a history that is shorter than a network's warm-up.
 
 Not in the paper. Networks are trained with warm-ups of one length. Where fewer samples are known,
-the rows before them are estimated: a warm-up that is probable by the training records, and after
-which the network simulates the known samples well. That is regularised least squares for the
-initial state, with signals in place of states, so that it suits every model (`benchmarks.warmup`).
+the samples before them are estimated: the warm-up has to be probable in the training records, and
+the network has to simulate the known samples well after it. This is regularised least squares for
+the initial state, on signals in place of states, which works for every model (`benchmarks.warmup`).
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from splitband.runtime.options import saved
 from splitband.training.windows import window_starts
 
 COMPONENTS = 16
-"""Most directions in which the rows may differ from their mean. By eye."""
+"""Largest number of principal components of a warm-up. By eye."""
 MOST_WINDOWS = 2000
-"""Warm-ups of the training records that are looked at, at most: it bounds the time. By eye."""
+"""Largest number of training warm-ups that are used: bounds the time. By eye."""
 SMALLEST_ERROR = 1e-3
-"""Of a simulation, as a share of the deviation: a smaller training error is not relied on.
-By eye."""
+"""Lower limit of the error of a simulation, as a share of the standard deviation: a smaller
+training error is too optimistic. By eye."""
 
 
 @saved
@@ -38,7 +38,7 @@ class Prehistory:
 
     Attributes
     ----------
-    mean : Of the normalised outputs, inputs and output of the base, where there is one,
+    mean : Of the normalised outputs, inputs and, where there is a base, its output,
         `(warmup, ny + nu)` or `(warmup, ny + nu + ny)`.
     root : Principal directions, scaled so that their coefficients have a variance of 1,
         `(components, *mean.shape)`.
@@ -59,7 +59,7 @@ class Prehistory:
             )
 
     def check(self, model: Model, warmup: int) -> None:
-        """Raise ValueError where it is not of such a model."""
+        """Raise ValueError where it does not match the model and its warm-up."""
         shape = warmup, sum(_widths(model))
         if self.mean.shape != shape:
             raise ValueError(f"mean of the prehistory must be {shape}, got {self.mean.shape}")
@@ -68,7 +68,7 @@ class Prehistory:
     def of(
         cls, model: Model, records: Sequence[Record], warmup: int, error: float
     ) -> Prehistory | None:
-        """Return the distribution in the training records; None where they hold no two warm-ups."""
+        """Return the distribution in the training records; None for fewer than two warm-ups."""
         seen = [model.normalised(record) for record in records]
         signals = torch.cat([_side_by_side(model, each) for each in seen]).double().cpu()
         starts = window_starts(records, warmup + 1, warmup)
@@ -79,7 +79,7 @@ class Prehistory:
         windows = signals.numpy()[rows]
         mean = windows.mean(axis=0)
         flat = (windows - mean).reshape(len(windows), -1)
-        # Of the covariance, as singular values of all rows take five times as long.
+        # Eigenvectors of the covariance: an SVD of all rows takes five times as long.
         variance, directions = np.linalg.eigh(flat.T @ flat / len(flat))
         largest = np.argsort(variance)[::-1][:COMPONENTS]
         root = np.sqrt(variance[largest].clip(0))[:, None] * directions[:, largest].T
@@ -88,13 +88,13 @@ class Prehistory:
     def completed(
         self, model: Model, y: Array, u: Array | None, slow: Array | None
     ) -> tuple[Array, Array | None, Array | None]:
-        """Return a warm-up that ends with a shorter history, and the rest from its begin on.
+        """Return the signals with estimated rows before them, so that `y` is a whole warm-up.
 
         Parameters
         ----------
-        y : What was measured, `(samples, ny)`.
+        y : The measured history, `(samples, ny)`.
         u : The inputs from the same sample on, `(samples or more, nu)`.
-        slow : What the base says, likewise, `(samples or more, ny)`.
+        slow : The output of the base from the same sample on, `(samples or more, ny)`.
         """
         samples = len(y)
         history = Record(
@@ -134,16 +134,16 @@ class Prehistory:
 
 
 def _widths(model: Model) -> list[int]:
-    """Return the channels of outputs, inputs and output of the base."""
+    """Return the numbers of outputs, inputs, and outputs of the base."""
     return [model.ny, model.nu, model.ny if model.beside_simulator else 0]
 
 
 def _before(known: Array, guess: Tensor, mean: Tensor, std: Tensor) -> Array:
-    """Return a signal with normalised rows put before it."""
+    """Return a signal preceded by rows that are given normalised."""
     return np.concatenate([(guess.double() * std + mean).cpu().numpy(), known])
 
 
 def _side_by_side(model: Model, seen: Signals) -> Tensor:
-    """Return the signals that the model uses; a record may bring a simulator's output as well."""
+    """Return the signals that the model uses, without a simulator's output that it does not."""
     y_sim = seen.y_sim if model.beside_simulator else None
     return torch.cat([x for x in (seen.y, seen.u, y_sim) if x is not None], dim=-1)

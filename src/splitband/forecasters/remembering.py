@@ -1,4 +1,4 @@
-"""Remember results of slow functions, each computed once and sent to other processes."""
+"""Cache the results of slow functions, which are computed once and sent to other processes."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ Result = TypeVar("Result")
 
 
 class Remembered(Generic[Result]):
-    """Compute a function of arrays and numbers, or of lists of them, once for the same arguments.
+    """Cache a function of arrays and numbers, or of lists of them.
 
-    Arguments are compared by content. It is computed on one thread, so that the result is the same
-    to the bit in whichever process that is.
+    Arguments are compared by content. The function runs on one thread, so that its result is equal
+    to the bit in every process.
 
     Parameters
     ----------
-    function : What to compute; its results must not depend on anything else.
-    most : How many results to keep, the latest ones.
+    function : What to compute; its results must depend on its arguments only.
+    most : Number of results to keep; the oldest are dropped.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Remembered(Generic[Result]):
         self.results: dict[str, Result] = {}
 
     def __call__(self, *arguments: Any) -> Result:
-        """Return `function(*arguments)`."""
+        """Return `function(*arguments)`, computed at the first call."""
         key = key_of(*_parts(arguments))
         if key not in self.results:
             with one_thread():
@@ -43,14 +43,14 @@ class Remembered(Generic[Result]):
         return self.results[key]
 
     def learn(self, results: Mapping[str, Result]) -> None:
-        """Take over `results` of another process."""
+        """Add `results`, such as those of another process."""
         self.results |= results
         for key in [*self.results][: -self.most]:
             del self.results[key]
 
 
 def _parts(value: Any) -> Iterator[Any]:
-    """Yield what lists hold, arrays as tensors."""
+    """Yield the elements of nested lists, with arrays as tensors."""
     if isinstance(value, list | tuple):
         for part in value:
             yield from _parts(part)

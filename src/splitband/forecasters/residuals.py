@@ -1,8 +1,8 @@
-"""Test the residuals of a model, which are what its simulation leaves of a record.
+"""Test the residuals of a model: the record minus the simulation.
 
-See L. Ljung, System Identification: Theory for the User (2nd ed., 1999, section 16.6). Where they
-depend on past inputs, the model misses dynamics that the inputs drive. Where they depend on their
-own past, there is a disturbance that the model does not describe, or dynamics that it misses.
+See L. Ljung, System Identification: Theory for the User (2nd ed., 1999, section 16.6). If residuals
+depend on past inputs, the model misses dynamics that the inputs drive. If they depend on their own
+past, the model misses a disturbance or dynamics.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ import scipy
 from splitband.runtime.arrays import Array
 
 LEVEL = 0.99
-"""Probability that what is tested lies within the bands: a test is rejected where chance alone
-exceeds it in fewer than 1 of 100 records. As MATLAB's `resid` has it."""
+"""Confidence level: for an adequate model, 1 test in 100 is rejected by chance. As in MATLAB's
+`resid`."""
 LAGS = 25
-"""Samples back that residuals are compared with, as MATLAB's `resid` does."""
+"""Largest lag of the correlations, in samples, as in MATLAB's `resid`."""
 _MOST_ORDER = 20
 """Largest order of the autoregressive models that whiten a signal. By eye."""
 
@@ -32,9 +32,9 @@ class Correlation:
     Attributes
     ----------
     of : "residuals", or the input's name.
-    values : By lag; of residuals from 1 on, of an input from 0 on.
-    band : Chance alone keeps `LEVEL` of the values within this, on either side of 0.
-    p : How probable values as large as these are by chance.
+    values : By lag: from 1 on for residuals, from 0 on for an input.
+    band : Confidence limit: without correlation, `LEVEL` of the values lie within +- this.
+    p : The p-value of the test.
     """
 
     of: str
@@ -60,17 +60,17 @@ class ResidualTests:
 
     @property
     def white(self) -> bool:
-        """Tell whether the residuals may be white noise."""
+        """Return whether the residuals may be white noise."""
         return self.whiteness.p >= 1 - LEVEL
 
     @property
     def dependent(self) -> list[str]:
-        """Return the inputs that the residuals depend on; all tests together have the level."""
+        """Return the inputs that the residuals depend on; `LEVEL` holds for all tests together."""
         least = (1 - LEVEL) / max(len(self.inputs), 1)
         return [each.of for each in self.inputs if each.p < least]
 
     def verdict(self) -> str:
-        """Return what the tests say, in a sentence."""
+        """Return the result of the tests, in a sentence."""
         if self.dependent:
             return (
                 f"{self.output}: rejected at {100 * LEVEL:.0f} %: the residuals depend on "
@@ -88,7 +88,7 @@ class ResidualTests:
 def residual_tests(
     residuals: Array, u: Array | None, columns: Sequence[str], inputs: Sequence[str]
 ) -> tuple[ResidualTests, ...]:
-    """Test the residuals `(time, ny)`, NaN in gaps, of each output, with inputs `(time, nu)`."""
+    """Test the residuals of each output, `(time, ny)`, NaN in gaps, with inputs `(time, nu)`."""
     found = []
     for column, e in zip(columns, residuals.T, strict=True):
         pairs = [] if u is None else zip(inputs, u.T, strict=True)
@@ -109,8 +109,8 @@ def _whiteness(e: Array) -> Correlation:
 def _dependence(name: str, e: Array, u: Array) -> Correlation:
     """Return the correlation with an input's past, and the test of Haugh (1976).
 
-    Each is whitened by an autoregressive model of its own, or their own correlation would look
-    like one between them.
+    Each signal is whitened by its own autoregressive model first, as autocorrelation would look
+    like correlation between them.
     """
     x, samples = _centred(e)
     r = _correlation(_whitened(x), _whitened(_centred(u)[0]))
@@ -126,7 +126,7 @@ def _correlated(of: str, r: Array, samples: int, statistic: float) -> Correlatio
 
 
 def _centred(x: Array) -> tuple[Array, int]:
-    """Return a signal less its mean, 0 in gaps, and how many samples were measured."""
+    """Return a signal minus its mean, 0 in gaps, and the number of measured samples."""
     known = ~np.isnan(x)
     return np.where(known, x - x[known].mean(), 0.0), max(int(known.sum()), 1)
 
@@ -140,7 +140,7 @@ def _correlation(later: Array, earlier: Array) -> Array:
 
 
 def _whitened(x: Array) -> Array:
-    """Return what an autoregressive model leaves of a signal; its order is that of least BIC."""
+    """Return the residuals of an autoregressive model of a signal, with the order of least BIC."""
     n, most = len(x), min(_MOST_ORDER, len(x) // 10)
     if most < 1 or not x.any():
         return x

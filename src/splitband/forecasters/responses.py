@@ -1,4 +1,4 @@
-"""Respond to steps: what a forecaster with inputs has learned about each of them."""
+"""Compute step responses of a forecaster: what it has learned about each input."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.threads import without_warnings
 
 SHARE = 0.1
-"""The size of the step, as a share of the input's range in training. By eye."""
+"""Size of the step, as a share of the input's range in training. By eye."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class Responses:
     sampling_time : In seconds.
     columns, inputs : Names of outputs and inputs.
     at : The operating point, `(nu,)`.
-    size : Of the steps that were made, `(nu,)`.
+    size : Sizes of the simulated steps, `(nu,)`.
     """
 
     y: Array
@@ -43,9 +43,9 @@ class Responses:
         return np.asarray(np.arange(len(self.y)) * self.sampling_time, dtype=np.float64)
 
     def frequency_response(self) -> tuple[Array, npt.NDArray[np.complex128]]:
-        """Return frequencies in Hz above 0, and the small-signal gain there, `(n, ny, nu)`.
+        """Return frequencies above 0 in Hz, and the small-signal gain there, `(n, ny, nu)`.
 
-        It is the Fourier transform of the impulse response, up to where the step response ends.
+        It is the Fourier transform of the impulse response, over the length of the step response.
         """
         impulse = np.diff(self.y, axis=0, prepend=np.zeros_like(self.y[:1]))
         frequencies = np.fft.rfftfreq(len(impulse), self.sampling_time)
@@ -74,7 +74,7 @@ def respond(
         )
     found = np.empty((steps, record.ny, record.nu))
     for i, of_input in enumerate(sizes):
-        # Up and down, so that what is even in the input cancels.
+        # Up and down: even-order nonlinearities cancel.
         ends = []
         for half in (0.5 * of_input, -0.5 * of_input):
             u = np.tile(held, (2 * steps, 1))

@@ -1,10 +1,10 @@
 """Save forecasters to folders, whole or not at all, and load them.
 
-A folder holds forecaster.json, which describes the forecaster with all that it is made of, and one
-file of safetensors with all weights and arrays. The latter is named after its content, so that an
-interrupted `save` leaves the pair that was there before. Loading runs no code that a file brings or
-names, see `forecasters.description`; of a simulator, other than recorded output, a description is
-saved (`simulators.absent`), and the simulator itself is given to `load`.
+A folder holds forecaster.json, which describes the forecaster and its parts, and one safetensors
+file with all weights and arrays. The latter is named after its content, so that an interrupted
+`save` leaves the previous pair intact. Loading runs no code from a file, and none that a file
+names, see `forecasters.description`. Of a simulator that is not recorded output only a description
+is saved (`simulators.absent`); `load` takes the simulator itself.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from splitband.simulators import Simulator
 from splitband.simulators.absent import Absent
 
 FORMAT = 4
-"""Version of the folder's format, which changes with what `to_dict` says."""
+"""Version of the folder's format, which changes with the results of `to_dict`."""
 FILE, WEIGHTS = outputs.MODEL, outputs.WEIGHTS
 LARGEST_DESCRIPTION = 2**28
-"""Bytes of a description, at most: it bounds the memory. By eye."""
+"""Largest size of a description in bytes: bounds the memory. By eye."""
 _DIGITS = 16
-"""Digits of the weights' SHA-256 in the name of their file: enough that no two are the same."""
+"""Digits of the weights' SHA-256 in the name of their file: enough to be unique."""
 _UNFIT = (
     RuntimeError, TypeError, LookupError, ValueError, AttributeError, ArithmeticError, MemoryError,
     AssertionError, safetensors.SafetensorError,
 )  # fmt: skip
-"""What a description that was forged or damaged may raise."""
+"""Errors that a forged or damaged description may raise."""
 _AGAIN = "train it again, with `splitband fit` or fit(record), and save it"
 
 
@@ -51,14 +51,14 @@ def save(
     Parameters
     ----------
     forecaster : Fitted. One of your own must consist of numbers, texts, arrays, dates, lists and
-        dicts of these, and what the package is made of.
-    folder : Created if need be.
-    facts : Anything else to keep, as JSON.
+        dicts of these, and objects of the package.
+    folder : Created if it does not exist.
+    facts : Further entries of the JSON file.
 
     Raises
     ------
     ValueError
-        For a forecaster that has not been fitted, or holds what cannot be saved.
+        For a forecaster that has not been fitted, or holds a value that cannot be saved.
     """
     forecaster.require_fitted()
     folder, tensors = Path(folder), dict[str, Any]()
@@ -88,7 +88,7 @@ def files(folder: Path) -> list[Path]:
 
 
 def _remove_outdated(folder: Path) -> None:
-    """Remove weights that are not those of the description that is there."""
+    """Remove weight files that do not belong to the current description."""
     try:
         digest = str(_read_description(folder)["weights_sha256"])
     except (OSError, *_UNFIT):
@@ -104,8 +104,8 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
     Parameters
     ----------
     folder : Of the forecaster.
-    simulator : The one that it was fitted with, such as `sb.Fmu("rig.fmu")`, or another one in its
-        place. Without it what needs a simulator is loaded, too, and says so when it is asked.
+    simulator : The one that it was fitted with, such as `sb.Fmu("rig.fmu")`, or a replacement. A
+        forecaster that needs one loads without it, but cannot predict.
 
     Raises
     ------
@@ -113,12 +113,12 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
         When a file is missing.
     ValueError
         When a file is damaged, of another format, or needs a class of your own whose module has
-        not been imported; for a simulator where none is asked for.
+        not been imported; for a simulator that the forecaster does not need.
 
     Warns
     -----
     UserWarning
-        When the simulator is not the one that the forecaster was saved with.
+        When the simulator differs from the one that the forecaster was saved with.
 
     Examples
     --------
@@ -134,7 +134,7 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
 def load_with_facts(
     folder: str | Path, simulator: Simulator | None = None
 ) -> tuple[Forecaster, dict[str, Any]]:
-    """Return what `load` does, and the facts that were saved with it."""
+    """Return the forecaster as `load` does, and the facts that were saved with it."""
     folder = Path(folder)
     if not (folder / FILE).is_file():
         old = f"; its model.json is of version 0.1 or 0.2: {_AGAIN}"
@@ -189,7 +189,7 @@ def _tensors(folder: Path, facts: Mapping[str, Any]) -> Tensors:
 
 
 def _give(forecaster: Forecaster, simulator: Simulator) -> None:
-    """Let it run this simulator; warn of one that is not the one it was saved with."""
+    """Set the simulator of a forecaster, with a warning if it differs from the saved one."""
     simulations = [*_simulations(forecaster)]
     if not simulations:
         raise ValueError(f"simulator must be left out for {forecaster.name}, which asks for none")
@@ -202,7 +202,7 @@ def _give(forecaster: Forecaster, simulator: Simulator) -> None:
 
 
 def _simulations(value: Any) -> Iterator[Any]:
-    """Yield the simulations that a forecaster is made of."""
+    """Yield the parts of a forecaster that have a simulator."""
     if hasattr(value, "simulator"):
         yield value
     elif isinstance(value, Forecaster | list):

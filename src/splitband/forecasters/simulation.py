@@ -1,4 +1,4 @@
-"""Forecast by a simulator: as it comes, with gain and offset, or calibrated."""
+"""Forecast with a simulator: unchanged, with gain and offset, or calibrated."""
 
 from __future__ import annotations
 
@@ -26,38 +26,38 @@ from splitband.simulators.calibrating import calibrate
 from splitband.simulators.calibration import Calibration, Term, samples_needed
 
 CALIBRATIONS = Remembered(calibrate)
-"""Several forecasters, seeds and trials ask for the same calibration, which takes seconds."""
+"""Cache of calibrations: forecasters, seeds and trials need the same one, which takes seconds."""
 LONGEST = 10**8
-"""Samples, from the training record's first one on, over which a simulator is run: it bounds the
-memory. By eye."""
+"""Most samples of a simulator's run, counted from the first training sample: bounds the memory.
+By eye."""
 NEAR_PLACE = 1e-6
-"""Of a sample: a simulator's output so close to a sample is that sample's, but for rounding.
+"""Tolerance in samples: the simulator's output this close to a sample is taken at the sample.
 By eye."""
 AFFINE: tuple[Term, ...] = ("gain", "offset")
 
 
 @dataclass(frozen=True, eq=False)
 class _Runs:
-    """Keep what a simulator has said, once for all processes.
+    """Hold a simulator's outputs, computed once for all processes.
 
-    `outputs`: `(time, ny)`, by the time stamp of the first sample and the time between two in s.
+    `outputs`: `(time, ny)`, by the time stamp of the first sample and the sampling time in s.
     """
 
     outputs: Mapping[tuple[Stamp | None, float], Array]
 
     def reach(self, grid: Grid) -> int:
-        """Return how many times, counted on from the first of the grid, are covered."""
+        """Return the number of samples that are available from the start of the grid on."""
         return len(self._beginning(grid))
 
     def on(self, grid: Grid) -> Aligned:
-        """Return the output at these times; raises ValueError where they are not covered."""
+        """Return the output at these times; raises ValueError where it is not available."""
         y = self._beginning(grid)
         if len(y) < grid.samples:
             raise ValueError(f"the simulator has not been run for {grid}")
         return Aligned(y[: grid.samples], "")
 
     def _beginning(self, grid: Grid) -> Array:
-        """Return what begins with the grid, its time between samples equal but for rounding."""
+        """Return the output with the start and, but for rounding, the step of the grid."""
         return next(
             (
                 y
@@ -69,14 +69,14 @@ class _Runs:
 
 
 class SimulatorForecaster(Forecaster):
-    """Forecast what a simulator says.
+    """Forecast with a simulator's output.
 
-    `simulator`: what to run; by default a record brings its output (`y_sim`, `beyond`).
+    `simulator`: what to run; by default the record contains its output (`y_sim`, `beyond`).
     """
 
     affine = True
     applied = Calibration()
-    """How its output is changed."""
+    """The calibration of the output."""
 
     def __init__(self, simulator: Simulator | None = None, name: str | None = None) -> None:
         self.simulator: Any = simulator
@@ -84,12 +84,12 @@ class SimulatorForecaster(Forecaster):
 
     @property
     def needs(self) -> frozenset[str]:
-        """Return "simulator" where a record must bring its output."""
+        """Return "simulator" where the record must contain its output."""
         return frozenset({"simulator"} if self.simulator is None else ())
 
     @property
     def name(self) -> str:
-        """Return the name that it was given, or "simulator" and what its calibration adds."""
+        """Return the given name, or "simulator" with the suffix of its calibration."""
         return self._name or "simulator" + self.as_base.after
 
     def check(self, *records: Record) -> None:
@@ -114,7 +114,7 @@ class SimulatorForecaster(Forecaster):
         return self.clone().set_params(simulator=_Runs(outputs))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what is saved: of a simulator, but for recorded output, a description."""
+        """Return what is saved; a simulator that is not recorded output becomes a description."""
         said = super().to_dict()
         if self.simulator is not None and not self._at_own_times:
             said["simulator"] = Absent.of(self.simulator)
@@ -122,7 +122,7 @@ class SimulatorForecaster(Forecaster):
 
     @classmethod
     def from_dict(cls, found: dict[str, Any]) -> Self:
-        """Return the forecaster again; raises ValueError for a calibration of other channels."""
+        """Return the saved forecaster; raises ValueError for a calibration of other channels."""
         new = super().from_dict(found)
         if new.fitted is not None:
             new.applied.check(new.fitted.record.ny)
@@ -133,13 +133,13 @@ class SimulatorForecaster(Forecaster):
         return self.trajectory(replace(known, since=len(known.y)))[len(known.y) :]
 
     def trajectory(self, known: Known) -> Array:
-        """Return the output over the history, too, `(time + steps, ny)`.
+        """Return the output over history and forecast, `(time + steps, ny)`.
 
-        Recorded output need not begin before the row from which on it is used; NaN stands before.
+        Recorded output is only read from the row `known.since` on; the rows before it are NaN.
         """
         samples = len(known.y) + known.steps
         record = self.require_fitted().record
-        begin = known.begin or 0.0  # a simulator of another record begins with it
+        begin = known.begin or 0.0  # for another record the simulator starts with that record
         if begin < 0 and not self.applied.stays:
             raise ValueError(self._before(known))
         if self._at_own_times:
@@ -153,7 +153,7 @@ class SimulatorForecaster(Forecaster):
                     f"got {places[-1]:.3g}; without time stamps it begins with the training record"
                 )
             times, needed = self._times(known), int(np.ceil(places[-1] - 1e-6)) + 1
-            begin_sim = min(begin, 0.0)  # before the training record it begins with the history
+            begin_sim = min(begin, 0.0)  # an earlier history moves the start of the simulation
             if begin_sim and times.start is not None:
                 earlier = stamp_after(times.start, begin_sim * record.sampling_time)
                 times, needed = replace(times, start=earlier), samples
@@ -164,13 +164,13 @@ class SimulatorForecaster(Forecaster):
 
     @property
     def _at_own_times(self) -> bool:
-        """Return whether it is recorded output, which is interpolated."""
+        """Return whether the simulator is recorded output, which is interpolated."""
         return getattr(self.simulator, "own_times", False)
 
     def _recorded(self, simulator: Any, known: Known, begin: float) -> Array:
-        """Return the trajectory by recorded output, see `trajectory`; its end is held (`doubts`).
+        """Return the trajectory from recorded output, see `trajectory`; its end is held (`doubts`).
 
-        It is read at whole steps from the history's samples, to be interpolated just once.
+        It is read at whole steps from the history's samples, so that it is interpolated only once.
         """
         times, step = self._times(known), self.require_fitted().record.sampling_time
         count, start = len(known.y) + known.steps - known.since, begin + known.since
@@ -186,7 +186,7 @@ class SimulatorForecaster(Forecaster):
         return np.concatenate([np.full((known.since, y.shape[1]), np.nan), y])
 
     def part(self, outside: bool = False) -> Part:
-        """Return the simulator's output, which comes with each sample or is run ahead."""
+        """Return the simulator sample by sample: its output is given, or computed ahead."""
         if self.simulator is not None and not outside:
             return RunAhead(self.trajectory)
         if not self.applied.stays:
@@ -199,7 +199,7 @@ class SimulatorForecaster(Forecaster):
         return Given(np.array(gain), np.array(offset), self.trajectory)
 
     def _before(self, known: Known) -> str:
-        """Return what is wrong with a history that begins before the training record."""
+        """Return the error message for a history that begins before the training record."""
         fitted = self.require_fitted()
         began = "" if fitted.start is None else f", at {in_words(fitted.start)}"
         begins = None if known.grid is None else known.grid.start
@@ -210,13 +210,13 @@ class SimulatorForecaster(Forecaster):
         )
 
     def on(self, record: Record, first: bool = True) -> Record:
-        """Return a record that begins with the simulator, with its output as `y_sim`."""
+        """Return a record with the calibrated output as `y_sim`; both begin together."""
         y_sim = self._output(record)
         y_sim = self.applied.apply(y_sim, len(record), record.sampling_time)
         return replace(record, y_sim=y_sim, beyond=None)
 
     def doubts(self, known: Known) -> list[str]:
-        """Return whether a calibrated clock or delay asks for more output than there is."""
+        """Return a warning where a calibrated clock or delay needs more output than there is."""
         begin, samples = known.begin or 0.0, len(known.y) + known.steps
         if self._at_own_times:
             end = float(self.simulator.reach(self._times(known)))
@@ -229,11 +229,11 @@ class SimulatorForecaster(Forecaster):
         return [said] if said else []
 
     def describe(self) -> str:
-        """Return how its output is changed."""
+        """Return the calibration of its output."""
         return str(self.applied)
 
     def _times(self, known: Known) -> Grid:
-        """Return when a simulator of its own is run: from the training record's first sample on."""
+        """Return the times of its own simulator: from the first training sample on."""
         fitted = self.require_fitted()
         if known.begin is None and known.grid is not None:  # another record has its own clock
             return known.grid
@@ -241,7 +241,7 @@ class SimulatorForecaster(Forecaster):
         return replace(fitted.record.grid, start=start)
 
     def _output(self, record: Record) -> Array:
-        """Return the output over a record and as far beyond as is known, or needed."""
+        """Return the output over a record, and beyond it as far as it is known or needed."""
         if self.simulator is not None:
             samples = self._needed(len(record), len(record))
             if hasattr(self.simulator, "reach"):
@@ -254,7 +254,7 @@ class SimulatorForecaster(Forecaster):
         )
 
     def _needed(self, samples: int, train: int) -> int:
-        """Return how many samples of a simulator of its own are asked for, to cover so many."""
+        """Return how many samples its own simulator must run for to cover `samples`."""
         return samples
 
     def _run(self, grid: Grid, ny: int) -> Array:
@@ -269,21 +269,21 @@ class SimulatorForecaster(Forecaster):
 
 @final
 class Simulation(SimulatorForecaster):
-    """Forecast what a simulator says, unchanged.
+    """Forecast with a simulator's output, unchanged.
 
     Parameters
     ----------
-    simulator : What to run; by default a record brings its output (`y_sim`, `beyond`).
+    simulator : What to run; by default the record contains its output (`y_sim`, `beyond`).
     name : By default "simulator".
     """
 
     @property
     def as_base(self) -> AsBase:
-        """Return what a hybrid says of it."""
+        """Return its texts as the slow component of a hybrid."""
         return AsBase(SLOW, words="simulator", described=False)
 
     def calibrated(self) -> Calibrated:
-        """Return it calibrated."""
+        """Return the same simulator with calibration."""
         return Calibrated(self.simulator)
 
     words = "the simulator as it is"
@@ -291,15 +291,15 @@ class Simulation(SimulatorForecaster):
 
 @final
 class Calibrated(SimulatorForecaster):
-    """Calibrate a simulator to the training samples first; not in the paper.
+    """Forecast with a simulator that is calibrated to the training samples. Not in the paper.
 
     Gain, offset, delay and clock are fitted to the first training record.
 
     Parameters
     ----------
-    simulator : What to run; by default a record brings its output (`y_sim`, `beyond`).
-    terms : What to fit of "gain", "offset", "delay" and "clock"; by default each of them that pays
-        on held-out samples.
+    simulator : What to run; by default the record contains its output (`y_sim`, `beyond`).
+    terms : Which of "gain", "offset", "delay" and "clock" to fit; by default those that lower the
+        error on held-out samples.
     name : By default "simulator-calibrated", or "simulator-affine" for gain and offset.
 
     Examples
@@ -323,7 +323,7 @@ class Calibrated(SimulatorForecaster):
 
     @property
     def as_base(self) -> AsBase:
-        """Return what a hybrid says of it."""
+        """Return its texts as the slow component of a hybrid."""
         after = "-calibrated"
         if self.terms is not None:
             after = "-affine" if self.terms == AFFINE else "-" + "-".join(self.terms)
@@ -333,11 +333,11 @@ class Calibrated(SimulatorForecaster):
 
     @property
     def calibration(self) -> Calibration | None:
-        """Return what has been fitted; None before `fit`."""
+        """Return the fitted calibration; None before `fit`."""
         return None if self.fitted is None else self.applied
 
     def in_words(self) -> str:
-        """Return what it is."""
+        """Return a description."""
         if self.terms == AFFINE:
             return "the simulator with fitted gain and offset"
         return "the simulator, calibrated on the training samples"
@@ -351,7 +351,7 @@ class Calibrated(SimulatorForecaster):
         self._fitted_to(records[0])
 
     def describe(self) -> str:
-        """Return the terms."""
+        """Return the fitted terms."""
         return super().describe() + (first_only(self.fitted) if self.fitted is not None else "")
 
     def _needed(self, samples: int, train: int) -> int:

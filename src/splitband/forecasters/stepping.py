@@ -1,7 +1,7 @@
-"""Define forecasters sample by sample, in NumPy: what streams run, and what is exported.
+"""Define forecasters sample by sample, in NumPy, for streams and exported programs.
 
-A recursion takes one sample after the other. What was not measured, a forecast, is NaN: whether
-samples come from sensors or not may change at any sample, and a forecast is always that of
+A recursion takes one sample after the other. A sample that was not measured is NaN, and is
+forecast. Measured and forecast samples may alternate at will; a forecast always equals that of
 `Forecaster.predict` from the origin. Time and memory of a sample are constant. The code can be
 traced, see `runtime.tracing`.
 """
@@ -23,24 +23,25 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.tracing import cond
 
 State = dict[str, Any]
-"""All that is remembered, by name; it is never changed in place."""
+"""The state of a recursion, by name; it is never changed in place."""
 
 
 class NotSteppedError(ValueError):
-    """Report that a forecaster has no form sample by sample; the message says why."""
+    """Report that a forecaster cannot run sample by sample; the message gives the reason."""
 
 
 class Recursion(ABC):
-    """Define what a forecaster does with each sample.
+    """Define the update of a forecaster's state with each sample.
 
     Attributes
     ----------
-    ny, nu : Channels and inputs.
-    ahead : How many samples after the present one a simulator's output is looked at, 0 or 1.
-    simulated : Whether a simulator's output is looked at.
-    warmup : How many samples in a row have to be measured before a forecast.
-    prepared : What is done to signals as they are measured, and undone.
-    part : What it has beside a network, whose state is `state["part"]`; None without.
+    ny, nu : Numbers of channels and inputs.
+    ahead : Samples by which a simulator's output must be known in advance, 0 or 1.
+    simulated : Whether it needs a simulator's output.
+    warmup : Number of samples in a row that must be measured before a forecast.
+    prepared : Preparation of the measured signals, which is undone on predictions.
+    part : The slow component of a hybrid, or the model itself, whose state is `state["part"]`; None
+        without.
     """
 
     ny: int
@@ -53,26 +54,26 @@ class Recursion(ABC):
 
     @abstractmethod
     def initial(self, known: Known | None = None) -> State:
-        """Return the state before the first sample of a history; None: of another record."""
+        """Return the state before the first sample of a history; None is for another record."""
 
     @abstractmethod
     def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """Return the state after a sample, what was predicted of it, and whether it could be.
+        """Return the state after a sample, its prediction, and whether there is a prediction.
 
         Parameters
         ----------
-        state : After the sample before.
-        y : What was measured, `(ny,)`; NaN for what was not.
+        state : After the previous sample.
+        y : The measured sample, `(ny,)`, NaN for channels that were not measured.
         u : Inputs of the sample, `(nu,)`.
-        y_sim : A simulator's output of the sample and of `ahead` more, `(1 + ahead, ny)`.
+        y_sim : A simulator's output at the sample and at `ahead` more, `(1 + ahead, ny)`.
         """
 
     def first_row(self, known: Known) -> int:
-        """Return the first sample of a history on which its forecast depends."""
+        """Return the first sample of a history on which the forecast depends."""
         return 0
 
     def followed(self, known: Known) -> State:
-        """Return the state after a history, which is that of a forecast from its end."""
+        """Return the state after a history, from which a forecast starts."""
         begin, rows, part = self.first_row(known), len(known.y), self.part
         u = np.zeros((rows, 0)) if known.u is None else known.u
         y_sim = None if part is None else part.simulated_over(known, self.ahead)
@@ -86,28 +87,28 @@ class Recursion(ABC):
 
 
 class Part(ABC):
-    """Say a value for each sample, by itself or as the slow part of a hybrid.
+    """Compute a value for each sample, alone or as the slow component of a hybrid.
 
-    For each channel that is a row: a value, and its derivatives by the numbers that are estimated
-    from the history, which stay the same from the beginning of a forecast on.
+    Each channel has a row: the value, and its derivatives by the parameters that are estimated from
+    the history. The parameters are constant from the origin of a forecast on.
     """
 
     simulated = False
 
     @abstractmethod
     def initial(self, known: Known | None) -> State:
-        """Return the state before the first sample of a history; None: of another record."""
+        """Return the state before the first sample of a history; None is for another record."""
 
     @abstractmethod
     def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
         """Return the next state and the rows of a sample and `ahead` more, `(1 + ahead, ny, n)`."""
 
     def learn(self, state: State, row: Array, y: Array) -> State:
-        """Return the state with a measured sample, `(ny,)`, NaN for what was not measured."""
+        """Return the state updated with a sample, `(ny,)`, NaN where it was not measured."""
         return state
 
     def settle(self, state: State) -> Array:
-        """Return what is estimated from the samples so far, `(ny, n - 1)`."""
+        """Return the parameters estimated from the samples so far, `(ny, n - 1)`."""
         return np.zeros((1, 0))
 
     def simulated_over(self, known: Known, ahead: int) -> Array | None:
@@ -115,19 +116,19 @@ class Part(ABC):
         return None
 
     def after_training(self, state: State) -> State:
-        """Return the state at the end of the training record, from which nothing is learned."""
+        """Return the state after the training record, from which no parameters are estimated."""
         return state
 
 
 def read(rows: Array, settled: Array) -> Array:
-    """Return the values that rows say, `(time, ny)`."""
+    """Return the values of rows with these parameters, `(time, ny)`."""
     if rows.shape[-1] == 1:
         return rows[..., 0]
     return rows[..., 0] + (rows[..., 1:] * settled).sum(axis=-1)
 
 
 class Extrapolated(Recursion):
-    """Run a part by itself."""
+    """Run a part alone."""
 
     part: Part
 
@@ -135,12 +136,12 @@ class Extrapolated(Recursion):
         self.part, self.ny, self.nu, self.simulated = part, ny, nu, part.simulated
 
     def initial(self, known: Known | None = None) -> State:
-        """Return the state of the part, and what its history tells."""
+        """Return the state of the part, and its parameters before the first sample."""
         part = self.part.initial(known)
         return {"part": part, "settled": self.part.settle(part), "stale": np.ones(())}
 
     def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """Read the part at a sample, after settling it where a forecast begins."""
+        """Evaluate the part at a sample, and estimate its parameters where a forecast begins."""
         part, rows = self.part.row(state["part"], u, y_sim, 0)
         missing = np.isnan(y)
         settled = cond(
@@ -156,7 +157,7 @@ class Extrapolated(Recursion):
 
 @dataclass(frozen=True)
 class DelayLine:
-    """Delay inputs, each by so many samples; at first they have been what they are."""
+    """Delay each input by its number of samples; before the first sample its value is held."""
 
     delays: tuple[int, ...]
 
@@ -167,7 +168,7 @@ class DelayLine:
         return {"past": np.zeros((max(self.delays), len(self.delays))), "filled": np.zeros(())}
 
     def tick(self, state: State, u: Array) -> tuple[State, Array]:
-        """Return the next line, and the inputs that act."""
+        """Return the next line, and the delayed inputs."""
         if not state:
             return state, u
         past = np.where(state["filled"] > 0, state["past"], u[None])
@@ -178,10 +179,10 @@ class DelayLine:
 
 
 class Warmed(Recursion):
-    """Run a trained model, which warms up on the last measured samples, with a slow part or not.
+    """Run a trained model after a warm-up on the last measured samples, with a slow part or none.
 
-    It keeps as many samples as it warms up on. When a sample is not measured any more, the free
-    run begins from those; it goes on until as many have been measured in a row again.
+    It keeps the last `warmup` samples. A free run starts from them when a sample is not measured,
+    and ends when as many samples in a row have been measured again.
     """
 
     def __init__(
@@ -194,7 +195,7 @@ class Warmed(Recursion):
         self.ahead = model.ahead if part is not None else 0
 
     def initial(self, known: Known | None = None) -> State:
-        """Return the state with nothing measured yet."""
+        """Return the state before any measurement."""
         part = {} if self.part is None else self.part.initial(known)
         y_sim = np.zeros((1 + self.ahead, self.ny))
         _, rows = self._row(part, np.zeros(self.nu), y_sim)
@@ -214,7 +215,7 @@ class Warmed(Recursion):
         }
 
     def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """Begin a run, go on with it, or wait until enough has been measured."""
+        """Start a free run, continue it, or wait until the warm-up is complete."""
         last = self.warmup - 1
         part, rows = self._row(state["part"], u, y_sim)
         line, late = self.line.tick(state["line"], u)
@@ -255,7 +256,7 @@ class Warmed(Recursion):
         return new, predicted, runs
 
     def first_row(self, known: Known) -> int:
-        """Return the first sample that a warm-up or a late input needs."""
+        """Return the first sample that the warm-up and delayed inputs need."""
         if self.part is not None:
             return 0
         complete = np.asarray(~np.isnan(known.y).any(axis=1))
@@ -269,7 +270,7 @@ class Warmed(Recursion):
 
 
 class Averaged(Recursion):
-    """Average several."""
+    """Average several recursions."""
 
     def __init__(self, members: Sequence[Recursion]) -> None:
         self.members = [*members]
@@ -283,7 +284,7 @@ class Averaged(Recursion):
         return {"members": [member.initial(known) for member in self.members]}
 
     def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """Return the mean of what the members predict, once all of them can."""
+        """Return the mean prediction of the members, once all of them have one."""
         ticks = [
             member.tick(own, y, u, y_sim[: 1 + member.ahead])
             for member, own in zip(self.members, state["members"], strict=True)
@@ -294,5 +295,5 @@ class Averaged(Recursion):
         return {"members": [new for new, _, _ in ticks]}, total / len(ticks), ready
 
     def followed(self, known: Known) -> State:
-        """Return the states of the members, each after what it needs of the history."""
+        """Return the states of the members after the history."""
         return {"members": [member.followed(known) for member in self.members]}

@@ -1,4 +1,4 @@
-"""Define baselines sample by sample: values that are held, functions of time, a period."""
+"""Run baselines sample by sample: held values, functions of time, a repeated period."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from splitband.forecasters.stepping import Part, State
 from splitband.runtime.arrays import Array
 
 ByTime = Callable[[float, int], Array]
-"""Maps the time of the first sample and a number of samples to them, `(steps, ny)`."""
+"""Maps the time of the first sample and the number of samples to values, `(steps, ny)`."""
 
 
 class Constant(Part):
-    """Say the same value for every sample."""
+    """Return the same value for every sample."""
 
     def __init__(self, level: Array) -> None:
         self.level = level
 
     def initial(self, known: Known | None) -> State:
-        """Return nothing: the value is known."""
+        """Return an empty state."""
         return {}
 
     def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
@@ -36,15 +36,15 @@ class Held(Part):
         self.ny = ny
 
     def initial(self, known: Known | None) -> State:
-        """Return that nothing has been measured."""
+        """Return a state without a measured value."""
         return {"last": np.full(self.ny, np.nan)}
 
     def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """Return that a sample is what is estimated from the history."""
+        """Return rows that read the held value: 0, with a derivative of 1 by it."""
         return state, np.tile([0.0, 1.0], (1 + ahead, self.ny, 1))
 
     def learn(self, state: State, row: Array, y: Array) -> State:
-        """Return the sample, or the last one of a channel that was not measured."""
+        """Return the state with the new values of the channels that were measured."""
         return {"last": np.where(np.isnan(y), state["last"], y)}
 
     def settle(self, state: State) -> Array:
@@ -64,13 +64,13 @@ class InTime(Part):
         return {"time": np.array(float(begin))}
 
     def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """Return the function at a sample, and at `ahead` more."""
+        """Return the values of the function at a sample and at `ahead` more."""
         values = self.predict(state["time"], 1 + ahead)
         return {"time": state["time"] + 1}, values[..., None]
 
 
 class Repeated(Part):
-    """Repeat a period `(lag, ny)`, which ended before the time `end`, on top of a trend."""
+    """Repeat a period `(lag, ny)`, which ended before the time `end`, plus a trend."""
 
     def __init__(self, period: Array, end: int, trend: ByTime) -> None:
         self.period, self.end, self.trend = period, end, trend
@@ -82,7 +82,7 @@ class Repeated(Part):
         return {"time": np.array(float(begin)), "period": rolled}
 
     def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """Return the first of the period with its trend, and turn the period by a sample."""
+        """Return the first sample of the period plus the trend, and rotate the period by one."""
         period = state["period"]
         following = np.concatenate([period[1:], period[:1]]) if len(period) > 1 else period
         both = np.concatenate([period[:1], following[:1]])[: 1 + ahead]

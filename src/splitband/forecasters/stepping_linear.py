@@ -1,7 +1,7 @@
-"""Define the linear model sample by sample, as `OutputError.continued` does for a whole history.
+"""Run the linear model sample by sample, as `OutputError.continued` does for a whole history.
 
-The initial state is estimated from the samples so far by least squares, of which just the
-triangular factor is kept: Golub and Van Loan, Matrix Computations, 4th ed., Sec. 6.5.
+The initial state is estimated from the samples so far by least squares, which keep only the
+triangular factor: Golub and Van Loan, Matrix Computations, 4th ed., Sec. 6.5.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.tracing import cond
 
 _SMALLEST = 1e-200
-"""Smallest variance that is divided by, far below any that is measured."""
+"""Lower limit of a variance in a denominator, far below measured ones."""
 
 
 class Driven(Part):
@@ -50,7 +50,7 @@ class Driven(Part):
         self.line = DelayLine(model.delays)
 
     def initial(self, known: Known | None) -> State:
-        """Return the state as `OutputError.continued` knows it: simulated, or usual in training."""
+        """Return the expected state: simulated from the training record, or the training mean."""
         ny, n, late = len(self.a), self.order, max(self.line.delays)
         begin = -1 if known is None or known.begin is None or known.begin % 1 else int(known.begin)
         expected = 0 <= begin <= len(self.u)
@@ -59,8 +59,8 @@ class Driven(Part):
         if len(before):
             rows = np.concatenate([np.repeat(before[:1], late, axis=0), before])
             line = line and {"past": rows[len(rows) - late :], "filled": np.ones(())}
-        # Which samples count: where inputs before the history are not known, all of them count
-        # until there are enough that act with inputs that are.
+        # The first sample that counts, for two least-squares fits. Where the inputs before the
+        # history are unknown, all samples count until `turn`, then those with known late inputs.
         held = [late - len(before)] * 2 if expected else [0, late]
         return {
             "line": line,
@@ -78,7 +78,7 @@ class Driven(Part):
         }
 
     def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """Return the simulated sample, and how it changes with the initial state."""
+        """Return the simulated sample, and its derivatives by the initial state."""
         line, acting = self.line.tick(state["line"], u)
         x = ((acting - self.model.mean) / self.model.scale)[None, :, None]
         forced = (self.b * x).sum(axis=1)
@@ -91,7 +91,7 @@ class Driven(Part):
         return state | {"line": line, "z": z, "answers": answers, "largest": largest}, row[None]
 
     def learn(self, state: State, row: Array, y: Array) -> State:
-        """Return the state with a further row of the least squares."""
+        """Return the state with a further row in the least squares."""
         left = y - row[:, 0]
         seen = np.logical_not(np.isnan(left))
         data = np.concatenate([row[:, 1:], np.where(seen, left, 0.0)[:, None]], axis=1)
@@ -115,12 +115,12 @@ class Driven(Part):
         }
 
     def settle(self, state: State) -> Array:
-        """Return the most probable change of the initial state, as `States.correction` does."""
+        """Return the most probable correction of the initial state, as in `States.correction`."""
         n = self.order
         known = np.where(state["age"] >= state["turn"], state["triangle"][1], state["triangle"][0])
         noise = np.maximum(self.error, EXACT * state["largest"]) ** 2 + _SMALLEST
         root = np.sqrt(np.concatenate([state["usual"][None], FACTORS]))
-        # Least squares with the prior as further rows.
+        # The prior is appended to the least squares as rows.
         prior = np.concatenate([np.eye(n), np.zeros((n, 1))], axis=1)
         scaled = np.concatenate([np.broadcast_to(root[:, None], (len(root), n)),
                                  np.ones((len(root), 1))], axis=1)  # fmt: skip
@@ -155,11 +155,11 @@ class Driven(Part):
         return np.where(state["own"] > 0, 0.0, state_found)
 
     def after_training(self, state: State) -> State:
-        """Return the state as the fit has told it, which no sample changes."""
+        """Return the state without a correction, as fitted, until the next measured sample."""
         return state | {"own": np.ones(())}
 
     def _after(self, before: Array) -> Array:
-        """Return the filters' states after these inputs, from the training record's first one."""
+        """Return the filter states after these inputs, from the first training sample on."""
         if not len(before):
             return self.c
         scaled = self.model._scaled(before)
@@ -176,10 +176,10 @@ class Driven(Part):
 
 
 def triangular(a: Array) -> tuple[list[Array], Array]:
-    """Return the rows of the triangular factor of `[A, b]`, and what is left of b.
+    """Return the rows of the triangular factor of `[A, b]`, and the residual of b.
 
     `a` is `(..., rows, columns + 1)`. The j-th row begins on the diagonal, and is
-    `(..., columns + 1 - j)`. By Householder reflections.
+    `(..., columns + 1 - j)`. The method is Householder reflections.
     """
     rows = []
     for _ in range(a.shape[-1] - 1):
@@ -197,5 +197,5 @@ def triangular(a: Array) -> tuple[list[Array], Array]:
 
 
 def _shifted(z: Array) -> Array:
-    """Return filter states after a sample of zero, but for the feedback."""
+    """Return the filter states one sample later, without input and feedback."""
     return np.concatenate([z[..., 1:], np.zeros((*z.shape[:-1], 1))], axis=-1)

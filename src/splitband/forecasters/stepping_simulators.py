@@ -1,4 +1,4 @@
-"""Define simulators sample by sample: given from outside, run ahead, or integrated."""
+"""Run simulators sample by sample: output given from outside, computed ahead, or integrated."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from splitband.simulators.shooting import Experiment
 
 
 class Given(Part):
-    """Take a simulator's output, which comes with each sample, with its calibration, `(ny,)` each.
+    """Calibrate a simulator's output, which is given with each sample.
 
-    `trajectory`: the calibrated output over what is known, see `Forecaster.trajectory`.
+    `gain`, `offset`: of the calibration, `(ny,)` each. `trajectory`: see `Forecaster.trajectory`.
     """
 
     simulated = True
@@ -28,7 +28,7 @@ class Given(Part):
         self.gain, self.offset, self.trajectory = gain, offset, trajectory
 
     def initial(self, known: Known | None) -> State:
-        """Return nothing: all is given."""
+        """Return an empty state."""
         return {}
 
     def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
@@ -36,7 +36,7 @@ class Given(Part):
         return state, (y_sim[: 1 + ahead] * self.gain + self.offset)[..., None]
 
     def simulated_over(self, known: Known, ahead: int) -> Array | None:
-        """Return the output as it comes; after the last sample that is known it stands still."""
+        """Return the output before calibration; its last known sample is held beyond its end."""
         known = replace(known, steps=0)
         if ahead and known.y_sim is not None and len(known.y_sim) > len(known.y):
             known = replace(known, steps=ahead)
@@ -45,37 +45,36 @@ class Given(Part):
 
 
 MARGIN = 30
-"""Samples at the end of a run that are not used: splines and solvers end differently there.
-By eye."""
+"""Unused samples at the end of a run, where splines and solvers depend on its length. By eye."""
 
 
 class RunAhead(Part):
-    """Run a simulator over twice the time whenever its output does not reach far enough.
+    """Run a simulator ahead, over twice the time whenever its output does not reach far enough.
 
-    Recorded output, which ends somewhere, is read as far as it is asked for.
+    Recorded output, which has an end, is read only as far as needed.
 
-    `trajectory`: its output over what is known, see `Forecaster.trajectory`.
+    `trajectory`: see `Forecaster.trajectory`.
     """
 
     def __init__(self, trajectory: Callable[[Known], Array]) -> None:
         self.trajectory = trajectory
 
     def initial(self, known: Known | None) -> State:
-        """Return the number of samples so far."""
+        """Return a sample count of 0, after a run over the history, if there is one."""
         if known is not None:
             self.known = known
             self.output = self._run(len(known.y), 2 * len(known.y) + MARGIN)
         return {"samples": 0}
 
     def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """Return the output of the sample, and of `ahead` more."""
+        """Return the output at the sample and at `ahead` more."""
         at, end = state["samples"], state["samples"] + 1 + ahead
         if end + MARGIN > len(self.output):
             self.output = self._run(end, 2 * end + MARGIN)
         return {"samples": at + 1}, self.output[at:end, :, None]
 
     def _run(self, least: int, most: int) -> Array:
-        """Return the output of the most samples, or where it ends before, of the least."""
+        """Return the output of `most` samples or, if it ends earlier, of `least`."""
         begun = len(self.known.y)
         try:
             return self.trajectory(replace(self.known, steps=most - begun))
@@ -85,11 +84,11 @@ class RunAhead(Part):
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """Say where samples are in time.
+    """Compute the times of samples.
 
     Attributes
     ----------
-    start, step : Seconds of the training record's first sample, and between two.
+    start, step : Time of the first training sample, and sampling time, in s.
     u : Inputs of the training record, from its first sample on.
     """
 
@@ -98,16 +97,16 @@ class Clock:
     u: Array | None
 
     def times(self, first: float, samples: int) -> Array:
-        """Return the seconds of samples, the first of them counted from the training record's."""
+        """Return the times of samples in s; `first` is counted from the first training sample."""
         return np.asarray(self.start + self.step * (first + np.arange(samples, dtype=np.float64)))
 
     def reaches(self, known: Known) -> bool:
-        """Return whether all inputs from the training record's first sample on are known."""
+        """Return whether all inputs since the first sample of the training record are known."""
         begin, most = known.begin, np.inf if self.u is None else len(self.u)
         return begin is not None and begin % 1 == 0 and 0 <= begin <= most
 
     def place(self, known: Known) -> float:
-        """Return where a history begins, in samples after the training record's first one."""
+        """Return where a history begins, in samples after the first training sample."""
         if known.begin is not None:
             return known.begin
         start = None if known.grid is None else known.grid.start
@@ -115,19 +114,19 @@ class Clock:
 
 
 class Integrated(Part):
-    """Run a fitted simulator on from its state, from the training record's first one on.
+    """Integrate a fitted simulator sample by sample, from the first state of the training record.
 
-    It has a method `advance` as `Ode` has it.
+    The simulator has a method `advance` like `Ode`.
     """
 
     def __init__(self, name: str, adjusted: Adjusted, clock: Clock) -> None:
         self.name, self.adjusted, self.clock = name, adjusted, clock
 
     def initial(self, known: Known | None) -> State:
-        """Return the state of the last sample before the history; None for the very first one.
+        """Return the state at the last sample before the history; None before the first of all.
 
-        Raises NotSteppedError where the inputs before it are not known: what the history tells of
-        the first state changes with each sample then.
+        Raises NotSteppedError where the inputs before it are not known: the initial state is then
+        estimated from the history, and changes with each sample.
         """
         if known is None or not self.clock.reaches(known):
             raise NotSteppedError(f"{self.name} begins in a state that its history tells")
@@ -135,7 +134,7 @@ class Integrated(Part):
         return {"now": self.run(None, 0.0, begin, None if u is None else u[:begin])}
 
     def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """Return the channels of the sample, and of `ahead` more, which then have no inputs."""
+        """Return the channels at the sample and, with the same inputs, at `ahead` more."""
         inputs = u if len(u) else None
         now = later = self.moved(state["now"], inputs)
         rows = [now["y"]]
@@ -145,10 +144,10 @@ class Integrated(Part):
         return {"now": now}, np.stack(rows)[..., None]
 
     def run(self, x: Array | None, first: float, samples: int, u: Array | None) -> State | None:
-        """Return the state at the last of some samples, which begin in the state `x`."""
+        """Return the state at the last of some samples, of which the first has the state `x`."""
         if not samples:
             return None
-        if samples == 1:  # an interval is needed to be asked about its beginning
+        if samples == 1:  # `advance` needs two times, even for the first
             u = None if u is None else np.concatenate([u, u])
         found = self.adjusted.advance(x, self.clock.times(first, max(samples, 2)), u)
         return self._state(found, samples - 1, first + samples - 1, u) | (
@@ -173,16 +172,19 @@ class Integrated(Part):
 
 
 class FromMemory(Recursion):
-    """Run a fitted simulator by itself: a forecast begins in the state that the last samples tell.
+    """Run a fitted simulator alone: a forecast starts from a state estimated on the last samples.
 
-    `memory`: how many samples tell the state; 0 for none, as the inputs do.
+    `memory`: the number of these samples; 0 if the state follows from the inputs.
     """
 
     def __init__(self, simulator: Integrated, memory: int, ny: int, nu: int) -> None:
         self.simulator, self.memory, self.ny, self.nu = simulator, memory, ny, nu
 
     def initial(self, known: Known | None = None) -> State:
-        """Return the state before a history; raises NotSteppedError where all samples tell it."""
+        """Return the state before a history.
+
+        Raises NotSteppedError where the state has to be estimated from all samples.
+        """
         if known is None or not (self.memory or self.simulator.clock.reaches(known)):
             raise NotSteppedError(f"{self.simulator.name} asks for all samples of its history")
         anchored = self.simulator.clock.reaches(known)
@@ -196,7 +198,7 @@ class FromMemory(Recursion):
         }
 
     def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """Return the state after a sample, and the forecast of one that was not measured."""
+        """Return the state after a sample, and its forecast if it was not measured."""
         part, run, rows = state["part"], state["run"], state["rows"]
         if part is not None:
             part, _ = self.simulator.row(part, u, y_sim, 0)
@@ -220,7 +222,7 @@ class FromMemory(Recursion):
         return new, predicted, True
 
     def _told(self, state: State) -> State:
-        """Return the state at the last sample, as the samples before it tell."""
+        """Return the state at the last sample, estimated on the samples in memory."""
         y, u = state["y"], state["u"] if self.nu else None
         first = state["next"] - len(y)
         history = Experiment(self.simulator.clock.times(first, len(y)), y, u)

@@ -1,4 +1,4 @@
-"""Run a forecaster step by step."""
+"""Run a forecaster sample by sample."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 
 @final
 class Stream:
-    """Observe samples as they are measured, and predict them where they are not.
+    """Observe measured samples, and predict samples that are not measured.
 
-    `Forecaster.stream` makes one. At any sample, a forecast is that of `Forecaster.predict` from
-    the samples observed so far. Samples that were predicted count as not measured.
+    `Forecaster.stream` returns one. At any sample, the forecast equals that of `Forecaster.predict`
+    from the samples observed so far. Predicted samples count as not measured.
 
     Parameters
     ----------
     name : Of the forecaster, for messages.
-    recursion : What it does with each sample.
-    state : After the history.
+    recursion : The update of the state with each sample.
+    state : The state after the history.
 
     Examples
     --------
@@ -54,15 +54,15 @@ class Stream:
 
         Parameters
         ----------
-        y : What was measured, `(ny,)`; NaN for what was not.
+        y : The measured sample, `(ny,)`, NaN for channels that were not measured.
         u : Inputs of this sample, `(nu,)`, for a record with inputs.
         y_sim : Output of the simulator at this sample, for a model with one, `(ny,)`. A
-            conditioned hybrid model without inputs also needs that of the next sample, `(2, ny)`.
+            conditioned hybrid without inputs also needs that of the next sample, `(2, ny)`.
         """
         self._tick(self._signal("y", y, (self.recursion.ny,), gaps=True), u, y_sim)
 
     def step(self, u: npt.ArrayLike | None = None, y_sim: npt.ArrayLike | None = None) -> Array:
-        """Predict the next sample, which is not measured, `(ny,)`.
+        """Predict the next sample, which was not measured, `(ny,)`.
 
         Parameters
         ----------
@@ -71,7 +71,7 @@ class Stream:
         Raises
         ------
         ValueError
-            Where too few samples have been measured in a row for a forecast to begin.
+            Where too few samples in a row have been measured to start a forecast.
         """
         before = self.state
         predicted, ready = self._tick(np.full(self.recursion.ny, np.nan), u, y_sim)
@@ -85,7 +85,7 @@ class Stream:
         return predicted
 
     def copy(self) -> Stream:
-        """Return a stream that goes on from the same state by itself, for what-if runs."""
+        """Return an independent stream with the same state, for what-if runs."""
         return Stream(self.name, self.recursion, self.state)
 
     def __repr__(self) -> str:
@@ -128,7 +128,7 @@ class Stream:
 def stream_of(
     forecaster: Forecaster, history: Record | None = None, other_record: bool = False
 ) -> Stream:
-    """Return a fitted forecaster with a state; see `Forecaster.stream`."""
+    """Return the stream of a fitted forecaster; see `Forecaster.stream`."""
     if history is not None:
         require_records("history", history)
     try:
@@ -141,9 +141,9 @@ def stream_of(
 def program_of(
     forecaster: Forecaster, history: Record | None = None
 ) -> tuple[Recursion, State | None]:
-    """Return what `Forecaster.export` writes, and its state after a history.
+    """Return the recursion that `Forecaster.export` writes, and its state after a history.
 
-    The state is None where a simulator is not there that has to say what it did until then.
+    The state is None where it depends on past output of a simulator that is not available.
     """
     recursion = forecaster.stepped(outside=True)
     try:
@@ -163,7 +163,7 @@ def _prepared(forecaster: Forecaster, history: Record | None) -> Record:
 def _begun(
     forecaster: Forecaster, recursion: Recursion, history: Record | None, other_record: bool
 ) -> Stream:
-    """Return a stream after a history."""
+    """Return a stream whose state is that after a history."""
     own = None if history is None else _prepared(forecaster, history)
     known = known_at_origin(forecaster, own, other_record)
     recursion = _in_units(forecaster, recursion, history)
@@ -171,7 +171,7 @@ def _begun(
 
 
 def _in_units(forecaster: Forecaster, recursion: Recursion, history: Record | None) -> Recursion:
-    """Return the recursion in the units of a history, without one in those that were measured."""
+    """Return the recursion in the units of a history; without one, in measured units."""
     past = _prepared(forecaster, history)
     prepared = past.prepared
     if not prepared or (history is not None and history.prepared == prepared):
@@ -181,7 +181,7 @@ def _in_units(forecaster: Forecaster, recursion: Recursion, history: Record | No
 
 
 class Asked(Recursion):
-    """Ask a fitted forecaster anew for each sample; slower the longer the history is."""
+    """Call `predict` for each sample, which takes longer the longer the history is."""
 
     def __init__(self, forecaster: Forecaster, history: Record, other_record: bool) -> None:
         self.forecaster, self.history, self.other_record = forecaster, history, other_record
@@ -198,11 +198,11 @@ class Asked(Recursion):
         }
 
     def followed(self, known: Known) -> State:
-        """Return the history: nothing else is remembered."""
+        """Return the history, which is the whole state."""
         return self.initial(known)
 
     def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """Return the history with another sample, and the forecast of one that was not measured."""
+        """Return the history with another sample, and its forecast if it was not measured."""
         rows = {"y": y[None], "u": u[None], "y_sim": y_sim}
         new = {name: np.concatenate([state[name], row]) for name, row in rows.items()}
         if np.isnan(y).any():
@@ -210,7 +210,7 @@ class Asked(Recursion):
         return new, y, True
 
     def _predicted(self, state: State) -> Array:
-        """Return the last of these samples, predicted from the last one that was measured."""
+        """Return the last of these samples, predicted from the last measured one before it."""
         measured = np.flatnonzero(~np.isnan(state["y"]).all(axis=1))
         origin = int(measured[measured < len(state["y"]) - 1].max()) + 1
         past = self.history
@@ -235,9 +235,9 @@ class Asked(Recursion):
 
 
 class InUnits(Recursion):
-    """Run a recursion, which is in the units of prepared signals, in those of before.
+    """Run a recursion for prepared signals in measured units.
 
-    The times of what is `prepared` count from the history's first sample; `step` is in seconds.
+    The times of the preparations count from the first sample of the history; `step` is in s.
     """
 
     def __init__(self, inner: Recursion, prepared: Sequence[Preparation], step: float) -> None:
@@ -246,15 +246,15 @@ class InUnits(Recursion):
         self.simulated, self.warmup = inner.simulated, inner.warmup
 
     def initial(self, known: Known | None = None) -> State:
-        """Return the state of the other one, and the number of samples before the next one."""
+        """Return the state of the inner recursion, and the number of samples so far."""
         return {"inner": self.inner.initial(known), "samples": np.zeros(())}
 
     def followed(self, known: Known) -> State:
-        """Return the state after a history, which is prepared."""
+        """Return the state after a prepared history."""
         return {"inner": self.inner.followed(known), "samples": np.array(float(len(known.y)))}
 
     def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """Prepare the signals of a sample, and undo that on what is predicted."""
+        """Prepare the signals of a sample, and undo the preparation on the prediction."""
         time = self.step * np.stack([state["samples"] + i for i in range(1 + self.ahead)])
         rows, inputs = y[None], u[None]
         for each in self.prepared:

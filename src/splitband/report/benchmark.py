@@ -1,4 +1,4 @@
-"""Sum up comparisons of many records: a row each, and what all of them say."""
+"""Summarise the comparisons of many records: a row for each, and medians over all."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from splitband.report.numbers import number, percent
 
 @dataclass(frozen=True)
 class Row:
-    """Hold what the comparison of one case came to.
+    """Hold the result of the comparison of one case.
 
-    Errors are RMSE of the mean over seeds, as multiples of the standard deviation of the predicted
-    samples: 1 is as good as their mean. Of several outputs it is the root mean square of theirs.
+    An error is the RMSE of the mean over seeds, divided by the standard deviation of the predicted
+    samples: 1 is as good as their mean. With several outputs it is the root mean square over them.
 
     Attributes
     ----------
-    name : Of the case.
-    protocol : "test" where there are test records, of which an error is the mean; else "forecast".
+    name : Name of the case.
+    protocol : "test" if there are test records (an error is the mean over them), else "forecast".
     recommended : The method chosen by training samples alone.
-    error : Its error; None where it has none: it was not tested, or the record is constant.
-    best : The method with the lowest error, which only the predicted samples show.
+    error : Its error; None if it was not tested, or the record is constant.
+    best : The method with the lowest error, known only in hindsight.
     best_error : Its error.
     held : Share of the forecast's measured samples in the recommended method's interval, 0 to 1;
-        None where nothing was forecast.
-    seconds : The comparison took, in the call that finished it.
-    failed : Why there is no comparison; empty where there is one.
+        None if nothing was forecast.
+    seconds : Run time of the comparison, in the call that finished it.
+    failed : Why there is no comparison; empty if there is one.
     """
 
     name: str
@@ -46,17 +46,14 @@ class Row:
 
     @property
     def fit(self) -> float | None:
-        """Return the recommended method's fit in percent; of several outputs that of their errors.
-
-        None where it has no error.
-        """
+        """Return the recommended method's fit, 100 (1 - error) %; None if it has no error."""
         return None if self.error is None else 100 * (1 - self.error)
 
     @property
     def regret(self) -> float | None:
-        """Return how many times the best method's error the recommended one has; 1 is ideal.
+        """Return the recommended method's error divided by the lowest error; 1 is ideal.
 
-        None where one is missing, or only the best one is 0.
+        None if either is missing, or only the lowest is 0.
         """
         if self.error is None or self.best_error is None:
             return None
@@ -66,12 +63,12 @@ class Row:
 
     @classmethod
     def of(cls, name: str, facts: Mapping[str, Any]) -> Row:
-        """Return the row of a comparison's results.json, with `seconds` beside it.
+        """Return the row of a comparison's results.json, to which `seconds` has been added.
 
         Raises
         ------
         KeyError
-            Where something is missing there.
+            If an entry is missing there.
         """
         protocol = "test" if facts.get("tests") else "forecast"
         methods, chosen = facts["methods"], facts["recommended"]
@@ -92,7 +89,7 @@ class Row:
 
     @property
     def note(self) -> str:
-        """Return what stands in place of numbers that are missing."""
+        """Return why numbers are missing; empty if there is nothing to say."""
         if self.failed:
             return f"failed: {self.failed}"
         if self.protocol == "test" and self.error is None:
@@ -100,7 +97,7 @@ class Row:
         return ""
 
     def as_json(self) -> dict[str, Any]:
-        """Return it for results.json and a line of table.csv."""
+        """Return the row as in results.json and table.csv."""
         return {**vars(self), "fit": self.fit, "regret": self.regret}
 
 
@@ -122,9 +119,9 @@ class Column:
     Attributes
     ----------
     heading, note : What it is called, and what it means.
-    value : Of a row; None where it has none.
-    show : Writes its numbers; None for a column of text.
-    ideal : What it is at best, where that is the same for all cases.
+    value : Gives the value for a row; None if the row has none.
+    show : Formats a number; None for a column of text.
+    ideal : The best possible value, if it is the same for all cases.
     """
 
     heading: str
@@ -134,7 +131,7 @@ class Column:
     ideal: float | None = None
 
     def entry(self, row: Row) -> str:
-        """Return what a table shows of a row."""
+        """Return the text of a row's cell."""
         value = self.value(row)
         return (
             str(value) if self.show is None else number(None) if value is None else self.show(value)
@@ -166,7 +163,7 @@ COLUMNS = (
     Column("seconds", lambda row: row.seconds, number),
     Column("note", lambda row: row.note),
 )  # fmt: skip
-"""What the terminal and the page show of each case."""
+"""The columns that the terminal and the page show."""
 
 
 def table(rows: Sequence[Row]) -> pd.DataFrame:
@@ -175,7 +172,7 @@ def table(rows: Sequence[Row]) -> pd.DataFrame:
 
 
 def summary(rows: Sequence[Row]) -> dict[str, Any]:
-    """Return medians over all cases that have the number in question; None where none has."""
+    """Return counts, and medians over the cases that have the number; None if none has it."""
     done = [row for row in rows if not row.failed]
     return {
         "cases": len(rows),

@@ -1,4 +1,4 @@
-"""Say by what a result was computed: versions, machine, commit."""
+"""Describe what computed a result: versions, machine, commit."""
 
 from __future__ import annotations
 

@@ -9,11 +9,11 @@ from splitband.data import Record
 
 _MISSING = "–"  # noqa: RUF001
 _SMALLEST, _LARGEST = 1e-3, 1e5
-"""Numbers from the one to the other are written without an exponent."""
+"""Range of the numbers that are written without an exponent."""
 
 
 def number(value: float | None) -> str:
-    """Return three digits; a dash where there is none."""
+    """Return a number with three significant digits; a dash for None and NaN."""
     if value is None or value != value:  # noqa: PLR0124  NaN
         return _MISSING
     if value and not _SMALLEST <= abs(value) < _LARGEST:
@@ -28,13 +28,13 @@ def percent(share: float) -> str:
 
 
 def decimals(values: Sequence[float]) -> int:
-    """Return the decimals of a column's numbers: three digits of the smallest, four at most."""
+    """Return the decimal places of a column: three digits of its smallest number, at most four."""
     sizes = [abs(v) for v in values if math.isfinite(v) and _SMALLEST <= abs(v) < _LARGEST]
     return min(max(2 - math.floor(math.log10(min(sizes))), 0), 4) if sizes else 1
 
 
 def aligned(value: float, decimals: int) -> str:
-    """Return a number of a column; one that is much larger or smaller than the rest by `number`."""
+    """Return a number with fixed decimal places; one too large or small for them by `number`."""
     if abs(value) >= _LARGEST or round(value, decimals) == 0 != value:
         return number(value)
     return f"{value:,.{decimals}f}"

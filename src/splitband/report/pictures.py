@@ -38,14 +38,14 @@ def save(figure: Figure, path: str | Path) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Side:
-    """Say what is predicted in one panel.
+    """Hold what one panel shows.
 
     Attributes
     ----------
-    record : What was measured.
+    record : The measured record.
     start : Index of the first predicted sample.
-    what : In words.
-    predicted : By method, to the record's end; a method may have nothing to say.
+    what : The kind of prediction, in words.
+    predicted : Predictions up to the record's end, by method; some methods may have none.
     """
 
     record: Record
@@ -62,7 +62,7 @@ class _Side:
 def rollouts(comparison: Comparison) -> Figure:
     """Draw the recommended method's predictions large, and those of the others small below.
 
-    They are of the samples after the training part, with an interval, and of each test record.
+    Panels show the forecast, with its interval, and each test record; without both, a simulation.
     """
     sides, names = _sides(comparison), ordered(comparison.trial, comparison.runs)
     best, *others = names
@@ -99,7 +99,7 @@ SMALL_ACROSS = 4
 
 
 def _sides(comparison: Comparison) -> list[_Side]:
-    """Return what was predicted of samples that nothing was fitted to, or all of the record."""
+    """Return the panels of the forecast and the test records, or else one of the simulation."""
     record, means, train = comparison.record, comparison.means, comparison.setup.train
     sides = []
     if comparison.predictions:
@@ -120,7 +120,7 @@ def _draw_large(ax: Axes, side: _Side, channel: int, name: str) -> None:
     if predicted is not None:
         y, at = predicted.y[:, channel], times[len(times) - len(predicted) :]
         _draw_interval(ax, at, predicted, channel)
-        ax.plot(at, y, color=PALETTE[0], lw=3, label="predicted")  # seen around what agrees
+        ax.plot(at, y, color=PALETTE[0], lw=3, label="predicted")  # wide, to show behind it
         truth = record.truth[len(times) - len(y) :, channel]
         fit, error = fit_percent(truth, y), rmse(truth, y)
         unit = f" {record.units[channel]}".rstrip()
@@ -195,8 +195,8 @@ def spectrum(
 ) -> Figure:
     """Draw the power spectral density of every channel with the cut-off marked.
 
-    With a simulator, its spectrum beside them and the coherence of both below; with a `choice`,
-    what each cut-off that was looked at would lose.
+    With a simulator, also draw its spectrum and its coherence with the record; with a `choice`,
+    the loss at each candidate cut-off.
     """
     heights = [2.2, *[1] * (record.y_sim is not None), *[1] * (choice is not None)]
     figure = Figure(figsize=(8, 2 + 2 * len(heights)), layout="constrained")
@@ -230,7 +230,7 @@ def spectrum(
 
 
 def _draw_choice(ax: Axes, choice: Choice) -> None:
-    """Draw what each candidate would lose, and where the low band would not hold enough."""
+    """Draw the loss of each candidate cut-off, and mark those whose low band holds too little."""
     for order in sorted({c.order for c in choice.candidates}):
         of_order = [c for c in choice.candidates if c.order == order]
         enough = [c.passed >= LEAST_PASSED or choice.simulator_helps is True for c in of_order]
@@ -262,24 +262,24 @@ def _draw_spectrum(ax: Axes, record: Record, spectrum: Spectrum) -> None:
 
 
 def literal(name: str) -> str:
-    """Return a user's name, whose dollar signs are not for formulas."""
+    """Escape dollar signs in a user's name, which matplotlib would read as formulas."""
     return name.replace("$", r"\$")
 
 
 def times_of(record: Record) -> npt.NDArray[Any]:
-    """Return the axis of time: the time stamps, or seconds from the beginning."""
+    """Return the values of the time axis: time stamps, or seconds from the first sample."""
     return _drawn(pd.Index(record.stamps))
 
 
 def _drawn(stamps: pd.Index[Any]) -> npt.NDArray[Any]:
-    """Time stamps as matplotlib takes them; dates as they read in their own time zone."""
+    """Return time stamps as matplotlib takes them; dates are in their own time zone."""
     if isinstance(stamps, pd.DatetimeIndex):
         stamps = stamps.tz_localize(None)
     return np.asarray(stamps)
 
 
 def time_label(record: Record) -> str:
-    """Return what stands below an axis of time."""
+    """Return the label of the time axis."""
     return "time" if isinstance(record.start, pd.Timestamp) else "time (s)"
 
 

@@ -1,4 +1,4 @@
-"""Write results as JSON: every number with what is needed to make it again."""
+"""Write the files of results; results.json has all numbers and what is needed to reproduce them."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def save(
     """Write all files of a comparison in place of an earlier result; on an error none of them.
 
     They are predictions.csv and one for each test record, rollouts.png, the page, the trained
-    model, recommended.json where a network is recommended, and results.json. `facts` go into the
-    last one before the others; `usage` is for the page.
+    model, recommended.json if a network is recommended, and results.json, in which `facts` come
+    first. `usage` is shown on the page.
     """
     with staged(folder) as new:
         began = now()
@@ -70,18 +70,18 @@ def save(
 
 
 def _drawing() -> tuple[ModuleType, ModuleType]:
-    """Return what draws pictures and pages: libraries that take their time, imported only here."""
+    """Import the modules that draw pictures and pages, only here: their libraries load slowly."""
     pictures, page = "splitband.report.pictures", "splitband.report.page.document"
     return import_module(pictures), import_module(page)
 
 
 def found_in(forecaster: Forecaster, folder: Path) -> Path | None:
-    """Return the file that says how a recommended network is trained; None for what is none."""
+    """Return the file with the settings of a recommended network; None for another method."""
     return None if SavedSettings.of_forecaster(forecaster) is None else folder / FOUND
 
 
 def save_found(forecaster: Forecaster, record: Record, folder: Path) -> None:
-    """Write how a recommended network is trained, for --settings; nothing for what is none."""
+    """Write the settings of a recommended network, for --settings; nothing for another method."""
     saved = SavedSettings.of_forecaster(forecaster)
     if saved is not None:
         saved.for_record(record).save(folder / FOUND)
@@ -90,8 +90,8 @@ def save_found(forecaster: Forecaster, record: Record, folder: Path) -> None:
 def results(comparison: Comparison) -> dict[str, Any]:
     """Return what `compare` writes to results.json.
 
-    `table` has the errors of each channel, of the mean of the seeds, as they are shown. Those of
-    `methods` are of all channels together, the root of the sum of their squares.
+    `table` has the errors of the mean over seeds, by channel, as they are shown. Errors in
+    `methods` are over all channels: the root of the sum of their squares.
     """
     record, trial = comparison.record, comparison.require_trial()
     return {
@@ -132,9 +132,9 @@ def results(comparison: Comparison) -> dict[str, Any]:
 def predictions(comparison: Comparison) -> pd.DataFrame:
     """Return the record and the predictions, a row for each sample.
 
-    There is one column for each channel, and for each channel, method and protocol the mean over
-    seeds, empty before a prediction begins. The forecast of the recommended method has its interval
-    beside it.
+    There is a column for each channel, and one for each channel, method and protocol: the mean over
+    seeds, empty before the prediction begins. The interval of the recommended method's forecast has
+    columns, too.
     """
     sides: dict[str, Array] = {}
     for name, mean in comparison.means.items():
@@ -156,7 +156,7 @@ def predictions_of_test(comparison: Comparison, number: int) -> pd.DataFrame:
 
 
 def _beside(record: Record, predicted: Mapping[str, Array]) -> pd.DataFrame:
-    """Return a table of a record and of what was predicted of its last samples, by name."""
+    """Return a table of a record and of predictions of its last samples, by name."""
     table: dict[str, Any] = {time_header(record.columns): record.stamps}
     for i, column in enumerate(record.columns):
         table[column] = record.seen[:, i]
@@ -172,7 +172,7 @@ def save_check(
 ) -> None:
     """Write results.json and the page of a check of a model in place of an earlier result.
 
-    `kind` says in words what the model is.
+    `kind` describes the model in words.
     """
     _, page = _drawing()
     facts = check.as_json() | {"kind": kind, "command": usage.asked}
@@ -189,8 +189,8 @@ def save_check(
 def save_forecast(result: Forecast, folder: Path, usage: Usage | None = None) -> None:
     """Write all files of a forecast in place of an earlier result; on an error none of them.
 
-    They are forecast.csv, its picture, the page, recommended.json where a network was fitted, and
-    results.json. `usage` is for the page.
+    They are forecast.csv, its picture, the page, the trained model, recommended.json if it is a
+    network, and results.json. `usage` is shown on the page.
     """
     pictures, page = _drawing()
     with staged(folder) as new:
@@ -238,7 +238,7 @@ def _test_facts(comparison: Comparison) -> list[dict[str, Any]]:
 
 
 def _interval(comparison: Comparison, name: str) -> dict[str, Any]:
-    """Return the forecast's interval, and how many of the measured samples it really holds."""
+    """Return a forecast's interval, and the share of the measured samples that it covers."""
     interval = comparison.require_trial().intervals[name]
     ahead = len(comparison.means[name].ahead)
     if not ahead:
@@ -251,7 +251,7 @@ def _interval(comparison: Comparison, name: str) -> dict[str, Any]:
 
 
 def _mean(comparison: Comparison, name: str) -> dict[str, Any]:
-    """Return the errors of the mean over seeds, which is what is handed out."""
+    """Return the errors of the mean over seeds, which is the method's prediction."""
     mean = comparison.means[name]
     facts: dict[str, Any] = {"total_rmse": mean.total_rmse}
     facts |= {} if mean.forecast is None else {"forecast_rmse": mean.forecast_rmse}

@@ -24,9 +24,9 @@ from splitband.report.numbers import aligned, decimals, number, percent
 from splitband.runtime.arrays import Array
 
 Unit = Literal["percent", "record", "deviation", "share", "seconds", "count"]
-"""Of a column: percent, the output's own unit, its standard deviation, 0 to 1, seconds, none."""
+"""Unit of a column: percent, the output's unit, its standard deviation, 0 to 1, seconds, none."""
 FARTHEST = -999.0
-"""Percent: a worse fit is not told apart."""
+"""Percent: a worse fit is shown as less than this."""
 
 NOTES = {
     "test fit %": "100 (1 - |y - prediction| / |y - mean(y)|) of the simulation of this test "
@@ -57,13 +57,13 @@ class Column:
     Attributes
     ----------
     heading : What it is called.
-    unit : Of its numbers.
-    values : By method; a method that has none is missing.
-    channel : The measured column it is of; empty where it is of all of them, or the record has one.
-    record : The test record it is of, by name; empty: the one that is compared on.
-    spreads : Standard deviation over the seeds, by method, where there are several.
-    ranked : Whether the lowest number, of percents the highest, is the best one.
-    measure : The unit of the output, as its name says it: "m".
+    unit : Unit of its numbers.
+    values : Numbers by method; a method that has none is missing.
+    channel : The channel; empty if the number is over all channels, or the record has only one.
+    record : Name of the test record; empty for the record of the comparison.
+    spreads : Standard deviation over the seeds, by method, if there are several.
+    ranked : Whether the lowest number (of percents, the highest) is the best one.
+    measure : The unit of the output, as given in its name, such as "m".
     """
 
     heading: str
@@ -83,7 +83,7 @@ class Column:
 
     @property
     def note(self) -> str:
-        """Return what it means."""
+        """Return the explanation of the heading."""
         return NOTES[self.heading]
 
     @property
@@ -94,14 +94,14 @@ class Column:
 
     @property
     def best(self) -> str:
-        """Return the best method; empty where numbers are not ranked."""
+        """Return the best method; empty if the column is not ranked."""
         known = {name: value for name, value in self.values.items() if value == value}  # noqa: PLR0124
         if not (known and self.ranked):
             return ""
         return (max if self.unit == "percent" else min)(known, key=lambda name: known[name])
 
     def entry(self, method: str) -> str:
-        """Return what a table shows of a method, with the spread of its seeds."""
+        """Return the text of a method's cell, with the spread of its seeds."""
         value = self.values.get(method)
         if value is None or value != value:  # noqa: PLR0124  NaN
             return number(None)
@@ -120,7 +120,7 @@ class Column:
         return 0 if self.unit == "count" else decimals([*self.values.values()])
 
     def as_json(self) -> dict[str, Any]:
-        """Return what results.json says of it."""
+        """Return the column as in results.json."""
         return {
             "heading": self.heading,
             **({"record": self.record} if self.record else {}),
@@ -134,10 +134,10 @@ class Column:
 
 
 def columns(comparison: Comparison) -> list[Column]:
-    """Return the columns of a comparison: fit and error first, then what they rest on.
+    """Return the columns of a comparison: fit and error first, then supporting numbers.
 
-    Errors are of the mean of the seeds' predictions, which is what is handed out, each output by
-    itself; beside them stands the standard deviation of the seeds' own errors.
+    Errors are of the mean of the seeds' predictions, which is the method's prediction, for each
+    output separately. Their spread is the standard deviation of the single seeds' errors.
     """
     runs, record, ahead = comparison.runs, comparison.record, bool(comparison.predictions)
     found: list[Column] = []
@@ -163,21 +163,21 @@ def columns(comparison: Comparison) -> list[Column]:
 
 
 def ordered(trial: Trial | None, methods: Iterable[str]) -> list[str]:
-    """Return the methods in the order of what they are chosen by, the recommended one first."""
+    """Return the methods sorted by their score, the recommended one first."""
     if trial is None:
         return [*methods]
     return sorted(methods, key=lambda name: (name in trial.left_out, trial.worth(name)))
 
 
 def tried(trial: Trial, record: Record, methods: Sequence[str]) -> list[Column]:
-    """Return the columns of what a trial has found: score and held-out error."""
+    """Return the columns of a trial: score and held-out error."""
     scores = {name: trial.worth(name) for name in methods if name in trial.final}
     held_out = {name: trial.errors[name] for name in methods}
     return [Column("score", "deviation", scores), *_by_channel("held-out RMSE", held_out, record)]
 
 
 def remarks(comparison: Comparison) -> dict[str, str]:
-    """Return what is to be said of each method beside its numbers; why it failed, if it did.
+    """Return the remarks on each method, or why it failed.
 
     The methods are in the order of the table's rows.
     """
@@ -190,7 +190,7 @@ def remarks(comparison: Comparison) -> dict[str, str]:
 
 
 def leaving_range(runs: Sequence[Run]) -> str:
-    """Return after how many samples a seed's forecast leaves the training range; else nothing."""
+    """Return when the first forecast of a seed leaves the training range, in words; else empty."""
     left = [run.leaves for run in runs if run.leaves is not None]
     return leaving(min(left)) if left else ""
 
@@ -249,7 +249,7 @@ def _errors(
     record: Record,
     predicted: Callable[[Run], Prediction | None],
 ) -> list[Column]:
-    """Return the fit and the RMSE on a record of the mean of each method's seeds."""
+    """Return the columns of fit and RMSE on a record, of each method's mean over seeds."""
     fits, errors, spreads = {}, {}, {}
     for name, runs in comparison.runs.items():
         mean = predicted(comparison.means[name])
@@ -268,7 +268,7 @@ def _errors(
 
 
 def of_test(i: int) -> Callable[[Run], Prediction | None]:
-    """Return what takes the prediction of a test record out of a run, None where it has none."""
+    """Return a function that gives a run's prediction of the i-th test record, or None."""
     return lambda run: run.tests[i] if run.tests else None
 
 

@@ -1,4 +1,4 @@
-"""Say in sentences what a comparison found, for the terminal and the page."""
+"""Describe the results of a comparison in sentences, for the terminal and the page."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ from splitband.report.numbers import number, percent
 from splitband.report.table import Column, columns, leaving_range
 
 POOR = 0.15
-"""By how much an interval may miss the share that it should hold before the page warns of it.
-By eye."""
+"""Largest shortfall of an interval's coverage that causes no warning. By eye."""
 FEW = 20
-"""Held-out samples, fewer than which are warned of. By eye."""
+"""Least number of held-out samples that causes no warning. By eye."""
 
 
 def in_words(name: str, methods: Mapping[str, Forecaster] = NAMES) -> str:
-    """Return what a method is; empty for one of the user's own that does not say."""
+    """Return the description of a method; empty for a method of the user that has none."""
     method = methods.get(name, NAMES.get(name))
     return "" if method is None else method.in_words()
 
@@ -33,7 +32,7 @@ def named(name: str, kind: str) -> str:
 
 
 def lead(record: Record) -> str:
-    """Return the record in a line."""
+    """Return a line that describes the record."""
     every = f"{record.sampling_time:.6g} s"
     said = f"{len(record):,} samples every {every}, measured: {', '.join(record.columns)}"
     return said + (f"; known inputs: {', '.join(record.inputs)}" if record.nu else "")
@@ -53,7 +52,7 @@ def achieved(comparison: Comparison) -> list[str]:
 
 
 def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
-    """Return the same in pairs: what it is of, and what was achieved."""
+    """Return the same as pairs: the predicted output and record, and the numbers."""
     best = comparison.recommended
     listed = [column for column in columns(comparison) if best in column.values]
     side = "test" if any(c.heading == "test fit %" for c in listed) else "forecast"
@@ -74,7 +73,7 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
 
 
 def why(trial: Trial, train: int) -> list[str]:
-    """Return why a method is recommended, and by which criterion, in sentences."""
+    """Return sentences that say why a method is recommended, and by which criterion."""
     best = trial.recommended
     settled = [name for name in trial.errors if name in trial.final]
     if len(trial.errors) == 1:
@@ -100,7 +99,7 @@ def why(trial: Trial, train: int) -> list[str]:
 
 
 def afterwards(comparison: Comparison) -> list[str]:
-    """Return what the recommended method did on samples that nothing had been fitted to."""
+    """Return which methods had a better fit than the recommended one on unseen samples."""
     best, listed = comparison.recommended, columns(comparison)
     tests = [column for column in listed if column.heading == "test fit %"]
     ahead = [column for column in listed if column.heading == "forecast fit %"]
@@ -118,7 +117,7 @@ def afterwards(comparison: Comparison) -> list[str]:
 
 
 def _listed(found: Sequence[Column], method: str) -> str:
-    """Return a method's entries with the channels they are of."""
+    """Return a method's entries, each with its channel."""
     return " and ".join(
         column.entry(method) + (f" ({column.channel})" if column.channel else "")
         for column in found
@@ -126,7 +125,7 @@ def _listed(found: Sequence[Column], method: str) -> str:
 
 
 def doubts(comparison: Comparison) -> list[str]:
-    """Return what methods themselves have to say against their forecasts, each thing once."""
+    """Return the methods' own warnings about their forecasts, each once."""
     said: dict[str, list[str]] = {}
     for name, mean in comparison.means.items():
         for doubt in () if mean.forecast is None else mean.forecast.doubts:
@@ -171,7 +170,7 @@ def warnings(comparison: Comparison) -> list[str]:
 
 
 def of_inputs(beyond: Sequence[Extrapolation], record: Record) -> list[str]:
-    """Return which inputs go beyond those that were trained on."""
+    """Return a sentence for each input that leaves its training range."""
     return [
         each.describe(record.inputs[each.channel] if each.channel < record.nu else "")
         for each in beyond
@@ -179,7 +178,7 @@ def of_inputs(beyond: Sequence[Extrapolation], record: Record) -> list[str]:
 
 
 def of_gaps(record: Record) -> list[str]:
-    """Return what was not measured."""
+    """Return a sentence about missing samples, if there are any."""
     missing = int((~record.complete).sum())
     if not missing:
         return []

@@ -8,14 +8,14 @@ from difflib import get_close_matches
 from typing import Any
 
 LARGEST_SIZE = 10_000
-"""Largest order, down-sampling or size of a network: larger ones are mistakes. By eye."""
+"""Largest order, down-sampling or size of a network; larger values are mistakes. By eye."""
 
 
 def whole(name: str, value: Any, least: int | None = 1, most: int | None = None) -> int:
-    """Return a whole number as an `int`, also one of NumPy's.
+    """Return a whole number as an `int`, including NumPy's integers.
 
-    Raises ValueError for what is no whole number, is below `least`, or is not between `least` and
-    `most`. It names the argument.
+    Raises ValueError, naming the argument, if `value` is no whole number, is below `least`, or is
+    not between `least` and `most`.
     """
     try:
         number = operator.index(value)

@@ -1,4 +1,4 @@
-"""Name the arrays of which signatures speak."""
+"""Define the types of arrays that signatures use."""
 
 from __future__ import annotations
 

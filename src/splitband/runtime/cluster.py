@@ -16,32 +16,32 @@ from typing import Any, final
 from splitband.runtime.executors import Parameters, Report, Result, Workers
 
 PATIENCE = 5.0
-"""Seconds after which a scheduler that does not answer is given up on. By eye."""
+"""Seconds to wait for the answer of a scheduler. By eye."""
 BETWEEN_REPORTS = 1.0
-"""Seconds between two reports of a job, as all of them pass through the scheduler. By eye."""
+"""Least seconds between two reports of a job, as all reports pass the scheduler. By eye."""
 COMPARED = ("python", "splitband", "torch", "numpy", "distributed")
-"""What must have the same version everywhere: of Python the first two parts of it."""
+"""Packages that need the same version on all workers; for Python, the same minor version."""
 NAMED = 3
-"""How many of the workers with other versions are named in an error. By eye."""
+"""Largest number of workers with other versions that an error names. By eye."""
 
 
 @final
 class Cluster(Workers):
     """Use the workers of a Dask scheduler as an executor (the extra `splitband[cluster]`).
 
-    It is also a context manager, which closes the connection and leaves the workers as they are.
+    As a context manager it closes the connection at the end; the workers go on running.
 
     Parameters
     ----------
-    address : Of the scheduler, such as "tcp://10.0.0.5:8786".
+    address : Address of the scheduler, such as "tcp://10.0.0.5:8786".
 
     Raises
     ------
     ValueError
-        Where `distributed` is not installed here; where a worker has other versions than this
-        process, or lacks a package.
+        If `distributed` is not installed here, or a worker lacks a package or has other versions
+        than this process.
     ConnectionError
-        Where no scheduler answers within `PATIENCE` seconds.
+        If no scheduler answers within `PATIENCE` seconds.
     """
 
     def __init__(self, address: str) -> None:
@@ -82,12 +82,12 @@ class Cluster(Workers):
     def shared(self, value: Any) -> Any:
         """Send a value to the cluster once, and return its reference.
 
-        The scheduler keeps it, so that it is not lost with the worker that has it; workers get it
-        from each other.
+        The scheduler keeps a copy, in case the worker that holds the value is lost; workers fetch
+        it from each other.
         """
         import cloudpickle  # noqa: PLC0415  it comes with Dask
 
-        with warnings.catch_warnings():  # that it is large is why it travels by itself
+        with warnings.catch_warnings():  # it is sent on its own because it is large
             warnings.filterwarnings("ignore", "Sending large graph")
             return self._client.submit(pickle.loads, cloudpickle.dumps(value), pure=False)
 
@@ -126,7 +126,7 @@ class Cluster(Workers):
         return error
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Close the connection; the scheduler gives up what has not been finished."""
+        """Close the connection; the scheduler gives up unfinished jobs."""
         self._client.close(timeout=PATIENCE)
 
     @property
@@ -149,7 +149,7 @@ class Cluster(Workers):
 
 
 async def _is_scheduler(address: str) -> bool:
-    """Return whether a scheduler answers; a client would wait for ever for what is none."""
+    """Return whether a scheduler answers; with any other server a client would wait for ever."""
     from distributed.comm.core import connect  # noqa: PLC0415
     from distributed.core import send_recv  # noqa: PLC0415
     from distributed.security import Security  # noqa: PLC0415
@@ -161,13 +161,13 @@ async def _is_scheduler(address: str) -> bool:
                 said = await send_recv(comm, op="identity")
             finally:
                 comm.abort()
-    except Exception:  # what else may listen there can say anything
+    except Exception:  # another server may answer anything
         return False
     return bool(said["type"] == "Scheduler")
 
 
 def silence() -> None:
-    """Keep Dask from logging to the error stream; for programs that say themselves what happens."""
+    """Keep Dask from logging to the error stream, for programs that report errors themselves."""
     with suppress(ImportError):
         import distributed  # noqa: F401, PLC0415  which sets its loggers up
     for name in [*logging.root.manager.loggerDict]:

@@ -1,4 +1,4 @@
-"""Limit the time of work by the wall clock, which all processes and machines share."""
+"""Limit work by deadlines of the wall clock, which all processes and machines share."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from pathlib import Path
 
 
 def now() -> float:
-    """Return the wall clock's time, in s; all that keeps a deadline asks it here."""
+    """Return the wall-clock time in s; all deadlines use this clock."""
     return time.time()
 
 
 class OverError(Exception):
-    """Report that the time of a job is over, and that it has nothing to hand out."""
+    """Report that the deadline of a job passed before it had a result."""
 
     def __init__(self) -> None:
         super().__init__("the time was over before its fit was done")
 
 
 def process_began() -> float:
-    """Return when this process was started, by the clock of `now`; elsewhere than on Linux roughly.
+    """Return when this process was started, by the clock of `now`; only roughly outside Linux.
 
-    There it is taken to have computed since then without a break.
+    There it is estimated from the CPU time, as if the process had never been idle.
     """
     try:
         said = Path("/proc/self/stat").read_text(encoding="ascii")
@@ -40,16 +40,16 @@ def process_began() -> float:
 
 @dataclass(frozen=True, order=True)
 class Deadline:
-    """Say when work has to end with what there is; by default never.
+    """Hold the time at which work has to stop and return what it has; by default never.
 
-    `at`: by the clock of `now`, in s.
+    `at` is in s, by the clock of `now`.
     """
 
     at: float = math.inf
 
     @classmethod
     def after(cls, seconds: float | None) -> Deadline:
-        """Return the deadline so many seconds from now; None is no deadline."""
+        """Return the deadline `seconds` from now; None means no deadline."""
         return cls(math.inf if seconds is None else now() + seconds)
 
     @property
@@ -63,7 +63,7 @@ class Deadline:
         return self.left <= 0
 
     def earlier(self, seconds: float) -> Deadline:
-        """Return the deadline so many seconds before this one."""
+        """Return the deadline `seconds` before this one."""
         return Deadline(self.at - seconds)
 
 
@@ -78,7 +78,7 @@ def current() -> Deadline:
 
 @contextmanager
 def within(deadline: Deadline) -> Iterator[None]:
-    """Let what runs in here end by a deadline; trainings look at it step by step."""
+    """Set the deadline of what runs in this context; trainings check it at each step."""
     token = _current.set(deadline)
     try:
         yield
@@ -87,6 +87,6 @@ def within(deadline: Deadline) -> Iterator[None]:
 
 
 def check() -> None:
-    """Raise `OverError` where the deadline of the job that runs in this thread has passed."""
+    """Raise `OverError` if the deadline of the job that runs in this thread has passed."""
     if _current.get().over:
         raise OverError

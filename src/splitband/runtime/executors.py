@@ -1,4 +1,4 @@
-"""Give jobs to an executor, whichever it is, and hear what they report on their way."""
+"""Run jobs on any executor, and receive the progress that they report."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Message = TypeVar("Message")
 Parameters = ParamSpec("Parameters")
 Work = Callable[[Job, Callable[[Message], None]], Result]
 Report = Callable[[Any], bool]
-"""Sends a message while its job runs; says whether that could be done."""
+"""Sends a message of a running job; returns whether it was sent."""
 
 
 class Workers(Executor, ABC):
-    """Extend an executor by progress messages from jobs and by giving up jobs."""
+    """Extend an executor by progress messages from jobs and a way to give up jobs."""
 
     @abstractmethod
     def listening(self, progress: Callable[[Any], None]) -> AbstractContextManager[Report]:
@@ -30,14 +30,14 @@ class Workers(Executor, ABC):
 
     @abstractmethod
     def abandon(self, jobs: Sequence[Future[Any]]) -> None:
-        """End jobs whose results nobody waits for any more, or at least do not wait for them."""
+        """End jobs whose results are no longer needed, or at least stop waiting for them."""
 
     def shared(self, value: Any) -> Any:
-        """Return what is sent to jobs in place of an argument that all of them share."""
+        """Return what jobs are sent in place of an argument that they all share, as a reference."""
         return value
 
     def explained(self, error: BaseException) -> BaseException:
-        """Return the error to raise in place of one that a job ended with."""
+        """Return the error to raise in place of the one with which a job ended."""
         if isinstance(error, CancelledError):
             return OSError("the executor has given up a job")
         return error
@@ -78,9 +78,9 @@ def given_to(
     progress: Callable[[Message], None],
     patience: Deadline,
 ) -> Iterator[Result]:
-    """Yield `work(job, report)` for each job as it is done by the executor, each on one thread.
+    """Yield `work(job, report)` for each job as the executor completes it, each on one thread.
 
-    What is not done when the `patience` is over is given up.
+    Jobs that are not done at the deadline `patience` are given up.
     """
     workers = executor if isinstance(executor, Workers) else ExecutorAdapter(executor)
     waiting: set[Future[tuple[Result, list[Message]]]] = set()
@@ -97,7 +97,7 @@ def given_to(
                 yield result
         if waiting:
             workers.abandon([*waiting])
-    except BaseException as error:  # or nobody asks for the other results
+    except BaseException as error:  # or the caller needs no more results
         workers.abandon([*waiting])
         explained = workers.explained(error)
         if explained is error:

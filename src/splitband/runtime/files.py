@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any
 
 CHECKPOINTS = ".splitband-checkpoints"
-"""Folder beside results that are not there yet; removed when they are, whatever is in it."""
+"""Folder for checkpoints, in that of the results; removed once the results are written."""
 
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`; rename it to `path` when the block ends well.
+    """Yield a temporary path in the folder of `path`; rename it to `path` if the block succeeds.
 
-    Raises OSError where it cannot be written, as the disk is full; the error names `path`.
+    Raises OSError, naming `path`, if it cannot be written, for instance on a full disk.
     """
     path = Path(path)
     with _naming(path):
@@ -36,7 +36,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def _finish(temporary: Path, path: Path) -> None:
-    # The content is on the disk before the name is, so that a power cut leaves no empty file.
+    # Flush the content to the disk before renaming, so that a power cut leaves no empty file.
     with temporary.open("rb") as written:
         os.fsync(written.fileno())
     temporary.chmod(0o666 & ~_umask())
@@ -45,7 +45,7 @@ def _finish(temporary: Path, path: Path) -> None:
 
 @contextmanager
 def _naming(path: Path, temporary: Path | None = None) -> Iterator[None]:
-    """Name `path` in errors of the operating system that name no file, or the temporary one."""
+    """Put `path` into operating-system errors that name no file, or the temporary one."""
     try:
         yield
     except OSError as error:
@@ -63,7 +63,7 @@ def write_json(path: str | Path, value: Any) -> None:
 
 
 def write_json_lines(path: str | Path, value: dict[str, Any]) -> None:
-    """Write `value` as a JSON object with a line for each key: small, and its differences short."""
+    """Write `value` as a JSON object with a line for each key: compact, and easy to diff."""
     lines = [f"{json.dumps(k)}: {json.dumps(v, allow_nan=False)}" for k, v in value.items()]
     with replacing(path) as temporary:
         temporary.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
@@ -75,9 +75,9 @@ def to_json(value: Any) -> str:
 
 
 def output_folder(path: str | Path, argument: str = "folder") -> Path:
-    """Create the folder `path`, which errors call `argument`, and check that it can be written to.
+    """Create the folder `path`, and check that it can be written to.
 
-    Raises ValueError where they cannot, before anything has been computed.
+    Raises ValueError, naming `argument`, if not: before anything has been computed.
     """
     path = Path(path)
     try:

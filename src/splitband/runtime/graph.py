@@ -1,6 +1,6 @@
-"""Record operations of NumPy on symbols as a graph, from which code is generated.
+"""Record NumPy operations on symbols as a graph, from which code is generated.
 
-Symbols take part in NumPy's own operations, of fixed shapes, and record them.
+A symbol stands for an array of fixed shape; NumPy operations on it are recorded.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ ELEMENTWISE = {
     "equal": "eq", "logical_and": "and", "bitwise_and": "and", "logical_or": "or",
     "bitwise_or": "or", "logical_not": "not", "invert": "not",
 }  # fmt: skip
-"""NumPy's functions of single elements, and what graphs call them."""
+"""NumPy's elementwise functions, and their names in graphs."""
 FLAGS = {"isnan", "lt", "gt", "le", "ge", "eq", "and", "or", "not"}
-"""Those whose results are true or false."""
+"""The elementwise operations with Boolean results."""
 
 
 @dataclass(eq=False)
@@ -34,12 +34,12 @@ class Node:
 
     Attributes
     ----------
-    op : Of `ELEMENTWISE`, or "where", "matmul", "sum", "largest", "smallest", "concat", "view",
-        "reshape", "scan", "cond".
-    inputs : What it is computed from.
+    op : A name of `ELEMENTWISE`, or "where", "matmul", "sum", "largest", "smallest", "concat",
+        "view", "reshape", "scan", "cond".
+    inputs : Its operands.
     options : Its settings.
-    blocks : The body of a loop, or both branches.
-    outputs : What it computes.
+    blocks : The body of a loop, or both branches of a condition.
+    outputs : Its results.
     """
 
     op: str
@@ -51,7 +51,7 @@ class Node:
 
 @dataclass(eq=False)
 class Block:
-    """Hold operations in their order, with what goes in and what comes out."""
+    """Hold a sequence of operations with its inputs and outputs."""
 
     inputs: list[Symbol] = field(default_factory=list)
     nodes: list[Node] = field(default_factory=list)
@@ -105,7 +105,7 @@ class Trace:
         like: Sequence[tuple[tuple[int, ...], bool]],
         **options: Any,
     ) -> list[Symbol]:
-        """Record an operation, a loop or a branch, with outputs of these shapes and kinds."""
+        """Record an operation, a loop or a branch, with outputs of the shapes and flags `like`."""
         node = Node(op, tuple(self.symbol(x) for x in inputs), options, blocks)
         node.outputs = tuple(Symbol(self, shape, flag, node=node) for shape, flag in like)
         self.blocks[-1].nodes.append(node)
@@ -117,10 +117,10 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
 
     Attributes
     ----------
-    shape : Of the array.
-    flag : Whether its elements are true or false.
+    shape : Shape of the array.
+    flag : Whether its elements are Boolean.
     node : The operation that computes it; None for an input or a constant.
-    value : Of a constant.
+    value : Value of a constant; None for any other symbol.
     """
 
     __hash__ = object.__hash__
@@ -195,7 +195,7 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
         return (self[i] for i in range(len(self)))
 
     def sum(self, axis: int | None = None) -> Symbol:
-        """Return the sum over an axis, or over all."""
+        """Return the sum over an axis, or over all axes."""
         return _reduced(self.trace, "sum", self, axis)
 
     def any(self) -> Symbol:
@@ -215,7 +215,7 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
 
     @property
     def T(self) -> Symbol:  # noqa: N802  NumPy's name
-        """Return it with its axes reversed."""
+        """Return the transpose: the axes are reversed."""
         axes = tuple((0, 1, self.ndim - 1 - i) for i in range(self.ndim))
         return self.trace.add("view", [self], self.shape[::-1], self.flag, axes=axes)
 

@@ -1,4 +1,4 @@
-"""Say what the C library does with memory that is freed."""
+"""Control what the C library does with freed memory."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ _KEPT = 2**30
 `python -m benchmarks.allocation`."""
 
 _USUAL = 2**22
-"""Bytes: the first threshold after a training, so that arrays of long records are returned at once;
-glibc raises it to 2**25 by itself. The second is twice that, as glibc has it."""
+"""Bytes: M_MMAP_THRESHOLD after a training, so that arrays of long records are returned at once;
+glibc's own adjustment may raise it to 2**25. M_TRIM_THRESHOLD is twice that, as in glibc."""
 
 
 @contextmanager
 def freed_memory_kept() -> Iterator[None]:
-    """Let the C library use freed memory again, and return what is free at the end.
+    """Let the C library reuse freed memory, and return free memory to the system at the end.
 
     By default glibc maps arrays of more than some megabytes one by one and unmaps them when they
-    are freed. A training makes the same arrays for each gradient, and the operating system would
-    have to clear every page of them every time. The thresholds are those of the process: where
-    several threads train, the first to end lowers them for all. Other C libraries have none, and
-    nothing is done.
+    are freed. A training allocates the same arrays for each gradient, and the operating system
+    would have to clear all their pages every time. The thresholds are process-wide: if several
+    threads train, the first to end lowers them for all. Other C libraries have none, and nothing
+    is done.
     """
     libc = _glibc()
     if libc is None:

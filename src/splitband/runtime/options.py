@@ -1,7 +1,7 @@
-"""Keep options: what a constructor takes, under attributes of the same names.
+"""Read the constructor arguments of an object from its attributes of the same names.
 
-Where such an attribute is a property, because it says more than was given, as a derived `name`
-does, the value given is kept with an underscore before its name.
+If such an attribute is a property with a derived value, such as a full `name`, the argument is
+kept in an attribute with a leading underscore.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from types import FunctionType
 from typing import Any, TypeVar
 
 UNKNOWN = "..."
-"""Stands for a value that no short expression makes, such as an array."""
+"""Stands for a value without a short expression, such as an array."""
 
 
 Kind = TypeVar("Kind", bound=type)
@@ -23,23 +23,23 @@ SAVED: dict[str, type] = {}
 
 
 def saved(kind: Kind) -> Kind:
-    """Mark a dataclass or a named tuple as one that is saved, and made again, by its fields."""
+    """Mark a dataclass or a named tuple as saved with a forecaster, and restored, by its fields."""
     assert kind.__name__ not in SAVED, kind
     SAVED[kind.__name__] = kind
     return kind
 
 
 class Written:
-    """Define a `repr` that is the Python that makes an object, with `sb` for the package."""
+    """Define a `repr` that is Python code to create the object, with `sb` for the package."""
 
     def __repr__(self) -> str:
         return expression(self)
 
 
 def options(value: object) -> dict[str, Any]:
-    """Return what the constructor of `value` was given, by name.
+    """Return the constructor arguments of `value`, by name.
 
-    Raises TypeError where an argument is not kept as an attribute, or arguments have no names.
+    Raises TypeError if an argument is not kept as an attribute, or has no name (*args, **kwargs).
     """
     return {name: getattr(value, attribute) for name, attribute in attributes(value).items()}
 
@@ -63,9 +63,9 @@ def attributes(value: object) -> dict[str, str]:
 
 
 def expression(value: object) -> str:  # noqa: PLR0911  a line for each kind
-    """Return Python that makes `value`, with the options that differ from their defaults.
+    """Return Python code that creates `value`, with the options that differ from their defaults.
 
-    An ellipsis stands for what no short expression makes; a function goes by its name.
+    An ellipsis stands for a value without a short expression; a function is given by its name.
     """
     if isinstance(value, Written) or _is_own(value):
         return _call(value)
@@ -110,12 +110,12 @@ def _parameters(value: object) -> list[inspect.Parameter]:
 
 
 def _is_own(value: object) -> bool:
-    """Return whether it is a cell of the user's own."""
+    """Return whether `value` is a cell, such as a user's own."""
     return callable(getattr(value, "sized", None)) and not isinstance(value, type)
 
 
 def _same(value: Any, other: Any) -> bool:
-    """Return whether two options are equal; False where they cannot be compared, as arrays."""
+    """Return whether two options are equal; False if they cannot be compared, such as arrays."""
     try:
         return value is other or (type(value) is type(other) and bool(value == other))
     except (TypeError, ValueError):

@@ -21,13 +21,14 @@ except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
 
 FACTS = "results.json"
-"""File that says what a result is, and which files belong to it; where it is, so are they."""
+"""File that describes a result and lists its files; it is written last, so all of them exist."""
 TEST_PREDICTIONS = "predictions-test-{}.csv"
 RESULT_FILES = (
     FACTS, "predictions.csv", "rollouts.png", "report.html", "recommended.json", "forecast.csv",
     "forecast.png", "spectrum.png", "table.csv",
 )  # fmt: skip
-"""Names of the files of results: no other file is ever removed with an earlier result."""
+"""Files of results. With an earlier result, only these, predictions of test records and weights of
+its model are removed."""
 MODEL, WEIGHTS = "forecaster.json", "weights-{}.safetensors"
 """Files of a saved forecaster."""
 LOCK = ".splitband-lock"
@@ -36,13 +37,13 @@ _NEW, _EARLIER = ".splitband-new", ".splitband-earlier.json"
 
 @contextmanager
 def staged(folder: str | Path) -> Iterator[Path]:
-    """Give an empty folder for the files of a result; at the end they replace an earlier result.
+    """Yield an empty folder for the files of a result; at the end they replace an earlier result.
 
-    Nothing is replaced before all of them are on the disk. Files of the earlier result that the new
-    one does not have are removed. While files are moved, the folder has no results.json.
+    Nothing is replaced before all new files are on the disk. Files of the earlier result that the
+    new one lacks are removed. While files are moved, the folder has no results.json.
 
-    Raises OSError where a file cannot be written, with its name in `folder`, which is as it was
-    then.
+    Raises OSError, naming the file in `folder`, if a file cannot be written; `folder` is then
+    unchanged.
     """
     folder = output_folder(folder)
     new = folder / _NEW
@@ -74,10 +75,10 @@ def belongs_to_result(name: str) -> bool:
 
 
 def files_of_result(folder: Path) -> set[str]:
-    """Return the names of the files of the result that a folder holds, or held when interrupted."""
+    """Return the files of a folder's result, or of one whose replacement was interrupted."""
     found: set[str] = set()
     for name in (FACTS, _EARLIER):
-        # Whatever is wrong with the file, it names no file then.
+        # A missing or damaged file lists nothing.
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
             listed = json.loads((folder / name).read_text(encoding="utf-8"))["files"]
             found |= {each for each in listed if belongs_to_result(each)} | {FACTS}
@@ -91,12 +92,12 @@ def _replace(folder: Path, new: Path) -> None:
     outdated = files_of_result(folder)
     for file in files:
         (folder / file.parent).mkdir(exist_ok=True)
-        if file.name == MODEL:  # whose weights are named after their content
+        if file.name == MODEL:  # names of weights depend on their content
             weights = (folder / file.parent).glob(WEIGHTS.format("*"))
             outdated |= {path.relative_to(folder).as_posix() for path in weights}
     if (folder / FACTS).exists():
-        (folder / FACTS).replace(folder / _EARLIER)  # it still says what to remove
-    # A model's description comes after its weights, so that it never has others than its own.
+        (folder / FACTS).replace(folder / _EARLIER)  # it still lists what to remove
+    # A model's description is moved after its weights, so that it always finds its own.
     for name in sorted(names - {FACTS}, key=lambda name: (name.endswith(".json"), name)):
         (new / name).replace(folder / name)
     for name in outdated - names:
@@ -108,16 +109,15 @@ def _replace(folder: Path, new: Path) -> None:
 
 @contextmanager
 def locked(folder: str | Path, argument: str = "folder") -> Iterator[None]:
-    """Create a folder and keep other commands out of it; one that stays empty is removed again.
+    """Create a folder and lock it for this command; remove a new folder that stays empty.
 
-    The operating system releases the lock when the process ends, however it does. There is no
-    lock where it has none (Windows, some network file systems).
+    The operating system releases the lock however the process ends. Systems without file locks
+    (Windows, some network file systems) have no protection.
 
-    Raises ValueError where the folder cannot be written, or is in use; the message calls it
-    `argument`.
+    Raises ValueError, naming `argument`, if the folder cannot be written or is in use.
     """
     folder = Path(folder)
-    # Unlike those of pathlib, this call has no errors, not even for names that are too long.
+    # Unlike pathlib's, this call raises no errors, not even for names that are too long.
     created = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
     handle = None
     try:
@@ -134,7 +134,7 @@ def locked(folder: str | Path, argument: str = "folder") -> Iterator[None]:
 
 
 def _locked_file(folder: Path, argument: str) -> int | None:
-    """Return the descriptor of the locked file; None where the system cannot lock it."""
+    """Return the descriptor of the locked file; None if the system cannot lock it."""
     while fcntl is not None:
         handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
         try:
@@ -153,7 +153,7 @@ def _locked_file(folder: Path, argument: str) -> int | None:
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(handle), (folder / LOCK).stat()):
                 started = f"{datetime.now():%Y-%m-%d %H:%M}"
-                with contextlib.suppress(OSError):  # on a full disk it says nothing of its owner
+                with contextlib.suppress(OSError):  # on a full disk it names no owner
                     os.ftruncate(handle, 0)
                     os.write(handle, f"process {os.getpid()}, started {started}".encode())
                 return handle

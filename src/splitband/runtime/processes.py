@@ -34,8 +34,8 @@ from splitband.runtime.executors import (
 from splitband.runtime.threads import one_thread, use_one_thread
 
 LONGEST = 50
-"""Bytes of the temporary folder's name up to which sockets can be in it: of 107 some are taken by
-names of `multiprocessing`, twice where processes begin further ones."""
+"""Longest name, in bytes, of a temporary folder for sockets: their names have at most 107 bytes,
+of which `multiprocessing` takes some, twice if processes start further ones."""
 
 
 def over(
@@ -47,15 +47,15 @@ def over(
 ) -> Iterator[Result]:
     """Yield `work(job, report)` for each job as it is done, each on one thread.
 
-    Raises OSError when a process is ended from outside, or an executor loses a job.
+    Raises OSError if a process is killed, or an executor loses a job.
 
     Parameters
     ----------
-    work : A function of a module, as other processes have to find it.
-    jobs : In the order in which they are begun.
-    workers : Processes of this machine, of which 1 is this one; or any executor.
-    progress : Called in this process with whatever the work reports.
-    patience : Jobs of other processes that are not done then are given up, without a result.
+    work : A module-level function, as other processes have to import it.
+    jobs : In the order in which they are started.
+    workers : Number of processes on this machine (1: this process), or any executor.
+    progress : Called in this process with each message that the work reports.
+    patience : Deadline at which unfinished jobs of other processes are given up, without a result.
     """
     progress = progress or _ignore
     if isinstance(workers, Executor):
@@ -78,9 +78,9 @@ def _ignore(_: Any) -> None:
 class Processes(Workers):
     """Run jobs in processes of this machine, which end with this one.
 
-    Where forks are safe, they are copies of one process that has loaded the package, so that the
-    second one begins at once and shares its memory; that process stays until this one ends. Their
-    temporary files are in a folder that is removed at the end, however one of them ends.
+    Where forks are safe, they are forked from a server process that has loaded the package: all but
+    the first start at once and share its memory. The server stays until this process ends.
+    Temporary files are in a folder that is removed at the end, however a process ends.
 
     `count`: largest number of processes.
     """
@@ -105,7 +105,7 @@ class Processes(Workers):
     ) -> Future[Result]:
         """Submit a job to the processes."""
         try:
-            with _no_interrupts():  # one that is half begun would complain
+            with _no_interrupts():  # a half-started process would complain
                 return self._pool.submit(fn, *args, **kwargs)
         except EOFError as error:
             raise BrokenProcessPool("the process that they are copies of has ended") from error
@@ -127,10 +127,10 @@ class Processes(Workers):
         for worker in ended:
             worker.terminate()
         self._pool.shutdown(wait=False, cancel_futures=True)
-        self._begin()  # with a queue of its own: who is ended may have held the old one's lock
+        self._begin()  # with a new queue: an ended process may hold the lock of the old one
 
     def explained(self, error: BaseException) -> BaseException:
-        """Return an error that says when a process was ended from outside."""
+        """Return an error that explains that a process was killed or did not start."""
         if isinstance(error, BrokenProcessPool):
             return OSError(
                 "a training process was ended from outside, perhaps for memory, or did not begin: "
@@ -145,9 +145,9 @@ class Processes(Workers):
 
 
 def _context() -> multiprocessing.context.BaseContext:
-    """Return how processes start: on macOS and Windows each loads the package by itself.
+    """Return how processes start: from a fork server, or spawned on macOS and Windows.
 
-    So they do where the temporary folder has a long name, as copies need a socket in it.
+    They are also spawned if the temporary folder has a long name: a server needs a socket in it.
     """
     long = len(os.fsencode(tempfile.gettempdir())) > LONGEST
     if sys.platform in {"darwin", "win32"} or long:
@@ -164,7 +164,7 @@ def _context() -> multiprocessing.context.BaseContext:
 
 @contextlib.contextmanager
 def _same_path() -> Iterator[None]:
-    """Let Python processes that begin in here import from where this one does, and nowhere else."""
+    """Give Python processes that start in this context the import path of this one alone."""
     own = {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))}
     before = {name: os.environ.get(name) for name in own}
     os.environ.update(own)
@@ -184,7 +184,7 @@ def _start_worker(queue: Any, folder: str, environment: dict[str, str]) -> None:
     global _queue  # noqa: PLW0603  set once, when the process starts
     _queue = queue
     os.environ.clear()
-    os.environ.update(environment)  # in place of that in which the server began
+    os.environ.update(environment)  # replaces the environment of the server
     tempfile.tempdir = os.environ["TMPDIR"] = folder
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends them
     use_one_thread()
@@ -192,7 +192,7 @@ def _start_worker(queue: Any, folder: str, environment: dict[str, str]) -> None:
 
 
 def _end_with_parent(folder: str) -> None:
-    """End this process when its parent has been killed, as nobody waits for its result."""
+    """End this process when its parent has been killed, as its result is of no use."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -207,7 +207,7 @@ def _to_parent(message: Any) -> bool:
 
 @contextlib.contextmanager
 def _no_interrupts() -> Iterator[None]:
-    """Keep Ctrl-C from processes that begin in here, even while they import; they inherit it."""
+    """Block Ctrl-C in processes that start in this context, which inherit the blocked signal."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

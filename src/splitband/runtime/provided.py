@@ -1,8 +1,8 @@
 """Let lower layers call functions of higher ones without importing them: tables, pages, exports.
 
-A result or a forecaster shows, saves and exports itself, by code that needs to know it. It asks for
-that code by what it does. Where the code is, the front of the package says (`splitband.__init__`),
-so that no module names one that stands above it.
+A result or a forecaster shows, saves and exports itself by functions of higher layers, which
+import its class. It looks them up by task. `splitband.__init__` registers the function of each
+task, so that no module names one of a higher layer.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ _PLACES: dict[str, str] = {}
 
 
 def provide(places: Mapping[str, str]) -> None:
-    """Say where things are done: by what is done, "module:function", imported when used."""
+    """Register the function of each task as "module:function", which is imported when used."""
     _PLACES.update(places)
 
 
 def provided(what: str) -> Callable[..., Any]:
-    """Return the function that does it; raises KeyError for what nobody has provided."""
+    """Return the function registered for a task; raises KeyError if there is none."""
     module, name = _PLACES[what].split(":")
     found: Callable[..., Any] = getattr(import_module(module), name)
     return found

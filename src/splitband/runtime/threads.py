@@ -15,9 +15,9 @@ _DRAWING, _WARNING = threading.RLock(), threading.RLock()
 
 
 def use_one_thread() -> None:
-    """Let this process compute on one thread from now on; parallel runs are processes of one each.
+    """Limit this process to one thread from now on, as parallel runs are one process each.
 
-    That goes for torch, whose count the fused kernels take, and for the BLAS of NumPy and SciPy.
+    This holds for torch, whose count the fused kernels take, and for the BLAS of NumPy and SciPy.
     """
     torch.set_num_threads(1)
     threadpoolctl.threadpool_limits(1, user_api="blas")
@@ -25,16 +25,16 @@ def use_one_thread() -> None:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Compute on one thread, as with `use_one_thread`, and then on as many as before.
+    """Compute on one thread in this context, as with `use_one_thread`, then on as many as before.
 
-    Several threads may do so at the same time.
+    Several threads may be in it at the same time.
     """
     with one_torch_thread(), _ONE_BLAS_THREAD.entered():
         yield
 
 
 class _OneBlasThread:
-    """Hold BLAS to one thread, whose count is the process's: the last to leave restores it."""
+    """Limit BLAS to one thread; as the count is process-wide, the last to leave restores it."""
 
     def __init__(self) -> None:
         self._lock, self._inside = threading.Lock(), 0
@@ -60,7 +60,7 @@ class _OneBlasThread:
 
 
 def _let_this_thread_set_blas() -> None:
-    """Let this thread set BLAS's count: later threadpoolctl ignores all but the first one."""
+    """Let this thread set BLAS's count; newer threadpoolctl accepts only the first one's."""
     clear = getattr(threadpoolctl.OpenBLASController, "clear_controlling_thread", None)
     if clear is not None:
         clear(force=True)
@@ -71,9 +71,9 @@ _ONE_BLAS_THREAD = _OneBlasThread()
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """Keep torch to one thread, for small work between calls of the fused kernels.
+    """Limit torch to one thread, for small work between calls of the fused kernels.
 
-    Its other threads would go on spinning for milliseconds on the cores that the kernels need.
+    Its other threads would spin for milliseconds on the cores that the kernels need.
     """
     count = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -85,7 +85,7 @@ def one_torch_thread() -> Iterator[None]:
 
 @contextmanager
 def drawn_from(seed: int) -> Iterator[None]:
-    """Let torch draw from a seed, undisturbed by other threads, and then go on as before."""
+    """Seed torch's random numbers in this context, safe from other threads; then restore them."""
     with _DRAWING, torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         yield
@@ -93,7 +93,7 @@ def drawn_from(seed: int) -> Iterator[None]:
 
 @contextmanager
 def without_warnings(category: type[Warning]) -> Iterator[None]:
-    """Silence warnings of a kind; one thread at a time, as the filters are the process's."""
+    """Silence warnings of a category, one thread at a time, as filters are process-wide."""
     with _WARNING, warnings.catch_warnings():
         warnings.simplefilter("ignore", category)
         yield

@@ -1,8 +1,8 @@
 """Trace NumPy code: record what a function computes as a graph, from which code is generated.
 
-A function of arrays of fixed shapes is called once with symbols in place of its arrays, which
-record what is done with them (`runtime.graph`). Loops and branches that depend on values are
-written with `scan` and `cond`, which just run where the arrays are real.
+A function of arrays of fixed shapes is called once with symbols in place of the arrays, which
+record the operations on them (`runtime.graph`). Loops and branches that depend on values are
+written with `scan` and `cond`, which simply run if the arrays are real.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from splitband.runtime.trees import Tree, leaves, rebuilt
 
 
 def cond(flag: Any, yes: Callable[[], Tree], no: Callable[[], Tree]) -> Tree:
-    """Return `yes()` where the flag is true and `no()` elsewhere; both of the same shapes."""
+    """Return `yes()` if the flag is true, else `no()`; both need the same shapes."""
     if not isinstance(flag, Symbol):
         return yes() if flag else no()
     (one, tree), (other, _) = map(flag.trace.inner, (yes, no))

@@ -1,4 +1,4 @@
-"""Take nested dicts, tuples and lists of arrays apart, and build them again."""
+"""Flatten nested dicts, tuples and lists of arrays, and rebuild them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def leaves(tree: Tree) -> list[Any]:
 
 
 def named_leaves(tree: Tree, path: str = "") -> list[tuple[str, Any]]:
-    """Return the arrays of a tree with what leads to them, as `base_level` or `members_0_h`."""
+    """Return the arrays of a tree with their paths, such as `base_level` or `members_0_h`."""
     if tree is None:
         return []
     if isinstance(tree, dict):

@@ -1,4 +1,4 @@
-"""Run black-box simulators: recorded, function, ODE, FMU, isolated; calibrate them."""
+"""Run and calibrate black-box simulators: recorded, function, ODE, FMU, isolated."""
 
 from splitband.simulators.base import Simulator, SimulatorError, SimulatorTimeoutError, run
 from splitband.simulators.estimate import Estimate

@@ -1,4 +1,4 @@
-"""Describe a saved model's simulator until its user passes it again."""
+"""Describe the simulator of a saved model until the user passes it again."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ import splitband
 from splitband.runtime.options import saved
 
 _SHOWN = 300
-"""Characters of a text of a file that are shown. By eye."""
+"""Most characters of a text from a file in messages. By eye."""
 
 
 @saved
 @dataclass(frozen=True)
 class Absent:
-    """Describe a simulator for people: nothing that it names is opened or run.
+    """Describe a simulator in words, without opening or running anything.
 
     Attributes
     ----------
-    kind : The name of its class.
-    file : The name of its file, without the folder; empty where it has none.
-    fingerprint : What `fingerprint()` of the simulator says, by which another one is noticed; None
-        where it says nothing.
-    fitted : Whether its parameters were fitted, so that it is the same one with other values.
+    kind : Name of its class.
+    file : Name of its file, without the folder; empty without a file.
+    fingerprint : Result of the simulator's `fingerprint()` (or `digest()` if fitted), by which a
+        different simulator is detected; None without one.
+    fitted : Whether its parameters were fitted; other parameter values are then no difference.
     """
 
     kind: str
@@ -46,7 +46,7 @@ class Absent:
 
     @classmethod
     def of(cls, simulator: Any, fitted: bool = False) -> Absent:
-        """Return the description of a simulator; one that is a description stays as it is."""
+        """Return the description of a simulator; a description is returned unchanged."""
         if isinstance(simulator, cls):
             return simulator
         file = PurePath(str(getattr(simulator, "path", ""))).name
@@ -57,7 +57,7 @@ class Absent:
         return cls(type(simulator).__name__, file, said, fitted)
 
     def simulate(self, time: object) -> NoReturn:
-        """Raise ValueError: it says which simulator has to be given, and how."""
+        """Raise ValueError; the message says which simulator to pass, and how."""
         ours = "sb." if self.kind in dir(splitband) else ""
         how = f"{ours}{self.kind}({json.dumps(str(self)) if self.file else '...'})"
         raise ValueError(
@@ -66,9 +66,9 @@ class Absent:
         )
 
     def difference(self, given: Any) -> str:
-        """Return a sentence where a simulator is not the one that is described; else nothing.
+        """Return a sentence if `given` is not the described simulator, else an empty string.
 
-        Two of which one has no fingerprint are not compared.
+        Simulators without a fingerprint are not compared.
         """
         saved, other = self.fingerprint, Absent.of(given, self.fitted).fingerprint
         if saved is None or other is None or saved == other:
@@ -79,7 +79,7 @@ class Absent:
         )
 
     def __str__(self) -> str:
-        """Return the name of its file, or what it is."""
+        """Return the name of the simulator's file, or of its class."""
         return _shown(self.file) if self.file else f"of the kind {self.kind}"
 
 

@@ -1,4 +1,4 @@
-"""Run a simulator with fitted parameters, from the state that a history tells."""
+"""Run a simulator with fitted parameters, from an initial state estimated from a history."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from splitband.simulators.shooting import BAD, STATE_STEP, Adjustable, Experimen
 from splitband.simulators.sources import failure, place
 
 MOST_STATES = 500
-"""States of the training records that are kept, for what is usual and to begin searches with.
-By eye."""
+"""Most training states that are kept, as prior and as starting points of searches. By eye."""
 _TRIED = 3
-"""Kept states nearest to the measured samples that a search for an initial state begins with.
-By eye."""
+"""Number of kept states, those with the closest outputs, from which a search for an initial state
+starts. By eye."""
 _LEAST_NOISE = 1e-3
-"""Least error that a simulator is taken to have, as a share of a channel's deviation. By eye."""
+"""Smallest assumed error of a simulator, as a share of a channel's deviation. By eye."""
 
 
 @saved
 @dataclass(frozen=True, eq=False)
 class Adjusted:
-    """Run a simulator with the values that were fitted.
+    """Run a simulator with the fitted parameter values.
 
     Attributes
     ----------
-    simulator : With ranges, as it was fitted; None in a saved model.
-    values : Of every parameter; initial values are those of the first training record.
+    simulator : The simulator with the ranges of the fit; None in a saved model.
+    values : Value of every parameter; initial values are those of the first training record.
     noise : RMSE of each channel in training, `(ny,)`.
-    states, outputs : Of the training records, `(n, nx)` and `(n, ny)`; at most `MOST_STATES` rows.
+    states, outputs : States `(n, nx)` and outputs `(n, ny)` of the first training record, at most
+        `MOST_STATES` rows.
     """
 
     simulator: Any
@@ -65,9 +65,9 @@ class Adjusted:
         return replace(usual, states=states[rows], outputs=outputs[rows])
 
     def response(self, time: Array, u: Array | None, state: Any = None) -> Response:
-        """Return channels and states at `time` in s, from a state or the fitted first one.
+        """Simulate channels and states at `time` in s, by default from the fitted initial state.
 
-        Raises ValueError where the run fails.
+        Raises ValueError if the run fails.
         """
         simulator = self._given
         with _running():
@@ -77,9 +77,9 @@ class Adjusted:
     def advance(
         self, state: Any, time: Array, u: Array | None, taken: int = 0
     ) -> tuple[Array, Array, int]:
-        """Return channels, states, and what the next call is told as `taken`; see `Ode.advance`.
+        """Return channels, states, and the `taken` of the next call; see `Ode.advance`.
 
-        Raises ValueError where the run fails.
+        Raises ValueError if the run fails.
         """
         simulator = self._given
         state = simulator.initial(self.values) if state is None else state
@@ -88,10 +88,11 @@ class Adjusted:
         return _finite(y, time), x, taken
 
     def beginning(self, history: Experiment) -> Array | None:
-        """Return the state in which a history begins, which fits it best; None where it has none.
+        """Estimate the initial state of a history; None for a simulator without one.
 
-        Unlikely states are avoided as far as the history does not tell: those of the training
-        records have the weight of one sample each. A black box has initial values in place of it.
+        The estimate fits the history and a prior from the training states, which weighs as much as
+        one sample per state and decides where the history does not determine the state. For a
+        black box, the fitted initial values take the place of the state.
         """
         names = self._given.known.initial
         usual = self.states
@@ -106,19 +107,19 @@ class Adjusted:
 
     @property
     def _given(self) -> Any:
-        """Return the simulator; that of a saved model raises ValueError, which asks for it."""
+        """Return the simulator; raises ValueError if a saved model has not been given it."""
         if not hasattr(self.simulator, "respond"):
             self.simulator.simulate(None)
         return self.simulator
 
     def _began(self, state: Any) -> Point:
-        """Return parameters and the first state, as `Adjustable.respond` takes them."""
+        """Return parameters and initial state as `Adjustable.respond` takes them."""
         if state is None or self.simulator.states:
             return self.values, state
         return {**self.values, **dict(zip(self.simulator.known.initial, state, strict=True))}, None
 
     def _similar(self, history: Experiment) -> list[Array]:
-        """Return training states whose outputs are closest to the first samples of a history."""
+        """Return the training states whose outputs are closest to a history's first sample."""
         first = history.y[:1]
         distance = np.nansum(((self.outputs - first) / self.noise) ** 2, axis=1)
         return [self.states[n] for n in np.argsort(distance, kind="stable")[:_TRIED]]
@@ -126,7 +127,7 @@ class Adjusted:
     def _searched(
         self, history: Experiment, begin: Sequence[Array], mean: Array, spread: Array
     ) -> Array:
-        """Return the most likely state of those that searches from several ones lead to."""
+        """Search from several states, and return the most likely result."""
 
         def errors(states: Sequence[Array]) -> list[Array]:
             points = [self._began(state) for state in states]
@@ -151,26 +152,26 @@ class Adjusted:
         return np.asarray(min(results, key=lambda result: float(result.cost)).x)
 
     def _errors(self, measured: Array, y: Array) -> Array:
-        """Return the errors of a simulation by the noise, `(samples * ny,)`, 0 in gaps."""
+        """Return the errors of a simulation divided by the noise, `(samples * ny,)`, 0 in gaps."""
         errors = np.nan_to_num((y - measured) / self.noise, nan=BAD, posinf=BAD, neginf=-BAD)
         return np.asarray(np.where(np.isnan(measured), 0.0, np.clip(errors, -BAD, BAD)).ravel())
 
 
 @contextmanager
 def _running() -> Iterator[None]:
-    """Raise ValueError, which says where, for what a user's code raises."""
+    """Turn errors of user code into a ValueError that states the place."""
     try:
         yield
     except OverError:
         raise
     except Exception as error:
         if isinstance(error, ValueError) and not place(error):
-            raise  # the package's own
+            raise  # raised by this package
         raise ValueError(f"the simulator failed: {failure(error)}") from error
 
 
 def _finite(y: Array, time: Array) -> Array:
-    """Return the channels; raises ValueError for what is not finite."""
+    """Return the channels; raises ValueError for values that are not finite."""
     if not np.isfinite(y).all():
         bad = int(np.argmin(np.isfinite(y).all(axis=1)))
         raise ValueError(

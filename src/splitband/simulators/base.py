@@ -1,7 +1,7 @@
 """Define black-box simulators, which turn a time grid into a simulated signal.
 
-Nothing about gradients or an inner state is asked of a simulator (paper, Sec. 4.3). `run` calls
-one and checks what comes back.
+A simulator needs neither gradients nor an accessible state (paper, Sec. 4.3). `run` calls a
+simulator and checks its output.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class SimulatorError(RuntimeError):
 
 
 class SimulatorTimeoutError(TimeoutError):
-    """Report that a simulator has not returned in time."""
+    """Report that a simulator has not returned within its timeout."""
 
 
 class Simulator(Protocol):
@@ -36,7 +36,7 @@ class Simulator(Protocol):
     def simulate(self, time: Array) -> npt.ArrayLike:
         """Return the measured channels at the evenly spaced `time` in s: `(time,)` or `(time, ny)`.
 
-        `time` is the record's own, see `run`. An initial state is that of its first sample.
+        `time` is that of the record, see `run`. An initial state is the state at its first sample.
         """
 
 
@@ -50,21 +50,21 @@ def run(
     name: str | None = None,
     start: Stamp | None = None,
 ) -> Array:
-    """Call a simulator and check what it returns.
+    """Run a simulator and check its output.
 
     Parameters
     ----------
     simulator : Anything with a `simulate(time)`.
-    samples, sampling_time : How many samples, and the time between two of them in s.
-    ny : Channels of the record.
-    timeout : Seconds to wait; what runs on then is left behind in a thread.
-    cache : Folder to keep trajectories in, for a simulator whose `fingerprint()` gives a string
-        that changes with whatever its trajectory depends on; an FMU's is its content. By default
+    samples, sampling_time : Number of samples, and the time between two of them in s.
+    ny : Number of channels of the record.
+    timeout : Seconds to wait; after that, the call goes on in a background thread.
+    cache : Folder to store outputs in, for a simulator whose `fingerprint()` returns a string that
+        changes with everything its output depends on, such as the content of an FMU. By default
         the simulator's own `cache`, if it has one.
-    name : What messages call the simulator, by default its `name`, or its class.
-    start : The record's first time stamp. In seconds, the simulator is asked for start, start + dt,
-        start + 2 dt, ...; where it is a date, or there is none, for 0, dt, 2 dt, ... An exported
-        trajectory is aligned by its time stamps.
+    name : Name of the simulator in messages, by default its `name`, or its class.
+    start : The record's first time stamp. If it is in seconds, the simulator is called with the
+        times start, start + dt, start + 2 dt, ...; for a date or None with 0, dt, 2 dt, ... An
+        exported output is aligned by its time stamps.
 
     Returns
     -------
@@ -74,8 +74,8 @@ def run(
     Raises
     ------
     ValueError
-        When the simulator raises, takes too long, or returns another shape or NaN. The message
-        names the simulator.
+        If the simulator raises, exceeds the timeout, or returns a wrong shape or values that are
+        not finite. The message names the simulator.
     """
     name = name or getattr(simulator, "name", "") or type(simulator).__name__
     cache = cache or getattr(simulator, "cache", None)
@@ -83,7 +83,7 @@ def run(
     stored = _cache_file(simulator, (samples, sampling_time, ny, begin), cache)
     if stored is not None and (known := _read_whole(stored, (samples, ny))) is not None:
         return known
-    # A grid has two points at least, from which a simulator can tell its step.
+    # A grid has two points at least, from which a simulator can derive the step.
     time: Array = begin + np.arange(max(samples, 2), dtype=np.float64) * sampling_time
 
     def simulate() -> npt.ArrayLike:
@@ -123,7 +123,7 @@ def run(
 
 
 def within(timeout: float | None, call: Callable[[], Any]) -> Any:
-    """Call in a thread of its own that can be given up on; raises SimulatorTimeoutError then."""
+    """Call a function in a background thread; raises SimulatorTimeoutError after `timeout`."""
     if timeout is None:
         return call()
     outcome: list[Any] = []
@@ -131,7 +131,7 @@ def within(timeout: float | None, call: Callable[[], Any]) -> Any:
     def work() -> None:
         try:
             outcome.extend((True, call()))
-        except BaseException as error:  # the caller gets all of them, Ctrl-C included
+        except BaseException as error:  # all are raised again in the caller, Ctrl-C included
             outcome.extend((False, error))
 
     thread = threading.Thread(target=work, daemon=True)
@@ -146,7 +146,7 @@ def within(timeout: float | None, call: Callable[[], Any]) -> Any:
 
 
 def _read_whole(stored: Path, shape: tuple[int, int]) -> Array | None:
-    """Return what was stored; None where nothing was, or the file is damaged."""
+    """Return the stored output; None if there is none, or the file is damaged."""
     try:
         y = np.load(stored, allow_pickle=False)
     except (OSError, ValueError, EOFError):

@@ -1,4 +1,4 @@
-"""Fit the calibration of a simulator: gain, offset, delay and clock, each where it pays.
+"""Fit the calibration of a simulator: gain, offset, delay and clock, each if it lowers the error.
 
 Not in the paper. Larger sets of terms are compared with smaller ones on held-out samples.
 """
@@ -24,9 +24,9 @@ from splitband.simulators.calibration import (
 
 _MOVING: tuple[Term, ...] = "delay", "clock"
 _STILL = np.array([0.0, 1.0])
-"""Delay in samples and clock factor of a simulator as it comes."""
+"""Delay in samples and clock factor of an uncalibrated simulator."""
 _WORTH = 0.98
-"""A set of terms replaces a smaller one below this share of its error. By eye."""
+"""A larger set of terms is used if its error is below this share of a smaller set's. By eye."""
 _SETS: tuple[tuple[Term, ...], ...] = (
     (),
     ("offset",),
@@ -43,16 +43,16 @@ def calibrate(
     sampling_time: float,
     terms: Iterable[Term] | None = None,
 ) -> Calibration:
-    """Fit a simulator to the training part of a record.
+    """Calibrate a simulator on the training part of a record.
 
     Parameters
     ----------
-    y_sim : `(time, ny)`, aligned with the record, and as long at least. What reaches beyond it is
-        used by a simulator whose clock is too slow, or which comes too late.
-    y : The training part, `(train, ny)`; NaN is what was not measured.
-    sampling_time : In s, of both.
-    terms : Fit just these. By default sets of terms are fitted on the beginning of `y` and compared
-        on what follows it, over several cuts; a larger set has to pay for itself.
+    y_sim : `(time, ny)`, aligned with the record, and at least as long. Its samples beyond the
+        record are used where its clock is slow or its output late.
+    y : The training part, `(train, ny)`, NaN in gaps.
+    sampling_time : Sampling time of both, in s.
+    terms : Fit exactly these terms. By default sets of terms are fitted to the beginning of `y` and
+        compared on the rest, for several cuts; a larger set must lower the held-out error.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def calibrate(
     best = _SETS[0]
     for kept in _SETS[1:]:
         pays = errors[kept].mean() < _WORTH * errors[best].mean()
-        # By chance noise may fit better at some delay or clock after one cut, but not after all.
+        # After one cut, a delay or clock may fit noise by chance, but hardly after all cuts.
         moves = set(kept) & set(_MOVING)
         if pays and (not moves or (errors[kept] < errors[best]).all()):
             best = kept
@@ -88,9 +88,9 @@ def calibrate(
 
 
 def affine_fit(y_sim: Array, y: Array) -> tuple[Array, Array]:
-    """Return gain and offset of each channel, `(ny,)` each, that bring `y_sim` closest to `y`.
+    """Return the gain and offset of each channel, `(ny,)` each, that best fit `y_sim` to `y`.
 
-    By least squares on `(time, ny)`, where y is no NaN; a constant channel of the simulator gets
+    Least squares on `(time, ny)`, where y is not NaN; a constant channel of the simulator gets
     gain 0.
     """
     mean_sim, mean = _mean(y_sim, y), _mean(y, y)
@@ -107,7 +107,7 @@ def _mean(values: Array, y: Array) -> Array:
 
 
 def _gain(x: Array, y: Array) -> Array:
-    """Return the gain by which x comes closest to y where y is not NaN; 0 where x is zero."""
+    """Return the least-squares gain from x to y where y is not NaN; 0 where x is zero."""
     power = np.where(np.isnan(y), 0.0, x**2).sum(axis=0)
     return np.asarray(np.nansum(x * y, axis=0) / np.where(power > 0, power, 1.0))
 
@@ -117,14 +117,14 @@ def _name(terms: Sequence[Term]) -> str:
 
 
 def _held_out(y_sim: Array, y: Array, sampling_time: float, terms: tuple[Term, ...]) -> Array:
-    """Return the RMSE on the samples after each of several cuts, fitted on those before it."""
+    """Return the RMSE after each of several cuts, of a fit to the samples before the cut."""
     errors, measured = [], ~np.isnan(y)
     rows = np.flatnonzero(measured.any(axis=1))
     for share in (0.5, 0.6, 0.7, 0.8):
         cut = rows[max(int(share * len(rows)), 1)]
         calibration = _fit(y_sim, y[:cut], sampling_time, terms)
         left = y[cut:] - calibration.apply(y_sim, len(y), sampling_time)[cut:]
-        # A channel counts if it was measured both before the cut, to fit it, and after, to compare.
+        # A channel counts if it was measured both before the cut and after it.
         told = measured[:cut].any(axis=0) & measured[cut:].any(axis=0)
         if told.any():
             errors.append(rmse(left[:, told], np.zeros_like(left[:, told])))
@@ -138,7 +138,7 @@ def _fit(
     terms: tuple[Term, ...],
     scale: Array | float = 1.0,
 ) -> Calibration:
-    """Fit by least squares: gain and offset are eliminated, delay and clock are searched for."""
+    """Fit by least squares over delay and clock; gain and offset are eliminated."""
     moving = np.array([term in terms for term in _MOVING])
     index: Array = np.arange(len(y), dtype=np.float64)
     spline = spline_of(y_sim)
@@ -148,7 +148,7 @@ def _fit(
         return spline(clock * index - delay) if moving.any() else y_sim[: len(y)]
 
     def within(warp: Array) -> Flags:
-        """Return where the simulation is known: from its first to its last sample."""
+        """Return a mask of the samples that lie between the simulation's first and last one."""
         delay, clock = _warp(warp, moving)
         places = clock * index - delay
         inside = (places >= 0) & (places <= len(y_sim) - 1)
@@ -200,9 +200,9 @@ def _warp(warp: Array, moving: Flags) -> tuple[float, float]:
 
 
 def _guesses(y: Array, at_clock: Callable[[float], Array], most: Array) -> Iterator[Array]:
-    """Yield starting points: the identity, and those of the highest correlation with the record.
+    """Yield starting points: the identity, and those of highest correlation with the record.
 
-    Each is a delay in samples and a clock factor, which differ from the identity by `most` at most.
+    Each consists of a delay in samples and a clock factor, within `most` of the identity.
     """
     yield _STILL
     clocks = np.linspace(1 - most[1], 1 + most[1], 41) if most[1] else np.ones(1)
@@ -219,10 +219,10 @@ def _guesses(y: Array, at_clock: Callable[[float], Array], most: Array) -> Itera
 
 
 def _correlation(y: Array) -> Callable[[Array], Array]:
-    """Return a function of x: the squared correlation of y with x, as a gain may be negative.
+    """Return a function of x: the squared correlation of y with x for every shift of x.
 
-    Its value at k is that of x shifted by k samples, -(n - 1)..n - 1. The transform of y, which all
-    x have in common, is made once.
+    It is squared as a gain may be negative. Index k is the shift in samples, -(n - 1)..n - 1. The
+    transform of y is computed once for all x.
     """
     length = scipy.fft.next_fast_len(2 * len(y) - 1, real=True)
     spectrum = scipy.fft.rfft(np.nan_to_num(y - _mean(y, y)), length, axis=0)

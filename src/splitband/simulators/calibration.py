@@ -1,7 +1,7 @@
 """Calibrate a simulator: gain, offset, delay and clock, each kept only if it lowers the error.
 
-Not in the paper. A simulator that runs a little too fast, or late, is far from the record after a
-while however good it is otherwise; the record's training part is enough to see that.
+Not in the paper. A small clock error or delay makes even a good simulator wrong after a while; the
+training part of the record is enough to estimate them.
 """
 
 from __future__ import annotations
@@ -29,15 +29,14 @@ MOST_CLOCK = 0.05
 class Calibration:
     """Map a simulation to the record: y(t) = offset + gain * simulator(clock * t - delay).
 
-    t is counted from the origin, the first sample of the record that the calibration was fitted to.
+    t is counted from the first training sample, the origin.
 
     Attributes
     ----------
-    gain, offset : One value a channel; empty for 1 and 0.
+    gain, offset : One value per channel; empty for 1 and 0.
     delay : Delay in s, positive for a simulator that is too early.
     clock : Factor of the simulator's time.
-    errors : What each set of terms left on held-out training samples: RMSE by set of terms, of
-        channels scaled to a deviation of 1.
+    errors : Held-out RMSE by set of terms, for channels scaled to a deviation of 1.
     """
 
     gain: tuple[float, ...] = ()
@@ -56,14 +55,16 @@ class Calibration:
     ) -> Array:
         """Return the calibrated simulation, `(samples, ny)`.
 
+        Raises ValueError if `y_sim` ends too early and neither delay nor clock are calibrated.
+
         Parameters
         ----------
-        y_sim : `(time, ny)`. Before the origin, its first and after its last sample the simulator
-            stands still.
+        y_sim : `(time, ny)`. With a calibrated delay or clock, its values are held before the
+            origin, before its first and after its last sample.
         samples : Number of samples to return.
-        sampling_time : In s, of both.
-        begin, begin_sim : Where the first sample to return and the first of `y_sim` lie, in samples
-            after the origin.
+        sampling_time : Sampling time of both, in s.
+        begin, begin_sim : Position of the first sample to return, and of the first sample of
+            `y_sim`, in samples after the origin.
         """
         self.check(y_sim.shape[1])
         index = self.places(samples, sampling_time, begin) - begin_sim
@@ -85,23 +86,23 @@ class Calibration:
             raise ValueError(f"clock must be positive, got {self.clock}")
 
     def check(self, ny: int) -> None:
-        """Raise ValueError where gain or offset are of another number of channels."""
+        """Raise ValueError unless gain and offset have `ny` values, or none."""
         for name in ("gain", "offset"):
             if len(getattr(self, name)) not in (0, ny):
                 raise ValueError(f"{name} must have {ny} value(s), got {len(getattr(self, name))}")
 
     def places(self, samples: int, sampling_time: float, begin: float = 0.0) -> Array:
-        """Return where `apply` evaluates the simulator, `(samples,)`, in samples from t = 0."""
+        """Return the simulator times that `apply` uses, `(samples,)`, in samples from t = 0."""
         index = begin + np.arange(samples, dtype=np.float64)
         if self.stays:
             return index
         return np.maximum(self.clock * index - self.delay / sampling_time, 0.0)
 
     def held(self, steps: int, sampling_time: float, begin: float, samples: int, end: float) -> str:
-        """Return a sentence about a simulation that ends too early, or an empty string.
+        """Return a sentence if the simulation ends too early, else an empty string.
 
-        Of `samples` from `begin` on, the last `steps` are those of a forecast; `end` is where the
-        simulation's next sample would lie. Both are counted in samples after the origin.
+        The last `steps` of the `samples` from `begin` on are the forecast; `end` is the position
+        after the simulation's last sample. Positions are counted in samples after the origin.
         """
         missing = int(np.sum(self.places(samples, sampling_time, begin) > end - 0.5))
         if not missing:
@@ -112,7 +113,7 @@ class Calibration:
         )
 
     def __str__(self) -> str:
-        """Return the terms that were kept, with their units."""
+        """Return the calibrated terms, with units."""
         parts = []
         if self.gain:
             parts.append("gain " + ", ".join(f"{g:.3g}" for g in self.gain))
@@ -131,7 +132,7 @@ class Calibration:
 
 
 def samples_needed(samples: int, train: int) -> int:
-    """Return the length of a simulation with which every term can be fitted, in samples."""
+    """Return the length in samples of a simulation that suffices to fit every term."""
     return int(np.ceil(samples * (1 + MOST_CLOCK) + train * MOST_DELAY)) + 1
 
 

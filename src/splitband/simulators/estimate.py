@@ -1,4 +1,4 @@
-"""Say what a fit has found: values, how certain they are, and what the record does not tell."""
+"""Report a parameter fit: values, standard errors, and parameters that are not identifiable."""
 
 from __future__ import annotations
 
@@ -15,19 +15,18 @@ from splitband.runtime.options import saved
 from splitband.simulators.parameters import Parameters
 
 Name = tuple[str, int]
-"""A parameter, and the number of the record whose it is; -1 for all."""
+"""Name of a parameter, and number of its record; -1 for all records."""
 
 AT_BOUND = 2e-3
-"""Distance from the end of a range, as a share of it, at which a parameter lies there. By eye."""
+"""Distance from a bound, as a share of the range, within which a parameter is at it. By eye."""
 UNKNOWN = 0.25
-"""Standard error, as a share of the range, from which on a direction is not identifiable.
-By eye."""
+"""Standard error, as a share of the range, above which a direction is not identifiable. By eye."""
 QUIETEST = 1e-3
-"""Least error, in deviations of the record, that a model is taken to have. By eye."""
+"""Smallest assumed error of a model, in deviations of the record. By eye."""
 INVOLVED = 0.2
-"""Least component of a parameter in a direction that is named with it. By eye."""
+"""Smallest component of a direction for which its parameter is named in a remark. By eye."""
 _MOST_LAGS = 0.1
-"""Longest lag of the residuals' autocorrelation that counts, as a share of a record. By eye."""
+"""Longest lag of the residuals' autocorrelation, as a share of the samples. By eye."""
 
 
 @saved
@@ -37,15 +36,15 @@ class Estimate:
 
     Attributes
     ----------
-    values : By name; initial values of further records as `x0_1, record 2`.
-    errors : Standard errors, for errors of the simulation that are independent of each other, or
-        as strongly correlated as those that were found; NaN where there is none.
-    correlations : Of the errors of the values, in their order, `(n, n)`; NaN as above.
-    rmse : Of each channel over the training samples.
-    remarks : What is not identifiable, lies at a bound, or might as well be otherwise.
+    values : Values by name; initial values of further records as `x0_1, record 2`.
+    errors : Standard errors, corrected for the autocorrelation of the residuals; NaN for parameters
+        at a bound or not identifiable.
+    correlations : Correlations of the estimated values, `(n, n)`, in their order; NaN as above.
+    rmse : RMSE of each channel over the training samples.
+    remarks : Parameters that are not identifiable or at a bound, and other fits as good.
     window : Samples of the windows in which the record was simulated; 0 for all of it.
-    starts : Of how many starting points how many led to the same fit.
-    cut : Whether the time was over before every starting point was tried.
+    starts : Number of starting points that led to the same fit, and number that were fitted.
+    cut : Whether the deadline passed before every starting point was tried.
     """
 
     values: dict[str, float] = field(default_factory=dict)
@@ -72,7 +71,7 @@ class Estimate:
         return "; ".join([", ".join(said), *self.remarks] if said else self.remarks)
 
     def as_json(self) -> dict[str, Any]:
-        """Return what result files hold."""
+        """Return the content of result files."""
         return {
             "values": self.values,
             "standard_errors": {k: None if np.isnan(e) else e for k, e in self.errors.items()},
@@ -99,14 +98,14 @@ def _rounded(value: float, error: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Curvature:
-    """Describe the fit around its minimum.
+    """Hold the linearised fit at its minimum.
 
     Attributes
     ----------
-    names, known : Of the parameters that are fitted, and all of them.
-    places : Of the fitted ones in their ranges, `(n,)`.
+    names, known : Names of the fitted parameters, and all parameters.
+    places : Positions of the fitted parameters in their ranges, 0 to 1, `(n,)`.
     residuals : `(samples, ny)`, in deviations of the channels; NaN in gaps.
-    jacobian : Of the residuals, `(samples * ny, n)`.
+    jacobian : Derivatives of the residuals with respect to `places`, `(samples * ny, n)`.
     """
 
     names: Sequence[Name]
@@ -131,9 +130,9 @@ class Curvature:
         return deviations * np.abs(slopes), correlations, remarks
 
     def _covariance(self, free: npt.NDArray[np.int_]) -> tuple[Array, list[int], list[str]]:
-        """Return the covariance of places that are free, which of them are not identified, words.
+        """Return the covariance of the places `free`, those not identifiable, and remarks.
 
-        Directions that the record does not tell are left out of it.
+        Directions that are not identifiable are left out of the covariance.
         """
         j = self.jacobian[:, free]
         if not len(free):
@@ -155,18 +154,18 @@ class Curvature:
             said.append(_told(at, direction[involved] * np.array(relative)))
         kept = vt[~weak].T / s[~weak]
         told = (j @ kept) * np.tile(noise, samples)[:, None]
-        # (J'J)^-1 J' W J (J'J)^-1, with the error of each channel as W
+        # (J'J)^-1 J' W J (J'J)^-1, where W holds the error variance of each channel
         return kept @ (told.T @ told) @ kept.T * self._correlated(), lost, said
 
     def _noise(self) -> Array:
-        """Return the error of each channel, corrected for the number of parameters."""
+        """Return the RMS error of each channel, corrected for the number of parameters."""
         measured = np.maximum((~np.isnan(self.residuals)).sum(axis=0), 1)
         lost = len(self.places) / self.residuals.shape[1]
         power = np.nansum(self.residuals**2, axis=0) / np.maximum(measured - lost, 1)
         return np.asarray(np.sqrt(power))
 
     def _correlated(self) -> float:
-        """Return how many samples of the residuals say as much as an independent one, 1 or more."""
+        """Return how many residual samples are worth one independent sample, at least 1."""
         most = 1.0
         for channel in self.residuals.T:
             r = channel[~np.isnan(channel)]
@@ -192,7 +191,7 @@ class Curvature:
         return low | high, remarks
 
     def _linked(self, correlations: Array) -> list[str]:
-        """Return which pairs are hardly told from each other."""
+        """Return a remark for each pair of parameters correlated by more than 0.99."""
         with np.errstate(invalid="ignore"):
             pairs = np.argwhere(np.triu(np.abs(correlations) > 0.99, 1))
         return [
@@ -203,12 +202,12 @@ class Curvature:
 
 
 def labelled(name: Name) -> str:
-    """Return what people call a parameter."""
+    """Return the name of a parameter for messages."""
     return name[0] if name[1] < 1 else f"{name[0]}, record {name[1] + 1}"
 
 
 def _told(names: Sequence[Name], changes: Array) -> str:
-    """Return a sentence about a direction in which the record tells nothing.
+    """Return a remark about a direction that is not identifiable.
 
     `changes` are the relative changes of the values along it.
     """

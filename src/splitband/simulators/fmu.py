@@ -19,20 +19,20 @@ from splitband.simulators.parameters import Given, Parameters, Point, Response
 
 
 class Fmu(Written):
-    """Run a functional mock-up unit by FMPy (the extra `splitband[fmu]`).
+    """Run a functional mock-up unit with FMPy (the extra `splitband[fmu]`).
 
-    The archive is unpacked once; its instance is reset, not loaded again, between runs. The
-    unpacked files are removed by `close`, at the end of a `with` block, with the object, or when
+    The archive is unpacked once; between runs its instance is reset, not loaded again. The unpacked
+    files are removed by `close`, at the end of a `with` block, when the object is deleted, or when
     the process ends.
 
     Parameters
     ----------
-    path : Of the .fmu file.
+    path : Path of the .fmu file.
     outputs : Variables that correspond to the record's channels; by default the FMU's outputs.
-    parameters : Start values of variables by name, parameters and initial values: a number, or a
-        range `(low, high)` in which it is fitted. All records have them in common.
-    inputs : Variables that take the record's inputs; by default the FMU's inputs, where the record
-        has any. Co-simulation holds them until the next sample, model exchange interpolates.
+    parameters : Start values of parameters and variables by name: a number, or a range
+        `(low, high)` in which it is fitted. They are the same for all records.
+    inputs : Variables that take the record's inputs; by default the FMU's inputs, if the record has
+        any. Co-simulation holds them until the next sample, model exchange interpolates.
     """
 
     states = 0
@@ -58,8 +58,8 @@ class Fmu(Written):
         self._simulate_fmu, self._instantiate = fmpy.simulate_fmu, instantiate_fmu
         self._folder = tempfile.mkdtemp(prefix="splitband-fmu-")
         self._idle: list[Any] = []  # the instance while it does not run
-        # Unlike `weakref.finalize` it also runs at the end of a worker process, and leaves alone
-        # what a parent process has unpacked.
+        # Unlike `weakref.finalize` it also runs at the end of a worker process, and does not remove
+        # the files of a parent process.
         self._end = Finalize(self, _free, (self._idle, self._folder), exitpriority=0)
         try:
             fmpy.extract(str(self.path), self._folder)
@@ -82,27 +82,30 @@ class Fmu(Written):
 
     @property
     def adjustable(self) -> bool:
-        """Return whether it has to be fitted, or needs inputs: a `GreyBox` runs it."""
+        """Return whether it needs fitting or inputs, and so a `GreyBox` to run it."""
         return bool(self.known.free) or bool(self._inputs)
 
     def precise(self) -> Fmu:
-        """Return it: its solver is its own."""
+        """Return the FMU itself: its tolerances cannot be tightened here."""
         return self
 
     def fixed(self, values: Mapping[str, float]) -> Fmu:
-        """Return the FMU with these values of parameters."""
+        """Return the FMU with some parameters set to these values."""
         given = self.known.fixed(values).given
         return Fmu(self.path, self.outputs, given, self.inputs)
 
     def simulate(self, time: Array) -> npt.ArrayLike:
         """Simulate the measured channels at the times `time` in s.
 
-        A parameter with a range is in the middle of it.
+        A parameter with a range takes the middle of it.
         """
         return self._run(time, None, self.known.middle())
 
     def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> list[Response]:
-        """See `Adjustable`: there are no states. A run that fails gives NaN."""
+        """Return the responses, without states, see `Adjustable`.
+
+        Among several runs a failed one gives NaN; a single run that fails raises ValueError.
+        """
         found = []
         for values, _ in points:
             try:
@@ -129,23 +132,23 @@ class Fmu(Written):
             output=self.outputs,
         )
         instance.reset()
-        # Kept for the next run only after success: one that failed or still runs cannot be freed.
+        # Reused only after success: an instance that failed or still runs cannot be freed.
         self._idle.append(instance)
         if result["time"][-1] < time[-1] - step / 2:
             raise ValueError(f"the FMU {self.path} stopped at {result['time'][-1]:g} s")
         found = np.column_stack([result[name] for name in self.outputs])
-        # At an event FMPy stores more samples than the grid has: take the grid's.
+        # FMPy stores additional samples at events: keep those of the grid.
         at = np.searchsorted(result["time"], time - step / 4)
         return np.asarray(found[np.minimum(at, len(found) - 1)])
 
     def _instance(self) -> Any:
-        """Return a new instance, after one that failed."""
+        """Return a new instance, to replace one that failed."""
         if not Path(self._folder).is_dir():
             raise ValueError(f"the FMU {self.path} has been closed")
         return self._instantiate(self._folder, self._description)
 
     def _signals(self, time: Array, u: Array | None) -> Any:
-        """Return the inputs as FMPy takes them."""
+        """Return the inputs in FMPy's format."""
         if u is None or not self._inputs:
             return None
         if u.shape[1] != len(self._inputs):
@@ -160,12 +163,12 @@ class Fmu(Written):
         return signals
 
     def digest(self) -> str:
-        """Return what its response depends on besides the parameters' values."""
+        """Return an identifier of the response, without the values of parameters."""
         content = hashlib.sha256(self.path.read_bytes()).hexdigest()
         return f"{content} {self.outputs} {self._inputs}"
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what other processes open it by."""
+        """Return the constructor's arguments, with which another process opens it."""
         return {"path": self.path, "outputs": self.outputs, "parameters": self.parameters,
                 "inputs": self.inputs}  # fmt: skip
 
@@ -173,7 +176,7 @@ class Fmu(Written):
         Fmu.__init__(self, **state)
 
     def fingerprint(self) -> str:
-        """Return the cache key: all that the output depends on besides the time grid."""
+        """Return the cache key: everything the output depends on except the time grid."""
         content = hashlib.sha256(self.path.read_bytes()).hexdigest()
         return f"{content} {self.outputs} {sorted(self.known.middle().items())}"
 

@@ -1,4 +1,4 @@
-"""Use Python code of the user's as a simulator: here a function of time."""
+"""Use a Python function of time as a simulator; define the base class for user code."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from splitband.simulators.sources import code_digest, count_arguments
 
 
 class UserCode(Written):
-    """Define a dataclass with code of the user's and a field `parameters`."""
+    """Define the base of dataclasses that hold user code and a field `parameters`."""
 
     parameters: Given | None
 
@@ -27,28 +27,28 @@ class UserCode(Written):
         return Parameters(dict(self.parameters or {}))
 
     def fixed(self, values: Mapping[str, float]) -> Self:
-        """Return it with these values of parameters."""
+        """Return a copy with some parameters set to these values."""
         return self._with(parameters=dict(self.known.fixed(values).given))
 
     def _with(self, **changes: Any) -> Self:
-        """Return it with other fields, for other processes to make as before."""
+        """Return a copy with changed fields, which other processes recreate as before."""
         made = replace(self, **changes)  # type: ignore[type-var]
         return made.opened_by(vars(self).get("_opened_by"))
 
     def precise(self) -> Self:
-        """Return it for derivatives; see `Adjustable`."""
+        """Return the simulator for derivatives, here itself; see `Adjustable`."""
         return self
 
     def opened_by(self, function: Callable[[Given], Self] | None) -> Self:
-        """Return it, for other processes to make by a function of its parameters.
+        """Set the function of the parameters by which other processes recreate it; return it.
 
-        What a file of the user's defines cannot be sent to them.
+        Functions from a user's file cannot be pickled.
         """
         vars(self)["_opened_by"] = function
         return self
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """Say how other processes make it."""
+        """Return how other processes recreate it."""
         function = vars(self).get("_opened_by")
         if function is None:
             return super().__reduce_ex__(protocol)
@@ -63,9 +63,9 @@ class Function(UserCode):
     ----------
     function : `function(time, u, p) -> (time,) or (time, ny)`, or without the last or the last two
         arguments: times in s `(time,)`, inputs `(time, nu)`, and parameters by name (`p.k`).
-    key : Identifies it and its parameters in the cache of `run`; without one it is not cached.
+    key : Identifier of the function in the cache of `run`; without a key nothing is cached.
     parameters : By name a number, or a range `(low, high)` in which it is fitted; p holds them in
-        this order. Each record has its own of those whose names begin with `x0_`.
+        this order. Those whose names begin with `x0_` are fitted for each record separately.
     """
 
     function: Callable[..., npt.ArrayLike]
@@ -77,18 +77,18 @@ class Function(UserCode):
 
     @property
     def adjustable(self) -> bool:
-        """Return whether it has to be fitted, or needs inputs: a `GreyBox` runs it."""
+        """Return whether it has parameters or needs inputs, and so a `GreyBox` to run it."""
         return bool(self.known.given) or count_arguments(self.function) > 1
 
     def simulate(self, time: Array) -> npt.ArrayLike:
         """Simulate the measured channels at the times `time` in s.
 
-        A parameter with a range is in the middle of it.
+        A parameter with a range takes the middle of it.
         """
         return self._called(time, np.empty((len(time), 0)), self.known.middle())
 
     def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> list[Response]:
-        """See `Adjustable`: there are no states."""
+        """Return the responses, without states, see `Adjustable`."""
         inputs = np.empty((len(time), 0)) if u is None else u
         found = []
         for values, _ in points:
@@ -97,11 +97,11 @@ class Function(UserCode):
         return found
 
     def fingerprint(self) -> str | None:
-        """Return the cache key."""
+        """Return the cache key, or None without a `key`."""
         return None if self.key is None else f"{self.key} {self.known}".strip()
 
     def digest(self) -> str:
-        """Return what its response depends on besides the parameters' values."""
+        """Return an identifier of the response, without the values of parameters."""
         return self.key or code_digest(self.function)
 
     def _called(self, time: Array, u: Array, values: Mapping[str, float]) -> npt.ArrayLike:

@@ -1,4 +1,4 @@
-"""Fit the parameters of a simulator to records, and say what these tell of them."""
+"""Fit the parameters of a simulator to records, and assess their identifiability."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from splitband.simulators.starts import (
 _SAME_PLACE = 0.02
 """Distance, as a share of a range, within which values count as the same. By eye."""
 HOPELESS = 0.6
-"""Error of the simulation of whole records, in deviations, from which on it is done in windows.
+"""Error of a simulation of whole records, in deviations, from which on windows are considered.
 By eye."""
 _WORTH_WINDOWS = 0.3
-"""Share of the error over whole records below which the error over windows decides. By eye."""
+"""Windows are used if their error is below this share of the error over whole records. By eye."""
 
 
 _FEW = 3
-"""Samples on which a simulator's code is tried. By eye."""
+"""Samples for a test run of a simulator's code. By eye."""
 _DEFECTS = (NameError, AttributeError, ImportError)
-"""Errors of code that do not depend on the values of parameters."""
+"""Errors of code that do not depend on parameter values."""
 
 
 def identify(simulator: Adjustable, *records: Record, effort: Effort | None = None) -> Estimate:
@@ -43,19 +43,19 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
 
     Parameters
     ----------
-    simulator : With ranges for the parameters that are fitted, such as an `Ode`.
-    records : All of whose samples are used. Initial values are those of each record.
-    effort : How much may go into it.
+    simulator : Simulator with ranges for the fitted parameters, such as an `Ode`.
+    records : Records of which all samples are used; each has its own initial values.
+    effort : Limits of the search.
 
     Returns
     -------
     Estimate
-        Values with standard errors, and what the records do not tell.
+        Values with standard errors, and remarks on identifiability.
 
     Raises
     ------
     ValueError
-        When no run of the simulator was successful; the message says why the last one was not.
+        If no run of the simulator succeeds; the message gives the reason.
     """
     require_records("records", *records)
     effort = effort or Effort()
@@ -76,7 +76,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     best = next(o for o in outcomes if o.number == ranked[0][1])
     places = np.array(best.found[window][0])
     shooting = Shooting(simulator.precise(), experiments, scale)
-    with within(NEVER):  # what has been found is looked at however late it is
+    with within(NEVER):  # the result is evaluated even after the deadline
         shooting.divide(window, places)
         if not (best.cut or deadline.over):
             places, _ = descend(shooting, places, LAST_ROUNDS)
@@ -95,10 +95,9 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
 
 
 def check_runs(simulator: Adjustable, record: Record) -> None:
-    """Raise ValueError where a simulator cannot run whatever its parameters are, and say why.
+    """Raise ValueError, with the reason, for a simulator that fails with any parameter values.
 
-    A name that its code does not define is a reason; that numbers overflow in the middle of the
-    ranges is none.
+    An undefined name in its code raises; an overflow in the middle of the ranges does not.
     """
     begin = Experiment.of(record).part(0, _FEW)
     try:
@@ -109,11 +108,11 @@ def check_runs(simulator: Adjustable, record: Record) -> None:
     except OverError:
         raise
     except Exception:
-        return  # it may run for other parameters, or on more samples
+        return  # it may run with other parameters, or on more samples
 
 
 def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
-    """Return the longest windows that a simulation is not lost in."""
+    """Return the longest window length, unless shorter windows fit far better."""
     best: dict[int, float] = {}
     for outcome in outcomes:
         for length, (_, error) in outcome.found.items():
@@ -126,7 +125,7 @@ def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
 
 
 def _told(shooting: Shooting, places: Array, window: int) -> Estimate:
-    """Return what is known at the best places."""
+    """Return the estimate at the best places, with standard errors."""
     ny = len(shooting.scale)
     residuals = shooting.residuals(places)
     jacobian = shooting.jacobian(places)
@@ -155,7 +154,7 @@ def _alternatives(
     estimate: Estimate,
     places: Array,
 ) -> list[str]:
-    """Return other minima that fit as well, with values that are told apart."""
+    """Return remarks on minima that fit as well, with other values of identifiable parameters."""
     errors = [o.found[window][1] for o in outcomes if window in o.found]
     told = np.array([np.isfinite(e) for e in estimate.errors.values()])
     found: list[Array] = [places]

@@ -1,7 +1,7 @@
-"""Run a user's own simulator in a process of its own: it may hang or crash, this one goes on.
+"""Run a user's simulator in a separate process, which may hang or crash.
 
-`python -m splitband.simulators.isolation FOLDER` is that process. What to run and for which times
-lies in the folder, and what comes of it goes there.
+`python -m splitband.simulators.isolation FOLDER` is that process. The folder holds the task and
+the times, and receives the result.
 """
 
 from __future__ import annotations
@@ -31,25 +31,25 @@ from splitband.simulators.fmu import Fmu
 from splitband.simulators.sources import digest, source_files
 
 _START = 20.0
-"""Seconds in which such a process must have begun, beside the simulator's own. By eye."""
+"""Seconds for the start of the process, in addition to the simulator's timeout. By eye."""
 _STDERR = 2
-"""File descriptor where the simulator's prints go, those of its C code too: results are printed to
-stdout."""
+"""File descriptor for everything that the simulator prints, including its C code: stdout is kept
+for results."""
 _TASK, _TIME, _VALUES, _FAILURE = "task.json", "time.npy", "values.npy", "failure.json"
 
 
 @dataclass(frozen=True)
 class Isolated:
-    """Run an FMU, or a function of a Python file, in a process that can be ended at any time.
+    """Run an FMU, or a function of a Python file, in a process that can be killed at any time.
 
     Attributes
     ----------
-    path : Of the file.
-    function : Of a Python file; None for an FMU.
-    outputs : Of an FMU; none for all.
-    timeout : Seconds to wait; None for ever.
-    reads : Other files that its trajectory depends on.
-    cache : Folder to keep trajectories in, see `run`.
+    path : Path of the file.
+    function : Name of the function in a Python file; None for an FMU.
+    outputs : Output variables of an FMU; empty for all.
+    timeout : Seconds to wait; None for no limit.
+    reads : Other files that the output depends on.
+    cache : Folder to store outputs in, see `run`.
     """
 
     path: str
@@ -61,14 +61,14 @@ class Isolated:
 
     @property
     def name(self) -> str:
-        """Return what messages call it: its file, and the function of it."""
+        """Return the name in messages: the file, and the function in it."""
         return self.path if self.function is None else f"{self.path}:{self.function}"
 
     def simulate(self, time: Array) -> npt.ArrayLike:
-        """See `Simulator`.
+        """Simulate the channels at `time` in s, see `Simulator`.
 
-        Raises SimulatorTimeoutError when it has not returned in time; it has been ended. Raises
-        SimulatorError when it failed, in its own words, or ended its process.
+        Raises SimulatorTimeoutError after the timeout; the process is then killed. Raises
+        SimulatorError if the simulator fails, with its message, or ends its process.
         """
         with tempfile.TemporaryDirectory(prefix="splitband-") as name:
             folder = Path(name)
@@ -89,14 +89,14 @@ class Isolated:
         raise SimulatorError(said)
 
     def fingerprint(self) -> str:
-        """Return what the trajectory depends on besides the time grid.
+        """Return an identifier of everything the output depends on except the time grid.
 
-        That is the content of the file, of the modules that it imports and of what it `reads`.
+        It covers the content of the file, of the modules that it imports and of the files `reads`.
         """
         if self.function is not None:
             return f"{digest([*source_files(self.path), *self.reads])} {self.function}"
         content = hashlib.sha256(Path(self.path).read_bytes()).hexdigest()
-        alone = f"{content} {[*self.outputs]} []"  # as that of an `Fmu` without start values
+        alone = f"{content} {[*self.outputs]} []"  # same format as for an `Fmu` without parameters
         return f"{alone} {digest(self.reads)}" if self.reads else alone
 
 
@@ -117,7 +117,7 @@ def _run_in(folder: Path, patience: float | None) -> int:
     except subprocess.TimeoutExpired:
         raise SimulatorTimeoutError from None
     finally:
-        if hasattr(os, "killpg"):  # end its own child processes as well
+        if hasattr(os, "killpg"):  # kill its child processes as well
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(process.pid, signal.SIGKILL)
         process.kill()
@@ -125,7 +125,7 @@ def _run_in(folder: Path, patience: float | None) -> int:
 
 
 def named_in(path: str, name: str) -> Any:
-    """Run the user's file and return what a name stands for in it; None for none."""
+    """Run the user's file and return its object of that name, or None."""
     sys.path.insert(0, str(Path(path).resolve().parent))
     try:
         return runpy.run_path(path, run_name=Path(path).stem).get(name)
@@ -144,7 +144,7 @@ def _simulate(task: Isolated, time: Array) -> npt.ArrayLike:
 
 
 def _end_with_parent(parent: int) -> None:
-    """End this process when its parent has been killed."""
+    """End this process when its parent process has ended."""
     while os.getppid() == parent:
         clock.sleep(1)
     os._exit(1)

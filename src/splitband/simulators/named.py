@@ -1,4 +1,4 @@
-"""Define the simulators of the named records, on the time grid of their record."""
+"""Define the simulators of the named records."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def van_der_pol_simulator(rtol: float = 1e-10) -> Simulator:
 
 
 def exported_simulator(name: str) -> Simulator:
-    """Return the output of a simulator that a named record brings, in the record's units."""
+    """Return the simulator's output that a named record contains, in the record's units."""
     record = RECORDS[name].make()
     assert record.y_sim is not None
     return Recorded(record.y_sim, record.sampling_time, record.start, f"simulator of {name}")

@@ -17,10 +17,10 @@ from splitband.simulators.parameters import INITIAL, Given, Point, Response, par
 from splitband.simulators.sources import code_digest, count_arguments
 
 PRECISE = 1e-6, 1e-8
-"""Relative and absolute tolerance, at most, for standard errors. With 1e-4 errors came out up to
-270 times too small."""
+"""Largest relative and absolute tolerance for standard errors. With 1e-4 they came out up to 270
+times too small."""
 WORTH_COMPILING = 30_000
-"""Steps that take about as long as compiling the equation; it is compiled after them. By eye."""
+"""Steps after which the equation is compiled: they take about as long as compiling. By eye."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,16 +31,16 @@ class Ode(UserCode):
     ----------
     rhs : `rhs(t, x, u, p) -> dx/dt`, or without the last or the last two arguments. x and u are
         arrays of the states and the inputs at time t in s, p holds the parameters by name (`p.k`).
-        After many steps it is compiled by Numba, if it can be.
+        After many steps it is compiled with Numba, if possible.
     x0 : x at the record's first sample.
     observe : `observe(x)` or `observe(x, u, p)` maps the states `(time, nx)` to the measured
         channels, `(time,)` or `(time, ny)`; by default the first state.
     parameters : By name a number, or a range `(low, high)` in which it is fitted; p holds them in
-        this order. `x0_1`, `x0_2`, ... stand for the elements of `x0`.
-    held : Whether inputs keep their value until the next sample. By default they are interpolated.
-    method : Its name for SciPy. RK45, which is Dormand and Prince's, is also the compiled one.
-    tolerances : Relative and absolute.
-    key : As for `Function`; it stands for `rhs` and `observe`.
+        this order. `x0_1`, `x0_2`, ... replace the elements of `x0`.
+    held : Whether inputs are held until the next sample. By default they are interpolated.
+    method : SciPy's name of the method. Only RK45 (Dormand-Prince) can be compiled.
+    tolerances : Relative and absolute tolerance.
+    key : Identifier of `rhs` and `observe` in the cache, as for `Function`.
 
     Examples
     --------
@@ -64,7 +64,7 @@ class Ode(UserCode):
     key: str | None = None
 
     def __post_init__(self) -> None:
-        """Check that names of initial values are those of states."""
+        """Check that every initial value names a state."""
         wrong = [name for name in self.known.given if name.startswith(INITIAL)
                  and name not in self._states]  # fmt: skip
         if wrong:
@@ -80,12 +80,12 @@ class Ode(UserCode):
 
     @property
     def difference(self) -> float:
-        """Return the step of finite differences: with the same steps just rounding matters."""
+        """Return the finite-difference step; it is smaller for RK45, which reuses its steps."""
         return 1e-6 if self.method == "RK45" else 1e-4
 
     @property
     def adjustable(self) -> bool:
-        """Return whether it has to be fitted, or needs inputs: a `GreyBox` runs it."""
+        """Return whether it has parameters or needs inputs, and so a `GreyBox` to run it."""
         return bool(self.known.given) or self.driven
 
     @property
@@ -94,17 +94,17 @@ class Ode(UserCode):
         return count_arguments(self.rhs) > 2 or count_arguments(self.observe) > 1
 
     def precise(self) -> Self:
-        """Return it with tolerances by which its derivatives are right, too.
+        """Return a copy with tolerances that also make its derivatives accurate.
 
-        With few steps a solution may be right within its tolerance and still depend on a parameter
-        many times as strongly as the equation does, as where a tank reaches its rim.
+        With few steps, a solution within its tolerance may still depend on a parameter far more
+        strongly than the exact solution does, for example where a tank reaches its rim.
         """
         return self._with(tolerances=tuple(map(min, self.tolerances, PRECISE)))
 
     def simulate(self, time: Array) -> npt.ArrayLike:
-        """Solve at the times `time` in s; raises RuntimeError if the solver fails.
+        """Solve at the times `time` in s; raises RuntimeError if SciPy's solver fails.
 
-        A parameter with a range is in the middle of it.
+        A parameter with a range takes the middle of it.
         """
         if self.driven:
             y, _ = self.respond(time, None, [(self.known.middle(), None)])[0]
@@ -115,12 +115,12 @@ class Ode(UserCode):
         return self._observed(x, np.empty((len(time), 0)), values)
 
     def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> list[Response]:
-        """Return the response at several points, with the steps of the first one.
+        """Return the responses at several points; RK45 takes the steps of the first one for all.
 
         Parameters
         ----------
         time, u : `(time,)` in s, and the inputs `(time, nu)`.
-        points : The usual state is that of the record's first sample.
+        points : Parameters and initial state; None is the state at the record's first sample.
         """
         steps = np.zeros(max(len(time) - 1, 0), dtype=np.int64)
         return [self._response(values, self.initial(values) if state is None else state,
@@ -128,20 +128,20 @@ class Ode(UserCode):
 
     @property
     def advances(self) -> bool:
-        """Return whether `advance` goes on as one long solution does, but for rounding."""
+        """Return whether successive calls of `advance` equal one long solution, up to rounding."""
         return self.method == "RK45"
 
     def advance(
         self, values: Mapping[str, float], state: Array, time: Array, u: Array | None, taken: int
     ) -> tuple[Array, Array, int]:
-        """Return channels and states at `time`, and the steps that the last interval took.
+        """Return channels and states at `time`, and the solver steps of the last interval.
 
         Parameters
         ----------
-        values : Of the parameters.
-        state : At the first of two times or more, `(nx,)`.
+        values : Values of the parameters.
+        state : State at the first of at least two times, `(nx,)`.
         time, u : See `respond`.
-        taken : Steps of the interval before; 0 without one.
+        taken : Solver steps of the interval before; 0 if there is none.
         """
         steps = np.zeros(len(time) - 1, dtype=np.int64)
         steps[0] = -taken
@@ -167,14 +167,14 @@ class Ode(UserCode):
         return f"{self.key} {np.asarray(self.x0, float).tolist()} {self.known} {self._precision}"
 
     def digest(self) -> str:
-        """Return what its response depends on besides the parameters' values: code and settings."""
+        """Return an identifier of code and settings, without the values of parameters."""
         code = self.key or code_digest(self.rhs, self.observe)
         x0 = np.atleast_1d(np.asarray(self.x0, float)).tolist()
         fixed = {n: x for n, x in zip(self._states, x0, strict=True) if n not in self.known.given}
         return f"{code} {fixed} {self._precision} {self.held}"
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what other processes need: not what has been compiled."""
+        """Return the fields, without compiled code, for other processes."""
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @property
@@ -202,10 +202,10 @@ class Ode(UserCode):
         return self.rhs(*(t, x, u, p)[: count_arguments(self.rhs) or 2])
 
     def _faster(self, *probe: Any) -> Callable[..., Array]:
-        """Return the compiled solver, or the plain one where Numba cannot compile the equation.
+        """Return the compiled solver, or the plain one if Numba cannot compile the equation.
 
-        `probe` is a short simulation, in which both must agree: compiled code does not notice, for
-        instance, an index beyond the states.
+        Both must agree on a short simulation, `probe`: compiled code does not check, for instance,
+        indices of the states.
         """
         p, initial, time, inputs, tolerances = probe
         usual, fast = (_solver(self.rhs, compiled) for compiled in (False, True))
@@ -213,7 +213,7 @@ class Ode(UserCode):
         expected = usual(p, initial, time, inputs, (steps[0], *tolerances))
         try:
             found = fast(p, initial, time, inputs, (steps[1], *tolerances))
-        except Exception:  # whatever Numba does not know
+        except Exception:  # code that Numba does not support
             return usual
         return fast if np.allclose(found, expected, rtol=1e-6, equal_nan=True) else usual
 
@@ -239,7 +239,7 @@ class Ode(UserCode):
         return solved
 
     def _between(self, t: float, time: Array, u: Array) -> Array:
-        """Return the inputs at a time."""
+        """Return the inputs at time `t`, held or interpolated."""
         place = np.clip((t - time[0]) / (time[1] - time[0]), 0, len(time) - 1)
         n = min(int(place), len(time) - 2)
         return u[n] if self.held else u[n] + (place - n) * (u[n + 1] - u[n])

@@ -1,6 +1,6 @@
 """Open a simulator whose parameters are fitted: a function of a Python file, or an FMU.
 
-Where none are, `cli.simulators` opens it.
+`cli.simulators` opens simulators without fitted parameters.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ def opened(
 ) -> Adjustable:
     """Return a simulator with these parameters.
 
-    Raises ValueError for a file that cannot be run, has no such name, or names something else.
+    Raises ValueError for a file that cannot be run, or whose `name` is missing or of another type.
 
     Parameters
     ----------
     file : An .fmu, or a Python file, which is run.
-    name : Of the file's function `rhs(t, x, u, p)` of four arguments, which is the right-hand side
-        of an `Ode` whose first states are measured, of its function of the time, as `Function`
-        takes it, or of an `Ode` or a `Function` in it.
-    given : The parameters, in place of those that the simulator has by itself.
-    outputs : Of an FMU.
+    name : Name in the Python file; empty for an FMU. It stands for an `Ode`, a `Function`, a
+        function of time as `Function` takes it, or a function `rhs(t, x, u, p)` of four arguments:
+        the right-hand side of an `Ode` whose first state is measured.
+    given : Parameters, which override those of an `Ode` or a `Function` in the file.
+    outputs : Output variables of an FMU.
     """
     if not name:
         return Fmu(file, outputs or None, dict(given))
@@ -54,12 +54,12 @@ def opened(
 
 @lru_cache(maxsize=16)
 def _defined(file: str, name: str, contents: str) -> Any:
-    """Return what a name of a file stands for; the same function is compiled once in a process."""
+    """Return the object of that name; cached, so that a function is compiled once per process."""
     return named_in(file, name)
 
 
 def _initial(given: Mapping[str, Any]) -> list[float]:
-    """Return as many states as the parameters name."""
+    """Return the initial states named by the parameters; states between them begin at 0."""
     told = Parameters(dict(given)).middle()
     numbers = [int(n[len(INITIAL) :]) for n in told if n[len(INITIAL) :].isdigit()
                and n.startswith(INITIAL)]  # fmt: skip

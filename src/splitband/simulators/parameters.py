@@ -1,4 +1,4 @@
-"""Hold a simulator's parameters: numbers that are set, ranges in which they are fitted."""
+"""Hold a simulator's parameters: fixed numbers, and ranges in which parameters are fitted."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from splitband.runtime.arrays import Array
 
 Given = Mapping[str, float | tuple[float, float]]
 Point = tuple[Mapping[str, float], Any]
-"""Values of all parameters, and the first state, or None for the usual one."""
+"""Values of all parameters, and the initial state; None for the simulator's own."""
 Response = tuple[Array, Array]
 """Measured channels `(time, ny)` and states `(time, nx)`."""
 
 INITIAL = "x0_"
-"""What the names of initial values begin with; each record has its own."""
+"""Prefix of the names of initial values, which are fitted for each record separately."""
 DECADE = 10.0
 """A range is searched on a logarithmic scale if its ends differ by more than this factor.
 By eye."""
@@ -28,16 +28,16 @@ By eye."""
 
 @cache
 def parameters_class(names: tuple[str, ...]) -> Any:
-    """Return the class of what a right-hand side gets as `p`: a named tuple."""
+    """Return the named-tuple class of the argument `p` of user functions."""
     return namedtuple("p", names)
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """Keep the parameters of a simulator in their order.
+    """Hold the parameters of a simulator in their order.
 
-    `given`: by name a number, or the lower and upper end of a range. A range of positive numbers of
-    more than a decade is searched on a logarithmic scale.
+    `given` maps each name to a number, or to the lower and upper end of a range. A range of
+    positive numbers of more than a decade is searched on a logarithmic scale.
     """
 
     given: Given = field(default_factory=dict)
@@ -56,17 +56,17 @@ class Parameters:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Return the names of those that are fitted."""
+        """Return the names of the fitted parameters."""
         return tuple(name for name, value in self.given.items() if not _is_number(value))
 
     @property
     def shared(self) -> tuple[str, ...]:
-        """Return the fitted ones that all records have in common."""
+        """Return the names of the fitted parameters that all records share."""
         return tuple(name for name in self.free if not name.startswith(INITIAL))
 
     @property
     def initial(self) -> tuple[str, ...]:
-        """Return the fitted ones of which each record has its own."""
+        """Return the names of the fitted initial values, separate for each record."""
         return tuple(name for name in self.free if name.startswith(INITIAL))
 
     def logarithmic(self, name: str) -> bool:
@@ -75,18 +75,18 @@ class Parameters:
         return low > 0 and high / low > DECADE
 
     def range(self, name: str) -> tuple[float, float]:
-        """Return the ends of a parameter's range, equal for one that is set."""
+        """Return the ends of a parameter's range; they are equal for a fixed one."""
         return _ends(name, self.given[name])
 
     def at(self, name: str, place: float) -> float:
-        """Return the value at a place in a parameter's range, 0 to 1."""
+        """Return the value of a parameter at a relative position in its range, 0 to 1."""
         low, high = self.range(name)
         if self.logarithmic(name):
             return float(low * (high / low) ** place)
         return float(low + place * (high - low))
 
     def slope(self, name: str, place: float) -> float:
-        """Return the derivative of the value with respect to its place."""
+        """Return the derivative of the value with respect to its relative position."""
         low, high = self.range(name)
         if self.logarithmic(name):
             return self.at(name, place) * math.log(high / low)
@@ -105,7 +105,7 @@ class Parameters:
 
     @classmethod
     def read(cls, text: str) -> Parameters:
-        """Return what `k=0.1:10,c=0.05` says: ranges and numbers.
+        """Parse ranges and numbers in the form `k=0.1:10,c=0.05`.
 
         Raises ValueError for another form.
         """
@@ -125,7 +125,7 @@ class Parameters:
         return cls(given)
 
     def __str__(self) -> str:
-        """Return the form that `read` takes."""
+        """Return the parameters in the form that `read` takes."""
         return ",".join(
             f"{name}={':'.join(map(_text, _ends(name, value)[: 1 if _is_number(value) else 2]))}"
             for name, value in self.given.items()
@@ -133,7 +133,7 @@ class Parameters:
 
 
 def _text(value: float) -> str:
-    """Return the shortest text that is read as the same number."""
+    """Return the shortest text that parses to the same number."""
     return repr(float(value)).removesuffix(".0")
 
 

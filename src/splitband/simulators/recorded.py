@@ -17,14 +17,14 @@ from splitband.runtime.options import Written, saved
 @saved
 @dataclass(frozen=True, eq=False, repr=False)
 class Recorded(Written):
-    """Hold a simulation that was made elsewhere, at its own times.
+    """Hold the exported output of a simulator, at its own times.
 
     Attributes
     ----------
     y : `(time,)` or `(time, ny)`.
     sampling_time : In s.
-    start : Time stamp of the first sample; None for one that begins with the record.
-    name : What messages call it.
+    start : Time stamp of the first sample; None if it begins with the record.
+    name : Name in messages.
     """
 
     y: npt.ArrayLike
@@ -32,11 +32,11 @@ class Recorded(Written):
     start: Stamp | None = None
     name: str = "the exported trajectory"
     own_times: ClassVar[bool] = True
-    """It is brought to a record's times by interpolation."""
+    """Marks a simulator with its own sampling times, which is interpolated to those of a record."""
 
     @classmethod
     def of(cls, trajectory: Record) -> Recorded:
-        """Return the simulation from a record that `read` returned, with its time stamps."""
+        """Return the channels of a record as a simulator's output, with its time stamps."""
         return cls(trajectory.y, trajectory.sampling_time, trajectory.start)
 
     def on(self, grid: Grid) -> Aligned:
@@ -46,14 +46,17 @@ class Recorded(Written):
         return aligned(self.name, y, self._grid, grid)
 
     def reach(self, grid: Grid) -> int:
-        """Return how many times it covers, from the first of the grid on."""
+        """Return how many times it covers, from the first of the grid on.
+
+        Raises ValueError if their time stamps cannot be compared.
+        """
         try:
             return reach(self._grid, grid)
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
 
     def note(self, grid: Grid) -> str:
-        """Return what is done to it to bring it to these times; empty where nothing is."""
+        """Return a description of the resampling to these times; empty without any."""
         covered = min(grid.samples, self.reach(grid))
         return self.on(replace(grid, samples=covered)).note if covered > 0 else ""
 

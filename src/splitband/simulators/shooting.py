@@ -1,9 +1,9 @@
 """Compare a simulator with records: residuals and their derivatives, over whole records or windows.
 
-Where a long simulation says nothing about the parameters, as its phase is lost or it is unstable,
-records are simulated in windows, each from a state of its own (multiple shooting; Bock, 1987). The
-states of the windows are eliminated: for each set of parameters they are the best ones, and
-derivatives are projected accordingly (variable projection; Kaufman, BIT 15, 1975).
+Where a long simulation loses its phase or is unstable, and so does not determine the parameters,
+records are simulated in windows, each from its own initial state (multiple shooting; Bock, 1987).
+The initial states are optimised for each set of parameters, and the derivatives are projected
+accordingly (variable projection; Kaufman, BIT 15, 1975).
 """
 
 from __future__ import annotations
@@ -23,40 +23,41 @@ from splitband.simulators.parameters import Parameters, Point, Response
 from splitband.simulators.sources import failure
 
 BAD = 1e3
-"""Residual, in deviations of a channel, of a run that failed; none is larger. By eye."""
+"""Residual of a failed run, in deviations of a channel, and limit of all others. By eye."""
 STATE_STEP = 1e-6
 """Relative step of finite differences with respect to a state. By eye."""
 WORTH_A_ROUND = 1e-3
-"""Share of the squared error that the search for a window's state has to gain to go on. By eye."""
+"""Smallest relative reduction of the squared error for which the search for a window's state goes
+on. By eye."""
 _ROUNDS = 6
-"""Rounds of a search for a window's state, at most. By eye."""
+"""Most iterations of a search for a window's state. By eye."""
 _DAMPINGS = (1e-8, 1e-4, 1e-1, 1e1)
-"""Levenberg-Marquardt dampings that are tried in a round, relative to the diagonal. By eye."""
+"""Levenberg-Marquardt dampings that are tried in an iteration, relative to the trace. By eye."""
 
 
 class Adjustable(Protocol):
-    """Define what is asked of a simulator whose parameters are fitted."""
+    """Define the interface of simulators whose parameters can be fitted."""
 
     @property
     def known(self) -> Parameters:
         """Return its parameters."""
 
     def fixed(self, values: Mapping[str, float]) -> Any:
-        """Return the simulator with these values of parameters."""
+        """Return a copy with some parameters set to these values."""
 
     def precise(self) -> Any:
-        """Return the simulator as it is for the last steps of a fit, and for standard errors."""
+        """Return the simulator for the last steps of a fit and for standard errors."""
 
     def digest(self) -> str:
-        """Return what its response depends on besides the parameters' values."""
+        """Return an identifier of the response, without the values of parameters."""
 
     @property
     def states(self) -> int:
-        """Return the number of states from which it can be begun; 0 for a black box."""
+        """Return the number of states that a run can start from; 0 for a black box."""
 
     @property
     def difference(self) -> float:
-        """Return the step of finite differences, as a share of a parameter's range."""
+        """Return the finite-difference step, as a share of a parameter's range."""
 
     def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> Sequence[Response]:
         """Return the responses at several neighbouring points; `u` is `(time, nu)`."""
@@ -64,11 +65,11 @@ class Adjustable(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """Hold what a simulator needs of a record, and what was measured.
+    """Hold the times, measured samples and inputs of a record.
 
     Attributes
     ----------
-    time : `(time,)`, as a simulator is called with it, in s.
+    time : `(time,)` in s, as passed to the simulator.
     y, u : `(time, ny)`, NaN in gaps, and `(time, nu)` or None.
     """
 
@@ -78,17 +79,17 @@ class Experiment:
 
     @classmethod
     def of(cls, record: Record) -> Experiment:
-        """Return that of a record."""
+        """Return the experiment of a record."""
         return cls(record.time, record.seen, record.u)
 
     def part(self, begin: int, end: int) -> Experiment:
-        """Return some of its samples."""
+        """Return the samples from `begin` to before `end`."""
         u = None if self.u is None else self.u[begin:end]
         return Experiment(self.time[begin:end], self.y[begin:end].copy(), u)
 
 
 def fit_key(simulator: Adjustable, experiments: Sequence[Experiment], starts: int) -> str:
-    """Return a digest of all that a fit to experiments from so many starts depends on."""
+    """Return a digest of the simulator, experiments and number of starts of a fit."""
     said = sha256(f"{simulator.digest()} {simulator.known} {starts}".encode())
     for array in (a for e in experiments for a in (e.time, e.y, e.u)):
         said.update(b"none" if array is None else np.ascontiguousarray(array).tobytes())
@@ -97,17 +98,17 @@ def fit_key(simulator: Adjustable, experiments: Sequence[Experiment], starts: in
 
 @dataclass(eq=False)
 class Window:
-    """Simulate a part of a record from a state of its own.
+    """Hold a part of a record that is simulated from its own initial state.
 
     Attributes
     ----------
-    record : Its number.
+    record : Number of the record.
     part : The samples.
-    state : `(nx,)`, as found last; None at the beginning of a record, whose state the parameters
-        tell.
-    slope : The derivatives of its residuals with respect to the state, `(residuals, nx)`.
-    follows : The state where derivatives were asked for last, at which places, and how it follows
-        them, `(nx, places)`.
+    state : Latest estimate of the initial state, `(nx,)`; None at the beginning of a record, where
+        parameters define it.
+    slope : Derivatives of the residuals with respect to the state, `(residuals, nx)`.
+    follows : State and places at the last Jacobian, and the derivative of the optimal state with
+        respect to the places, `(nx, places)`.
     """
 
     record: int
@@ -117,24 +118,24 @@ class Window:
     follows: tuple[Array, Array, Array] | None = None
 
     def moved(self, places: Array) -> None:
-        """Begin the next search where the state should be at other places."""
+        """Move the state to where it should be at other places, as the start of the next search."""
         if self.follows is not None:
             state, before, slope = self.follows
             self.state = state + slope @ (places - before)
 
 
 class Shooting:
-    """Compare a simulator with records at places of its parameters, 0 to 1 in their ranges.
+    """Compare a simulator with records. Places are relative positions of parameters, 0 to 1.
 
     Parameters
     ----------
-    simulator, experiments : Whose parameters are looked for, and what of the records.
-    scale : Deviation of each channel, `(ny,)`, in which residuals are counted.
+    simulator, experiments : The simulator to fit, and the data of the records.
+    scale : Deviation of each channel, `(ny,)`, the unit of residuals.
 
     Attributes
     ----------
-    names : Of the places: parameters that all records share, then initial values of each record.
-    failure : What the last run that failed has said.
+    names : Parameter of each place: those that all records share, then initial values by record.
+    failure : Message of the last failed run.
     """
 
     def __init__(self, simulator: Adjustable, experiments: Sequence[Experiment], scale: Array):
@@ -147,7 +148,7 @@ class Shooting:
 
     @property
     def longest(self) -> int:
-        """Return the samples of the longest record."""
+        """Return the number of samples of the longest record."""
         return max(len(each.y) for each in self.experiments)
 
     def values(self, places: Array, record: int) -> dict[str, float]:
@@ -160,7 +161,7 @@ class Shooting:
         return found
 
     def respond(self, part: Experiment, points: Sequence[Point]) -> list[Response]:
-        """Return the simulator's response at several points; NaN for runs that failed."""
+        """Return the simulator's responses at several points; NaN for all if the call fails."""
         deadlines.check()
         try:
             with np.errstate(all="ignore"):
@@ -173,10 +174,10 @@ class Shooting:
             return [(nothing, np.full((len(part.y), self.simulator.states), np.nan))] * len(points)
 
     def divide(self, length: int, places: Array) -> None:
-        """Divide every record into windows of at most so many samples.
+        """Divide every record into windows of at most `length` samples.
 
-        A window begins with the state to which the one before it leads. A black box can only be run
-        from the beginning of a record: it has a single window there.
+        The search for a window's state starts from the final state of the window before. A black
+        box can only run from the beginning of a record: it has a single window there.
         """
         self.windows = []
         for r, experiment in enumerate(self.experiments):
@@ -189,7 +190,7 @@ class Shooting:
             state = None
             for begin, end in pairwise(cuts):
                 window = Window(r, experiment.part(begin, min(end + 1, samples)), state)
-                if end < samples:  # its last sample, where the next one begins, counts there
+                if end < samples:  # the last sample also begins the next window, and counts there
                     window.part.y[-1] = np.nan
                 self.windows.append(window)
                 self._settle(window, places)
@@ -211,7 +212,7 @@ class Shooting:
     def jacobian(self, places: Array) -> Array:
         """Return the derivatives of the residuals, `(samples * ny, places)`.
 
-        States of windows follow the parameters.
+        They allow for the change of the windows' optimal states with the parameters.
         """
         blocks = []
         for window in self.windows:
@@ -236,7 +237,7 @@ class Shooting:
         return np.asarray(np.where(np.isnan(window.part.y), 0.0, errors).ravel())
 
     def _slopes(self, window: Window, places: Array) -> Array:
-        """Return the derivatives of a window's residuals at a given state."""
+        """Return the derivatives of a window's residuals for a fixed initial state."""
         if not len(places):
             return np.zeros((window.part.y.size, 0))
         step = self.simulator.difference
@@ -276,7 +277,7 @@ class Shooting:
         return best
 
     def _around(self, window: Window, places: Array, x: Array) -> tuple[list[Response], Array]:
-        """Return the responses at a state and at its neighbours, and how far away they are."""
+        """Return the responses at a state and at its neighbours, and their distances."""
         steps = STATE_STEP * np.maximum(np.abs(x), self.sizes)
         points = [self._point(window, places, x)]
         points += [self._point(window, places, x + step * unit)
@@ -286,7 +287,7 @@ class Shooting:
     def _step(
         self, window: Window, places: Array, at: tuple[Array, Array, Array], size: Array
     ) -> tuple[Array, Array] | None:
-        """Return a better state and its residuals, or None where no step is worth it.
+        """Return a better state and its residuals, or None if no step lowers the error.
 
         `at` holds the state, its residuals and their derivatives.
         """
@@ -306,7 +307,7 @@ class Shooting:
 
     @property
     def sizes(self) -> Array:
-        """Return the typical size of each state, in which steps are counted."""
+        """Return the typical magnitude of each state, the unit of steps."""
         initial = [w.state for w in self.windows if w.state is not None]
         if not initial:
             return np.full(self.simulator.states, 1e-3)
@@ -314,6 +315,6 @@ class Shooting:
 
 
 def _difference(at: Array, beside: Array, step: float) -> Array:
-    """Return the slope between residuals; 0 where one of the runs has failed."""
+    """Return the difference quotient of residuals; 0 where a run failed."""
     whole = (np.abs(at) < BAD) & (np.abs(beside) < BAD)
     return np.asarray(np.where(whole, (beside - at) / step, 0.0))

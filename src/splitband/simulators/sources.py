@@ -1,4 +1,4 @@
-"""Look at a user's Python code: the files that it runs, what it depends on, where it fails."""
+"""Inspect a user's Python code: the files it imports, its dependencies, the place of an error."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _INSTALLED = ("site-packages", "dist-packages")
 def source_files(file: str | Path) -> list[Path]:
     """Return a Python file and the files of all modules that it imports, directly or not.
 
-    Modules are looked for in the file's folder and in the folders of PYTHONPATH; installed packages
-    and Python's own modules are left out. Nothing is run: what is imported by a computed name, or
-    from a folder that the file adds to `sys.path`, is not found.
+    Modules are searched in the file's folder and in the folders of PYTHONPATH; installed packages
+    and the standard library are left out. Nothing is run, so imports by a computed name, or from a
+    folder that the file adds to `sys.path`, are not found.
     """
     first = Path(file).resolve()
     listed = os.environ.get("PYTHONPATH", "").split(os.pathsep)
@@ -49,14 +49,14 @@ def digest(files: Iterable[str | Path]) -> str:
 
 
 def failure(error: BaseException) -> str:
-    """Return what an error of a user's code says, on one line, and where it was raised."""
+    """Return the message of an error in user code, on one line, and the place of the error."""
     where = place(error)
     said = f"{type(error).__name__}: {' '.join(str(error).split())}"
     return f"{said} ({where})" if where else said
 
 
 def place(error: BaseException) -> str:
-    """Return the line of a user's file that raised an error; empty where none was running."""
+    """Return the file and line of user code that raised an error; empty if there is none."""
     known = Path(__file__).resolve().parents[1], Path(get_path("stdlib")).resolve()
     for frame in reversed(extract_tb(error.__traceback__)):
         path = Path(frame.filename).resolve()
@@ -67,7 +67,7 @@ def place(error: BaseException) -> str:
 
 
 def defines_function(file: str | Path, name: str) -> bool:
-    """Return whether a Python file has `def name` in its outermost level; nothing is run."""
+    """Return whether a Python file has `def name` at module level; nothing is run."""
     try:
         tree = ast.parse(Path(file).read_bytes())
     except (OSError, SyntaxError, ValueError):
@@ -76,10 +76,10 @@ def defines_function(file: str | Path, name: str) -> bool:
 
 
 def _imported(path: Path, package: str) -> Iterator[str]:
-    """Yield the names of what a module imports, which may be attributes of modules, too."""
+    """Yield the names that a module imports, of modules or of attributes of modules."""
     try:
         tree = ast.parse(path.read_bytes())
-    except (SyntaxError, ValueError):  # compiled, or fails when it is run
+    except (SyntaxError, ValueError):  # a compiled module, or one that fails when it is run
         return
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -94,7 +94,7 @@ def _imported(path: Path, package: str) -> Iterator[str]:
 
 
 def _located(name: str, search: Sequence[str]) -> Iterator[tuple[Path, str]]:
-    """Yield the files of a module and of the packages around it, and the package each is in."""
+    """Yield the files of a module and of its parent packages, each with its package."""
     where: Sequence[str] | None = search
     parts = name.split(".")
     for i in range(len(parts)):
@@ -110,14 +110,14 @@ def _located(name: str, search: Sequence[str]) -> Iterator[tuple[Path, str]]:
 def code_digest(*functions: Callable[..., Any]) -> str:
     """Return a digest of functions: their code, and the values and functions that it refers to.
 
-    Of other objects the type is taken.
+    Objects of other types enter only with their type.
     """
     said = hashlib.sha256()
     waiting: list[Any] = [*functions]
     seen: set[int] = set()
     while waiting:
         value = waiting.pop()
-        function = getattr(value, "py_func", value)  # of what Numba has compiled already
+        function = getattr(value, "py_func", value)  # the source of a Numba function
         if isinstance(function, FunctionType):
             if id(function) in seen:
                 continue
@@ -145,7 +145,7 @@ def code_digest(*functions: Callable[..., Any]) -> str:
 
 
 def count_arguments(function: Callable[..., Any]) -> int:
-    """Return how many positional arguments a function must be given; 0 if that is not known."""
+    """Return the number of required positional arguments of a function; 0 if it is unknown."""
     kinds = inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD
     try:
         given = inspect.signature(function).parameters.values()

@@ -1,8 +1,8 @@
 """Search the ranges of parameters from several starting points.
 
-By `scipy.optimize.least_squares` within the ranges, from the middle and from points of Sobol's
-sequence. Every other start begins with short windows, see `shooting`, which then grow: what a long
-simulation does not tell, as its phase is lost, a short one does.
+`scipy.optimize.least_squares` starts from the middle of the ranges and from points of a Sobol
+sequence. Every other start begins with short windows, see `shooting`, which then grow: a short
+simulation determines parameters even where a long one loses its phase.
 """
 
 from __future__ import annotations
@@ -25,37 +25,37 @@ from splitband.runtime.files import write_json
 from splitband.simulators.shooting import BAD, Shooting, fit_key
 
 STARTS = 32
-"""Starting points, at most. By eye."""
+"""Default limit of starting points. By eye."""
 ENOUGH = 4
-"""Starts that lead to the same error, after which no others are tried. By eye."""
+"""The search stops after so many starts with the same error. By eye."""
 PATIENCE, _HARDLY_BETTER = 8, 0.02
-"""Starts after which no others are tried, where they have hardly lowered the error (relative).
+"""The search stops if the last `PATIENCE` starts lowered the error by less than this share.
 By eye."""
 _BATCH = 4
-"""Starting points that are tried side by side. By eye; it does not follow the number of processes,
-so that the result does not."""
+"""Starting points that are tried in parallel. By eye; independent of the number of processes, so
+that the result is too."""
 SAME_ERROR = 1e-3
-"""Relative difference of errors that count as the same. By eye."""
+"""Relative difference within which errors count as the same. By eye."""
 SHORTEST = 16
 """Samples of the shortest windows. By eye."""
 _GROWTH = 4
-"""By how much windows are longer from stage to stage. By eye."""
+"""Factor by which windows grow from stage to stage. By eye."""
 _WINDOWS = 32
-"""Windows of the longest record from which on they are not made shorter. By eye."""
+"""Windows are not made shorter once the longest record has so many. By eye."""
 _ROUNDS, LAST_ROUNDS = 30, 100
-"""Iterations of a search, and of the last one from the best place, at most. By eye."""
+"""Most evaluations in a search, and in the last one from the best places. By eye."""
 
 
 @dataclass(frozen=True)
 class StartOutcome:
-    """Say what one starting point has led to.
+    """Hold the result of one starting point.
 
     Attributes
     ----------
-    number : Of the start.
-    found : By length of the windows the places and the error, in deviations.
-    failure : What the last run that failed has said.
-    cut : Whether the time was over before it was done.
+    number : Number of the start.
+    found : Places and error, in deviations, by length of the windows.
+    failure : Message of the last failed run.
+    cut : Whether the deadline passed before the search was done.
     """
 
     number: int
@@ -66,15 +66,15 @@ class StartOutcome:
 
 @dataclass(frozen=True)
 class Effort:
-    """Say how much may go into a fit.
+    """Limit the effort of a fit.
 
     Attributes
     ----------
-    starts : Starting points at most.
-    seconds : Time at most; what has been found then counts. None: no limit.
-    workers : Processes in which starts are tried side by side, or an executor.
-    folder : Where an interrupted fit goes on; created if need be.
-    progress : Called with the number of starts that are done and of all.
+    starts : Most starting points.
+    seconds : Time limit, after which the best result so far is used; None for no limit.
+    workers : Number of processes that try starts in parallel, or an executor.
+    folder : Folder of finished starts, from which an interrupted fit resumes; created if missing.
+    progress : Called with the number of finished starts and of all starts.
     """
 
     starts: int = STARTS
@@ -85,14 +85,14 @@ class Effort:
 
 
 def starting_points(count: int, dimensions: int) -> Array:
-    """Return places in the ranges, `(count, dimensions)`: their middle, and Sobol's sequence."""
+    """Return places, `(count, dimensions)`: the middle of the ranges and a Sobol sequence."""
     sobol = scipy.stats.qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(0))
     drawn = sobol.random_base2(max(int(np.ceil(np.log2(max(count, 2)))), 1))
     return np.concatenate([np.full((1, dimensions), 0.5), drawn])[:count]
 
 
 def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOutcome]:
-    """Return what starts lead to, in their order; no more of them than it takes to agree."""
+    """Try starting points in order until enough of them agree, and return their outcomes."""
     points = starting_points(effort.starts, len(problem.names))
     kept = _Kept.of(problem, len(points), effort.folder)
     done = kept.outcomes
@@ -113,9 +113,10 @@ def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOu
 def _side_by_side(
     work: Any, batch: Sequence[int], workers: int | Executor
 ) -> Iterator[StartOutcome]:
-    """Yield the outcomes of several starts; one whose process is ended has failed.
+    """Yield the outcomes of several starts; a start whose process died has failed.
 
-    Which of several that was is not known: those without an outcome are tried again one by one.
+    If a process dies, its start is unknown: all starts without an outcome are tried again one by
+    one.
     """
     from splitband.runtime.processes import Processes, over  # noqa: PLC0415  which loads torch
 
@@ -137,7 +138,7 @@ def _side_by_side(
 
 
 def _settled(outcomes: Sequence[StartOutcome], longest: int) -> bool:
-    """Return whether starts agree on the lowest error, or the last ones have hardly lowered it."""
+    """Return whether enough starts agree on the lowest error, or it has hardly fallen lately."""
     errors = [o.found[longest][1] for o in outcomes if longest in o.found]
     if sum(e <= min(errors) * (1 + SAME_ERROR) for e in errors) >= ENOUGH:
         return True
@@ -170,7 +171,7 @@ def _try(
 
 
 def _lengths(longest: int, growing: bool) -> list[int]:
-    """Return the lengths of the windows, one stage after the other."""
+    """Return the window lengths of all stages, the shortest first."""
     lengths = [longest]
     while growing and lengths[0] > max(_GROWTH * SHORTEST, longest // _WINDOWS):
         lengths.insert(0, -(-lengths[0] // _GROWTH))
@@ -178,9 +179,9 @@ def _lengths(longest: int, growing: bool) -> list[int]:
 
 
 def descend(shooting: Shooting, places: Array, rounds: int) -> tuple[Array, float]:
-    """Return better places, within the ranges, and their error.
+    """Minimise the error from `places` within the ranges; return the best places and their error.
 
-    Where the time is over, they are those of the best run.
+    After the deadline the best places so far are returned.
     """
     least, best = np.inf, None
 
@@ -211,7 +212,7 @@ def _error(residuals: Array) -> float:
 
 @dataclass(frozen=True)
 class _Kept:
-    """Hold what starts have come to, and keep it in a file for a later fit of the same."""
+    """Hold the outcomes of starts, and store them in a file for a repetition of the same fit."""
 
     path: Path | None
     key: str

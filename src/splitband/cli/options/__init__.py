@@ -1,1 +1,1 @@
-"""Define options that several commands share, each once, and what they default to."""
+"""Define the options that several commands share, with their defaults."""

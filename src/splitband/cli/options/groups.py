@@ -1,4 +1,4 @@
-"""Make groups of options parameters of a command."""
+"""Let a command take groups of options as dataclasses."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import typer
 
 
 def panel(title: str) -> Callable[..., Any]:
-    """Return a function that makes the options of a panel of the help.
+    """Return a function that creates options in one panel of the help.
 
-    It takes what an option does, the name of its value, what holds without it where that is not the
-    default, and further arguments of `typer.Option`.
+    It takes the help text, the name of the value, the default to show if it differs from the
+    actual one, the names of the option, and further arguments of `typer.Option`.
     """
 
     def option(
@@ -29,11 +29,11 @@ def panel(title: str) -> Callable[..., Any]:
 
 
 def with_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command for typer: each field of a parameter that is a dataclass is an option.
+    """Return a command for typer in which each field of a dataclass parameter is an option.
 
-    Options that several commands share are so written down once. A group may hold others.
+    Thus options that several commands share are defined once. Groups may be nested.
     """
-    # What has a default comes last, as in any signature.
+    # Parameters with a default come last, as in any signature.
     options = sorted(_options(command), key=lambda option: option.default is not option.empty)
 
     @wraps(command)

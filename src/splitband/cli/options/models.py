@@ -1,4 +1,4 @@
-"""Define options that say what models are made of, how they are trained, and on what."""
+"""Define the options of filters, networks, training and time limits."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from splitband.training.recipes import Recipe
 _filter, _training, _time = panel("Filter"), panel("Training"), panel("Time")
 
 AUTO = -math.inf
-"""A cut-off that is to be chosen, in place of the paper's for one of its records."""
+"""Stands for a cut-off chosen from the data, even if the paper gives one for the record."""
 
 
 def _hertz(value: str) -> float:

@@ -1,4 +1,4 @@
-"""Define options that say which records there are, and how their files are read."""
+"""Define the options that name records and say how their files are read."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class FurtherRecords:
 class TestRecords:
     """Name other records of the same system, to test on."""
 
-    __test__ = False  # for pytest, it is no test
+    __test__ = False  # for pytest: not a test class
 
     test: Annotated[
         list[str] | None,

@@ -1,4 +1,4 @@
-"""Define options that say which simulators there are, and how they are run."""
+"""Define the options that name simulators and say how they are run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SIMULATOR = (
     f"or one of {', '.join(SIMULATORS)}."
 )
 PATIENCE = 600.0
-"""Seconds after which a simulator is given up, by default. By eye."""
+"""Default time limit of a simulator, in s. By eye."""
 Calibrate = Annotated[
     bool, _simulator("Fit its gain, offset, delay and clock first.", None, True, "--calibrate")
 ]
@@ -24,7 +24,7 @@ Calibrate = Annotated[
 
 @dataclass(frozen=True)
 class SimulatorOptions:
-    """Say which simulator stands beside the record, and how it is run."""
+    """Name the simulator of the record, and say how it is run."""
 
     simulator: Annotated[
         str | None, _simulator(_SIMULATOR, "FILE|NAME", "a named record's own")
@@ -59,7 +59,7 @@ class SimulatorOptions:
 
 @dataclass(frozen=True)
 class SimulatorOrBaseOptions(SimulatorOptions):
-    """Say the same where what is fitted to the record may stand in a simulator's place, too."""
+    """Name a simulator, or a model that is fitted to the record in its place."""
 
     simulator: Annotated[
         str | None,
@@ -72,6 +72,6 @@ class SimulatorOrBaseOptions(SimulatorOptions):
 
 
 def parts_of(simulator: str) -> tuple[str, str]:
-    """Return the file of a simulator, and the function of FILE.py:FUNCTION or an empty text."""
+    """Return the file of a simulator, and FUNCTION for FILE.py:FUNCTION, else an empty text."""
     file, _, function = simulator.partition(".py:")
     return file + (".py" if function else ""), function

@@ -16,7 +16,7 @@ from splitband.report.page.tables import settings
 
 
 def page(rows: Sequence[Row], used: Usage, own_page: str) -> Page:
-    """Return the whole page; `own_page` is the name of each case's own one, in its folder."""
+    """Return the whole page; `own_page` is the file name of the page in each case's folder."""
     found = summary(rows)
     text = [
         f"The recommended method was the best one in {found['recommended_is_best']} of "

@@ -1,4 +1,4 @@
-"""Draw charts by Bokeh for the page, whose script sets their colours, light or dark."""
+"""Draw charts for the page with Bokeh; the page's script sets their colours, light or dark."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ from splitband.runtime.arrays import Array
 WIDTH, TALL, LOW, SMALL = 800, 270, 210, 150
 """Pixels: the width of plots, and the heights of large, low and small ones."""
 LEFT = 70
-"""Pixels for the numbers beside an axis, so that the axes of time lie below each other."""
+"""Pixels for the numbers of a vertical axis, the same for all plots: their time axes line up."""
 X = "x"
 """The column of a chart's source along its axis."""
 MOST = 4_000
 """Points of one curve, at most: more than a screen has columns."""
 FARTHEST = 1e3
-"""Times the height of a plot: how far out a curve is drawn, as a canvas takes no larger numbers.
+"""How far beyond a plot a curve is drawn, in heights of the plot: a canvas takes no larger numbers.
 By eye."""
 DATES: dict[str, Any] = {
     "milliseconds": "%H:%M:%S.%3N", "seconds": "%H:%M:%S", "minsec": "%H:%M:%S",
@@ -59,11 +59,11 @@ class Axis:
 
     Attributes
     ----------
-    values : Where the samples are; of dates milliseconds, as browsers count them.
-    label : With its unit.
-    shown : The part in sight.
-    size : Samples of which two are drawn; 1: all are.
-    dates, log : What kind of numbers they are, and whether the axis is logarithmic.
+    values : Positions of the samples; dates are in milliseconds since 1970.
+    label : Label with its unit.
+    shown : The visible range.
+    size : Samples in a bin, of which two are drawn; 1: all are drawn.
+    dates, log : Whether the values are dates, and whether the axis is logarithmic.
     """
 
     values: Array
@@ -88,7 +88,7 @@ class Axis:
 
     @classmethod
     def over_time(cls, record: Record, ahead: int = 0, name: str = "") -> Axis:
-        """Return the times of a record and of so many samples after it."""
+        """Return the time axis of a record and of `ahead` samples after it."""
         rows, step = np.arange(len(record) + ahead), record.sampling_time
         if record.start is None and step == 1:
             return cls.over(rows.astype(float), "sample", name)
@@ -101,24 +101,24 @@ class Axis:
 
 
 def _range(low: float, high: float, name: str = "") -> Range1d:
-    """Return a range from which nothing leads out."""
+    """Return a range that no panning or zooming can leave."""
     shown = Range1d(start=low, end=high, bounds=(low, high), name=name or None)
     shown.update(reset_start=low, reset_end=high)
     return shown
 
 
 class Chart:
-    """Draw a chart with its curves, without anything to click that a reader does not need.
+    """Draw a chart with its curves, and only those tools that a reader needs.
 
-    Names are of the user: they are not looked through for formulas, which would be loaded.
+    Labels are plain text: to look for formulas in users' names, Bokeh would load a library.
 
     Parameters
     ----------
-    axis : Along which.
-    label : Of the other axis, with its unit.
-    limits : Of the other axis.
-    height : In pixels; it is as wide as its place on the page.
-    log : Whether the other axis is logarithmic.
+    axis : The horizontal axis.
+    label : Label of the vertical axis, with its unit.
+    limits : Limits of the vertical axis.
+    height : Height in pixels; the width is that of its place on the page.
+    log : Whether the vertical axis is logarithmic.
     """
 
     def __init__(
@@ -163,19 +163,19 @@ class Chart:
         self.add(Line(x=X, y=self.column(y), **{**usual, **style}), method.name, _tags(method))
 
     def band(self, lower: Array, upper: Array, method: Method) -> None:
-        """Add what surrounds a method's curve."""
+        """Add the shaded area around a method's curve."""
         edges = envelope(self._within(lower), self._within(upper), self.axis.size)
         names = [self._kept(edge) for edge in edges]
         self.add(VArea(x=X, y1=names[0], y2=names[1], fill_alpha=0.18), method.name, _tags(method))
 
     def column(self, y: Array) -> str:
-        """Return the name of a column that the source now has: a curve with fewer points."""
+        """Add a curve, thinned out, to the source; return the name of its column."""
         return self._kept(thinned(self._within(y), self.axis.size))
 
     def add(self, glyph: Any, name: str, tags: list[str]) -> None:
-        """Add what is drawn, without what Bokeh makes beside it: glyphs of what is selected.
+        """Add a glyph without the glyphs for selections, which Bokeh would add.
 
-        Most of the time that a page takes would go into these.
+        These would take most of the time to make a page.
         """
         renderer = GlyphRenderer(
             data_source=self.data, glyph=glyph, name=name, tags=tags,
@@ -187,16 +187,16 @@ class Chart:
     def mark(
         self, at: float, role: str = "mark", dimension: Literal["width", "height"] = "height"
     ) -> None:
-        """Add a line across."""
+        """Add a dashed line across the chart."""
         style: dict[str, Any] = {"line_dash": "dashed", "line_width": 1.2, "tags": [role]}
         self.figure.add_layout(Span(location=at, dimension=dimension, **style))
 
     def plot(self, caption: str, says: str, **options: Any) -> Plot:
-        """Return it for the page."""
+        """Return the chart as a plot of the page."""
         return Plot(self.figure, caption, says, **options)
 
     def _within(self, y: Array) -> Array:
-        """Return a curve without what a canvas cannot draw."""
+        """Clip a curve to what a canvas can draw."""
         if self.log:
             return np.maximum(y, 1e-300)
         low, high = self.limits
@@ -210,12 +210,12 @@ class Chart:
 
 
 def _tags(method: Method) -> list[str]:
-    """Return what the script of the page knows a curve by: its colour, and that it has a switch."""
+    """Return the tags by which the page's script colours a method's curve and switches it."""
     return [f"c{method.color}", "method", *([] if method.recommended else ["hidden"])]
 
 
 def _decades(limits: tuple[float, float]) -> FixedTicker:
-    """Return ticks of a logarithmic axis at 1, 2 and 5, of many decades at 1 alone."""
+    """Return ticks of a logarithmic axis at 1, 2 and 5; with many decades only at 1."""
     first, last = (math.floor(math.log10(v)) for v in limits)
     step = max((last - first) // 8, 1)
     mantissas = (1, 2, 5) if last - first < 4 else (1,)
@@ -230,7 +230,7 @@ def dash(i: int) -> str:
 
 
 def limits(values: Sequence[Array], margin: float = 0.1) -> tuple[float, float]:
-    """Return limits around what is finite of some curves."""
+    """Return limits around the finite values of some curves."""
     seen = np.concatenate([v[np.isfinite(v)].ravel() for v in values] or [np.zeros(1)])
     if not len(seen):
         return -1.0, 1.0
@@ -240,7 +240,7 @@ def limits(values: Sequence[Array], margin: float = 0.1) -> tuple[float, float]:
 
 
 def padded(y: Array, length: int, first: bool = False) -> Array:
-    """Return a curve with NaN before it, or after it where it comes `first`, `(length,)`."""
+    """Return a curve padded with NaN in front (`first`: at the end), `(length,)`."""
     whole = np.full(length, np.nan)
     whole[slice(len(y)) if first else slice(length - len(y), None)] = y
     return whole

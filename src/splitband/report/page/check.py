@@ -1,4 +1,4 @@
-"""Make the page of a check, and what the page of a comparison shows of one."""
+"""Make the page of a check, and the residual tests that the page of a comparison also shows."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from splitband.runtime.arrays import Array
 
 
 def page(check: ModelCheck, kind: str, responses: Responses | None, used: Usage) -> Page:
-    """Return the whole page; `kind` says in words what the model is."""
+    """Return the whole page; `kind` describes the model in words."""
     record, name = check.record, check.method
     shown = Predicted.of(record, {name: check.simulation}, {name: Method(name)}, "simulation")
     facts = [

@@ -21,7 +21,7 @@ from splitband.runtime.arrays import Array
 
 
 def page(comparison: Comparison, used: Usage) -> Page:
-    """Return the whole page: the answer first, then the other methods, then what experts ask."""
+    """Return the whole page: the answer first, then the other methods, then details."""
     record, trial, best = comparison.record, comparison.require_trial(), comparison.recommended
     styles = method_styles(ordered(trial, comparison.runs), best)
     answer, errors = _predicted(comparison, styles)
@@ -48,7 +48,7 @@ def page(comparison: Comparison, used: Usage) -> Page:
 
 
 def _shared(comparison: Comparison) -> dict[str, object]:
-    """Return the settings that all methods share; what a search has found stands in their rows."""
+    """Return the settings that all methods share, without those that a search found for each."""
     setup = comparison.setup
     facts = {**setup.as_json(), "choice": None}
     if setup.search is None:
@@ -67,9 +67,9 @@ _HORIZON = (
 def _predicted(
     comparison: Comparison, styles: Mapping[str, Method]
 ) -> tuple[list[Predicted], list[Plot]]:
-    """Return what was predicted of samples that nothing was fitted to, with plots of its errors.
+    """Return the predictions that are shown first, with plots of their errors.
 
-    That is the test records, or else the forecast; of a comparison without either, all samples.
+    They are those of the test records, else the forecast, else the simulation of the record.
     """
     record, means = comparison.record, comparison.means
     takes: list[tuple[Callable[[Run], Prediction | None], Predicted]] = []
@@ -96,14 +96,14 @@ def _predicted(
 
 
 def _residuals(comparison: Comparison, answer: list[Predicted]) -> Section:
-    """Return the residuals over time, and what tests of the recommended method's say."""
+    """Return the section of residuals over time and of the recommended method's residual tests."""
     tested = residual_tests(comparison.residual_tests())
     plots = [*tested.plots, *(plot for each in answer for plot in each.residuals())]
     return Section("residuals", "Residuals", tested.words, plots=plots, folded=True)
 
 
 def _further(comparison: Comparison, styles: Mapping[str, Method]) -> list[Section]:
-    """Return the forecast where test records are the answer, simulations, and components."""
+    """Return the sections of the forecast (if test records come first), simulations, components."""
     sections = []
     if comparison.tests and comparison.predictions:
         forecast = Predicted.of(comparison.record, comparison.predictions, styles, "forecast")
@@ -124,7 +124,7 @@ def _further(comparison: Comparison, styles: Mapping[str, Method]) -> list[Secti
 
 
 def _bands(comparison: Comparison) -> Section:
-    """Return the spectrum, and the cut-off between the bands."""
+    """Return the section of the spectrum and the cut-off between the bands."""
     bands = comparison.setup.bands
     part = comparison.record[: comparison.setup.train]
     text = []
@@ -139,9 +139,9 @@ def _bands(comparison: Comparison) -> Section:
 
 
 def _bases(comparison: Comparison) -> dict[str, Array]:
-    """Return what holds the slow part of hybrid models in a simulator's place, while training.
+    """Return the training-part outputs of fitted models that replace a simulator in hybrids.
 
-    Its first samples, which are a warm-up, are the record's own.
+    Their first samples, the warm-up, are the record's.
     """
     train, record = comparison.setup.train, comparison.record
     found: dict[str, Array] = {}
@@ -157,7 +157,7 @@ def _bases(comparison: Comparison) -> dict[str, Array]:
 
 
 def _trained(comparison: Comparison, styles: Mapping[str, Method]) -> list[Section]:
-    """Return training curves and what the search has tried."""
+    """Return the sections of training curves and of the search."""
     sections = []
     plots = losses(comparison.runs, styles)
     if plots:
@@ -172,7 +172,7 @@ def _trained(comparison: Comparison, styles: Mapping[str, Method]) -> list[Secti
 
 
 def _views(comparison: Comparison, shown: Predicted) -> list[View]:
-    """Return the parts of the first plots that have a button."""
+    """Return the time ranges of the first plots that have a button."""
     values, train = shown.axis.values, comparison.setup.train
     views = [View("Whole record", values[0], values[-1])]
     if shown.record is comparison.record and train < len(values):

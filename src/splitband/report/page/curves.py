@@ -21,9 +21,9 @@ POINTS = 2000
 
 
 def spectrum(record: Record, cutoff: float | None, bases: Mapping[str, Array]) -> list[Plot]:
-    """Return plots of power and coherence of the samples that were trained on.
+    """Return plots of power and coherence of the training samples.
 
-    `bases` `(time, ny)` are what holds the slow part of hybrid models, by name.
+    `bases` `(time, ny)` are outputs of fitted models that replace a simulator in hybrids, by name.
     """
     beside = ({} if record.y_sim is None else {"simulator": record.y_sim}) | dict(bases)
     inputs = {} if record.u is None else dict(zip(record.inputs, record.u.T, strict=True))
@@ -71,7 +71,7 @@ def _coherence(
     record: Record, name: str, curves: Mapping[str, tuple[Array, Array]], cutoff: float | None,
     small: bool,
 ) -> Plot:  # fmt: skip
-    """Return a plot of where the record follows what stands beside it, or an input."""
+    """Return a plot of the coherence of the record with a simulator, a fitted model or an input."""
     unit = _unit(record)
     frequencies = next(iter(curves.values()))[0][1:]
     chart = Chart(Axis.over_frequency(frequencies, unit), "coherence", (0, 1.03), SMALL)
@@ -124,7 +124,7 @@ def _unit(record: Record) -> str:
 
 
 def _bands(bins: int) -> npt.NDArray[np.int64]:
-    """Return where bands of the same width on a logarithmic axis begin."""
+    """Return the first bins of bands that are equally wide on a logarithmic axis."""
     if bins <= POINTS:
         return np.arange(bins)
     edges = np.geomspace(1, bins, POINTS // 2, endpoint=False)

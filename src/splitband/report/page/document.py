@@ -26,7 +26,7 @@ from splitband.runtime.files import replacing
 
 
 def of_comparison(result: Comparison, path: str | Path, usage: Usage | None = None) -> None:
-    """Write the page of a comparison, whole or not at all; the caller knows the `usage`."""
+    """Write the page of a comparison, whole or not at all; `usage` is shown on it."""
     _write(comparison.page(result, usage or Usage()), path)
 
 
@@ -38,7 +38,7 @@ def of_forecast(result: Forecast, path: str | Path, usage: Usage | None = None) 
 def of_check(
     result: ModelCheck, path: Path, kind: str, responses: Responses | None, usage: Usage
 ) -> None:
-    """Write the page of a check of a model; `kind` says in words what the model is."""
+    """Write the page of a check of a model; `kind` describes the model in words."""
     _write(check.page(result, kind, responses, usage), path)
 
 
@@ -55,7 +55,7 @@ def _write(page: Page, path: str | Path) -> None:
 
 
 def html(page: Page) -> str:
-    """Return the whole file."""
+    """Return the page as HTML."""
     plots = page.plots
     return _template().render(
         page=page,
@@ -69,9 +69,9 @@ def html(page: Page) -> str:
 
 
 def _embedded(plots: list[Plot]) -> str:
-    """Return the plots as JSON, in one document, whose ranges are shared, safe inside a script."""
+    """Return the plots as JSON that is safe inside a script; one document, so they share ranges."""
     document = Document()
-    with document.models.freeze():  # once for all of them, or it takes long
+    with document.models.freeze():  # one update for all plots: faster
         for plot in plots:
             document.add_root(plot.figure)
     figures = [plot.figure for plot in plots]
@@ -98,6 +98,6 @@ def _part(name: str) -> str:
 
 @cache
 def _library() -> str:
-    """Return the script that draws: the core of Bokeh, without widgets, tables and formulas."""
+    """Return Bokeh's core script, without widgets, tables and formulas."""
     folder = Path(bokeh.__file__).parent / "server" / "static" / "js"
     return (folder / "bokeh.min.js").read_text(encoding="utf-8").replace("</script", "<\\/script")

@@ -1,4 +1,4 @@
-"""Define what a page is made of; the template draws it."""
+"""Define the parts of a page, which the template renders."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from splitband.report.colors import PALETTE
 
 @dataclass(frozen=True)
 class Cell:
-    """Hold a cell of a table: what it says, and what it is sorted by.
+    """Hold a cell of a table: its text, and the number to sort by.
 
     Attributes
     ----------
-    text : In words or digits.
+    text : Words or digits.
     value : A number to sort by; None sorts by the text.
-    best : Whether no other one of the column is lower.
-    link : To another page.
+    best : Whether it is the best one of its column.
+    link : Link to another page.
     says : A second line, smaller.
     """
 
@@ -39,7 +39,7 @@ class Table:
     columns : The headings.
     rows : The first cell of each names it.
     marked : Rows that stand out.
-    minor : Rows that are seen only when asked for.
+    minor : Rows that are folded away at first.
     notes : What each heading means, in the order of the columns that need it.
     """
 
@@ -52,7 +52,7 @@ class Table:
 
     @property
     def numeric(self) -> list[bool]:
-        """Return which columns hold numbers, and stand on the right."""
+        """Return which columns hold numbers; these are right-aligned."""
         return [
             any(row[i].value is not None for row in self.rows) for i in range(len(self.columns))
         ]
@@ -64,12 +64,12 @@ class Plot:
 
     Attributes
     ----------
-    figure : Of Bokeh.
-    caption : Above it.
-    says : For those who do not see it.
-    methods : One of these has to be switched on for it; none: it is always there.
-    key : Colour and name of what else it shows beside the methods.
-    small : Whether several stand side by side.
+    figure : The Bokeh figure.
+    caption : Text above it.
+    says : Text for readers who cannot see it.
+    methods : It is shown if one of these is switched on; if empty, always.
+    key : Entries of the legend, each a colour and a name.
+    small : Whether several share a row.
     """
 
     figure: Any
@@ -90,10 +90,10 @@ class Section:
     title : The heading.
     words : Paragraphs.
     items : A list after them.
-    tables, plots : After these.
+    tables, plots : Shown after the list.
     code : Lines to copy, each with what they do.
     facts : Pairs of a name and a value.
-    folded : Whether it opens by a click.
+    folded : Whether it is closed until clicked.
     """
 
     name: str
@@ -113,10 +113,10 @@ class Method:
 
     Attributes
     ----------
-    name : Of the forecaster.
-    color : Its place in the palette.
-    dashed : Whether its colour is another one's, too.
-    recommended : Whether it is the one.
+    name : Name of the forecaster.
+    color : Index of its colour in the palette.
+    dashed : Whether its colour repeats that of another method.
+    recommended : Whether it is the recommended method.
     """
 
     name: str
@@ -126,7 +126,7 @@ class Method:
 
 
 def method_styles(names: Sequence[str], recommended: str) -> dict[str, Method]:
-    """Return how each method is drawn; colours begin again where there are not enough."""
+    """Return how each method is drawn; if colours run out, they repeat, dashed."""
     return {
         name: Method(name, i % len(PALETTE), i >= len(PALETTE), name == recommended)
         for i, name in enumerate(names)
@@ -149,9 +149,9 @@ class Page:
     Attributes
     ----------
     title, lead : The heading, and the line below it.
-    sections : In their order; what switches methods stands below the first one.
-    methods : Which are drawn.
-    views : Parts of the time axis worth a button; the first one is all of it.
+    sections : Sections in order; the switches of the methods are below the first one.
+    methods : Methods that are drawn.
+    views : Ranges of the time axis with a button; the first one is the whole axis.
     """
 
     title: str
@@ -168,11 +168,11 @@ class Page:
 
 @dataclass(frozen=True)
 class Usage:
-    """Hold what only the caller knows of how a result was asked for.
+    """Hold the command that made a result, and how to use its model.
 
     Attributes
     ----------
-    commands : To use the model, from a shell or in Python, each with what it does.
+    commands : Commands that use the model, in a shell or in Python, each with what it does.
     asked : The command that made the page.
     """
 

@@ -1,4 +1,4 @@
-"""Plot over time what was measured and predicted, residuals, inputs, components."""
+"""Plot measurements and predictions, residuals, inputs and components over time."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from splitband.report.page.parts import Method, Plot
 from splitband.runtime.arrays import Array
 
 BEFORE = 8
-"""The plots begin this fraction of the prediction's length before it. By eye."""
+"""Plots begin earlier than the prediction, by its length divided by this number. By eye."""
 FEW = 2
-"""Outputs and inputs that have plots of full size. By eye."""
+"""Largest number of outputs or inputs that have plots of full size. By eye."""
 TRANSIENT = 10
-"""First samples of a prediction, whose errors vary too much to set a scale by them. By eye."""
+"""First samples of a prediction, whose errors vary too much to set the scale. By eye."""
 
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """Hold predictions beside the record that they are of, or go on from.
+    """Hold a record, and predictions of its last samples or of those after it.
 
     Attributes
     ----------
-    record : What was measured.
-    predictions : By method, all to the same end.
+    record : The measured record.
+    predictions : Predictions by method; all end at the same sample.
     styles : How each is drawn.
     says : What the plots show, for captions.
-    axis : The times of the record, and of what is predicted beyond it.
+    axis : The times of the record and of the samples predicted after it.
     """
 
     record: Record
@@ -47,7 +47,7 @@ class Predicted:
         cls, record: Record, predictions: Mapping[str, Prediction], styles: Mapping[str, Method],
         says: str, ahead: int = 0, name: str = "",
     ) -> Predicted:  # fmt: skip
-        """Return them with the predicted part in sight; they go so many samples `ahead`."""
+        """Return them with the predicted part visible; they end `ahead` samples past the record."""
         axis = Axis.over_time(record, ahead, name)
         found = cls(record, predictions, styles, says, axis)
         axis.shown.update(start=axis.values[found.first], end=axis.values[-1])
@@ -65,7 +65,7 @@ class Predicted:
 
     @property
     def first(self) -> int:
-        """Return the index of the first sample in sight, shortly before the prediction."""
+        """Return the index of the first visible sample, shortly before the prediction."""
         return max(self.begin - max(self.steps // BEFORE, 2), 0)
 
     def outputs(self) -> list[Plot]:
@@ -73,7 +73,7 @@ class Predicted:
         return [self._output(i) for i in range(self.record.ny)]
 
     def inputs(self) -> list[Plot]:
-        """Return a plot for each input; they zoom together with those of the outputs."""
+        """Return a plot for each input, which zooms together with the plots of the outputs."""
         record = self.record
         u = np.zeros((len(record), 0)) if record.u is None else record.u
         if record.u_beyond is not None:
@@ -88,7 +88,7 @@ class Predicted:
         return plots
 
     def residuals(self) -> list[Plot]:
-        """Return a plot for each output of what each prediction leaves of it."""
+        """Return a plot for each output, with the residuals of each prediction."""
         plots = []
         for i, column in enumerate(self.record.columns):
             left = {name: self._error(name, i) for name in self.predictions}
@@ -107,9 +107,9 @@ class Predicted:
         return plots
 
     def errors(self, each: Mapping[str, list[Prediction]]) -> list[Plot]:
-        """Return how each output's error grows with the horizon, shaded by its range over `each`.
+        """Return plots of each output's error over the horizon, with its range over `each` shaded.
 
-        These are the predictions of a method's single trainings.
+        `each` holds the predictions of a method's single trainings.
         """
         counted, record = self.axis.label == "sample", self.record
         step = 1.0 if counted else record.sampling_time
@@ -142,7 +142,7 @@ class Predicted:
         return plots
 
     def components(self) -> list[Plot]:
-        """Return plots of what each model of several parts adds up, each less its mean."""
+        """Return plots of the components of each split or hybrid model, without their means."""
         return [
             self._parts(name, i)
             for name, predicted in self.predictions.items()
@@ -164,7 +164,7 @@ class Predicted:
             chart.band(lower, upper, recommended)
             assert best.level is not None
             caption += f"; shaded: {percent(best.level)} interval"
-        # The recommended one is wide enough to be seen on both sides of what agrees with it.
+        # The recommended one is wide, so that it shows behind curves that agree with it.
         for name in sorted(self.predictions, key=lambda n: self.styles[n].recommended):
             style = {"line_width": 3.5} if self.styles[name].recommended else {}
             chart.method(padded(self.predictions[name].y[:, i], length), self.styles[name], **style)
@@ -204,6 +204,6 @@ class Predicted:
         return self.record.truth[len(self.record) - len(y) :, i] - y
 
     def _grown(self, predicted: Prediction, i: int) -> Array:
-        """Return the RMSE up to each horizon, of all horizons that there are."""
+        """Return the RMSE up to each horizon, NaN beyond the end of the prediction."""
         truth = self.record.truth[len(self.record) - len(predicted) :, i]
         return padded(cumulative_rmse(truth, predicted.y[:, i]), self.steps, first=True)

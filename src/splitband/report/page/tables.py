@@ -44,9 +44,9 @@ def _of_columns(
     kinds: Mapping[str, str],
     trial: Trial,
 ) -> Table:
-    """Return a table of columns, with what each method is and what is `said` of it below its name.
+    """Return a table of columns; below the name of a method are its kind and remarks (`said`).
 
-    Of the methods that need no training, all but the best are folded away.
+    Baselines are folded away, except a recommended one and the best of the others.
     """
     rows = [
         [
@@ -60,12 +60,12 @@ def _of_columns(
     headings = ["method", *(column.label for column in listed)]
     place = frozenset([[*kinds].index(marked)])
     simple = [i for i, name in enumerate(kinds) if name not in trained and i not in place]
-    minor = frozenset(simple[1:])  # the best of them is what the others have to be better than
+    minor = frozenset(simple[1:])  # the best of them is the reference
     return Table(caption, headings, rows, place, minor, [*explained])
 
 
 def attempts(tried: Sequence[SearchAttempt]) -> Table:
-    """Return the table of how networks were trained to find out how to train them."""
+    """Return the table of the search for how to train networks."""
     rows = [
         [
             Cell(each.method),
@@ -87,12 +87,12 @@ def attempts(tried: Sequence[SearchAttempt]) -> Table:
 
 
 def next_steps(used: Usage) -> list[Section]:
-    """Return the section of the commands that use the model, where there are any."""
+    """Return the section of the commands that use the model, if there are any."""
     return [Section("next", "What to do next", code=used.commands)] if used.commands else []
 
 
 def settings(facts: list[tuple[str, str]], used: Usage) -> Section:
-    """Return the section of what the numbers were made with."""
+    """Return the section of settings and versions."""
     made = environment()
     pairs = [("command", used.asked)] if used.asked else []
     versions = ", ".join(f"{name} {v}" for name, v in made["versions"].items())
@@ -102,7 +102,7 @@ def settings(facts: list[tuple[str, str]], used: Usage) -> Section:
 
 
 def flat(facts: Mapping[str, object], before: str = "") -> list[tuple[str, str]]:
-    """Return nested facts as pairs of a name and a text, without those that are not there."""
+    """Return nested facts as pairs of a name and a text, without empty ones."""
     pairs: list[tuple[str, str]] = []
     for name, value in facts.items():
         if isinstance(value, Mapping):

@@ -12,19 +12,19 @@ from splitband.runtime.arrays import Array
 Drawn = npt.NDArray[np.float32] | Array
 
 ROUGHEST = 1e-4
-"""Of a curve's range: by how much single precision may change it; otherwise it stays double. Less
-than a pixel of a plot."""
+"""Largest change of a curve by single precision, as a share of its range: less than a pixel of a
+plot. Otherwise the curve stays double."""
 
 
 def bin_size(samples: int, most: int) -> int:
-    """Return the samples of a bin, of which two are drawn, for `most` points; 1: all are drawn."""
+    """Return the samples in a bin, of which two are drawn, for `most` points; 1: all are drawn."""
     return 1 if samples <= most else math.ceil(2 * samples / most)
 
 
 def places(samples: int, size: int) -> npt.NDArray[np.int64]:
     """Return the rows at which the two values of each bin are drawn, `(points,)`.
 
-    They are the same for all curves, whose own extremes lie within half a bin of them.
+    They are the same for all curves, whose extremes lie within three quarters of a bin of them.
     """
     if size == 1:
         return np.arange(samples)
@@ -34,9 +34,9 @@ def places(samples: int, size: int) -> npt.NDArray[np.int64]:
 
 
 def thinned(y: Array, size: int) -> Drawn:
-    """Return the lowest and the highest value of each bin, in the order they have there.
+    """Return the lowest and the highest value of each bin, in their order in time.
 
-    NaN where a bin holds nothing else.
+    They are NaN if a bin holds nothing else.
     """
     if size == 1:
         return compact(y)
@@ -46,7 +46,7 @@ def thinned(y: Array, size: int) -> Drawn:
 
 
 def envelope(lower: Array, upper: Array, size: int) -> tuple[Drawn, Drawn]:
-    """Return an interval's lowest lower and highest upper edge of each bin, both times."""
+    """Return the lowest lower and the highest upper edge of an interval in each bin, each twice."""
     if size == 1:
         return compact(lower), compact(upper)
     least, most = _extremes(lower, size)[0], _extremes(upper, size)[1]
@@ -54,7 +54,7 @@ def envelope(lower: Array, upper: Array, size: int) -> tuple[Drawn, Drawn]:
 
 
 def compact(y: Array) -> Drawn:
-    """Return a curve in single precision where nobody would see the difference."""
+    """Return a curve in single precision if the difference is invisible."""
     seen = y[np.isfinite(y)]
     if not len(seen) or abs(seen).max() > np.finfo(np.float32).max:
         return y
@@ -64,7 +64,7 @@ def compact(y: Array) -> Drawn:
 
 
 def _extremes(y: Array, size: int) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """Return the lowest and the highest value of each bin, and which of them rise."""
+    """Return the lowest and the highest value of each bin, and whether the lowest is first."""
     whole = np.full(math.ceil(len(y) / size) * size, np.nan)
     whole[: len(y)] = y
     binned = whole.reshape(-1, size)
