@@ -1,7 +1,7 @@
 """Measure the errors of predictions. Arrays are NumPy, `(time,)` or `(time, ny)`.
 
 Errors of several channels add up as a Euclidean norm, as in the paper's e_n; normalise channels
-of different units first. Where y is NaN, nothing was measured, and nothing counts.
+of different units first. NaN in y marks missing samples, which are excluded.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
 
 
 def channel_rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
-    """Return the RMSE of each channel by itself, `(ny,)`; NaN for one that was not measured."""
+    """Return the RMSE of each channel, `(ny,)`; NaN for one that was not measured."""
     y, prediction = np.asarray(y, float), np.asarray(prediction, float)
     return np.array([rmse(*channel) for channel in zip(y.T, prediction.T, strict=True)])
 
@@ -42,7 +42,7 @@ def cumulative_rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
 
 
 def nrmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
-    """Return the RMSE divided by the standard deviation of y: 1 is as good as the mean."""
+    """Return the RMSE divided by the standard deviation of y; predicting the mean gives 1."""
     error, y = rmse(y, prediction), np.asarray(y, float)
     if not _varies(y).any():
         raise ValueError("y must not be constant: its standard deviation is 0")
@@ -77,21 +77,21 @@ def fit_percent(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Any:
 def spread(y: npt.ArrayLike) -> Array:
     """Return each channel's standard deviation, `(ny,)`, of `y` `(time, ny)`; 1 for a constant."""
     y = np.asarray(y, float)
-    # By its range, as rounding gives even a constant a deviation slightly above 0.
+    # A constant is recognised by its range, as rounding may give it a deviation slightly above 0.
     return np.asarray(np.where(_varies(y), np.nanstd(y, axis=0), 1.0))
 
 
 FARTHEST = 3.0
-"""How far from the middle of the training samples a prediction may go, in multiples of their own
-reach. By eye."""
+"""Largest distance of a prediction from the middle of the training range, in multiples of half its
+width. By eye."""
 
 
 def leaves_range(training: Array, prediction: Array) -> int | None:
     """Return how many samples of a prediction `(time, ny)` come before it leaves the range.
 
-    That is `FARTHEST` times as wide as theirs, channel by channel, about the middle of it. What is
-    beyond was never seen in training. A channel that was constant there has no range to leave, but
-    must be finite. None where it stays inside.
+    Each channel's range is `FARTHEST` times as wide as that in training, about the same middle. A
+    channel that was constant in training has no range to leave, but must be finite. None where the
+    prediction stays inside.
     """
     low, high = np.nanmin(training, axis=0), np.nanmax(training, axis=0)
     reach = np.where(high > low, (high - low) / 2, np.inf)
@@ -109,12 +109,11 @@ def leaving(samples: int) -> str:
 
 
 BEYOND = 0.1
-"""How far an input may go beyond what was seen of it in training, as a share of its range there.
-By eye."""
+"""Margin by which an input may exceed its range in training, as a share of that range. By eye."""
 
 
 class ExtrapolationWarning(UserWarning):
-    """Warn that a prediction may not be reliable, inputs beyond the training range for instance."""
+    """Warn that a prediction may be unreliable, for instance with inputs beyond their range."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +147,7 @@ class Extrapolation:
 def extrapolations(low: Array, high: Array, u: Array) -> list[Extrapolation]:
     """Return the inputs `u` `(time, nu)` that exceed `low` to `high`, `(nu,)`, by over `BEYOND`.
 
-    An input that was constant in training may not change at all, but for rounding.
+    An input that was constant in training must stay so, apart from rounding.
     """
     rounding = 1e-9 * np.maximum(abs(low), abs(high))
     with np.errstate(invalid="ignore"):  # inf - inf, where no range is known
@@ -171,7 +170,7 @@ def input_range(inputs: Sequence[Array]) -> tuple[Array, Array]:
 
 
 def _varies(y: Array) -> npt.NDArray[np.bool_]:
-    """Tell which channels are not constant; one that was not measured is."""
+    """Return which channels vary; one that was not measured counts as constant."""
     return np.asarray(np.fmax.reduce(y, axis=0) > np.fmin.reduce(y, axis=0))
 
 

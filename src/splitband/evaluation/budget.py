@@ -1,8 +1,8 @@
-"""Spend the time of a comparison: the deadline of each part, what is left, what it took.
+"""Manage the time of a comparison: the deadline of each part, time left, time used.
 
-Costs of trainings are estimated in seconds of a reference core (`evaluation.costs`). What such a
-second takes on this machine, with whatever else runs on it, is measured by the trainings of the
-same run, so that a busy machine is known to be slower.
+Costs of trainings are estimated in seconds of a reference core (`evaluation.costs`). How long such
+a second takes on this machine, under its present load, is measured on the trainings of the same
+run.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from splitband.evaluation.costs import speed
 from splitband.runtime.deadlines import Deadline, now
 
 BASELINES = 0.3
-"""Share of the time that baselines may take. These shares are by eye, held against `python -m
+"""Share of the time that baselines may take. These shares are by eye, checked with `python -m
 benchmarks.budget`."""
 SEARCH, TRIAL, BASE = 0.5, 0.65, 0.7
 """Shares of the time after the baselines by which the search, the trial of all methods on three
@@ -25,25 +25,25 @@ trainings."""
 ONE = 0.3
 """Share of the time, and of the work, that a single training of a candidate may take. By eye."""
 SLOWER = 2.0
-"""By how much trainings are taken to be slower than the gradient by which a core is measured, until
-they have been measured themselves. By eye."""
+"""Assumed slowdown of trainings, relative to the gradient that `costs.speed` times, until they have
+been timed themselves. By eye."""
 START = "start"
 """The phase before a comparison: loading the package, reading the record."""
 PROCESSES = 1.5
-"""Multiples of what the command took to start that must be left for other processes to be worth
-starting, too. By eye."""
+"""Other processes are started if more time is left than this multiple of the command's own start.
+By eye."""
 BUSY = 0.8
-"""Share of the time of all cores that trainings side by side make use of. By eye."""
+"""Share of the time of all cores that parallel trainings use. By eye."""
 SUPPOSED = 5.0
-"""Seconds of a reference core of trainings that count as much as what was supposed of the pace.
+"""Weight of the assumed pace in the measured one, in seconds of a reference core of trainings.
 By eye."""
 NAMED = 6
-"""Changes by the clock that are named in a line. By eye."""
+"""Largest number of changes by the time limit that a line lists. By eye."""
 
 
 @dataclass
 class Phase:
-    """Hold a part of a command: seconds that it `used`, and could when it began, if limited."""
+    """Hold the seconds that a part of a command `used` and, if limited, was `planned` to use."""
 
     used: float = 0.0
     planned: float | None = None
@@ -51,13 +51,13 @@ class Phase:
 
 @dataclass
 class Pace:
-    """Say how long trainings take on this machine.
+    """Hold the measured pace of trainings on this machine.
 
     Attributes
     ----------
-    seconds : Wall seconds that a second of a reference core takes; 1 until it is measured.
-    trained : Seconds of a reference core of the trainings by which it has been measured.
-    asking : Seconds that a job needs after its training, to be asked for forecasts.
+    seconds : Wall seconds per second of a reference core; an assumed value until it is measured.
+    trained : Weight of the value: `SUPPOSED` plus the estimated cost of all timed trainings.
+    asking : Seconds that a job needs for its forecasts, after its training.
     """
 
     seconds: float = 1.0
@@ -65,10 +65,10 @@ class Pace:
     asking: float = 0.0
 
     def measured(self, estimated: float, took: float, asking: float = 0.0) -> None:
-        """Learn from a training that was estimated to take some time, and took another.
+        """Update the pace with the estimated cost and the measured time of a training.
 
-        The pace is that of all trainings together: in a short one much else is counted, such as the
-        start of a process. For the same reason the quickest answer tells how long `asking` takes.
+        The pace is that of all trainings together, as the time of a short one includes much else,
+        such as the start of a process. For the same reason `asking` is the shortest one measured.
         """
         if estimated > 0:
             self.seconds = (self.trained * self.seconds + took) / (self.trained + estimated)
@@ -78,19 +78,18 @@ class Pace:
 
 @dataclass(eq=False)
 class TimeBudget:
-    """Hold the time of one command, and where it went.
+    """Hold the time limit of one command, and how the time was used.
 
     Attributes
     ----------
-    deadline : When all forecasts must be there; what comes after them has been allowed for.
-    cores : Trainings side by side.
+    deadline : When all forecasts must be ready; time for what follows is already subtracted.
+    cores : Number of parallel trainings.
     began : When the command began, by the clock of `runtime.deadlines.now`.
-    pace : How fast this machine is, with whatever else runs on it.
+    pace : Pace of this machine under its present load.
     left_out : Methods for which there was no time, and why.
     cut : Trainings that the deadline ended, and choices that it narrowed.
-    phases : What has been done, in its order.
-    asked : Seconds of wall time, and of work of a reference core, that were allowed; None where
-        there was no such limit.
+    phases : Time used by each phase, in order.
+    asked : Limits that were given: seconds of wall time, and of a reference core; None: no limit.
     """
 
     deadline: Deadline = field(default_factory=Deadline)
@@ -110,10 +109,10 @@ class TimeBudget:
 
         Parameters
         ----------
-        seconds : Of wall time for all of it; None: no limit.
-        cores : Trainings side by side.
+        seconds : Wall time of the whole command; None: no limit.
+        cores : Number of parallel trainings.
         began : When it began, by default now.
-        after : Seconds for what is done with the forecasts.
+        after : Seconds reserved for what follows the forecasts.
         """
         began = now() if began is None else began
         if seconds is None:
@@ -123,39 +122,39 @@ class TimeBudget:
 
     @property
     def limited(self) -> bool:
-        """Return whether there is a deadline at all."""
+        """Return whether there is a deadline."""
         return self.deadline != Deadline()
 
     @property
     def reproducible(self) -> bool:
-        """Return whether the clock has changed nothing: the same command finds the same again."""
+        """Return whether the time limit changed nothing, so that a repetition gives the same."""
         return not self.left_out and not self.cut
 
     def allows_processes(self, until: Deadline) -> bool:
-        """Return whether there is time to start other processes, which take as long as this one."""
+        """Return whether there is enough time to start other processes, see `PROCESSES`."""
         return until.left > PROCESSES * self.phases.get(START, Phase()).used
 
     def share(self, share: float) -> Deadline:
-        """Return when so large a share of the time that is left now will be over."""
+        """Return the deadline after this share of the time that is left now."""
         return (
             self.deadline.earlier((1 - share) * self.deadline.left) if self.limited else Deadline()
         )
 
     def work_until(self, until: Deadline) -> float:
-        """Return how many seconds of a reference core all cores together have until then."""
+        """Return the work that all cores can do until then, in seconds of a reference core."""
         return max(BUSY * self.cores * until.left / self.pace.seconds, 0.0)
 
     def work_of_one(self, until: Deadline) -> float:
-        """Return the same of a single training."""
+        """Return the work that a single training can do until then, in the same unit."""
         return max(until.left / self.pace.seconds, 0.0)
 
     def narrowed(self, what: str) -> None:
-        """Note what the clock has changed, once."""
+        """Note a choice that the time limit has changed, once."""
         if what not in self.cut:
             self.cut.append(what)
 
     def leave_out(self, name: str, what: str, takes: float, until: Deadline) -> None:
-        """Note a method for whose trial or training there is no time; it `takes` these seconds."""
+        """Note a method that is left out, as its trial or training `takes` too many seconds."""
         self.left_out[name] = (
             f"left out: its {what} takes about {takes:.0f} s here, and {max(until.left, 0):.0f} s "
             "were left for it"
@@ -163,9 +162,9 @@ class TimeBudget:
 
     @contextmanager
     def phase(self, name: str, until: Deadline | None = None) -> Iterator[None]:
-        """Count what happens in here as a phase that is to end by `until`; a name may come again.
+        """Time the enclosed work as a phase that should end by `until`, by default the deadline.
 
-        By default it may take all the time that is left.
+        Times of phases with the same name are added up.
         """
         began, ends = now(), until or self.deadline
         planned = max(ends.left, 0.0) if self.limited else None
@@ -176,7 +175,7 @@ class TimeBudget:
             phase.used += now() - began
 
     def as_json(self) -> dict[str, Any]:
-        """Return what result files say: what was limited, what was asked for, what was used."""
+        """Return the entries of result files: kind of limit, its values, the time used."""
         seconds, work = self.asked
         limited = "nothing" if work is None else "work" if seconds is None else "time"
         return {
@@ -195,7 +194,7 @@ class TimeBudget:
         }
 
     def in_words(self) -> str:
-        """Return a line: what was planned and used, and what the clock has changed."""
+        """Describe the time planned and used, and what the time limit has changed."""
         phases = ", ".join(
             f"{name} {phase.used:.0f}"
             + ("" if phase.planned is None else f" of {phase.planned:.0f}")

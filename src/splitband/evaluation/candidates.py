@@ -1,4 +1,4 @@
-"""Define what a search tries: ways to train a network, and how far each has come."""
+"""Define the candidates of a search: sizes and training settings, and the progress of each."""
 
 from __future__ import annotations
 
@@ -18,28 +18,27 @@ from splitband.training import Settings
 FIRST_STEPS = 300
 """Steps of Adam before L-BFGS takes over, from random weights."""
 FREE_RUN, FREE_RUNS = 150, (100, 50)
-"""Samples of the shorter windows that are predicted, from a linear model and from random weights;
-the longest windows are the recipe's."""
+"""Predicted samples of the shorter windows, for networks that begin as a linear model and for those
+with random weights; the longest windows are the recipe's."""
 SHORT = 3000
-"""Samples of a record up to which windows of all of it are tried, too."""
+"""Longest record, in samples, for which one window over all of it is tried, too."""
 PENALTIES = 1e-4, 1e-3
-"""The penalties that are tried, the second one on records of up to `SHORT` samples."""
+"""Penalties to try; the second one only on records of up to `SHORT` samples."""
 LADDER = 100, 400, 1600, 6400
-"""Iterations of L-BFGS that a candidate has had after each round."""
+"""Total iterations of L-BFGS of a candidate after each round."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Hold one way to train one method.
+    """Hold one method with one choice of sizes and training settings.
 
     Attributes
     ----------
-    method, network : Its name, and the forecaster with its settings.
-    rung : Rounds of L-BFGS that it has had; -1 for a training without.
-    score : RMSE of the mean of its seeds on the held-out samples; infinite where it has not been
-        trained.
+    method, network : Name of the method, and the network with its settings.
+    rung : Index of its round in `LADDER`; -1: no further round.
+    score : RMSE of the seeds' mean forecast of the held-out samples; infinite before training.
     done : Forecasts of the held-out samples, by seed.
-    began_as : Label of the candidate that it goes on from.
+    began_as : Label that it had in its first round; empty until the second.
     """
 
     method: str
@@ -51,22 +50,22 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """Return what progress bars and checkpoints call it."""
+        """Return its name in progress bars and checkpoints."""
         return f"{self.method}, {self.network.training_in_words()}"
 
     @property
     def settings(self) -> Settings:
-        """Return how the network is trained."""
+        """Return the training settings."""
         assert self.network.settings is not None
         return self.network.settings
 
     @property
     def trained(self) -> int:
-        """Return its iterations of L-BFGS."""
+        """Return its total iterations of L-BFGS."""
         return self.settings.quasi_newton or 0
 
     def going_on(self, iterations: int, weights: Mapping[int, Mapping[str, Tensor]]) -> Network:
-        """Return the network, trained for more iterations from these weights, by seed."""
+        """Return the network set to continue from these weights, by seed, for more iterations."""
         settings = replace(self.settings, quasi_newton=self.trained + iterations)
         return self.network.trained_as(settings).going_on(Earlier(self.trained, weights))
 
@@ -80,14 +79,14 @@ class Candidate:
         return replace(self, network=network, rung=self.rung + 1, done={}, began_as=began_as)
 
     def options(self) -> dict[str, Any]:
-        """Return all in which candidates of a method differ: cells, and how they are trained."""
+        """Return all options that may differ between candidates: cells and training settings."""
         return {**self.network.get_params(), **vars(self.settings)}
 
 
 def combined(first: Candidate, one: Candidate, other: Candidate) -> Candidate | None:
-    """Return the candidate that differs from the first one as both others do.
+    """Return the first candidate with the changes of both others.
 
-    None where they differ from it in the same option.
+    None where both change the same option, or `other` changes none.
     """
     usual = {name: str(value) for name, value in first.options().items()}
     ours, theirs = (
@@ -106,13 +105,12 @@ def combined(first: Candidate, one: Candidate, other: Candidate) -> Candidate | 
 
 
 def candidates(forecaster: Network, record: Record) -> list[Candidate]:
-    """Return ways to train a network on a record, the most promising one first.
+    """Return the candidates for training a network on a record, the most promising one first.
 
-    An iteration of a small state-space network is quick: on long records it has more of them.
-
-    A network that begins as a linear model needs no steps of Adam, and differs in size, window and
-    penalty from the first candidate, one at a time. From random weights there is also the default
-    recipe, by Adam alone.
+    A network that begins as a linear model needs no steps of Adam. Its candidates differ from the
+    first one in size, window, penalty or start, one at a time; on long records they begin with more
+    iterations, which are quick. For other networks, the first candidate is the default recipe, by
+    Adam alone.
     """
     usual, samples = forecaster.settings, len(record)
     assert usual is not None
@@ -139,7 +137,7 @@ def candidates(forecaster: Network, record: Record) -> list[Candidate]:
         found = [Candidate(forecaster.name, size.trained_as(usual))]
     found += [Candidate(forecaster.name, n.trained_as(how), rung) for n, how in every]
     distinct: dict[str, Candidate] = {}
-    for candidate in found:  # windows that differ may be one on the shorter record of a trial
+    for candidate in found:  # windows may become equal on the shorter record of a trial
         distinct.setdefault(for_trial(candidate.network, samples).training_in_words(), candidate)
     return [*distinct.values()]
 
@@ -149,7 +147,7 @@ def _cells(forecaster: Network) -> list[Any]:
 
 
 def _sizes(forecaster: Network) -> list[Network]:
-    """Return it with cells of other sizes that are worth trying, the usual ones first."""
+    """Return the network with each size of its cells to try, the usual one first."""
     cells = _cells(forecaster)
     if not forecaster.resizable or not all(hasattr(cell, "variants") for cell in cells):
         return [forecaster.clone()]

@@ -1,11 +1,11 @@
-"""Decide, by the training part alone, how networks are trained and with how many seeds.
+"""Choose training settings, and score all methods, on the training part alone.
 
-What needs no training is tried first, then networks, as the search trains them. A network on top of
-a baseline is tried where that baseline does better than every network: what a periodic regression
-or a linear model knows of a record, a network need not learn; what these leave, it may. It is kept
-where it is better than the baseline alone on held-out samples. That is not in the paper.
+Baselines are tried first, then networks with the settings that the search has found. If a baseline
+beats every network, a network on top of it is tried as well, which learns only what the baseline
+leaves (a periodic regression or a linear model, for instance). It is kept if it beats the baseline
+alone on held-out samples. That is not in the paper.
 
-No measured sample after the training part is looked at.
+No measured sample after the training part is used.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from splitband.forecasters.names import BASES, with_base
 from splitband.forecasters.network import Network
 
 TRIAL = "held-out fit"
-"""The stage in which methods are fitted to three quarters of the training part."""
+"""Name of the stage that fits methods to three quarters of the training part."""
 AFTER_BASELINES, AFTER_SEARCH, AFTER_TRIAL = 0.1, 0.6, 0.7
 """Shares of a command that are done after these stages, for progress bars. By eye."""
 
 
 def choose(plan: Plan, work: Work) -> tuple[Trial, SearchResult]:
-    """Return what all methods do on held-out samples, and how networks are to be trained."""
+    """Return the results of all methods on held-out samples, and the chosen training settings."""
     record, others, ahead, setup = plan.training, plan.others, plan.horizon, plan.setup
     quick = [f for f in plan.methods if not f.random]
     slow = [f for f in plan.methods if f.random]
@@ -71,19 +71,19 @@ def choose(plan: Plan, work: Work) -> tuple[Trial, SearchResult]:
 def on_baseline(
     plan: Plan, trial: Trial, searched: SearchResult, seeds: Sequence[int], work: Work
 ) -> tuple[Trial, SearchResult]:
-    """Return the trial and the methods, with a network on the best baseline where that pays.
+    """Return the trial and the methods, with a network on the best baseline if that is better.
 
     Parameters
     ----------
-    plan : The search of its setup says whether this is wanted.
-    trial, searched : What has been found of all other methods.
-    seeds : Of the network, whose mean is scored.
+    plan : Its setup's search says whether this is wanted (`Search.bases`).
+    trial, searched : Results of all other methods.
+    seeds : Seeds of the network; their mean forecast is scored.
     work : Processes, progress and checkpoints.
     """
     record, others, setup = plan.training, plan.others, plan.setup
     networks = {f.name: f.network for f in searched.forecasters if f.network is not None}
     best, scores = trial.best_network, trial.scores
-    # What goes on in the time of one record is no base for several.
+    # A method that depends on the time since its training record is no base for several records.
     several = bool(plan.tests or others)
     able = [
         f.name
@@ -118,23 +118,23 @@ def on_baseline(
 
 
 def _on(base: str, best: Network, plan: Plan) -> Network:
-    """Return the network that is tried on a baseline, trained as the best one is."""
+    """Return the network to try on a baseline, with the settings of the best network."""
     (method,) = with_base(["residual-gru-conditioned"], base)
     network, settings = plan.setup.forecaster(method).network, best.settings
     assert network is not None
     assert settings is not None
-    # One that begins as a linear model has no epochs: this one does not begin so.
+    # Settings without epochs are for networks that begin as a linear model, unlike this one.
     return network.trained_as(settings if settings.epochs else plan.setup.settings).to(best.device)
 
 
 def _affordable(
     plan: Plan, searched: SearchResult, seeds: int, work: Work, needed: bool
 ) -> tuple[list[Forecaster], dict[str, str]]:
-    """Return the networks that are tried, and why the budget does not pay for others.
+    """Return the networks to try, and why the budget is too small for others.
 
-    It has to pay for the training as well as for the trial. Those for whose trial there is no time
-    are left out by name. Where nothing else has come to a result, the first one is `needed`
-    whatever it costs and however late it is: it ends with what it has.
+    It must suffice for both trial and training. Networks without time for a trial are left out and
+    reported. If there is no other result, the first network is `needed` whatever its cost and the
+    time; the deadline then cuts its training short.
     """
     time, kept, unpaid = work.time, list[Forecaster](), dict[str, str]()
     left = searched.left - sum(searched.costs[name] for name in searched.done)

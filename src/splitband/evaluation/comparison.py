@@ -1,4 +1,4 @@
-"""Hold what forecasters did on a record, and which of them is recommended."""
+"""Hold the results of forecasters on a record, and which of them is recommended."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
-    """Hold what forecasters did on a record, and which of them is recommended.
+    """Hold the results of forecasters on a record, and which of them is recommended.
 
     Attributes
     ----------
-    plan : What was asked: record, methods, setup.
-    runs : Of each method, one for each seed.
-    trial : What they did on held-out training samples; None where none has been made.
-    attempts : What has been tried to find out how networks are trained.
-    forecasters : The methods with all that has been chosen for them, by name, not fitted.
-    time : The time that it took, and what was left out for want of time.
-    refit : The recommended method fitted to the whole record, where that was asked for.
+    plan : Record, methods and setup of the comparison.
+    runs : Runs of each method, one per seed.
+    trial : Results on held-out training samples; None without a trial.
+    attempts : Attempts of the search for training settings.
+    forecasters : The unfitted methods with their chosen settings, by name.
+    time : Time that was used, and what was left out for lack of time.
+    refit : The recommended method refitted to the whole record, if `Plan.refit`.
     """
 
     plan: Plan
@@ -59,35 +59,35 @@ class Comparison:
 
     @property
     def setup(self) -> Setup:
-        """Return what the methods shared."""
+        """Return the options that the methods share."""
         return self.plan.setup
 
     @property
     def others(self) -> tuple[Record, ...]:
-        """Return further records that were trained on."""
+        """Return the further training records."""
         return self.plan.others
 
     @property
     def tests(self) -> tuple[Record, ...]:
-        """Return records that nothing was fitted to, simulated from their first samples."""
+        """Return the test records, to which nothing was fitted."""
         return self.plan.tests
 
     @property
     def recommended(self) -> str:
-        """Return the method to use, chosen by training samples alone."""
+        """Return the name of the method to use, chosen on training samples alone."""
         return self.require_trial().recommended
 
     @cached_property
     def model(self) -> Forecaster:
         """Return the recommended method as it was trained here, ready to predict and to be saved.
 
-        It is fitted to the training part, with `refit` to the whole record. Of what is random it is
-        the mean over the seeds.
+        It is fitted to the training part, with `refit` to the whole record. A network predicts the
+        mean over its seeds.
         """
         return self.refit or self.trained()
 
     def trained(self, name: str | None = None) -> Forecaster:
-        """Return a method as it was trained on the training part; by default the recommended one.
+        """Return a method, by default the recommended one, fitted to the training part.
 
         Raises
         ------
@@ -100,10 +100,10 @@ class Comparison:
         return handed_out(self.runs.models[name], self.require_trial().held_out.get(name))
 
     def forecaster(self, name: str | None = None) -> Forecaster:
-        """Return a method as it was trained here, not fitted: to be fitted to a record and saved.
+        """Return a method with its chosen settings, not fitted, to be fitted to a record and saved.
 
-        Of what is random it is the mean of the same seeds. Fitted with seed 0 to the training part,
-        it says what it has said here.
+        A network is the mean over the same seeds. Fitted with seed 0 to the training part, a method
+        repeats its predictions of this comparison.
 
         Parameters
         ----------
@@ -121,12 +121,12 @@ class Comparison:
 
     @cached_property
     def means(self) -> dict[str, Run]:
-        """Return the mean over seeds of each method, which is what is handed out."""
+        """Return the mean of each method's runs over its seeds, by name."""
         return {name: mean_run(self.plan, runs) for name, runs in self.runs.items()}
 
     @property
     def left_out(self) -> list[str]:
-        """Return methods that have nothing to say about the test records."""
+        """Return the methods that cannot simulate the test records."""
         return [name for name, mean in self.means.items() if self.tests and not mean.tests]
 
     @cached_property
@@ -143,29 +143,30 @@ class Comparison:
     def table(self) -> pd.DataFrame:
         """Return a row for each method, with the columns that `splitband compare` shows.
 
-        Errors are of the mean of the seeds' predictions, each channel by itself; columns that end
-        in "spread" hold the standard deviation of the seeds' errors.
+        Errors are those of the mean prediction over seeds, for each channel; columns that end in
+        "spread" hold the standard deviation of the seeds' errors.
         """
         table: pd.DataFrame = provided("table")(self)
         return table
 
     def covers(self, name: str) -> float:
-        """Return the share of the measured samples that a method's interval holds, 0 to 1.
+        """Return the share of the forecast's measured samples inside a method's interval, 0 to 1.
 
-        NaN where there is no forecast.
+        NaN without a forecast.
         """
         errors = self.record.seen[self.setup.train :] - self.means[name].ahead
         return self.require_trial().intervals[name].coverage(errors) if len(errors) else np.nan
 
     def coverages(self, name: str) -> tuple[float, ...]:
-        """Return `covers` of each channel by itself."""
+        """Return `covers` for each channel."""
         errors = self.record.seen[self.setup.train :] - self.means[name].ahead
         return self.require_trial().intervals[name].coverages(errors)
 
     def residual_tests(self, name: str | None = None) -> tuple[ResidualTests, ...]:
         """Test the residuals of a method on samples that nothing was fitted to.
 
-        That is on the first test record, or else on the forecast; none where there is neither.
+        These are those of the first test record, or else of the forecast. The result is empty where
+        there are fewer than 2 `LAGS` of them.
 
         Parameters
         ----------
@@ -181,7 +182,7 @@ class Comparison:
 
     @property
     def inputs_beyond_training(self) -> list[Extrapolation]:
-        """Return which inputs after the training part go beyond those that were trained on."""
+        """Return the inputs after the training part that exceed their range in training."""
         u, training = self.record.u, [self.plan.training, *self.others]
         seen = [record.u for record in training if record.u is not None]
         return [] if u is None else extrapolations(*input_range(seen), u[self.setup.train :])
@@ -216,5 +217,5 @@ class Comparison:
         provided("results")(self, Path(folder))
 
     def report(self, path: str | Path) -> None:
-        """Write one HTML file with summary, table, plots to zoom into and settings, to send on."""
+        """Write one self-contained HTML file with summary, table, zoomable plots and settings."""
         provided("page of a comparison")(self, path)

@@ -1,4 +1,4 @@
-"""Estimate what a training costs, in seconds of a reference core, and what these take here."""
+"""Estimate the cost of a training in seconds of a reference core, and this machine's speed."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from splitband.runtime.threads import one_thread
 from splitband.training.quasi_newton import samples_in_a_step
 
 FOR_TRAINING, STARTING = 0.4, 8.0
-"""Share of a budget of wall time that is planned for networks, and the seconds of it in which the
-command begins and writes its results. The rest is for all other work, and for what trainings take
-longer than estimated. By eye, held against `python -m benchmarks.budget`."""
+"""Share of a wall-time budget that is planned for training networks, and seconds reserved for
+starting the command and writing its results. The rest is for other work, and for trainings that
+take longer than estimated. By eye, checked with `python -m benchmarks.budget`."""
 REFERENCE_SIZE, REFERENCE_BATCH, REFERENCE_STEPS = 32, 25, 400
-"""Hidden units, windows and samples of the gradient by which a machine's speed is measured.
+"""Hidden units, windows and samples of the gradient whose run time measures a machine's speed.
 By eye."""
 SAMPLE, WEIGHT = 0.09e-6, 0.25e-9
-"""Seconds of a reference core for a sample, forwards and backwards, and as much more per weight."""
+"""Seconds of a reference core per sample (forward and backward pass), and per sample and weight."""
 GRADIENT = 4e-3
-"""Seconds of a reference core for each gradient besides that, however small it is."""
+"""Fixed overhead of each gradient, in seconds of a reference core."""
 QUICK = 0.5
-"""Seconds of a reference core for a fit in closed form, for progress bars. By eye."""
+"""Seconds of a reference core for a closed-form fit, for progress bars. By eye."""
 EVALUATIONS = 1.2
-"""Gradients to an iteration of L-BFGS."""
+"""Gradients per iteration of L-BFGS."""
 
 
 def reference_seconds(wall: float, cores: int) -> float:
-    """Return the work that is planned for a wall time on so many cores, in s of a reference core.
+    """Return the work to plan for a wall time on so many cores, in seconds of a reference core.
 
-    The speed of a core is rounded to half a power of two, so that the same machine mostly gives the
-    same answer. It is as much as is done well before the time is over, so that the work and not the
-    clock decides what is tried, unless the machine is busy.
+    The measured speed is rounded to a power of the square root of two, so that the same machine
+    mostly plans the same work. The plan ends well before the time is over, so that results do not
+    depend on the clock unless the machine is busy.
     """
     rounded = 2 ** (round(2 * math.log2(speed())) / 2)
     return FOR_TRAINING * max(wall - STARTING, wall / 2) * cores * rounded
@@ -47,7 +47,7 @@ def reference_seconds(wall: float, cores: int) -> float:
 
 @cache
 def speed() -> float:
-    """Return how fast a core of this machine is, by the time of a gradient; the reference is 1."""
+    """Measure the speed of a core of this machine on a gradient; the reference core has 1."""
     network = GRU(REFERENCE_SIZE)
     y = torch.zeros(REFERENCE_BATCH, REFERENCE_STEPS, 1)
     took = []
@@ -62,7 +62,7 @@ def speed() -> float:
 
 
 def job_cost(forecaster: Forecaster, question: Question) -> float:
-    """Return the seconds of a reference core to fit a forecaster and ask it, roughly."""
+    """Estimate the cost of the fits that a question needs, in seconds of a reference core."""
     samples = max(origin.fitted for origin in question.origins)
     network = forecaster.of_one_seed.network
     if network is None or network.settings is None:
@@ -70,12 +70,12 @@ def job_cost(forecaster: Forecaster, question: Question) -> float:
     try:
         each = training_cost(network, question.record[:samples], question.others)
         return len(forecaster.seeds) * each
-    except ValueError:  # it cannot be built for such a record: its fit says why, at no cost
+    except ValueError:  # it cannot be built for such a record; its fit reports why, at no cost
         return 0.0
 
 
 def training_cost(network: Network, record: Record, others: Sequence[Record]) -> float:
-    """Return the seconds of a reference core of a training, and of that of a network below."""
+    """Estimate the cost of a training and of its base network's, in seconds of a reference core."""
     base = None if network.base is None else network.base.network
     below = 0.0 if base is None else training_cost(base, record, others)
     assert network.settings is not None

@@ -1,4 +1,4 @@
-"""Forecast what comes after the end of a record, by the method that is recommended."""
+"""Forecast beyond the end of a record with the recommended method."""
 
 from __future__ import annotations
 
@@ -28,17 +28,18 @@ from splitband.runtime.provided import provided
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Forecast:
-    """Hold what comes after the end of a record.
+    """Hold a forecast beyond the end of a record.
 
     Attributes
     ----------
-    plan : What was asked: record, methods, setup.
-    model : The recommended method, fitted to the whole record: to predict and to be saved.
+    plan : Record, methods and setup of the forecast.
+    model : The recommended method, fitted to the whole record, ready to predict and to be saved.
     prediction : Its forecast, the mean over seeds, with the interval.
-    trial : What was tried, and how it did.
-    description : What its fit has settled on.
-    leaves : Samples before the forecast leaves the range of the training samples by far.
-    inputs_beyond_training : Which inputs to come go beyond those that were trained on.
+    trial : Results of all methods on held-out samples.
+    description : What its fit has chosen, in words.
+    leaves : Samples before a seed's forecast leaves the range of `metrics.leaves_range`; None if it
+        does not.
+    inputs_beyond_training : Future inputs that exceed their range in training.
     time : See `Comparison`.
     """
 
@@ -53,12 +54,12 @@ class Forecast:
 
     @property
     def forecaster(self) -> Forecaster:
-        """Return the recommended method, not fitted: to be fitted again."""
+        """Return the recommended method, not fitted, for further fits."""
         return self.model.clone()
 
     @property
     def record(self) -> Record:
-        """Return the record that it goes on from."""
+        """Return the record that is continued."""
         return self.plan.record
 
     @property
@@ -80,7 +81,7 @@ class Forecast:
         return f"<p>{escape(repr(self))}</p>{self.prediction._repr_html_()}"
 
     def report(self, path: str | Path) -> None:
-        """Write one HTML file with the forecast, what was tried and settings, to send on."""
+        """Write one self-contained HTML file with the forecast, the trial and the settings."""
         provided("page of a forecast")(self, path)
 
 
@@ -92,20 +93,20 @@ def forecast(
     work: Work | None = None,
     **options: Any,
 ) -> Forecast:
-    """Forecast beyond the end of a record, by the method that its last quarter recommends.
+    """Forecast beyond the end of a record with the method that does best on its last quarter.
 
     Parameters
     ----------
-    record : All of it is trained on. Its known inputs, and its simulator's output, must reach
+    record : The training record, all of it. Its known inputs and its simulator's output must reach
         `steps` samples beyond it (`u_beyond`, `beyond`).
-    steps : How many samples.
+    steps : Number of samples to forecast.
     methods, work : See `compare`.
     options : Further arguments of `plan`: others, seeds, setup.
 
     Raises
     ------
     ValueError
-        As `compare`, and where inputs or simulator do not reach so far.
+        As `compare`, and if inputs or the simulator's output end too early.
 
     Examples
     --------
@@ -119,13 +120,13 @@ def forecast(
 
 
 def run_forecast(plan: Plan, work: Work | None = None) -> Forecast:
-    """Forecast what lies beyond the record of a plan, all of which is trained on."""
+    """Forecast beyond the record of a plan that trains on all of it."""
     record, steps = plan.record, plan.horizon
     origin = Origin(plan.train, plan.train)
     question = Question(record, [origin], plan.train + steps, plan.others, keep=True)
     with begun(plan, work).staffed() as staff:
         trial, searched = choose(plan, staff)
-        # Training is slow: of the networks, only the best one is trained on all of the record.
+        # Training is slow: only the best network is trained on the whole record.
         fitted = [m for m in searched.forecasters if m.name in trial.errors]
         fitted = [m for m in fitted if not m.random or m.name == trial.best_network]
         questions = {method.name: question for method in fitted}

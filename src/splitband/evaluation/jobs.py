@@ -1,4 +1,4 @@
-"""Fit and ask forecasters, each with each seed: a job each, wherever jobs are carried out."""
+"""Fit forecasters and compute their forecasts: one job per forecaster and seed, in any process."""
 
 from __future__ import annotations
 
@@ -22,22 +22,23 @@ from splitband.runtime.processes import over
 from splitband.training import Checkpoint, Progress
 
 REMEMBERED: tuple[Remembered[Any], ...] = (CALIBRATIONS, ESTIMATES)
-"""What jobs are told of that has been computed before."""
+"""Caches whose results are sent to the jobs."""
 LATE = "left out, as the time was over"
 FAILED = 2.0
 """A seed whose error is above this multiple of the lowest seed's has failed."""
 PATIENCE = 2.0
-"""Seconds after its deadline, and what the forecasts take, until a job is given up."""
+"""Seconds that a job may run past its deadline, plus the time of its forecasts, until it is given
+up."""
 
 Key = tuple[str, int]
 """A job: the name of a forecaster, and a seed."""
 Seeds = Sequence[int] | Mapping[str, Sequence[int]]
-"""The seeds of every forecaster, or by name where these differ."""
+"""The seeds of all forecasters, or by name where they differ."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Report that a forecaster could not be fitted with one seed, why, and if for want of time."""
+    """Report why a forecaster could not be fitted with one seed; `late`: for lack of time."""
 
     method: str
     seed: int
@@ -46,15 +47,15 @@ class Failure:
 
 
 def reasons(failures: Sequence[Failure], done: Container[str]) -> dict[str, str]:
-    """Return why, of each method that is not among those `done`; its first failure counts."""
+    """Return the reason of the first failure of each method that is not in `done`."""
     return {f.method: f.reason for f in failures[::-1] if f.method not in done}
 
 
 @dataclass(frozen=True)
 class FitOutcome:
-    """Say what became of a job: what was forecast, or why it failed.
+    """Hold the outcome of a job: its forecasts, or why it failed.
 
-    `seconds` it took; `fresh`: it trained from the beginning to the end, so that this is the pace.
+    `seconds`: its run time; `fresh`: it trained from start to end, so that this measures the pace.
     """
 
     backtest: Backtest | None = None
@@ -64,23 +65,23 @@ class FitOutcome:
 
     @property
     def cut(self) -> bool:
-        """Return whether the deadline has changed it."""
+        """Return whether the deadline has changed the outcome."""
         late = self.failure is not None and self.failure.late
         return late or (self.backtest is not None and self.backtest.report.cut)
 
 
 @dataclass(frozen=True, eq=False)
 class FitJobs:
-    """Hold what the jobs of a stage share; called with one of them, in whatever process.
+    """Hold what the jobs of a stage share; a call runs one of them, in any process.
 
     Attributes
     ----------
     forecasters, questions : By name.
-    known : What has been computed before, of each kind in `REMEMBERED`.
-    deadline : When trainings end with what they have.
-    checkpoints : A folder, which is used where it is seen.
-    stage : What progress is reported as; None where nobody is told of it.
-    needed : The job that is begun however late it is.
+    known : Results of each cache in `REMEMBERED`.
+    deadline : When trainings stop and keep the weights that they have then.
+    checkpoints : Folder of checkpoints; a worker that cannot see it trains without.
+    stage : Stage named in progress reports; None: no reports.
+    needed : Job that starts even after the deadline.
     """
 
     forecasters: Mapping[str, Forecaster]
@@ -92,10 +93,10 @@ class FitJobs:
     needed: Key | None
 
     def __call__(self, job: Key, report: Callable[[RunProgress], None]) -> tuple[Key, FitOutcome]:
-        """Carry out a job."""
+        """Run a job."""
         began, (name, seed) = now(), job
         forecaster, question, stage = self.forecasters[name], self.questions[name], self.stage
-        # What needs no training is begun however late it is, so that there is a result.
+        # Methods that are not trained start even after the deadline, so that there is a result.
         if self.deadline.over and forecaster.random and job != self.needed:
             return job, FitOutcome(failure=Failure(name, seed, LATE, late=True))
         for each, results in zip(REMEMBERED, self.known, strict=True):
@@ -115,7 +116,7 @@ class FitJobs:
 
 
 def checkpoint_path(folder: Path, name: str, seed: int) -> Path:
-    """Return the file from which a training that was cut off goes on."""
+    """Return the file from which an interrupted training resumes."""
     name = re.sub(r"[^\w.-]", "_", name)
     return folder / f"{name}-{seed}.safetensors"
 
@@ -148,10 +149,10 @@ def run_all(
     work: Work,
     need_one: bool = True,
 ) -> tuple[dict[str, dict[int, Backtest]], list[Failure]]:
-    """Return what each forecaster says with each seed, by name, and what could not be fitted.
+    """Return the forecasts by method and seed, and the failures.
 
-    `questions` are by name, too. A forecaster that is not random is fitted once. With `need_one`,
-    ValueError is raised when nothing could be fitted at all.
+    `questions` are by name. A forecaster that is not random is fitted once. With `need_one`,
+    ValueError is raised if no forecaster could be fitted.
     """
     jobs = {f.name: [(f.name, seed) for seed in _seeds_of(f, seeds)] for f in forecasters}
     ready: dict[str, Forecaster] = {}
@@ -162,8 +163,8 @@ def run_all(
         except ValueError as error:
             for job in jobs[f.name]:
                 done[job] = FitOutcome(failure=Failure(*job, str(error)))
-    # Of each method one seed first. Networks take longest: no process is left with one of them at
-    # the end.
+    # Networks first, as they take longest: no process is left with one at the end. Among them, the
+    # first seed of every method precedes all second ones.
     todo = [job for name in ready for job in jobs[name]]
     todo.sort(key=lambda job: (not ready[job[0]].random, jobs[job[0]].index(job)))
     done |= _carried_out(ready, questions, todo, work, need_one)
@@ -191,7 +192,7 @@ def _carried_out(
     work: Work,
     need_one: bool,
 ) -> dict[Key, FitOutcome]:
-    """Return what became of each job; what is not done long after the deadline is given up."""
+    """Return the outcome of each job; jobs that run far past the deadline are given up."""
     time, checkpoints = work.time, None
     if work.checkpoints is not None:
         checkpoints = Path(work.checkpoints).absolute()
@@ -207,7 +208,7 @@ def _carried_out(
     )
     costs = {name: job_cost(f, questions[name]) for name, f in forecasters.items()}
     watch = _Watch(work, {job: costs[job[0]] for job in jobs})
-    # What needs no training looks at the deadline by itself, and is what there is in any case.
+    # Jobs without training check the deadline themselves, and their results are always needed.
     patience = Deadline()
     if any(f.random for f in forecasters.values()):
         patience = Deadline(work.deadline.at + PATIENCE + time.pace.asking)
@@ -231,9 +232,9 @@ def _seeds_of(forecaster: Forecaster, seeds: Seeds) -> Sequence[int]:
 
 
 def _prepared(forecaster: Forecaster, asked: Question, work: Work) -> Forecaster:
-    """Return it with what all of its jobs share computed here, once for all processes.
+    """Return the forecaster after computing, once, what all of its jobs share.
 
-    Raises ValueError where a simulator of its own fails.
+    Raises ValueError if the forecaster's own simulator fails.
     """
     fits = sorted({origin.fitted for origin in asked.origins})
     record, ahead = asked.record[: fits[-1]], asked.end - fits[-1]
@@ -242,11 +243,11 @@ def _prepared(forecaster: Forecaster, asked: Question, work: Work) -> Forecaster
     except ValueError:
         if not asked.tests:
             raise
-        # It may only fail for test records, and is not asked about them then.
+        # It may fail for the test records only, which are then left out.
         forecaster = forecaster.simulated(record, ahead, *asked.others)
     # These errors are not lost: the job that needs the result computes it again and reports them.
     workers, folder = work.executor or work.jobs, work.checkpoints
-    first_half = Deadline.after(HALF * work.deadline.left)  # the rest is for what is built on it
+    first_half = Deadline.after(HALF * work.deadline.left)  # the rest is for the jobs
     with suppress(ValueError, OverError), within(first_half):
         for samples in fits:
             training = [asked.record[:samples], *asked.others]
@@ -255,14 +256,14 @@ def _prepared(forecaster: Forecaster, asked: Question, work: Work) -> Forecaster
 
 
 class _Watch:
-    """Tell what is done of a stage, as a share of the whole command."""
+    """Report the progress of a stage, as a share of the whole command."""
 
     def __init__(self, work: Work, costs: Mapping[Key, float]) -> None:
         self._work, self._costs = work, costs
         self._shares: dict[Key, float] = {}
 
     def report(self, at: RunProgress) -> None:
-        """Tell of an epoch."""
+        """Report an epoch."""
         self._shares[at.method, at.seed] = at.share
         if self._work.progress is None:
             return
@@ -272,7 +273,7 @@ class _Watch:
         self._work.progress(replace(at, overall=first + min(share, 1.0) * (last - first)))
 
     def finished(self, job: Key) -> None:
-        """Tell of a job that has no epochs, too."""
+        """Report the end of a job, which may have had no epochs."""
         if self._shares.get(job, 0.0) < 1.0:
             self.report(RunProgress(*job, 1.0, float("nan"), self._work.stage))
 
@@ -284,9 +285,9 @@ def failed_seeds(
 
     Parameters
     ----------
-    reports : Of their fits, by seed.
-    errors : Of their simulations of the training record; by default the last training losses of
-        all networks together, which can be compared where all are trained alike.
+    reports : Fit reports by seed.
+    errors : Errors of the simulations of the training record, by seed. By default the last training
+        losses of all networks together, which are comparable if all seeds are trained alike.
     """
     stable = [seed for seed, report in reports.items() if report.stable]
     failed = dict.fromkeys(reports.keys() - stable, "it is unstable, and may grow without bound")

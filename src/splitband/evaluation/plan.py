@@ -1,4 +1,4 @@
-"""Decide all of a comparison, and check it, before anything is computed."""
+"""Plan and check a whole comparison before anything is computed."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from splitband.runtime.arguments import whole
 from splitband.simulators.identification import check_runs
 
 TRAINING_SHARE = 0.75
-"""The share of a record to train on, where no number of samples is given."""
+"""Default share of a record to train on."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Say what is to be computed, decided and checked; `run` computes it.
+    """Hold all decisions of a comparison; `run` computes it.
 
     Attributes
     ----------
-    record : What was measured, up to the last sample that is predicted of it.
-    methods : Forecasters, with nothing left open but what a search may change.
-    setup : What they share.
+    record : The measured record, up to its last sample to predict.
+    methods : Forecasters, complete but for what a search may change.
+    setup : Options that they share.
     horizon : Samples to forecast beyond the training part.
     others : Further records to train on.
-    tests : Records that nothing is fitted to, each with a name of its own.
-    seeds : Trainings of each network; None where the search decides.
-    refit : Whether the recommended method is handed out fitted to the whole record.
+    tests : Records that nothing is fitted to, with distinct names.
+    seeds : Number of trainings of each network; None: the search decides.
+    refit : Whether the recommended method is refitted to the whole record.
     """
 
     record: Record
@@ -53,13 +53,13 @@ class Plan:
         others: Sequence[Record] = (),
         tests: Sequence[Record] = (),
     ) -> Plan:
-        """Return a plan of what has been decided by hand, to the end of the record, unchecked."""
+        """Return an unchecked plan with the given parts and a forecast to the record's end."""
         horizon = len(record) - setup.train
         return cls(record, tuple(methods), setup, horizon, tuple(others), tuple(tests))
 
     @property
     def train(self) -> int:
-        """Return how many samples at the beginning of the record are trained on."""
+        """Return the length of the training part, in samples."""
         return self.setup.train
 
     @property
@@ -85,38 +85,37 @@ def plan(
     setup: Setup | Options | None = None,
     refit: bool = False,
 ) -> Plan:
-    """Decide what a comparison computes, and find what is wrong with it.
+    """Plan a comparison, and check records, methods and settings.
 
     Parameters
     ----------
-    record : What was measured, and known beside it.
-    train : Samples to train on, by default three quarters; with `tests` all.
-    methods : Forecasters, or names of those that have one (`splitband methods`); what they leave
-        open is as in `setup`. By default what is worth comparing on such a record. How the first
-        network is trained is searched most thoroughly.
-    horizon : Samples to predict after the training part, by default to the end of the record. Where
-        all of the record is trained on, they lie beyond it, as far as its inputs and its
-        simulator's output are known (`u_beyond`, `beyond`); 0 is for fitting alone.
+    record : The measured record, with its inputs and simulator's output, if any.
+    train : Samples to train on, by default those of `setup`, or three quarters; with `tests` all.
+    methods : Forecasters, or names (`splitband methods`); `setup` supplies what they leave open. By
+        default the methods worth comparing on such a record. The settings of the first network are
+        searched most thoroughly.
+    horizon : Samples to predict after the training part, by default to the end of the record. If
+        the whole record is trained on, they lie beyond it, as far as its inputs and its simulator's
+        output are known (`u_beyond`, `beyond`); 0 is for fitting alone.
     others : Further records of the same system, to train on.
-    tests : Records of the same system that nothing is fitted to: each is simulated to its end by
-        what warms up on its first samples.
-    seeds : Trainings of each network; by default as many as the budget of the search pays for, and
-        `SEEDS` of what is not searched.
-    setup : Settings, bands and sizes, as far as they are decided (`Options`) or all of them
-        (`Setup`); by default they are chosen by the training samples, and how networks are trained
-        by trials on the last quarter of them, within two minutes.
-    refit : Whether the recommended method is handed out fitted to the whole record, in place of
-        the training part.
+    tests : Records of the same system that nothing is fitted to; each is simulated to its end after
+        a warm-up on its first samples.
+    seeds : Number of trainings of each network; by default as many as the budget of the search
+        allows, and `SEEDS` without a search.
+    setup : Settings, bands and sizes: all of them (`Setup`) or some (`Options`). The rest is chosen
+        from the training samples; training settings by trials on the last quarter of them, within
+        two minutes.
+    refit : Whether the recommended method is refitted to the whole record at the end.
 
     Returns
     -------
     Plan
-        For `run`; nothing has been fitted yet.
+        For `run`; no method has been fitted yet.
 
     Raises
     ------
     ValueError
-        For what is wrong with records, methods, settings and numbers of samples.
+        For invalid records, methods, settings or numbers of samples.
     """
     require_records("record", record)
     for name, several in (("others", others), ("tests", tests)):
@@ -157,10 +156,10 @@ def check_train(record: Record, train: int, horizon: int = 1) -> None:
 
 
 def check(plan: Plan) -> None:
-    """Find what is wrong with a plan, but for the trial on held-out samples.
+    """Check a plan, except for the trial on held-out samples.
 
-    A method that cannot be fitted does not keep the others from it: its reason is raised only where
-    none can be, and is in its row otherwise.
+    A method that cannot be fitted does not stop the others: its row gives the reason, which is
+    raised only if no method can be fitted.
     """
     if not plan.methods:
         raise ValueError("methods must be one or several, got none")
@@ -182,7 +181,7 @@ def check(plan: Plan) -> None:
 
 
 def _reaching(record: Record, train: int, horizon: int | None, tested: bool) -> tuple[Record, int]:
-    """Return the record to its last sample that is predicted, and how many are not trained on."""
+    """Return the record up to its last sample to predict, and the horizon."""
     beyond = horizon is not None and train == len(record)
     check_train(record, train, 0 if tested or beyond or horizon == 0 else 1)
     if horizon is None:
@@ -241,7 +240,7 @@ def _check_test(test: Record, plan: Plan) -> None:
 
 
 def _check_trial(plan: Plan) -> None:
-    """Find what is wrong with the trial on the last quarter of the training part."""
+    """Check the trial on the last quarter of the training part."""
     part = replace(plan.training, y_true=None)
     setup = replace(plan.setup, train=held_out_from(plan.train))
     shorter = tuple(for_trial(f, plan.train) for f in plan.methods)
@@ -255,7 +254,7 @@ def _check_trial(plan: Plan) -> None:
 
 
 def _called_apart(tests: Sequence[Record]) -> tuple[Record, ...]:
-    """Return the test records, each with a name of its own: those that share one are counted."""
+    """Return the test records with distinct names, numbered where names are equal or missing."""
     names: list[str] = []
     for i, test in enumerate(tests):
         name, count = test.name or str(i + 1), 1

@@ -1,4 +1,4 @@
-"""Compare forecasters on a record, under both protocols.
+"""Compare forecasters on a record, under three protocols.
 
 *From the start*: warm up on the first R samples, simulate to the end; the error counts everything
 after the warm-up. *Forecast*: warm up on the last R training samples, simulate beyond them. *Test
@@ -33,7 +33,7 @@ class Errors:
     ----------
     total : From the start.
     forecast : Of the forecast; None where the training part is the whole record.
-    tests : Of each test record; none for what has nothing to say about other records.
+    tests : Of each test record; empty for methods that cannot simulate other records.
     """
 
     total: float
@@ -48,7 +48,7 @@ class Errors:
         forecast: Prediction | None,
         tests: Sequence[Prediction],
     ) -> Errors:
-        """Return those of predictions, against the truth where it is known."""
+        """Return the errors of predictions, against the noise-free truth where it is known."""
         truth = plan.record.truth
         total = rmse(truth[-len(from_start) :], from_start.y)
         ahead = None if forecast is None else rmse(truth[plan.train :], forecast.y)
@@ -58,20 +58,20 @@ class Errors:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Hold what one forecaster with one seed did, under every protocol.
+    """Hold the predictions of one forecaster with one seed under every protocol, and their errors.
 
     Attributes
     ----------
     method : The forecaster's name.
-    errors : Of the predictions.
-    from_start, forecast : To the end of the record; no forecast without samples after the training
-        part.
-    tests : Of the test records, to their ends.
+    errors : Errors of the predictions.
+    from_start, forecast : Predictions to the end of the record; no forecast without samples after
+        the training part.
+    tests : Simulations of the test records, to their ends.
     leaves : Samples of the forecast before it leaves the range of the training part, see
         `leaves_range`; None where it does not.
-    fit : What the fit did.
-    description : What it has settled on, and what went wrong.
-    unfiltered : What the filters of a model were fed with, from the start.
+    fit : Report of the fit.
+    description : What the fit has chosen, and what went wrong, in words.
+    unfiltered : Signals before a model's filters, in the simulation from the start.
     """
 
     method: str
@@ -101,7 +101,7 @@ class Run:
 
     @property
     def ahead(self) -> Array:
-        """Return the values of the forecast, `(time, ny)`, none where there is none."""
+        """Return the values of the forecast, `(time, ny)`; empty without a forecast."""
         return self.from_start.y[:0] if self.forecast is None else self.forecast.y
 
 
@@ -113,7 +113,7 @@ class Runs(dict[str, list[Run]]):
     Attributes
     ----------
     failures : The runs that failed.
-    models : What was fitted, of each method one for each run.
+    models : The fitted forecasters of each method, one per run.
     """
 
     def __init__(
@@ -127,12 +127,12 @@ class Runs(dict[str, list[Run]]):
 
     @property
     def ahead(self) -> dict[str, list[Array]]:
-        """Return what each seed of the methods forecast, see `Run.ahead`."""
+        """Return the forecasts of all seeds by method, see `Run.ahead`."""
         return {method: [run.ahead for run in runs] for method, runs in self.items()}
 
     @property
     def failed(self) -> dict[str, str]:
-        """Return why, of each method that has no run."""
+        """Return the reasons why methods have no run, by name."""
         return reasons(self.failures, self)
 
     def __missing__(self, method: str) -> list[Run]:
@@ -140,7 +140,7 @@ class Runs(dict[str, list[Run]]):
 
 
 def question_of(plan: Plan, forecaster: Forecaster) -> Question:
-    """Return both protocols; nothing is forecast where all of the record is trained on."""
+    """Return the predictions that all protocols need; no forecast if all samples are trained on."""
     record, train, warmup = plan.record, plan.train, plan.setup.settings.warmup
     first = first_origin(record, train, forecaster.warmup or warmup)
     origins = [first, Origin(train, train)][: 1 + (train < len(record))]
@@ -155,7 +155,7 @@ def runs_of(
     backtests: Mapping[str, Mapping[int, Backtest]],
     failures: Sequence[Failure],
 ) -> Runs:
-    """Return what methods have said, by name and seed, with its errors."""
+    """Return the predictions and their errors by method and seed."""
     runs = {
         name: [as_run(plan, name, questions[name], each) for each in done.values()]
         for name, done in backtests.items()
@@ -168,7 +168,7 @@ def runs_of(
 
 
 def as_run(plan: Plan, name: str, question: Question, done: Backtest) -> Run:
-    """Return what a forecaster has said, with its errors."""
+    """Return the predictions of one fit with their errors."""
     ahead = Origin(plan.train, plan.train)
     # The first warm-up without a gap may lie after the training part.
     first = next((origin for origin in question.origins if origin != ahead), ahead)
@@ -183,7 +183,7 @@ def as_run(plan: Plan, name: str, question: Question, done: Backtest) -> Run:
 def models_of(
     plan: Plan, backtests: Mapping[str, Mapping[int, Backtest]]
 ) -> dict[str, list[Forecaster]]:
-    """Return what was fitted; all share the plan's records, whatever process they come from."""
+    """Return the fitted forecasters by method; all of them share the plan's records."""
     models: dict[str, list[Forecaster]] = {}
     for name, of_seeds in backtests.items():
         models[name] = [each.model for each in of_seeds.values() if each.model is not None]
@@ -195,7 +195,7 @@ def models_of(
 
 
 def mean_run(plan: Plan, runs: Sequence[Run]) -> Run:
-    """Return the mean of the predictions of several seeds, with its own errors."""
+    """Return the mean prediction over several seeds, with the errors of the mean."""
     first = runs[0]
     if len(runs) == 1:
         return first
@@ -212,8 +212,8 @@ def mean_run(plan: Plan, runs: Sequence[Run]) -> Run:
 def without_failed(runs: Runs, training: Record) -> Runs:
     """Return the runs and the models without the seeds that failed on the training record.
 
-    What counts is the error of a free run from its first samples to its end. The description of a
-    method's first run says which seeds have been left out.
+    A seed fails if it is unstable, or by its error in simulating the training record from the
+    start, see `failed_seeds`. The description of a method's first run names the seeds left out.
     """
     kept, models = {}, {}
     for name, each in runs.items():
@@ -238,7 +238,7 @@ def _from_start(run: Run, training: Record) -> float:
 
 
 def _noted(runs: Sequence[Run], *notes: str) -> list[Run]:
-    """Return the runs of a method; the description of the first one says what is to be noted."""
+    """Return the runs of a method, with notes added to the description of the first one."""
     if not notes:
         return [*runs]
     first, *rest = runs

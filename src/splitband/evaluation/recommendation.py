@@ -1,6 +1,6 @@
-"""Try methods out on the end of the training part, to recommend one and say how sure it is.
+"""Score methods on the held-out end of the training part, to recommend one, with its interval.
 
-Not in the paper. No measured sample after the training part is looked at.
+Not in the paper. No measured sample after the training part is used.
 """
 
 from __future__ import annotations
@@ -31,37 +31,36 @@ from splitband.metrics import channel_rmse
 Array = npt.NDArray[np.float64]
 
 LEVEL = 0.9
-"""Share of the samples that an interval should hold, 0 to 1. A convention."""
+"""Share of the samples that an interval should cover, 0 to 1. A convention."""
 MOST_TRIAL_SEEDS = 2
-"""Seeds of each network that are tried out, where more are asked for in the end. It bounds the
-time. By eye."""
+"""Largest number of seeds of each network in the trial, which bounds its time. By eye."""
 WORTH_TRAINING = 0.1
-"""By how much a network's score must be lower than that of what needs no training. By eye."""
+"""Share of its score by which a network must beat a baseline. By eye."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """Say how each method did on the held-out last quarter of the training samples.
+    """Hold the results of each method on the held-out last quarter of the training samples.
 
-    Of a network that is trained with several seeds, the mean of their forecasts counts.
+    Networks with several seeds are scored by the mean of their forecasts.
 
     Attributes
     ----------
-    errors : RMSE of each channel by method, fitted on the rest of the training part: of its
-        forecasts to the end of the part, together. See `backtest.held_out_origins`.
-    scores : RMSE of all channels together, each scaled to a deviation of 1.
-    trained : Which methods are.
-    final : What they forecast fitted on the whole training part, the mean of the seeds; see
+    errors : RMSE of each channel, by method: of all forecasts to the end of the training part, by
+        a fit to the samples before. See `backtest.held_out_origins`.
+    scores : RMSE of all channels together, each scaled to a standard deviation of 1.
+    trained : Methods that are trained: networks.
+    final : Mean forecast over the seeds by each method fitted to the whole training part; see
         `settled`.
     failed : Why methods could not be fitted, now or, after `settled`, on the whole training part.
-    left_out : Methods that are not recommended if there is another one: they have nothing to say
-        about the test records.
-    held_out : Errors of those forecasts and, of what needs no training, of longer ones, by method:
-        intervals of any level follow from them.
-    early : What each network forecast of the samples after the training part, `(time, ny)` from
-        each beginning, fitted on what comes before.
-    doubt : After `settled`, by network: the size of its forecast's change since, `(time, ny)`,
-        together with the deviation of its seeds.
+    left_out : Methods that cannot simulate the test records; they are recommended only if there is
+        no other.
+    held_out : Errors of these forecasts by method, for baselines also of earlier, longer ones:
+        intervals of any level are computed from them.
+    early : Forecasts of the samples after the training part by each network fitted to the first
+        three quarters, `(time, ny)`, one for each held-out origin.
+    doubt : After `settled`, by network: root mean square of the change from `early` to `final`,
+        `(time, ny)`, combined with the standard deviation over seeds.
     """
 
     errors: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
@@ -75,7 +74,7 @@ class Trial:
     doubt: Mapping[str, Array] = field(default_factory=dict)
 
     def settled(self, final: Mapping[str, Sequence[Array]], failed: Mapping[str, str]) -> Trial:
-        """Return it with what the methods forecast in the end, out of which one is recommended.
+        """Return the trial with the final forecasts; only methods that have one are recommended.
 
         Parameters
         ----------
@@ -91,7 +90,7 @@ class Trial:
         return replace(self, final=means, doubt=doubt, failed={**self.failed, **failed})
 
     def joined(self, other: Trial) -> Trial:
-        """Return it with the methods of another trial of the same record."""
+        """Return the trial with the methods of another trial of the same record added."""
         return replace(
             self,
             errors={**self.errors, **other.errors},
@@ -106,19 +105,19 @@ class Trial:
     def intervals(self) -> dict[str, Interval]:
         """Return the interval around each method's forecast of the record, for `LEVEL`.
 
-        A network is tried out from one training only, which may have been a lucky one. Its interval
-        is at least as wide as its `doubt` calls for.
+        A network is trained only once for the trial, and may have been lucky. Its interval is
+        therefore at least as wide as its `doubt` requires.
         """
         found = {name: held_out.interval(LEVEL) for name, held_out in self.held_out.items()}
         return found | {name: found[name].widened(doubt) for name, doubt in self.doubt.items()}
 
     @property
     def recommended(self) -> str:
-        """Return the method of least held-out error; a network needs `WORTH_TRAINING` to win.
+        """Return the method of least held-out error; a network must win by `WORTH_TRAINING`.
 
         Of two methods that do equally well on a short held-out part, the simpler one is less likely
-        to fail later. Counting also how much a forecast changes when the held-out part is learned,
-        too, would change the result of one reported record only (docs/results/rules.md).
+        to fail later. A penalty on how much a forecast changes when the held-out part is learned as
+        well would change the result of one reported record only (docs/results/rules.md).
         """
         names = [*(self.final or self.scores)]
         able = [name for name in names if name not in self.left_out]
@@ -126,7 +125,7 @@ class Trial:
 
     @property
     def without_result(self) -> dict[str, str]:
-        """Return in words why methods have no result, failed or left out."""
+        """Return why methods have no result, in words, by name."""
         return {name: f"no result: {reason}" for name, reason in self.failed.items()}
 
     @property
@@ -136,7 +135,7 @@ class Trial:
         return min(networks, key=lambda method: self.scores[method], default=None)
 
     def worth(self, method: str) -> float:
-        """Return what methods are compared by, see `recommended`: the lower the better."""
+        """Return the score by which methods are ranked in `recommended`; lower is better."""
         return self.scores[method] * (1 + WORTH_TRAINING if method in self.trained else 1.0)
 
 
@@ -154,13 +153,13 @@ def try_out(
 
     Parameters
     ----------
-    record : The training record, and nothing else; what is known of the inputs and the
-        simulator's output of the `steps` samples after it (`u_beyond`, `beyond`).
+    record : The training part alone, with the inputs and simulator output that are known for the
+        `steps` samples after it (`u_beyond`, `beyond`).
     forecasters : With settings and bands. Long training windows shrink with the record.
-    steps : How far beyond the record is to be forecast after all.
-    seeds, work, others : Of networks, how it is computed, and the further training records.
-    done : Forecasts that have been made already, by name and seed.
-    need_one : Raise ValueError where nothing could be fitted.
+    steps : Samples beyond the record that the final forecast covers.
+    seeds, work, others : Seeds of networks, how to compute, and further training records.
+    done : Forecasts that exist already, by name and seed.
+    need_one : Raise ValueError if no forecaster could be fitted.
     """
     record, done = replace(record, y_true=None), done or {}
     shorter = [for_trial(f, len(record)) for f in forecasters]
@@ -187,6 +186,6 @@ def try_out(
 
 
 def _of_channels(errors: Sequence[Array]) -> tuple[float, ...]:
-    """Return the RMSE of each channel, of the errors `(time, ny)` of several forecasts."""
+    """Return the RMSE of each channel over the errors `(time, ny)` of several forecasts."""
     every = np.concatenate(errors)
     return tuple(map(float, channel_rmse(every, np.zeros_like(every))))

@@ -1,4 +1,4 @@
-"""Compute what has been planned: a comparison, or the fit of a single method."""
+"""Run a plan: a comparison, or the fit of a single method."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from splitband.runtime import deadlines
 from splitband.training import Checkpoint, Progress
 
 FINAL, REFIT = "final fit", "refit"
-"""The stages in which methods are fitted to the training part, and one to the whole record."""
+"""Names of the stages that fit methods to the training part, and one method to the whole record."""
 BEFORE_REFIT = 0.6
-"""Share of the time that is left for final fits which these may take, where a refit follows."""
+"""Share of the remaining time that the final fits may take if a refit follows."""
 AFTER_FINAL = 0.95
 """Share of a command that is done after the final fits, for progress bars."""
 
@@ -46,8 +46,8 @@ def compare(
 ) -> Comparison:
     """Compare forecasters on a record, as `splitband compare` does: `run(plan(record, ...))`.
 
-    Each is fitted to the first `train` samples, and for the recommendation to three quarters of
-    them.
+    Each one is fitted to the first `train` samples and, for the recommendation, to three quarters
+    of them.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def compare(
     Raises
     ------
     ValueError
-        For what `plan` finds, before anything is computed; where no method can be fitted.
+        As `plan`, before anything is computed; and if no method can be fitted.
 
     Examples
     --------
@@ -73,17 +73,17 @@ def compare(
 
 
 def run(plan: Plan, work: Work | None = None) -> Comparison:
-    """Compute what has been planned.
+    """Run a planned comparison.
 
     Parameters
     ----------
-    plan : Of `splitband.plan`.
+    plan : From `splitband.plan`.
     work : Processes, progress and checkpoints.
 
     Raises
     ------
     ValueError
-        Where no method can be fitted.
+        If no method can be fitted.
     """
     with begun(plan, work).staffed() as staff:
         trial, searched = choose(plan, staff)
@@ -109,13 +109,13 @@ def fit(plan: Plan, seed: int = 0, work: Work | None = None) -> Forecaster:
     Parameters
     ----------
     plan : With one method.
-    seed : Of initial weights and order of windows.
+    seed : Fixes initial weights and the order of windows.
     work : Processes, progress and checkpoints.
 
     Raises
     ------
     ValueError
-        For several methods, and what `Forecaster.fit` raises.
+        For several methods, and as `Forecaster.fit`.
     """
     if len(plan.methods) != 1:
         raise ValueError(f"methods must be one to be fitted, got {', '.join(plan.names)}")
@@ -144,7 +144,7 @@ def fit(plan: Plan, seed: int = 0, work: Work | None = None) -> Forecaster:
 
 
 def begun(plan: Plan, work: Work | None) -> Work:
-    """Return the work with a time budget: the caller's, or from now on what the search allows."""
+    """Return the work with a time budget: the caller's, if limited, else that of the search."""
     work, asked = work or Work(), plan.setup.search
     return work if asked is None else work.limited(asked.seconds, asked.core_seconds)
 
@@ -156,7 +156,7 @@ def last_fits(
     trial: Trial,
     work: Work,
 ) -> tuple[dict[str, dict[int, Backtest]], list[Failure]]:
-    """Fit the methods that are asked to the whole training part: networks last, the best first."""
+    """Fit the methods to the whole training part: networks last, the best of them first."""
     methods = {f.name: f for f in searched.forecasters if f.name in questions}
     quick = [f for f in methods.values() if not f.random]
     networks = [f.name for f in methods.values() if f.random]
@@ -179,9 +179,10 @@ def last_fits(
 
 
 def _asking(plan: Plan, work: Work, questions: Sequence[Question]) -> float:
-    """Return how many seconds the last forecasts take.
+    """Estimate how many seconds the last forecasts take.
 
-    A trial of the same has forecast three parts of what is held out and what lies ahead.
+    The time is scaled from a trial, whose three forecasts together have twice the length of the
+    held-out part, plus three horizons.
     """
     held_out = plan.train - held_out_from(plan.train)
     asked = max(sum(q.end - at.at for at in q.origins) + sum(map(len, q.tests)) for q in questions)
@@ -191,10 +192,10 @@ def _asking(plan: Plan, work: Work, questions: Sequence[Question]) -> float:
 def _last_trainings(
     plan: Plan, scores: Mapping[str, float], searched: SearchResult, work: Work, needed: bool
 ) -> dict[str, range]:
-    """Return the seeds of the networks that are trained on the whole training part, best first.
+    """Return the seeds of the networks to train on the whole training part, best network first.
 
-    Where there is no time for all of them, the worst ones are left out by name; not the best one
-    where it is `needed`, as there is no other method.
+    If time is short, the worst networks are left out and reported, but not the best one if it is
+    `needed`, as there is no other method.
     """
     time, left = work.time, work.time.work_until(work.deadline)
     wanted = dict.fromkeys(scores, range(SEEDS if plan.seeds is None else plan.seeds))
@@ -216,7 +217,7 @@ def _last_trainings(
 
 
 def _refitted(plan: Plan, model: Forecaster, trial: Trial, work: Work) -> Forecaster:
-    """Return a method that was handed out, fitted to the whole record as it was to its part."""
+    """Return a trained method, refitted to the whole record with the same settings and seeds."""
     samples = len(plan.record)
     method, origin = model.of_one_seed.clone(), Origin(samples, samples - 1)
     question = Question(plan.record, [origin], samples, plan.others, keep=True)

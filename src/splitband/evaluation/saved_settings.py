@@ -1,4 +1,4 @@
-"""Say how a network is trained, in a file that people read and commands write and take."""
+"""Read and write the settings of a network as a JSON file that people can edit."""
 
 from __future__ import annotations
 
@@ -30,15 +30,16 @@ Section = TypeVar("Section", Sizes, Settings, Bands)
 
 @dataclass(frozen=True)
 class SavedSettings:
-    """Hold one network, and how it is trained.
+    """Hold the method, the training settings, the bands and the sizes of one network.
 
     Attributes
     ----------
-    method : Its name.
-    settings : How it is trained.
-    bands : Which band is whose, where the method has bands; None is chosen when it is fitted.
-    sizes : Of its cells.
-    columns, inputs : Channels and inputs of the record that it is for; no `columns`: of any record.
+    method : Name of the network.
+    settings : Training settings.
+    bands : Bands of a method that filters; values that are None are chosen during the fit.
+    sizes : Sizes of the cells.
+    columns, inputs : Channels and inputs that a record must have; without `columns`, any record is
+        accepted.
     """
 
     method: str
@@ -57,7 +58,7 @@ class SavedSettings:
             )
 
     def forecaster(self) -> Network:
-        """Return the network, not fitted; a comparison trains it as it is."""
+        """Return the unfitted network; a comparison trains it without a search for settings."""
         network = named(self.method, self.sizes).with_defaults(self.settings, self.bands).network
         assert network is not None
         network.tunable = False
@@ -68,7 +69,7 @@ class SavedSettings:
         return replace(self, columns=record.columns, inputs=record.inputs)
 
     def check(self, record: Record) -> None:
-        """Raise ValueError for a record with other channels or inputs, in whatever order."""
+        """Raise ValueError for a record with other channels or inputs; any order will do."""
         pairs = ((record.columns, self.columns), (record.inputs, self.inputs))
         if self.columns and not all(same_names(sorted(a), sorted(b)) for a, b in pairs):
             raise ValueError(
@@ -95,9 +96,9 @@ class SavedSettings:
 
     @classmethod
     def of_forecaster(cls, forecaster: Forecaster) -> SavedSettings | None:
-        """Return how a network of a known name is trained; None for everything else.
+        """Return the settings of a network; None for forecasters that a file cannot describe.
 
-        Of a mean of several it is that of the first member.
+        For a mean over seeds, they are those of the first member.
         """
         network = forecaster.of_one_seed.network
         if network is None or network.settings is None or network.name not in TRAINED:
@@ -130,15 +131,15 @@ class SavedSettings:
 
     @classmethod
     def read(cls, path: str | Path) -> SavedSettings:
-        """Return what `save` wrote, or somebody by hand.
+        """Read a settings file that was written by `save` or by hand.
 
         Raises
         ------
         FileNotFoundError
             Where there is no such file.
         ValueError
-            For what is no settings file, an unknown or missing key and a value out of its range;
-            the message names file, key, rule and value.
+            For a file of another format, an unknown or missing key, or a value out of range; the
+            message names file, key, rule and value.
         """
         try:
             facts = json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=_refused)
@@ -150,7 +151,7 @@ class SavedSettings:
 
 
 def _sizes(network: Network) -> Sizes:
-    """Return the sizes of its cells; one cell has the sum of the two of a split model."""
+    """Return the sizes of a network's cells; a single cell has the sum of a split model's two."""
     cells = [getattr(network, name) for name in network.cells]
     hidden = [getattr(cell, "hidden_size", 0) for cell in cells]
     if hasattr(cells[0], "step_size"):
@@ -164,7 +165,7 @@ def _refused(constant: str) -> float:
 
 
 def _names(section: type[Section]) -> list[str]:
-    """Return the keys of a section: `Bands.choice` says why, which is no setting."""
+    """Return the keys of a section, without `Bands.choice`, which is an explanation."""
     return [each.name for each in fields(section) if each.name != "choice"]
 
 
@@ -199,7 +200,7 @@ def _section(where: str, given: Any, section: type[Section]) -> Section:
 
 
 def _value(name: str, value: Any, hint: Any) -> Any:
-    """Return a value as the type of its field has it."""
+    """Return a value as the type of its field; raises ValueError for another type."""
     if name.endswith("milestones"):
         return _milestones(name, value)
     allowed = getattr(hint, "__args__", (hint,))

@@ -1,15 +1,15 @@
-"""Find out how to train networks, by forecasts of held-out samples: successive halving.
+"""Search for training settings by successive halving, scored by forecasts of held-out samples.
 
 Not in the paper. All candidates (sizes, windows, penalties) are trained for a few iterations, the
-better half of them goes on for four times as many, and so on (Jamieson and Talwalkar, 2016), until
-longer training makes the errors larger or the budget is used up. A candidate goes on from where it
-stopped, and so does the last training, on all samples. So there is a result after the first short
-training, and what is spent on it later makes it better.
+better half of them continues for four times as many, and so on (Jamieson and Talwalkar, 2016),
+until longer training makes the errors larger or the budget is used up. A candidate continues from
+its last weights, and so does the final training, on all samples. The first short training already
+gives a result, which later rounds improve.
 
-What is tried depends on the record and on the work that may be done, counted in seconds of a
-reference core, so that the same command tries the same on every run. A limit of wall time, where
-there is one, comes before that: what would not be done by then on this machine is not begun, and
-the time budget of the command (`evaluation.budget`) says so.
+The candidates depend on the record and on the allowed work, estimated in seconds of a reference
+core, so that the same command tries the same on every run. A limit of wall time takes precedence:
+trainings that this machine would not finish in time are not started, and the time budget of the
+command (`evaluation.budget`) reports it.
 """
 
 from __future__ import annotations
@@ -34,27 +34,26 @@ CORE_SECONDS, SECONDS = 240.0, 120.0
 """The default limits of work, in seconds of a reference core, and of wall time. They belong
 together: two cores of any recent machine do the work in less than that time."""
 FIRST_ROUND, OF_OTHERS = 0.5, 0.15
-"""Shares of the search for the first round of the first method, and of all others."""
+"""Shares of the search budget for the first round of the first network, and of all others."""
 GOOD = 1.5
 """A method whose error is at most this multiple of the lowest one gets more than one seed, as far
 as the budget allows."""
 SEEDS = 3
-"""Trainings of each network, where nothing else decides how many."""
+"""Default number of trainings (seeds) of each network."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """Say how much may go into finding out how to train, and into training.
+    """Limit the work and the wall time of the search and the trainings of a comparison.
 
     Attributes
     ----------
-    core_seconds : Work for a whole comparison, in seconds of a reference core, estimated and not
-        timed, so that the same comparison finds the same on every run.
-    seconds : Of wall time for a whole comparison, however busy the machine is; None: no limit.
-        Trainings that are not done by then end with what they have, and what has not begun is left
-        out. See `within`.
-    sizes : Whether networks that go by a name may have other sizes than usual.
-    bases : Whether a network may be tried on top of a baseline that does better than all networks.
+    core_seconds : Work for a whole comparison, in seconds of a reference core. It is estimated and
+        not timed, so that the same comparison gives the same result on every run.
+    seconds : Wall time for a whole comparison; None: no limit. Trainings that still run then stop
+        with the weights that they have, and those that have not started are left out. See `within`.
+    sizes : Whether the search may change the sizes of networks given by name.
+    bases : Whether to try a network on top of a baseline that does better than all networks.
     """
 
     core_seconds: float = CORE_SECONDS
@@ -71,32 +70,32 @@ class Search:
 
     @classmethod
     def usual(cls) -> Search:
-        """Return the default: two minutes at most, of which a quiet machine needs less."""
+        """Return the default limits: at most two minutes; an idle machine needs less."""
         return cls(seconds=SECONDS)
 
     @classmethod
     def within(cls, seconds: float, cores: int | None = None) -> Search:
-        """Return what fits into so many seconds of wall time, on cores of this machine.
+        """Return the limits for so many seconds of wall time on cores of this machine.
 
-        Its speed is measured once, and as much work is planned as is done well before the time is
-        over.
+        The machine's speed is measured once, and the work is planned to end well before the time
+        is over.
         """
         return cls(reference_seconds(seconds, cores or available_cores()), seconds)
 
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """Hold how each network is to be trained, what has been tried, and what it has cost.
+    """Hold the chosen settings of each network, the attempts, and the costs.
 
     Attributes
     ----------
-    forecasters : Those that were given, each network as it is to be trained.
-    attempts : All that has been tried, in that order.
-    done : Of the chosen networks, the forecasts of held-out samples, by name and seed.
-    costs : Of the chosen networks, seconds of a reference core for each last training.
-    members : How many trainings the search has begun whose mean is to be handed out.
-    more : Of networks that further seeds of the best setting may join, the cost of each.
-    left : Of the budget.
+    forecasters : The given forecasters, networks with the chosen settings.
+    attempts : All attempts, in order.
+    done : Held-out forecasts of the chosen networks, by name and seed.
+    costs : Cost of one final training of each chosen network, in seconds of a reference core.
+    members : Number of trainings to average, as chosen by the search, by network.
+    more : Cost of each further seed of the best setting, for networks that may have more seeds.
+    left : Work that is left, in seconds of a reference core.
     """
 
     forecasters: list[Forecaster]
@@ -110,8 +109,9 @@ class SearchResult:
     def seeds(self, scores: Mapping[str, float], left: float | None = None) -> dict[str, range]:
         """Return the seeds of each method that are worth their training, by held-out `scores`.
 
-        One of each; of the good ones all members, the best method first, and of this one more seeds
-        up to `MOST_MEMBERS`, as long as what is `left` lasts, by default of the work.
+        Every method gets one seed. Good ones (see `GOOD`) get all members, the best method first,
+        which then gets more seeds, up to `MOST_MEMBERS`. All of it must fit into the work `left`,
+        by default that of the budget.
         """
         ranked = sorted([name for name in self.costs if name in scores], key=lambda n: scores[n])
         counts = dict.fromkeys(ranked, 1)
@@ -141,16 +141,16 @@ def search(
     work: Work,
     others: Sequence[Record] = (),
 ) -> SearchResult:
-    """Choose how the networks among some forecasters are trained, where that has been left open.
+    """Choose the training settings of all tunable networks among some forecasters.
 
     Parameters
     ----------
-    record : The training part, and nothing else. What is tried is fitted to its first three
-        quarters, as in `recommendation.try_out`.
-    forecasters : With the default settings and bands; the first network matters most.
-    steps : How far beyond the record is to be forecast after all.
-    budget : How much may be spent.
-    work, others : Where the trials are computed, and the further training records.
+    record : The training part alone. Candidates are fitted to its first three quarters, as in
+        `recommendation.try_out`.
+    forecasters : With default settings and bands; the first network is searched most thoroughly.
+    steps : Samples beyond the record that the final forecast covers.
+    budget : Limits of the search.
+    work, others : How the trials are computed, and further training records.
     """
     tunable = [
         network
@@ -161,14 +161,14 @@ def search(
         return SearchResult([*forecasters], left=budget.core_seconds)
     trials = Trials(record, steps, work, others, budget.core_seconds)
     first, *rest = [candidates(f, record) for f in tunable]
-    # One short training, so that there is a result; what it comes to is what all else has to beat.
+    # One short training first: it gives a result, which all other candidates have to beat.
     ladder = trials.run(first[:1], 1.0) + trials.run(first[1:], FIRST_ROUND if rest else 1.0)
-    # Of the others those first that have not been tried at all.
+    # Then the cheapest candidate of each other network, so that all of them are tried.
     quickest = [sorted(each, key=trials.cost) for each in rest]
     ladder += trials.run([each[0] for each in quickest], FIRST_ROUND + OF_OTHERS)
     promising = [each[1:] for each in quickest if trials.promising(each[0].method)]
     others_first = [c for turn in zip_longest(*promising) for c in turn if c]
-    # What has helped alone may help together.
+    # Changes that helped one by one may help together.
     together = trials.combinations(first[0])
     ladder += trials.run(together + others_first, FIRST_ROUND + OF_OTHERS if rest else 1.0)
     while ladder:
@@ -176,7 +176,7 @@ def search(
     best = {f.name: runs for f in tunable if (runs := trials.best(f.name))}
     left = budget.core_seconds - trials.spent
     last = {name: trials.last(runs, left) for name, runs in best.items()}
-    # Of what the budget did not pay a trial for, what is done soonest.
+    # Networks without an affordable trial are trained with their cheapest candidate.
     soonest = [min(each, key=trials.cost) for each in (first, *rest)]
     last = {each.method: [each.network] for each in soonest} | last
     done = {name: {i: run.done for i, run in enumerate(runs)} for name, runs in best.items()}
@@ -185,7 +185,7 @@ def search(
 
 
 def _fits(network: Network, record: Record, others: Sequence[Record]) -> bool:
-    """Return whether it can be trained on these records; its row says why not."""
+    """Return whether a network can be trained on these records; its row says why not."""
     try:
         network.check(record, *others)
     except ValueError:
@@ -199,12 +199,13 @@ def _chosen(
     record: Record,
     others: Sequence[Record],
 ) -> SearchResult:
-    """Return the result with the networks of the `last` trainings, by name and seed."""
+    """Return the result with the networks of the `last` trainings, and their costs."""
     costs, more, chosen = {}, {}, {}
     for name, (network, *further) in last.items():
         each = [training_cost(one, record, others) for one in (network, *further)]
         costs[name] = sum(each) / len(each)
-        # Held-out errors of a long record tell which training is best: others only make it worse.
+        # On a long record, held-out errors tell which training is best; others would only make the
+        # mean worse.
         if len(record) <= SHORT:
             more[name] = training_cost(network.going_on(Earlier()), record, others)
         network.by_seed = dict(enumerate(further, 1))

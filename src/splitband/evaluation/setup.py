@@ -1,4 +1,4 @@
-"""Say what the forecasters of a comparison share."""
+"""Define the options that the forecasters of a comparison share."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from splitband.training import Settings, default_warmup
 from splitband.training.recipes import Recipe, recipe_settings
 
 AS_GIVEN = "simulator-as-given"
-"""What a simulator with parameters is called whose ranges are not fitted: it has their middles."""
+"""Name of a simulator whose parameters are not fitted, but the middles of their ranges."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """Hold what the forecasters of a comparison share where they do not say otherwise.
+    """Hold the options of all forecasters of a comparison that have none themselves.
 
     Attributes
     ----------
-    train : Samples at the beginning of the record that are trained on.
-    settings : How networks are trained.
-    bands : Which band is whose.
-    sizes : Of the networks that go by a name.
-    simulator : One whose parameters are fitted, for methods that have none of their own.
-    search : How much may go into finding better settings where a forecaster has none of its own;
-        None: the settings are what they are.
-    initial : Samples at the beginning of a test record that are known; None: the warm-up.
+    train : Length of the training part, in samples.
+    settings : Training settings of networks.
+    bands : Cut-off, order and down-sampling of models with bands.
+    sizes : Sizes of the networks given by name.
+    simulator : Simulator whose parameters are fitted, for methods without one.
+    search : Limits of the search for better settings, for networks without settings; None: no
+        search.
+    initial : Known samples at the beginning of a test record; None: the warm-up.
     """
 
     train: int
@@ -47,7 +47,7 @@ class Setup:
     initial: int | None = None
 
     def forecaster(self, name: str) -> Forecaster:
-        """Return the forecaster of a name, with nothing left open but what the bands do."""
+        """Return the forecaster with this name; only `bands` may leave something to be chosen."""
         forecaster = named(name, self.sizes).with_defaults(self.settings, self.bands)
         forecaster = forecaster if self.simulator is None else forecaster.given(self.simulator)
         if forecaster.network is not None:
@@ -67,7 +67,7 @@ class Setup:
         return self
 
     def usual(self, record: Record) -> list[Forecaster | str]:
-        """Return what is worth comparing on a record; a simulator also before it is fitted."""
+        """Return the default methods for a record; a simulator is also compared before its fit."""
         if self.simulator is None:
             return [*usual_names(record, self.bands)]
         middle = self.simulator.fixed(self.simulator.known.middle())
@@ -76,7 +76,7 @@ class Setup:
         return [*names[:at], GreyBox(middle, name=AS_GIVEN), *names[at:]]
 
     def as_json(self) -> dict[str, Any]:
-        """Return it for a result file: flat, and with the settings that each of them is made of."""
+        """Return the setup as a dictionary for a result file."""
         bands, sizes = asdict(self.bands), asdict(self.sizes)
         return (
             {"train": self.train, "settings": asdict(self.settings)}
@@ -89,12 +89,11 @@ class Setup:
 
 
 def default_names(with_simulator: bool, with_inputs: bool = False) -> list[str]:
-    """Return what is worth comparing in a reasonable time, with a simulator that helps or without.
+    """Return the names of the default methods, with a simulator that helps or without.
 
-    What knows no inputs is asked even where there are some: they may not matter.
+    Methods that ignore inputs are compared even on records with inputs, which may not matter.
     """
-    # In the order in which they are fitted where time is short; the first network is searched most
-    # thoroughly.
+    # In the order of fitting where time is short; the first network is searched most thoroughly.
     naive = ["mean", "persistence", "seasonal-naive", "periodic", "harmonic"]
     first, cell = ["gru"], "gru"
     if with_inputs:
@@ -120,20 +119,20 @@ def usual_names(record: Record, bands: Bands) -> list[str]:
 
 @dataclass(frozen=True)
 class Options:
-    """Say what a user decides of a `Setup`; the rest is chosen by the training samples.
+    """Hold the options of a `Setup` that a user gives; the rest follows from training samples.
 
     Attributes
     ----------
-    recipe : How networks are trained where nothing else says so: "default" or "paper".
-    settings : In place of the recipe's.
+    recipe : Training settings where none are given: "default" or "paper".
+    settings : Training settings in place of the recipe's.
     changes : Single settings, such as `{"epochs": 5}`, in place of those of the recipe or of
-        `settings`. All but `warmup` decide how to train, so that nothing is searched.
-    bands : What is decided of them; the rest is chosen where methods need it, see `Bands.chosen`.
-    sizes : Of the networks that go by a name.
-    search : How much may go into finding better settings. By default two minutes, and nothing
-        where settings are given.
-    simulator : One whose parameters are fitted, for methods that have none of their own.
-    initial : Samples at the beginning of a test record that are known, by default the warm-up.
+        `settings`. Any but `warmup` switches the search off.
+    bands : Bands as far as they are given; the rest is chosen where methods need it, see
+        `Bands.chosen`.
+    sizes : Sizes of the networks given by name.
+    search : Limits of the search. By default two minutes; no search where settings are given.
+    simulator : Simulator whose parameters are fitted, for methods without one.
+    initial : Known samples at the beginning of a test record, by default the warm-up.
     """
 
     recipe: Recipe = "default"
@@ -152,14 +151,14 @@ class Options:
         methods: Sequence[Forecaster | str] | None = None,
         tests: Sequence[Record] = (),
     ) -> Setup:
-        """Return the setup for a record of which only the first `train` samples are looked at.
+        """Return the setup for a record, from its first `train` samples alone.
 
         Parameters
         ----------
-        record, train : No measured sample after the first `train` is looked at.
-        methods : What the setup is for, or names of it; by default `default_names`.
-        tests : Records to be simulated; a warm-up that is left open takes a third of the shortest
-            at most. Only their lengths are looked at.
+        record, train : No measured sample after the first `train` is used.
+        methods : Forecasters or names; by default `default_names`.
+        tests : Test records, of which only the lengths are used: a warm-up that is not given is at
+            most a third of the shortest one.
         """
         training = record[:train]
         settings = self._settings(recipe_settings(self.recipe, training), tests)
@@ -172,7 +171,7 @@ class Options:
         return Setup(train, settings, bands, sizes, search, self.simulator, self.initial)
 
     def _settings(self, usual: Settings, tests: Sequence[Record]) -> Settings:
-        """Return how networks are trained to begin with; `usual` is where none are given."""
+        """Return the training settings before any search; `usual` are those of the recipe."""
         settings, said = self.settings or usual, {**self.changes}
         if "window" in said:
             said.setdefault("warmup", default_warmup(said["window"], settings.warmup))
@@ -206,7 +205,7 @@ class Options:
         if training.y_sim is not None and beside:
             simulation = next((f for f in beside if f.calibrates), beside[0]).clone()
             y_sim = simulation.fit(training).on(training).y_sim
-        # A record without a band to split off concerns the methods that need one: they say so.
+        # Where the record has no band to split off, the methods that need one report it.
         with nullcontext() if given else suppress(ValueError):
             rate = training.sampling_rate
             return self.bands.chosen(training.y, rate, settings.warmup, y_sim)
@@ -214,7 +213,7 @@ class Options:
 
 
 def _simulators_in(forecaster: Forecaster) -> Iterator[Forecaster]:
-    """Yield what a forecaster is made of and reads the simulator's output of the record."""
+    """Yield the parts of a forecaster that use the simulator's output in the record."""
     for part in parts_of(forecaster).values():
         if parts_of(part):
             yield from _simulators_in(part)

@@ -29,34 +29,34 @@ from splitband.metrics import spread
 SEARCHED = 0.55
 """Share of the budget for the search."""
 TRIAL_SEEDS, CORE_SECONDS_A_SEED = 2, 120.0
-"""Seeds of each candidate, whose mean is scored; on records of up to `SHORT` samples one for so
-much of the budget, where that is more, and at most `MOST_MEMBERS`."""
+"""Seeds of each candidate, whose mean is scored. On records of up to `SHORT` samples there is one
+for so many core seconds of the budget, if that is more, and at most `MOST_MEMBERS`."""
 MOST_MEMBERS = 8
-"""Trainings whose mean is handed out, at most."""
+"""Largest number of trainings that are averaged."""
 KEPT = 0.5
 """Share of the candidates of a round that go on."""
 WORSE = 1.1
-"""A candidate whose error is above this multiple of what it was a round before does not go on."""
+"""A candidate does not go on if its error is above this multiple of that of its last round."""
 MAX_ERROR_RATIO = 2.0
 """A candidate does not go on if its error is above this multiple of the lowest of all."""
 LONGER = 4
-"""By how much the best candidate's last training may be longer than any trial was, where longer
-trials were better and only the budget ended them."""
+"""Largest length of the best candidate's last training, as a multiple of its longest trial, if
+longer trials were better and only the budget ended them."""
 LAST = 0.7
-"""Share of what is left of the budget that this may take."""
+"""Share of the remaining budget that such last trainings may take."""
 SETTLING = 0.25
-"""Share of its iterations that a training gets on top of them when further samples are added."""
+"""Additional iterations of a training that continues on all samples, as a share of those before."""
 
 
 @dataclass(frozen=True)
 class SearchAttempt:
-    """Say what became of a candidate on the held-out samples.
+    """Hold the score of a candidate on the held-out samples.
 
     Attributes
     ----------
-    method, training : Which it is.
-    seeds : How many could be trained.
-    score : RMSE, of channels scaled to a deviation of 1; None where it could not be trained.
+    method, training : Name of the method, and its training in words.
+    seeds : Number of seeds that could be trained.
+    score : RMSE, of channels scaled to a standard deviation of 1; None if no seed could be trained.
     """
 
     method: str
@@ -76,21 +76,21 @@ class TrialRun:
 
     @property
     def key(self) -> tuple[str, int]:
-        """Return what it has in common with the same training after other rounds."""
+        """Return what identifies this training, the same after every round."""
         return self.candidate.began_as or self.candidate.label, self.seed
 
 
 class Trials:
     """Try candidates on the held-out end of a training record.
 
-    `attempts` are in their order; `tried` those that could be trained, and `runs` all of their
-    seeds; `spent` are seconds of a reference core.
+    `attempts` are in order; `tried` are the candidates that could be trained, `runs` all of their
+    seeds; `spent` is the cost so far, in seconds of a reference core.
     """
 
     def __init__(
         self, record: Record, steps: int, work: Work, others: Sequence[Record], budget: float
     ) -> None:
-        """Begin with a record from which `steps` samples are to be forecast after all."""
+        """Prepare trials on a record that is to be forecast for `steps` samples in the end."""
         self._record, self._end = replace(record, y_true=None), len(record) + steps
         self._work, self._others, self._most = work, others, SEARCHED * budget
         alone = work.time.work_of_one(work.time.share(ONE))
@@ -104,14 +104,14 @@ class Trials:
         self.spent = 0.0
 
     def cost(self, candidate: Candidate) -> float:
-        """Return the seconds of a reference core for all seeds of a trial."""
+        """Return the cost of a trial with all seeds, in seconds of a reference core."""
         whole = training_cost(candidate.network, self._record, self._others)
         return len(self._seeds) * (1 - HELD_OUT) * whole
 
     def run(self, candidates: Sequence[Candidate], share: float) -> list[Candidate]:
-        """Train those that this share of the budget pays for, in their order; return them scored.
+        """Train the candidates that this share of the budget allows, in order; return them scored.
 
-        What its deadline ends is scored with what it has come to.
+        A training that the deadline ends is scored with the weights that it has then.
         """
         affordable, cost = self._affordable(candidates, share)
         if not affordable:
@@ -135,7 +135,7 @@ class Trials:
     def _affordable(
         self, candidates: Sequence[Candidate], share: float
     ) -> tuple[list[Candidate], float]:
-        """Return the candidates that can be paid for, and what they cost together."""
+        """Return the affordable candidates and their total cost."""
         time, left = self._work.time, share * self._most - self.spent
         if (in_time := time.work_until(self._work.deadline)) < left:
             if in_time < sum(map(self.cost, candidates)):
@@ -164,7 +164,7 @@ class Trials:
         return replace(scored, rung=-1) if worse else scored
 
     def promoted(self, last: Sequence[Candidate]) -> list[Candidate]:
-        """Return those that go on: the better ones of a round, the best one first."""
+        """Return the candidates that go on, the better ones of a round, best first."""
         able = sorted([c for c in last if c.done], key=lambda c: c.score)
         able = able[: math.ceil(KEPT * len(able))]
         return [c for c in able if c.rung >= 0 and self._competes(c)]
@@ -178,10 +178,10 @@ class Trials:
         return candidate.score <= MAX_ERROR_RATIO * min(c.score for c in self.tried)
 
     def combinations(self, first: Candidate) -> list[Candidate]:
-        """Return the best candidate of a method together with what else was better than the first.
+        """Combine the best candidate of a method with each other one that beat the first.
 
-        It is for networks that begin as a linear model, whose candidates differ from the first one
-        in size, window or penalty, or begin from random weights.
+        This is for networks that begin as a linear model, whose candidates differ from the first
+        one in size, window or penalty, or begin from random weights.
         """
         tried = {c.label: c for c in self.tried if c.method == first.method}
         usual = tried.get(first.label)
@@ -193,11 +193,11 @@ class Trials:
         return [c for c in found if c is not None]
 
     def best(self, method: str) -> list[TrialRun]:
-        """Return the trainings of a method whose mean is handed out, the best one first.
+        """Return the trainings of a method to average, the best one first.
 
-        They are as many of the best ones, whatever their settings, as have the mean with the lowest
-        held-out error (`benchmarks.members`). Of the same training after several rounds it is the
-        better one.
+        These are the n best trainings, whatever their settings, where n gives the mean with the
+        lowest held-out error (`benchmarks.members`). A training of several rounds counts once, with
+        its best round.
         """
         distinct: dict[tuple[str, int], TrialRun] = {}
         for run in sorted(self.runs, key=lambda run: run.score):
@@ -210,10 +210,10 @@ class Trials:
         )
 
     def last(self, runs: Sequence[TrialRun], left: float) -> list[Network]:
-        """Return a network for each last training, which goes on from the trial.
+        """Return a network for each last training, which continues from the trial's weights.
 
-        Where longer trials were better, and the budget alone has ended them, those of the best
-        candidate are longer.
+        Trainings without L-BFGS start anew. If longer trials were better, and only the budget has
+        ended them, the last trainings of the best candidate are longer.
         """
         best = runs[0].candidate.label
         newest = max(self.tried, key=lambda candidate: candidate.trained)

@@ -1,4 +1,4 @@
-"""Say how a comparison is computed: where, until when, and who is told of it."""
+"""Define how a comparison is computed: processes, deadlines and progress reports."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from splitband.runtime.deadlines import Deadline
 from splitband.runtime.processes import Processes
 
 HALF = 0.5
-"""Share of the time until which what is shared by several jobs must be computed. By eye."""
+"""Share of the time that is left for computing what several jobs share. By eye."""
 
 
 @dataclass(frozen=True)
 class RunProgress:
-    """Tell that an epoch of one run is over; `share` of the run's training is done.
+    """Report the end of an epoch of one run; `share` of its training is done, `overall` of all.
 
-    `stage` is "search" and a number where ways to train are tried, "held-out fit" where methods
-    are, "on a baseline" where a network is put on one of them, and "final fit" where a method is
-    fitted to the whole training part.
+    `stage` is "search" with the number of the round, "held-out fit" for the trial of all methods on
+    held-out samples, "on a baseline" for the trial of a network on top of one, "final fit" for fits
+    to the whole training part, and "refit" for one to the whole record.
     """
 
     method: str
@@ -35,24 +35,24 @@ class RunProgress:
 
 @dataclass(frozen=True)
 class Work:
-    """Say how a comparison is computed; none of it changes a number by more than rounding.
+    """Define how a comparison is computed; only a deadline changes results beyond rounding.
 
     Attributes
     ----------
-    jobs : Processes at once, each on one thread. With several, a script has to keep what it does
-        under `if __name__ == "__main__":`, as each process begins by importing it. With an
-        executor, for how many trainings at once a budget is planned, if more than one.
+    jobs : Number of parallel processes, each with one thread. With several, a script must keep its
+        code under `if __name__ == "__main__":`, as each process begins by importing it. With an
+        executor, the number of parallel trainings for which a budget is planned, if more than one.
     progress : Called in this process after each epoch of each run; with an executor that cannot
         send while a job runs, at the end of each run.
-    checkpoints : Folder, created if need be, from which trainings that were cut off go on. Workers
-        that do not see it train without.
-    stage : What the progress is reported as.
-    executor : What carries out the jobs in place of processes of this machine: any executor of
-        `concurrent.futures`, Dask's (`Cluster`) or mpi4py's, for instance. It stays open.
-    time : The time of the whole command, and what is known of the machine's pace.
-    deadline : When the trainings of this stage end with what they have, and what has not begun yet
-        is left out.
-    span : Shares of the whole command that are done before this stage and after it, for `progress`.
+    checkpoints : Folder from which interrupted trainings resume; created if necessary. Workers that
+        cannot see it train without checkpoints.
+    stage : Stage named in progress reports.
+    executor : Runs the jobs in place of processes of this machine: any executor of
+        `concurrent.futures`, for instance Dask's (`Cluster`) or mpi4py's. It stays open.
+    time : Time budget of the whole command, with the measured pace of the machine.
+    deadline : When the trainings of this stage stop with the weights that they have; those that
+        have not started are left out.
+    span : Shares of the whole command that are done before and after this stage, for `progress`.
     """
 
     jobs: int = 1
@@ -66,11 +66,11 @@ class Work:
 
     @property
     def cores(self) -> int:
-        """Return how many trainings are carried out side by side."""
+        """Return how many trainings run in parallel."""
         return self.jobs if self.jobs > 1 else max(getattr(self.executor, "cores", 1), 1)
 
     def limited(self, seconds: float | None, core_seconds: float) -> Work:
-        """Return it with a time budget: its own, or from now on so many seconds of wall time."""
+        """Return the work with a time budget: its own, if limited, else these `seconds`."""
         time = self.time
         if not time.limited:
             time = TimeBudget.of(seconds, self.cores, time.began)
@@ -83,18 +83,18 @@ class Work:
         deadline: Deadline | None = None,
         span: tuple[float, float] | None = None,
     ) -> Work:
-        """Return one of several parts of the work, with a folder of its own for checkpoints."""
+        """Return the work of one stage, with a separate folder for checkpoints."""
         below = None if self.checkpoints is None else Path(self.checkpoints) / stage
         until, span = deadline or self.deadline, span or self.span
         return replace(self, checkpoints=below, stage=stage, deadline=until, span=span)
 
     def alone(self) -> Work:
-        """Return the work in this process, where starting others would take longer."""
+        """Return the same work in this process alone, which saves the start of others."""
         return replace(self, jobs=1, executor=None)
 
     @contextmanager
     def staffed(self) -> Iterator[Work]:
-        """Yield it with processes for one stage after the other, as starting them takes time."""
+        """Yield the work with processes that all stages share, as starting them takes time."""
         if self.executor is not None or self.jobs == 1:
             yield self
             return

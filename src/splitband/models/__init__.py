@@ -1,8 +1,8 @@
 """Define models of a record: what is trained, and how it simulates from a warm-up.
 
-A model says which networks it has and what each must reproduce (`tasks`); `training.loop` knows
-nothing more. Training and simulation go through the same methods, so a network meets in training
-just what it will meet in use.
+A model defines its networks and the signal that each must reproduce (`tasks`), which is all that
+`training.loop` needs. Training and simulation call the same methods, so that a network has the same
+kind of inputs in both.
 """
 
 from splitband.models.base import Model, Signals, Task

@@ -1,4 +1,4 @@
-"""Define what every model is: networks with tasks to learn, and components to add up."""
+"""Define the interface of all models: networks with training tasks, and components to add up."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ from splitband.runtime.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Hold what a model may know, normalised: `(time, n)` for a record, or `(batch, time, n)`."""
+    """Hold a model's normalised signals: `(time, n)` for a record, or `(batch, time, n)`."""
 
     y: Tensor
     u: Tensor | None = None
     y_sim: Tensor | None = None
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Signals:
-        """Return what a function makes of each signal."""
+        """Apply a function to each signal."""
         u, y_sim = (None if s is None else function(s) for s in (self.u, self.y_sim))
         return Signals(function(self.y), u, y_sim)
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Describe one network's share of the training.
+    """Describe the training of one network.
 
     Attributes
     ----------
     name : For messages and loss curves.
-    network : Whose parameters are trained.
-    known : What windows are cut from, aligned with the record.
-    target : What the output is compared with, `(time, ny)`, aligned with the record.
-    simulate : Maps what is known of a batch of windows, `y` over the warm-up only, and a number
-        of samples to the network's share of them, `(batch, samples, ny)`.
+    network : The network to train.
+    known : Signals from which windows are cut, aligned with the record.
+    target : Signal that the output must reproduce, `(time, ny)`, aligned with the record.
+    simulate : Maps the signals of a batch of windows, `y` over the warm-up only, and a number of
+        samples to the output, `(batch, samples, ny)`, which is compared with `target`.
     stride : The output holds every `stride`-th sample, the first right after the warm-up.
     """
 
@@ -56,7 +56,7 @@ class Task:
 
 
 class Model(nn.Module, ABC):
-    """Simulate what was learned from a record; subclasses say what the components are.
+    """Simulate a system learned from records; subclasses define the components.
 
     `ny` and `nu`: measured channels and known inputs.
     """
@@ -66,15 +66,15 @@ class Model(nn.Module, ABC):
     u_mean: Tensor
     u_std: Tensor
     feedthrough = False
-    """Whether the step to a sample knows the inputs of that sample, too."""
+    """Whether the step to a sample also uses the inputs of that sample."""
     conditioned = False
-    """Whether a network is told what is slower."""
+    """Whether the slow component is an input of the fast network."""
     beside_simulator = False
-    """Whether a simulator's output is a part of it."""
+    """Whether a simulator's output is a component of the model."""
     steps: ClassVar[type[Stepped] | None] = None
-    """What runs it sample by sample."""
+    """Class that runs the model sample by sample."""
     units_kept = False
-    """Whether `adapt_to` leaves mean and deviation as they are, which the weights are made for."""
+    """Whether `adapt_to` keeps mean and standard deviation, for which the weights were trained."""
 
     def __init__(self, ny: int, nu: int) -> None:
         super().__init__()
@@ -85,18 +85,18 @@ class Model(nn.Module, ABC):
 
     @abstractmethod
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """Return the parts of a simulation, to be added: `steps` samples after `known.y`."""
+        """Return the components of a simulation, to be added: `steps` samples after `known.y`."""
 
     @abstractmethod
     def tasks(self, record: Signals) -> list[Task]:
-        """Return what each network has to learn from a normalised record."""
+        """Return the training task of each network for a normalised record."""
 
     def simulate_components(
         self, y_warmup: Array, steps: int, u: Array | None = None, y_sim: Array | None = None
     ) -> dict[str, Array]:
-        """Run free after a measured warm-up; return the parts to add up, each `(steps, ny)`.
+        """Simulate after a measured warm-up; return the components to add, each `(steps, ny)`.
 
-        The first one carries the record's mean.
+        The first one includes the record's mean.
 
         Parameters
         ----------
@@ -115,9 +115,10 @@ class Model(nn.Module, ABC):
     def simulate_unfiltered(
         self, y_warmup: Array, steps: int, u: Array | None = None, y_sim: Array | None = None
     ) -> dict[str, Array]:
-        """Return what the filters of a model are fed with, by name; empty for a model without.
+        """Return the signals before a model's filters, by name; empty for a model without filters.
 
-        As for `simulate_components`, but each part is of the whole signal: they do not add up.
+        Parameters as for `simulate_components`; but each part is a whole signal: they do not add
+        up.
         """
         with torch.no_grad():
             parts = self.unfiltered(self._batch_of_one(y_warmup, u, y_sim), steps)
@@ -127,19 +128,19 @@ class Model(nn.Module, ABC):
         }
 
     def stepped(self) -> Stepped:
-        """Return the model sample by sample; raises ValueError where it cannot run so."""
+        """Return the model in a form that runs sample by sample; raises ValueError without one."""
         if self.steps is None:
             raise ValueError(f"{type(self).__name__} cannot be stepped")
         return self.steps(self)
 
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """Return what is filtered after the warm-up; nothing, unless a subclass filters."""
+        """Return the signals before the filters, after the warm-up; empty without filters."""
         return {}
 
     def adapt_to(self, records: Sequence[Record], normalize: bool = True) -> None:
-        """Take from the training records what is not learned by gradient: here, the units.
+        """Set from the training records what is not trained by gradient: here, the scaling.
 
-        With `normalize`, that is the mean and the standard deviation of each channel.
+        With `normalize`, that is the mean and the standard deviation of each channel and input.
         """
         inputs = [record.u for record in records if record.u is not None]
         if not normalize or self.units_kept:
@@ -151,7 +152,7 @@ class Model(nn.Module, ABC):
                 getattr(self, f"{name}_std").copy_(torch.from_numpy(spread(values)))
 
     def normalised(self, record: Record) -> Signals:
-        """Return the signals of a record as the networks see them, each `(time, n)`."""
+        """Return the normalised signals of a record, each `(time, n)`."""
         return self._signals(record.y, record.u if self.nu else None, record.y_sim)
 
     def _rows(self, u: Tensor | None) -> Tensor | None:
@@ -169,18 +170,18 @@ class Model(nn.Module, ABC):
         return self._signals(y, u, y_sim).map(lambda signal: signal[None])
 
     def _to_network(self, x: Array, kind: str) -> Tensor:
-        # Subtract in float64: beside a large offset float32 has too few digits for the signal.
+        # Subtract in float64: with a large offset, float32 has too few digits for the signal.
         mean, std = getattr(self, f"{kind}_mean"), getattr(self, f"{kind}_std")
         values = torch.from_numpy(np.array(x, dtype=np.float64)).to(mean)
         return ((values - mean) / std).to(next(self.parameters()).dtype)
 
 
 def conditioning(slow: Tensor, scale: Tensor, driven: bool = False) -> Tensor:
-    """Return what a slower signal tells a faster network: its value and its slope, side by side.
+    """Return the inputs that condition a network on a slower signal: its value and its slope.
 
-    The row that acts on the step from one sample to the next holds those of the latter. The slope
-    is that between the neighbours on both sides; with known inputs, on which the slow signal may
-    depend, that to the sample before, as it would know inputs to come otherwise.
+    The row that acts on the step from n to n + 1 holds both at n + 1. The slope is a central
+    difference, or, with known inputs, on which the slow signal may depend, a backward one: a
+    central one would then use future inputs.
 
     Returns `(..., time, 2 ny)`; the last row acts on no step.
 
@@ -195,17 +196,17 @@ def conditioning(slow: Tensor, scale: Tensor, driven: bool = False) -> Tensor:
 
 
 def with_next_input(u: Tensor) -> Tensor:
-    """Return each row of the inputs with the next one behind it, `(..., time, 2 nu)`.
+    """Return each row of inputs followed by the next row, `(..., time, 2 nu)`.
 
-    The step from n to n + 1 then knows the inputs of both samples, as it must where an input acts
-    on the output at once (direct feedthrough). The last row acts on no step.
+    The step from n to n + 1 then has the inputs of both samples, as direct feedthrough requires.
+    The last row acts on no step.
     """
     following = torch.cat([u[..., 1:, :], u[..., -1:, :]], dim=-2)
     return torch.cat([u, following], dim=-1)
 
 
 def concat_inputs(u: Tensor | None, given: Tensor) -> Tensor:
-    """Return the known inputs, if any, and `given` behind them, as far as both go."""
+    """Return the known inputs, if any, followed by `given`, up to the end of the shorter one."""
     if u is None:
         return given
     rows = min(u.shape[-2], given.shape[-2])
@@ -213,7 +214,7 @@ def concat_inputs(u: Tensor | None, given: Tensor) -> Tensor:
 
 
 def slope_scale(slow: Sequence[Tensor], driven: bool = False) -> Tensor:
-    """Return the deviation of each channel's slope in records `(time, ny)`; 1 for a constant.
+    """Return the slope's standard deviation by channel, in records `(time, ny)`; 1 if constant.
 
     `driven` as for `conditioning`.
     """
@@ -222,7 +223,7 @@ def slope_scale(slow: Sequence[Tensor], driven: bool = False) -> Tensor:
 
 
 def _slope(x: Tensor, backward: bool) -> Tensor:
-    """Return the slope by sample, from the neighbours on both sides, or from the sample before."""
+    """Return the slope per sample, as central or as backward differences."""
     if x.shape[-2] < 2:
         return torch.zeros_like(x)
     if backward:
@@ -232,7 +233,7 @@ def _slope(x: Tensor, backward: bool) -> Tensor:
 
 
 def inputs_of(cell: Cell, told: int, feedthrough: bool) -> int:
-    """Return the inputs of a model by those of its network; `told` come from the model itself.
+    """Return the number of a model's inputs from its network's, of which `told` condition it.
 
     Raises ValueError where the network has too few, or with feedthrough an odd number.
     """
@@ -251,17 +252,17 @@ def inputs_of(cell: Cell, told: int, feedthrough: bool) -> int:
 
 
 def with_weights(build: Callable[[], Model], weights: Mapping[str, Any]) -> Model:
-    """Return a model with these weights, its tied parameters tied.
+    """Return a model with these weights; tied parameters stay tied.
 
-    It is built on the meta device first, where shapes take no memory, and compared with the
-    weights: what is not of them is refused in a ValueError.
+    It is built on the meta device first, which takes no memory, to compare names, shapes and types.
+    Raises ValueError where they differ.
     """
     try:
         with torch.device("meta"):
             expected = build().state_dict()
-    except RuntimeError:  # a cell of the user's own may compute with values
+    except RuntimeError:  # a user's own cell may compute with values
         expected = build().state_dict()
-    left_out = ("u_low", "u_high")  # they were saved once; the forecaster knows the inputs' range
+    left_out = ("u_low", "u_high")  # in older files; the forecaster knows the inputs' range
     found = {name: torch.as_tensor(x) for name, x in weights.items() if name not in left_out}
     shapes, needed = ({k: tuple(t.shape) for k, t in of.items()} for of in (found, expected))
     if shapes != needed:
@@ -275,14 +276,14 @@ def with_weights(build: Callable[[], Model], weights: Mapping[str, Any]) -> Mode
         if not (floating if wanted.is_floating_point else tensor.dtype == wanted):
             raise ValueError(f"weights must be float32 or float64: {name} is {tensor.dtype}")
     model = build()
-    # In place, so that what is tied stays so; the precision is the one that was saved.
+    # In place, so that tied parameters stay tied; the saved precision is kept.
     for name, tensor in model.state_dict(keep_vars=True).items():
         tensor.data = found[name]
     return model
 
 
 def as_module(cell: Cell) -> nn.Module:
-    """Return the cell as what is trained; raises TypeError where it is none."""
+    """Return the cell as a module; raises TypeError where it is none."""
     if not isinstance(cell, nn.Module):
         raise TypeError(f"a cell must be an nn.Module, got {type(cell).__name__}")
     return cell

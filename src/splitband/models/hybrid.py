@@ -34,7 +34,7 @@ from splitband.networks import Cell, rollout
 from splitband.runtime.arrays import Array
 
 SLOW, FAST = "simulator", "network"
-"""What the labels of the two components begin with."""
+"""Beginnings of the labels of the two components."""
 
 
 class Hybrid(Model):
@@ -43,9 +43,8 @@ class Hybrid(Model):
     Parameters
     ----------
     cell : The network.
-    conditioned : The network receives the simulator's output, value and slope of each channel, as
-        known inputs behind its own: it has 2 ny more of them. Not in the paper, which names it as
-        future work.
+    conditioned : The simulator's output, value and slope of each channel, is an input of the
+        network: 2 ny additional inputs. The paper names this as future work.
     feedthrough : As for `Recurrent`.
     """
 
@@ -58,13 +57,13 @@ class Hybrid(Model):
         self.register_buffer("slope_scale", torch.ones(cell.ny, dtype=torch.float64))
 
     def adapt_to(self, records: Sequence[Record], normalize: bool = True) -> None:
-        """Take the units from the training records, those of the simulator's slope too."""
+        """Set the scaling from the training records, that of the simulator's slope included."""
         super().adapt_to(records, normalize)
         simulated = [_required(self.normalised(record)) for record in records]
         self.slope_scale.copy_(slope_scale(simulated, driven=self.nu > 0))
 
     def _conditioned(self, known: Signals) -> Signals:
-        """Return the inputs as the network wants them, with the simulator's output among them."""
+        """Return the signals with the network's inputs, including the simulator if conditioned."""
         known = replace(known, u=self._rows(known.u))
         if not self.conditioned:
             return known
@@ -74,7 +73,7 @@ class Hybrid(Model):
 
 
 class SteppedFiltered(Stepped):
-    """Step something slower in the low band, and a network in the high band."""
+    """Step a slow component in the low band, and a network in the high band."""
 
     def __init__(self, model: Any) -> None:
         super().__init__(model)
@@ -109,8 +108,8 @@ class Filtered(Hybrid):
 
     Parameters
     ----------
-    cell : The network; its free run is that of the whole signal, of which the high band is used.
-    pair : One-way filters, of which L + H = 1.
+    cell : The network; it simulates the whole signal, of which the high band is used.
+    pair : One-way filters, with L + H = 1.
     conditioned : See `Hybrid`. The high-pass filter also removes what the simulator's output adds
         to the low band of the network's output.
     feedthrough : See `Hybrid`.
@@ -137,7 +136,7 @@ class Filtered(Hybrid):
         return {f"{SLOW}, low band": low, f"{FAST}, high band": high}
 
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """Return the simulator's samples and the network's, before the filters."""
+        """Return the outputs of the simulator and of the network, before the filters."""
         network = rollout(self.cell, known.y, steps, self._conditioned(known).u)
         return {SLOW: _after_warmup(known, steps), FAST: network}
 
@@ -147,14 +146,14 @@ class Filtered(Hybrid):
         return [Task(FAST, as_module(self.cell), known, record.y, self._combined)]
 
     def _low_passed(self, known: Signals) -> Signals:
-        """Return L(simulator) in place of the simulator, once the network has been told of it."""
+        """Return the conditioned signals, with L(simulator) in place of the simulator's output."""
         return replace(self._conditioned(known), y_sim=self.pair.lowpass(_required(known)))
 
     def _combined(self, filtered: Signals, steps: int) -> Tensor:
         return self._high(filtered, steps) + _after_warmup(filtered, steps)
 
     def _high(self, filtered: Signals, steps: int) -> Tensor:
-        """Return H(network), going on from what L(simulator) leaves of the measured samples."""
+        """Return H(network), whose filter starts from measured samples minus L(simulator)."""
         order, warmup = self.pair.order, filtered.y.shape[1]
         if warmup < order:
             raise ValueError(f"the warm-up must have at least {order} samples, got {warmup}")
@@ -166,7 +165,7 @@ class Filtered(Hybrid):
 
 
 class SteppedResidual(Stepped):
-    """Step a network for what something slower leaves."""
+    """Step a network that predicts the residual of a slow component."""
 
     def __init__(self, model: Any) -> None:
         super().__init__(model)
@@ -182,7 +181,7 @@ class SteppedResidual(Stepped):
 
 
 class Residual(Hybrid):
-    """Learn what the simulator leaves: y = network + simulator (paper, Sec. 5.1).
+    """Learn the simulator's residual: y = network + simulator (paper, Sec. 5.1).
 
     The network warms up on the residual of the measured samples. Parameters as for `Hybrid`.
     """
@@ -190,7 +189,7 @@ class Residual(Hybrid):
     steps = SteppedResidual
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """Return the simulator's samples and the network's."""
+        """Return the outputs of the simulator and of the network."""
         residual = self._simulate(self._conditioned(known), steps)
         return {SLOW: _after_warmup(known, steps), FAST: residual}
 

@@ -1,4 +1,4 @@
-"""Define the model of one network on the whole band: the baseline."""
+"""Define the model of one network on the whole band."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class SteppedRecurrent(Stepped):
 
 
 class Recurrent(Model):
-    """Run one network on the whole band: the baseline (paper, Sec. 4.1).
+    """Run one network on the whole band, the paper's baseline (Sec. 4.1).
 
     Parameters
     ----------
     cell : The network.
-    feedthrough : The step to a sample knows the inputs of that sample, too: the cell has twice the
+    feedthrough : The step to a sample also uses the inputs of that sample: the cell has twice the
         model's inputs, see `base.with_next_input`. The paper has no inputs.
     """
 

@@ -42,8 +42,8 @@ LOW, HIGH = "low band", "high band"
 class SteppedSplit(Stepped):
     """Step two networks, each on its band.
 
-    The slow one is a sample of its own ahead, between which and the one before the low band is
-    interpolated. That needs no input to come, see `models.Split`.
+    Unless `at_once`, the slow network is one of its steps ahead, and the low band is interpolated
+    between its last two samples. That needs no future input, see `models.Split`.
     """
 
     def __init__(self, model: Any) -> None:
@@ -88,7 +88,7 @@ class SteppedSplit(Stepped):
         )
 
     def _moved(self, run: Run, u: Array) -> Run:
-        """Return the run with its low band one sample later."""
+        """Return the run with the low band advanced by one sample."""
         if self.at_once:
             moved = self.slow.advance(run["slow"], self._rows(u)[0])
             return {**run, "slow": moved, "current": moved["y"]}
@@ -104,7 +104,7 @@ class SteppedSplit(Stepped):
         return {**run, "slow": moved, "current": current, "phase": phase, "sum": total}
 
     def _low(self, run: Run) -> list[Array]:
-        """Return the low band at the sample to predict, and `ahead` after it, each `(1, ny)`."""
+        """Return the low band at the sample to predict and `ahead` later ones, each `(1, ny)`."""
         current = run["current"]
         if self.at_once:
             return [current[None]]
@@ -129,26 +129,26 @@ class SteppedSplit(Stepped):
 class Split(Model):
     """Add two networks, each on its band (paper, Sec. 4.2): "split GRU" and "split GRU + HP".
 
-    The slow network lives on the low-passed, down-sampled signal; its free run is up-sampled, and
-    the fast one's is added. The paper has no conditioning.
+    The slow network simulates the low-passed, down-sampled signal. Its free run is up-sampled and
+    added to that of the fast network. The paper has no conditioning.
 
-    The warm-up is filtered by itself, in training as in simulation: a prediction cannot depend on
-    later samples through the zero-phase filter, and the networks learn to start from a history
-    whose ends are distorted (docs/deviations.md).
+    The warm-up is filtered without the samples after it, in training as in simulation: no
+    prediction depends on later samples through the zero-phase filter, and the networks learn to
+    start from a history whose ends are distorted (docs/deviations.md).
 
-    Known inputs act on nothing before them: the step of the slow network from a sample to the next,
-    k samples later, knows the inputs up to the former, as the mean of each k.
+    Known inputs act on no sample before them: the slow network's step from n to n + k uses the mean
+    of the k inputs up to n, with feedthrough and k = 1 also the next input.
 
     Parameters
     ----------
     networks : The slow one and the fast one.
-    pair : Where one band ends and the other begins.
+    pair : Filters that separate the bands.
     downsampling : k: the slow network sees every k-th sample.
     filter_output : High-pass the fast network's output too, the paper's "+HP"; with known inputs
         one way only.
-    conditioned : The fast network receives what the slow one predicts, value and slope of each
-        channel, as known inputs behind its own; it has 2 ny more of them.
-    feedthrough : As for `Recurrent`, of the networks that see every sample.
+    conditioned : The low band as the slow network predicts it, value and slope of each channel, is
+        an input of the fast network: 2 ny additional inputs.
+    feedthrough : As for `Recurrent`, for networks that see every sample.
 
     Raises
     ------
@@ -198,14 +198,14 @@ class Split(Model):
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """Return both bands at the full rate (paper, Eq. 13)."""
-        # The slope at the last sample is that to the one after it.
+        # The slope at the last sample needs the one after it.
         low = self.low(known, steps + 1 if self.conditioned and not self.nu else steps)
         return {LOW: low[:, :steps], HIGH: self.high(known, steps, low)}
 
     def tasks(self, record: Signals) -> list[Task]:
         """Reproduce each band of the record, the slow one first (paper, Eq. 12).
 
-        Both add up to the record at its ends, too; away from them the fast one is H(y).
+        Both targets add up to the record, even at its ends; away from them, the fast one is H(y).
         """
         low = self.pair.lowpass(record.y)
         slow, fast = self.networks
@@ -215,7 +215,7 @@ class Split(Model):
         ]
 
     def adapt_to(self, records: Sequence[Record], normalize: bool = True) -> None:
-        """Take the units from the training records, those of the slopes too."""
+        """Set the scaling from the training records, that of the slopes included."""
         super().adapt_to(records, normalize)
         low = [self.pair.lowpass(self.normalised(record).y) for record in records]
         self.slope_scale[0].copy_(slope_scale(low, driven=self.nu > 0))
@@ -238,7 +238,7 @@ class Split(Model):
         return upsample(self.slow_run(known, (steps - 2) // k + 2), k, length=steps)
 
     def high(self, known: Signals, steps: int, low: Tensor) -> Tensor:
-        """Return `steps` samples of the high band beside the low one."""
+        """Return `steps` samples of the high band, given the low one."""
         warmup, u = known.y.shape[1], known.u
         before = self.pair.lowpass(known.y)
         history = known.y - before
@@ -249,13 +249,13 @@ class Split(Model):
         y = rollout(self.fast, history, steps, u)
         if not self.filter_output:
             return y
-        # Run forward and backward, the filter would let an input act on earlier samples.
+        # A zero-phase filter would let an input act on earlier samples.
         pair = self.pair.one_way() if self.nu else self.pair
         # The filter begins in the history, so that it has settled at the first prediction.
         return pair.highpass(torch.cat([history, y], dim=1))[:, warmup:]
 
     def high_in_training(self, known: Signals, steps: int) -> Tensor:
-        """Return the high band beside the slow network as it is, which is not trained by it."""
+        """Return the high band, given the slow network's low band, without a gradient for that."""
         low = known.y[:, :0]
         if self.conditioned:
             with torch.no_grad():
@@ -264,10 +264,10 @@ class Split(Model):
 
 
 def _mean_before(u: Tensor, k: int, offset: int) -> Tensor:
-    """Return the mean input of the k samples that end with every k-th one from `offset` on.
+    """Return the mean of the k inputs up to every k-th sample from `offset` on.
 
-    A band's sample n + k, and with it what is interpolated from n on, must depend on no input
-    after n. Before the first sample the input is taken to have been the same.
+    The low band's sample n + k, and with it the interpolation from n on, must not depend on inputs
+    after n. Before the first sample, the first input is assumed.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""Define how models are run sample by sample, in NumPy, and exported; each stands beside its own.
+"""Run models sample by sample, in NumPy, also for export; subclasses are in the models' modules.
 
-`begin` computes from the last measured samples what `Model.simulate` begins with, and `advance`
-goes on by one sample. What is passed between them is all the state there is. The code can be
-traced, see `runtime.tracing`.
+`begin` warms up on the last measured samples, as a simulation does, and `advance` goes on by one
+sample. The run that is passed between them is the whole state. The code can be traced, see
+`runtime.tracing`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Stepped(ABC):
         self.driven = model.nu > 0
         self.conditioned = bool(model.conditioned)
         self.ahead = int(self.conditioned and not self.driven)
-        """How many samples beyond the one to predict of the slow signal are looked at, 0 or 1."""
+        """Samples of the slow signal that are used beyond the one to predict, 0 or 1."""
         self.slope_scale = values(model.slope_scale).reshape(-1) if self.conditioned else np.ones(1)
 
     def begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
@@ -43,7 +43,8 @@ class Stepped(ABC):
         ----------
         y : The last measured samples, `(R, ny)`.
         u : Inputs of these and of the sample to predict, `(R + 1, nu)`.
-        slow : What is given beside them, `(R + 1 + ahead, ny)`; not looked at without any.
+        slow : A given slow component over these samples, `(R + 1 + ahead, ny)`; ignored by models
+            without one.
         """
         run, first = self._begin(self._y(y), self._u(u), self._y(slow))
         return run, first * self.y_std + self.y_mean
@@ -55,7 +56,7 @@ class Stepped(ABC):
         ----------
         run : After the sample before.
         u : Inputs of the sample before and of the one to predict, `(2, nu)`.
-        slow : What is given beside them, `(2 + ahead, ny)`.
+        slow : The slow component over these samples, `(2 + ahead, ny)`.
         """
         run, following = self._advance(run, self._u(u), self._y(slow))
         return run, following * self.y_std + self.y_mean
@@ -79,7 +80,7 @@ class Stepped(ABC):
         return np.concatenate([u[:-1], u[1:]], axis=1) if self.feedthrough else u[:-1]
 
     def _told(self, rows: Array, slow: Array) -> Array:
-        """Return the inputs, behind them value and slope of what is slower if conditioned.
+        """Return the inputs, if conditioned followed by value and slope of the slow component.
 
         See `models.base.conditioning`.
         """
@@ -93,7 +94,7 @@ class Stepped(ABC):
 
 
 class SteppedCell:
-    """Step a cell, with what it predicted last."""
+    """Step a cell on its last prediction."""
 
     def __init__(self, cell: Cell) -> None:
         self.cell = in_numpy(cell)
@@ -120,9 +121,9 @@ def filtered(b: Array, a: Array, state: Array, x: Array) -> tuple[Array, Array]:
 
 
 def one_way(b: Array, a: Array, x: Array, zi: Array) -> tuple[Array, Array]:
-    """Filter `(time, ny)` from the state `zi` for a first sample of 1; return the last state, too.
+    """Filter `(time, ny)` in one direction; return the output and the last state.
 
-    The state is multiplied by the first sample.
+    The initial state is `zi`, which is for a first sample of 1, times the first sample.
     """
 
     def body(state: Array, row: Any) -> tuple[Array, Array]:
@@ -133,7 +134,7 @@ def one_way(b: Array, a: Array, x: Array, zi: Array) -> tuple[Array, Array]:
 
 
 def both_ways(pair: ComplementaryPair, y: Array) -> Array:
-    """Return the low band of `(time, ny)` by filtering forwards and backwards."""
+    """Return the low band of `(time, ny)`: filtered both ways, or one way if not `zero_phase`."""
     if not pair.zero_phase:
         return one_way(pair.b_low, pair.a, y, steady(pair, "low"))[0]
     p = 3 * len(pair.a) if pair.start == "odd" else 0
@@ -147,7 +148,7 @@ def both_ways(pair: ComplementaryPair, y: Array) -> Array:
 
 
 def steady(pair: ComplementaryPair, band: str) -> Array:
-    """Return the state with which a filter begins, for a first sample of 1."""
+    """Return the initial state of a filter, for a first sample of 1."""
     b = pair.b_low if band == "low" else pair.b_high
     if pair.start == "zeros":
         return np.zeros(pair.order)

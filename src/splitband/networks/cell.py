@@ -1,8 +1,8 @@
 """Define the interface of recurrent cells: state transition and observation (paper, Eq. 8).
 
 Any `nn.Module` with the methods of `Cell` and `Template` works wherever a `GRU` does. State is
-passed and returned, never kept on the module. The cells of this package have more, which a cell may
-leave out: `label` and `words` (names in tables and sentences), `variants` and `size_in_words`
+passed and returned, never kept on the module. The cells of this package have further, optional
+members: `label` and `words` (names in tables and sentences), `variants` and `size_in_words`
 (sizes that a search may try), `stable`, `in_numpy` (streams and exports), `fusable` and
 `fused_rollout` (a compiled kernel).
 """
@@ -40,7 +40,7 @@ class Cell(Protocol):
 
 @runtime_checkable
 class Template(Protocol):
-    """Describe a cell, or something else, that cells of the right sizes are made after."""
+    """Describe a template, such as a cell, from which cells of given sizes are made."""
 
     def sized(self, ny: int, nu: int, warmup: int) -> Cell:
         """Return a new cell, its weights drawn by torch's generator.
@@ -51,7 +51,7 @@ class Template(Protocol):
 
 
 def as_template(cell: Any) -> Template:
-    """Check that cells can be made after it; raises TypeError otherwise."""
+    """Return the cell as a template; raises TypeError if no cells can be made from it."""
     if isinstance(cell, type):
         raise TypeError(
             f"a cell must be an object, such as {cell.__name__}(...), got the class {cell.__name__}"
@@ -65,17 +65,17 @@ def as_template(cell: Any) -> Template:
 
 
 def words_of(template: Template) -> str:
-    """Return what sentences call a cell: its `words`, or its class."""
+    """Return the name of a cell in sentences: its `words`, or its class."""
     return str(getattr(template, "words", type(template).__name__))
 
 
 def label_of(template: Template) -> str:
-    """Return what names and tables call a cell: its `label`, or its class."""
+    """Return the name of a cell in method names and tables: its `label`, or its class."""
     return str(getattr(template, "label", type(template).__name__.lower()))
 
 
 def are_plain(*modules: tuple[nn.Module, type[nn.Module]]) -> bool:
-    """Return whether each module has exactly its type, its biases, and no hooks."""
+    """Return whether each module has exactly the given type, biases, and no hooks."""
     return all(
         type(module) is kind
         and getattr(module, "bias", True) is not None

@@ -100,7 +100,7 @@ class EulerMLP(Written, nn.Module):
         )
 
     def in_numpy(self) -> plain.PlainEulerMLP | None:
-        """Return the cell in NumPy; None where its layers are others."""
+        """Return the cell in NumPy; None where its layers have been replaced."""
         dynamics, recognition = plain.dense(self.dynamics), plain.dense(self.recognition)
         if dynamics is None or recognition is None:
             return None

@@ -64,7 +64,7 @@ class GRU(Written, nn.Module):
         return are_plain((self.transition, nn.GRUCell), (self.observation, nn.Linear))
 
     def in_numpy(self) -> plain.PlainGRU | None:
-        """Return the cell in NumPy; None where its layers are others."""
+        """Return the cell in NumPy; None where its layers have been replaced."""
         cell, out = self.transition, self.observation
         if not self.fusable():
             return None

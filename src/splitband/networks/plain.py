@@ -1,4 +1,4 @@
-"""Define the cells in NumPy, without a batch: how they run step by step, and are exported.
+"""Define the cells in NumPy, without a batch, for runs step by step and for export.
 
 Each has the methods of `networks.Cell`, for `y` `(time, ny)` or `(ny,)` and `u` `(time, nu)` or
 `(nu,)`; without inputs `u` has no columns. The code can be traced, see `runtime.tracing`.
@@ -19,11 +19,11 @@ from splitband.runtime.graph import Symbol
 from splitband.runtime.tracing import scan
 
 Dense = tuple[tuple[Array, Array], ...]
-"""Weights and biases of layers with tanh behind them."""
+"""Weights and biases of linear layers, each followed by tanh unless stated otherwise."""
 
 
 def in_numpy(cell: Cell) -> PlainGRU | PlainEulerMLP | PlainStateSpace | TorchCell:
-    """Return a cell in NumPy; one of the user's own is called as it is, and cannot be exported."""
+    """Return a cell in NumPy; a user's own is called through torch, and cannot be exported."""
     # A subclass may step differently. Therefore only the class that declares it is trusted.
     plain = cell.in_numpy() if "in_numpy" in vars(type(cell)) else None  # type: ignore[attr-defined]
     return TorchCell(cell) if plain is None else plain
@@ -104,7 +104,7 @@ class PlainStateSpace(NamedTuple):
 
 
 class TorchCell:
-    """Call a cell of the user's own through torch."""
+    """Call a user's own cell through torch."""
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
@@ -146,7 +146,7 @@ def linear(layer: nn.Linear) -> tuple[Array, Array]:
 
 
 def dense(layers: nn.Sequential) -> Dense | None:
-    """Return the linear layers of layers with tanh between them; None where there are others."""
+    """Return the linear layers among alternating linear and tanh layers; None for other layers."""
     kinds = (nn.Linear, nn.Tanh)
     pairs = [(layer, kinds[i % 2]) for i, layer in enumerate(layers.children())]
     if not are_plain((layers, nn.Sequential), *pairs):
@@ -166,6 +166,6 @@ def _dense(layers: Dense, x: Array) -> Array:
 
 
 def _mixed(layers: Dense, out: tuple[Array, Array], x: Array) -> Array:
-    """Return a linear map of x, and of the units that see it."""
+    """Return a linear map of x and of the outputs of tanh units on it."""
     weight, bias = out
     return weight @ (np.concatenate([x, _dense(layers, x)]) if layers else x) + bias

@@ -21,18 +21,17 @@ if TYPE_CHECKING:
 _RADIUS = 0.95
 """Absolute value of the poles of a cell that begins with random weights. By eye."""
 _TURN = 0.3
-"""Standard deviation of the angles, in radians a sample, by which its states turn into others.
-By eye."""
+"""Standard deviation of its random rotation angles, in radians per sample. By eye."""
 _OBSERVED = 0.5
 """Share of a prediction error by which its observer moves the predicted output. By eye."""
 MOST_LAYERS = 100
-"""Layers of f and g each: a description that asks for more is a forgery, and would take time to
-build. By eye."""
+"""Largest number of layers of f and of g: a saved cell that asks for more is forged, and would take
+long to build. By eye."""
 MOST_ENCODED = 10
-"""Samples of the warm-up that the first state is estimated from at most. By eye."""
+"""Largest number of warm-up samples from which the first state is estimated. By eye."""
 _NONLINEAR = 0.1
-"""The weights of f and g at the output, as a share of torch's initial values, and once more where
-the cell begins as a linear model: without any, all units would begin alike. By eye."""
+"""Factor on torch's initial output weights of f and g, applied once more where the cell begins as a
+linear model. With weights of zero, all units would begin alike. By eye."""
 
 
 class StateSpace(Written, nn.Module):
@@ -41,17 +40,16 @@ class StateSpace(Written, nn.Module):
     x_{n+1} = A x_n + B u_n + f(x_n, u_n) + a + K e_n and y_{n+1} = C x_{n+1} + D u_n +
     g(x_{n+1}, u_n) + c, where u_n is the row of inputs that acts on the step from n to n + 1. A
     model with feedthrough gives the cell the inputs of both samples in that row (see
-    `base.with_next_input`),
-    so that the output sees the input of its own sample. f and g are layers of tanh units and a
-    weighted sum of them.
+    `base.with_next_input`), so that the output depends on the input of its own sample. f and g are
+    layers of tanh units and a weighted sum of them.
 
     e_n is the fed sample minus the predicted one. In the warm-up, K makes the cell an observer of
     the measured system. In a free run the fed sample is the predicted one and e_n is exactly zero:
     the cell simulates. The state that is passed is x and the predicted y, side by side.
 
-    The state at the first sample of the warm-up is a linear map of its first samples and inputs,
-    which is trained, too; without one it is 0. What is predicted of that sample takes the first row
-    of inputs as the one that acted before, too.
+    The state at the first sample of the warm-up is a trained affine map of its first `encoded`
+    samples and inputs. The prediction of that sample uses the first row of inputs in place of the
+    one before it.
 
     Parameters
     ----------
@@ -60,7 +58,7 @@ class StateSpace(Written, nn.Module):
     ny : Measured channels.
     nu : Known inputs in a row.
     layers : Hidden layers of f and of g. The compiled kernel has one.
-    encoded : Samples of the warm-up that the first state is estimated from; 0: it is zero.
+    encoded : Warm-up samples from which the first state is estimated; 0: a trained constant.
     """
 
     label = words = "state-space"
@@ -90,11 +88,11 @@ class StateSpace(Written, nn.Module):
         """K."""
         self.first = nn.Parameter(torch.zeros(states, encoded * (ny + nu)))
         self.first_bias = nn.Parameter(torch.zeros(states))
-        """The state at the first sample, from samples and inputs."""
+        """Weights and biases of the map to the state at the first sample."""
         self._begin()
 
     def sized(self, ny: int, nu: int, warmup: int) -> StateSpace:
-        """Return a new one with as many states, units and layers, for such warm-ups."""
+        """Return a new cell with as many states, units and layers, for such warm-ups."""
         encoded = min(warmup, MOST_ENCODED)
         return StateSpace(self.states, self.hidden, ny, nu, self.layers, encoded)
 
@@ -115,7 +113,7 @@ class StateSpace(Written, nn.Module):
     ) -> None:
         """Make the cell a linear model, in place: f, g and the offsets become zero.
 
-        The units keep their weights, so that training goes on from there.
+        The hidden layers keep their weights, so that training can go on from there.
 
         Parameters
         ----------
@@ -152,7 +150,7 @@ class StateSpace(Written, nn.Module):
             self.gain.copy_(torch.from_numpy(given["k"]))
 
     def begin_linear(self, model: Realisation, first: tuple[Array, Array] | None = None) -> None:
-        """Begin as a linear model, in place, with units that hardly count.
+        """Begin as a linear model, in place, with small output weights of f and g.
 
         Parameters
         ----------
@@ -172,13 +170,13 @@ class StateSpace(Written, nn.Module):
                 self.first_bias.copy_(torch.from_numpy(first[1]))
 
     def penalised(self) -> list[Tensor]:
-        """Return the weights of f and g, which a penalty keeps small; the linear part is free."""
+        """Return the weights of f and g, to which the penalty applies; the linear part has none."""
         units = slice(self.states + self.nu, None)
         out = [layer.weight[:, units] for layer in (self.transition, self.observation)]
         return [*self.f.parameters(), *self.g.parameters(), *out]
 
     def stable(self) -> bool:
-        """Return whether A is: f is bounded, and so is then every free run with bounded inputs."""
+        """Return whether A is stable; as f is bounded, free runs with bounded inputs then are."""
         a = self.transition.weight[:, : self.states].detach().double()
         return bool(torch.linalg.eigvals(a).abs().max() < 1)
 
@@ -187,7 +185,7 @@ class StateSpace(Written, nn.Module):
         return f"{self.states} states, {self.hidden} hidden units"
 
     def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
-        """Run over the measured samples from x = 0, as an observer."""
+        """Run over the measured samples from `first_state`, as an observer."""
         x = self.first_state(y_warmup, u)
         h = self._with_output(x, None if u is None else u[:, 0])
         for n in range(y_warmup.shape[1]):
@@ -213,7 +211,7 @@ class StateSpace(Written, nn.Module):
         return h[:, self.states :]
 
     def fusable(self) -> bool:
-        """Return whether the parts are what they were built as, with at most one layer of units."""
+        """Return whether the layers have their original types, with at most one layer of units."""
         kinds = (nn.Linear, nn.Tanh) if self.hidden else ()
         layers = [*self.f.children(), *self.g.children()]
         return len(self.f) == len(self.g) == len(kinds) and are_plain(
@@ -225,7 +223,7 @@ class StateSpace(Written, nn.Module):
         )
 
     def in_numpy(self) -> plain.PlainStateSpace | None:
-        """Return the cell in NumPy; None where its layers are others."""
+        """Return the cell in NumPy; None where its layers have been replaced."""
         f, g = plain.dense(self.f), plain.dense(self.g)
         moves, out = self.transition, self.observation
         if f is None or g is None or not are_plain((moves, nn.Linear), (out, nn.Linear)):
@@ -236,7 +234,7 @@ class StateSpace(Written, nn.Module):
         return plain.PlainStateSpace(f, g, *linear, gain, first, self.encoded)
 
     def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
-        """Return what `splitband.rollout` computes, in one compiled call on the CPU."""
+        """Compute the rollout in one compiled call on the CPU."""
         from splitband.kernels import state_space_rollout  # noqa: PLC0415  numba loads on first use
 
         x0, none = self.first_state(y_warmup, u), self.gain.new_empty
@@ -267,11 +265,11 @@ class StateSpace(Written, nn.Module):
             self.gain.copy_(_OBSERVED * a @ torch.linalg.pinv(c))
 
     def _with_output(self, x: Tensor, u: Tensor | None) -> Tensor:
-        """Return the state that is passed."""
+        """Return the state that is passed, [x, the predicted y]."""
         return torch.cat([x, _mixed(self.g, self.observation, x, u)], dim=-1)
 
 
 def _mixed(layers: nn.Sequential, out: nn.Linear, x: Tensor, u: Tensor | None) -> Tensor:
-    """Return a linear map of x and u, and the units that see both."""
+    """Return a linear map of x, u and the outputs of tanh units on both."""
     seen = x if u is None else torch.cat([x, u], dim=-1)
     return out(torch.cat([seen, layers(seen)], dim=-1) if len(layers) else seen)

@@ -25,7 +25,7 @@ State = dict[str, Tensor]
 
 
 def below(state: State, prefix: str) -> State:
-    """Return the part of a state whose names begin with a prefix, without it."""
+    """Return the entries of a state whose names begin with a prefix, which is removed."""
     return {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
 
 
@@ -40,7 +40,7 @@ class Checkpoint:
         self._next = 0.0
 
     def numbered(self, i: int) -> Checkpoint:
-        """Return one of several beside it."""
+        """Return the checkpoint with this number, in the same folder."""
         return Checkpoint(self.path.with_name(f"{self.path.stem}-{i}{self.path.suffix}"))
 
     def load(self, key: str) -> State | None:
@@ -55,9 +55,10 @@ class Checkpoint:
             return None
 
     def offer(self, key: str, state: Callable[[], Mapping[str, Tensor]], last: bool) -> None:
-        """Write the state if it is the last one, or writing has not taken much time so far.
+        """Write the state if it is the last one, or if that keeps within `MOST_OVERHEAD`.
 
-        Where it cannot be written, as the disk is full, training goes on and the file stays.
+        If it cannot be written, for instance on a full disk, there is a warning, training goes on
+        and the old file stays.
         """
         began = time.monotonic()
         if began < self._next and not last:

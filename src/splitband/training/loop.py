@@ -29,7 +29,7 @@ class Progress:
     epochs: int
     loss: float
     share: float
-    """Of the whole training, 0 to 1."""
+    """Share of the whole training that is done, 0 to 1."""
 
 
 @dataclass
@@ -40,9 +40,9 @@ class History:
     """The losses of the epochs, followed by those of the rounds of L-BFGS in the same unit."""
     seconds: float = 0.0
     notes: list[str] = field(default_factory=list)
-    """What went wrong and was mended."""
+    """What went wrong in training, in words."""
     cut: bool = False
-    """Whether a deadline ended it before its time."""
+    """Whether a deadline ended the training early."""
 
 
 def fit(
@@ -55,26 +55,26 @@ def fit(
 ) -> History:
     """Train a model in place (paper, Eqs. 12 and 14).
 
-    A window lies in one record, its warm-up in measured samples, and its loss counts what was
-    measured. An epoch whose loss is no longer finite, or diverges (see `DIVERGED`), is repeated
-    from where it began with half the learning rate; the history says so. Where the deadline of the
-    job (`runtime.deadlines`) comes first, the training ends with the weights that it has then; of
-    several networks each gets an equal part of the time that is left.
+    A window lies within one record, its warm-up has no gap, and its loss counts measured samples
+    only. An epoch whose loss is no longer finite, or diverges (see `DIVERGED`), is repeated from
+    its start with half the learning rate, and the history notes it. If the deadline of the job
+    (`runtime.deadlines`) comes first, training stops with the weights that it has then; several
+    networks share the remaining time equally.
 
-    Raises ValueError for records of other channels than the model's, or in which no window has its
-    place. Raises FloatingPointError when one network's loss diverges for the fourth time
+    Raises ValueError for records whose channels differ from the model's, or that have room for no
+    window. Raises FloatingPointError when one network's loss diverges for the fourth time
     (`MOST_RESTARTS`).
 
     Parameters
     ----------
     model : What to train; its initial parameters are the caller's.
-    records : The training record, and nothing else: cut it before. Several of the same system train
-        one model.
-    settings : How; by default `Settings.of` the shortest record's samples.
-    seed : For the order of the windows.
+    records : The training record, without samples that are to be predicted, or several records of
+        the same system.
+    settings : Training settings; by default `Settings.of` the shortest record's length.
+    seed : Fixes the order of the windows.
     progress : Called after each epoch.
-    checkpoint : Where the same training goes on if it was cut off, with the same numbers to the
-        bit; nothing is trained again if it was not.
+    checkpoint : From which the same training resumes if it was interrupted, with results equal to
+        the bit; a finished training is not repeated.
     """
     records = [records] if isinstance(records, Record) else [*records]
     if not records:
@@ -111,7 +111,8 @@ def fit(
                     part = 1 if training.over else len(losses) / training.passes
                     share = (done + part) / len(tasks)
                     progress(Progress(task.name, len(losses), training.passes, losses[-1], share))
-                # What a deadline has cut short is not kept: with more time it goes on from before.
+                # A training that a deadline cut is not saved: with more time, it resumes from its
+                # last checkpoint.
                 if checkpoint is not None and not training.cut:
                     last = done + 1 == len(tasks) and training.done
                     now = partial(_prefixed, states, prefix, training)
@@ -124,7 +125,7 @@ def fit(
 
 
 def _built(model: Model) -> list[tuple[str, dict[str, Any]]]:
-    """Return what a model is besides its weights: filters, down-sampling, step sizes."""
+    """Return the attributes of a model besides its weights: filters, down-sampling, step sizes."""
     return [
         (type(m).__name__, {k: v for k, v in vars(m).items() if k[0] != "_" and k != "training"})
         for m in model.modules()
@@ -132,7 +133,7 @@ def _built(model: Model) -> list[tuple[str, dict[str, Any]]]:
 
 
 def _prefixed(before: State, prefix: str, training: NetworkTraining) -> State:
-    """Return the states of earlier networks, and of this one as it is now."""
+    """Return the states of earlier networks, and the present one of this network."""
     return before | {prefix + name: value for name, value in training.state().items()}
 
 

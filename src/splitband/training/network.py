@@ -21,19 +21,19 @@ DIVERGED = 100.0
 """Loss, in multiples of the target's RMS or of the untrained network's loss, whichever is larger,
 that is treated as divergence."""
 UNLEARNED = 0.9
-"""Loss, in multiples of the target's RMS, from which on a network has learned nothing: as much is
-left when it predicts the mean."""
+"""Loss, in multiples of the target's RMS, above which a network has learned hardly more than the
+mean, which gives 1."""
 ENOUGH_STEPS = 100
 """Gradient steps before which a network that has learned nothing is not reported."""
 _TINY = 1e-6
-"""Loss below which a penalty is not weighed any higher against it."""
+"""Smallest loss by which the penalty is divided."""
 MOST_RESTARTS = 3
 """Times that an epoch which diverged is repeated, each time with half the learning rate, before
 the training is given up."""
 
 
 class NetworkTraining:
-    """Train one network, epoch by epoch; an epoch depends on `state` and on nothing else."""
+    """Train one network, epoch by epoch; an epoch depends on `state` alone."""
 
     def __init__(
         self,
@@ -59,8 +59,8 @@ class NetworkTraining:
         size = float(torch.linalg.vector_norm(task.target)) / task.target.numel() ** 0.5
         self.target_rms = size or 1.0
         self.first_loss = 0.0
-        """Of the untrained network: what a good simulator leaves to learn may be much smaller than
-        any untrained network's output, so that the target's RMS alone would not do."""
+        """Loss of the untrained network. The residual of a good simulator may be much smaller than
+        any untrained network's output, so that the target's RMS alone does not show divergence."""
         self.losses: list[float] = []
         self.restarts: list[int] = []
         """Epochs that diverged and were repeated with half the learning rate."""
@@ -72,7 +72,7 @@ class NetworkTraining:
 
     @property
     def notes(self) -> list[str]:
-        """Return what a user should know."""
+        """Return what a user should know of the training, in words."""
         said = [
             f"the loss diverged in epoch {epoch}, repeated with half the learning rate"
             for epoch in self.restarts
@@ -93,13 +93,13 @@ class NetworkTraining:
 
     @property
     def over(self) -> bool:
-        """Return whether all of it is done, or there is no time left."""
+        """Return whether the training is done, or the deadline has ended it."""
         return self.done or self.cut
 
     def advance(self) -> None:
         """Train for one epoch or, when all epochs are over, for one round of L-BFGS.
 
-        There is one step of gradients at least, however late it is, so that there is a loss.
+        At least one gradient step is taken, even after the deadline, so that there is a loss.
         """
         if self.losses and self.deadline.over:
             self.cut = True
@@ -130,7 +130,7 @@ class NetworkTraining:
         }
 
     def restore(self, state: State) -> None:
-        """Go on where `state` was taken."""
+        """Restore what `state` returned."""
         self.task.network.load_state_dict(below(state, "network."))
         moments: dict[int, dict[str, Tensor]] = {}
         for name, value in below(state, "adam.").items():
@@ -198,7 +198,7 @@ class NetworkTraining:
         return total / seen_windows
 
     def _mean_square(self, starts: Tensor) -> Tensor:
-        """Return the mean square of the errors in the windows that begin there."""
+        """Return the mean squared error of the windows that begin there, plus the penalty."""
         wanted = self.target[starts]
         prediction = self.task.simulate(select(self.known, starts), wanted.shape[1])
         counted = None if self.measured is None else self.measured[starts]

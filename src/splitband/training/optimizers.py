@@ -1,8 +1,8 @@
 """Provide torch's optimizers without its compiler, which loads longer than a short training takes.
 
-Torch loads it as soon as an optimizer is made, only to exempt the optimizer's methods from being
-compiled. These classes take the methods as they are below that exemption: their steps are the
-same, to the bit.
+Torch loads the compiler as soon as an optimizer is made, only to exempt the optimizer's methods
+from compilation. These classes use the methods without that wrapper; their steps are the same, to
+the bit.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from torch.optim import Optimizer
 
 
 class _Plain(Optimizer):
-    """Have what all optimizers share, as it is below torch's exemption."""
+    """Unwrap the methods that all optimizers share."""
 
     add_param_group = unwrap(Optimizer.add_param_group)
     load_state_dict = unwrap(Optimizer.load_state_dict)

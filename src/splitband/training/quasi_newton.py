@@ -1,8 +1,8 @@
-"""End a training by L-BFGS on windows that lie end to end, all of them in every step.
+"""Finish a training by L-BFGS on windows laid end to end, all of them in every step.
 
 Not in the paper. Adam, which sees a few windows at a time, makes fast progress from random weights.
 Near a minimum its steps are mostly noise. The gradient over the whole record costs no more than a
-few dozen steps of Adam for networks of this size, so that from there on quasi-Newton iterations
+few dozen steps of Adam for networks of this size. From there on, quasi-Newton iterations
 (Nocedal and Wright, Numerical Optimization, 2006, Sec. 7.2) lower the loss in a fraction of the
 time.
 """
@@ -23,12 +23,12 @@ ROUND = 20
 MEMORY = 30
 """Steps from which the curvature is estimated."""
 CONVERGED = 1e-5
-"""A round that lowers the loss by less than this share of it is the last one."""
+"""A round makes no progress if it lowers the mean square by less than this share; see `round`."""
 HALVED = 20_000
-"""Where there are at most this many windows to choose from, what successive ones predict overlaps
-by half."""
+"""Up to this many windows to choose from, the predicted parts of successive ones overlap by
+half."""
 UNBOUNDED = 1e10
-"""Multiple of the first loss that stands for larger ones, and for those that are not finite."""
+"""Multiple of the first loss that replaces larger and non-finite losses."""
 MOST_SAMPLES = 100_000
 """Samples in all windows together, warm-ups included. Above it, windows are subsampled evenly."""
 
@@ -40,7 +40,7 @@ _NUMBERS = ("n_iter", "t", "H_diag", "prev_loss")
 def end_to_end(starts: Tensor, window: int, warmup: int) -> Tensor:
     """Choose from the first samples of all windows as few as are needed to predict every sample.
 
-    The warm-up of a window lies in the samples that the window before it predicts. In short records
+    The warm-up of a window lies in the predicted part of the window before it. In short records
     (see `HALVED`) a further window lies halfway between two of them, so that most samples are
     predicted both early and late in a free run, where errors differ.
     """
@@ -57,25 +57,25 @@ def end_to_end(starts: Tensor, window: int, warmup: int) -> Tensor:
 
 
 def samples_in_a_step(samples: int, window: int, warmup: int) -> int:
-    """Return how many samples the windows that `end_to_end` chooses from a record have together."""
+    """Return the total number of samples in the windows that `end_to_end` chooses from a record."""
     places = max(samples - window + 1, 1)
     return min(-(-places // _hop(places, window, warmup)) * window, MOST_SAMPLES)
 
 
 def _hop(places: int, window: int, warmup: int) -> int:
-    """Return the distance in samples from one chosen window's beginning to the next one's."""
+    """Return the distance in samples between the starts of successive chosen windows."""
     return max(1, (window - warmup) // (2 if places <= HALVED else 1))
 
 
 class _OverError(Exception):
-    """Report that the time is over in the middle of a round."""
+    """Report that the deadline has passed in the middle of a round."""
 
 
 class QuasiNewton:
     """Run L-BFGS with a line search for the strong Wolfe conditions, round by round.
 
-    It lowers `mean_square`, the mean squared error of all windows. A round that the `deadline` ends
-    keeps the best weights that it has come to.
+    It minimises `mean_square`, the mean squared error of all windows. A round that the `deadline`
+    ends keeps the best weights so far.
     """
 
     def __init__(
@@ -104,10 +104,10 @@ class QuasiNewton:
         )
 
     def round(self) -> float:
-        """Go on by some iterations; return the RMS error after them.
+        """Run at most `ROUND` iterations; return the RMS error after them.
 
-        Where the loss is not finite, or no longer falls, the weights stay as they are. The second
-        such round in a row is the last one.
+        If the error is not finite, or has grown, the weights stay as they were. The second round in
+        a row without progress (see `CONVERGED`) is the last one.
         """
         before = [p.detach().clone() for p in self.parameters]
         began = self._error()
@@ -128,7 +128,7 @@ class QuasiNewton:
         if reached < (1 - CONVERGED) * began:
             self._stuck = False
             return float(reached**0.5)
-        # The estimated curvature may be at fault: once more without it, before this is the end.
+        # The estimated curvature may be at fault: one more round without it before the end.
         self.settled = self._stuck
         self._stuck = True
         self._optimizer.state.clear()
@@ -150,8 +150,8 @@ class QuasiNewton:
         value = loss.item()
         slopes = [p.grad for p in self.parameters if p.grad is not None]
         if not (value < UNBOUNDED and all(bool(slope.isfinite().all()) for slope in slopes)):
-            # A state has grown without bound, which is a bad step. The line search interpolates
-            # values and slopes, and would never return from one that is infinite.
+            # A step too far: a state has grown without bound. The line search interpolates values
+            # and slopes, and would not return from infinite ones.
             for parameter in self.parameters:
                 parameter.grad = torch.zeros_like(parameter)
             value = UNBOUNDED
@@ -162,7 +162,7 @@ class QuasiNewton:
         return value
 
     def state(self) -> State:
-        """Return all that the next round depends on but the weights."""
+        """Return all that the next round depends on, except the weights."""
         of_torch = self._optimizer.state[self.parameters[0]]
         numbers = {"scale": self.scale, "settled": self.settled, "stuck": self._stuck}
         numbers |= {name: float(of_torch[name]) for name in _NUMBERS if name in of_torch}
@@ -176,7 +176,7 @@ class QuasiNewton:
         return tensors
 
     def restore(self, state: State) -> None:
-        """Go on where `state` was taken."""
+        """Restore what `state` returned."""
         self.scale, self.settled = float(state["scale"]), bool(state["settled"])
         self._stuck = bool(state["stuck"])
         if "n_iter" not in state:
@@ -188,8 +188,8 @@ class QuasiNewton:
         for name in _TENSORS:
             saved = state[name].clone().to(device) if name in state else None
             if name in _LISTS:
-                # Sums are rounded otherwise where the memory of a vector begins at another place
-                # of a cache line, as the rows of one array do.
+                # Rounding of a sum depends on where in a cache line a vector begins, and rows of
+                # one array begin at different places.
                 of_torch[name] = [row.clone() for row in ([] if saved is None else saved)]
             else:
                 of_torch[name] = saved

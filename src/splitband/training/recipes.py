@@ -13,7 +13,7 @@ Recipe = Literal["default", "paper"]
 
 
 ENOUGH_WINDOWS = 0.25
-"""Share of the windows that gaps must leave for the usual warm-up."""
+"""Share of all windows that must have a warm-up without gaps, or else warm-ups are shortened."""
 
 
 def recipe_settings(recipe: Recipe, training: Record) -> Settings:
@@ -36,6 +36,6 @@ def recipe_settings(recipe: Recipe, training: Record) -> Settings:
 
 
 def paper_settings(train: int) -> Settings:
-    """Return the paper's settings for any record: a constant rate, whole windows."""
+    """Return the paper's settings for so many samples: constant learning rate, whole windows."""
     window = min(250, max(2, train // 2))
     return Settings(window, default_warmup(window))

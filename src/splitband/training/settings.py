@@ -16,32 +16,33 @@ SHORTEST_WINDOW = 150
 
 
 MOST_BATCHES = 100
-"""Steps of an epoch in the default recipe: of a long record it does not take every window."""
+"""Largest number of steps per epoch in the default recipe; an epoch leaves out further windows of a
+long record."""
 
 
 @saved
 @dataclass(frozen=True, repr=False)
 class Settings(Written):
-    """Hold the settings of a training; defaults are the paper's for (i), `Settings.of` our recipe.
+    """Hold training settings; defaults are the paper's for system (i), `Settings.of` our recipe.
 
     Attributes
     ----------
-    window : Samples of a sub-trajectory, warm-up included; one starts at every sample.
-    warmup : R, its measured samples that set the initial state.
-    epochs : Passes over all windows (the paper's "training steps"); with `quasi_newton` perhaps 0.
-    batch_size : Windows a step.
+    window : Length of a training window in samples, with its warm-up; one starts at every sample.
+    warmup : R, measured samples at the start of a window that set the initial state.
+    epochs : Passes over all windows (the paper's "training steps"); may be 0 with `quasi_newton`.
+    batch_size : Windows per gradient step.
     learning_rate : Initial learning rate of Adam.
     milestones : `(epoch, learning rate)` pairs: the rate from that epoch on.
     one_cycle : The rate rises to `learning_rate` over the first tenth of the steps and falls along
         a cosine to a hundredth of it; in place of milestones.
     clip : Largest norm of a gradient.
-    growth : Share of the training over which the free run grows from a tenth of its length to all.
+    growth : Share of the training in which the free run grows from a tenth to its full length.
     normalize : Scale each channel by mean and standard deviation of the training record.
-    most_batches : Steps of an epoch: of a long record it takes some windows, drawn anew each time.
-    quasi_newton : Iterations of L-BFGS that follow the epochs; fewer where nothing is gained any
-        more. See `training.quasi_newton`.
-    penalty : Times the sum of the squared weights, added to the mean squared error of the scaled
-        channels: few samples then determine a network better (ridge regression).
+    most_batches : Largest number of steps per epoch, with windows drawn anew in each epoch.
+    quasi_newton : Iterations of L-BFGS after the epochs; fewer if it converges before. See
+        `training.quasi_newton`.
+    penalty : Weight of the sum of squared weights in the loss, relative to the mean squared error
+        of the scaled channels (ridge regression). It helps with few samples.
     linear_start : Networks with a linear part begin as the linear model of the record.
     """
 
@@ -92,10 +93,9 @@ class Settings(Written):
     def of(cls, samples: int, windows: int | None = None) -> Settings:
         """Return the default recipe for a training record of so many samples; not in the paper.
 
-        Windows of two fifths of it, 150 to 400 samples; one cycle of the learning rate, clipped
-        gradients, free runs that grow, and about `STEPS` steps for each network, at most
-        `MOST_BATCHES` of them from one pass over the windows to the next. Gaps leave fewer
-        `windows` than samples.
+        Windows have two fifths of the samples, 150 to 400. The learning rate has one cycle,
+        gradients are clipped, free runs grow. Each network takes about `STEPS` steps, at most
+        `MOST_BATCHES` of them per epoch. `windows` is their number, if gaps leave fewer than usual.
         """
         window = max(SHORTEST_WINDOW, 2 * samples // 5)
         window = max(2, min(400, window, longest_window(samples)))
@@ -148,13 +148,13 @@ class Settings(Written):
         return reached[-1] if reached else self.learning_rate
 
     def reach(self, share: float, steps: int) -> int:
-        """Return how many of a window's `steps` are simulated after this `share` of all batches."""
+        """Return how many of a window's `steps` to simulate after this `share` of all batches."""
         done = min(1.0, share / self.growth) if self.growth else 1.0
         return max(1, round(steps * (0.1 + 0.9 * done)))
 
 
 def longest_window(samples: int) -> int:
-    """Return three fifths of the samples, so that the windows of a record differ."""
+    """Return the longest window, three fifths of a record's samples, so that its windows differ."""
     return 3 * samples // 5
 
 

@@ -1,4 +1,4 @@
-"""Cut windows from training records: where they may lie, and the signals in them, as views."""
+"""Cut windows from training records: their possible places, and views of the signals in them."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class WindowSet:
 
     Attributes
     ----------
-    starts : Their first samples.
-    measured : What the loss counts, `(time, ny)`; None: everything.
+    starts : Their first samples, counted over all records.
+    measured : Mask of the samples that the loss counts, `(time, ny)`; None: all of them.
     """
 
     starts: Tensor
@@ -29,9 +29,9 @@ class WindowSet:
 
 
 def windows_in(records: Sequence[Record], window: int, warmup: int) -> WindowSet:
-    """Return every place within a record whose warm-up was measured, and something after it.
+    """Return all windows within a record with a complete warm-up and a measured sample after it.
 
-    Raises ValueError for a record shorter than a window, and where gaps leave no place at all.
+    Raises ValueError for a record shorter than a window, and where gaps leave no window.
     """
     shortest = min(records, key=len)
     if len(shortest) < window:
@@ -50,7 +50,7 @@ def windows_in(records: Sequence[Record], window: int, warmup: int) -> WindowSet
 
 
 def window_starts(records: Sequence[Record], window: int, warmup: int) -> npt.NDArray[np.int_]:
-    """Return the first samples of all places, counted over the records."""
+    """Return the first samples of all possible windows, counted over the records."""
     lengths = [len(record) for record in records]
     complete = np.concatenate([record.complete for record in records])
     something = np.concatenate([(~np.isnan(record.seen)).any(axis=1) for record in records])
@@ -68,7 +68,7 @@ def _counts(true: npt.NDArray[np.bool_], begin: int, end: int) -> npt.NDArray[np
 
 
 def joined(tasks: Sequence[Task]) -> Task:
-    """Return one network's task on several records, one after the other."""
+    """Join one network's tasks on several records, one after the other."""
     if len(tasks) == 1:
         return tasks[0]
 
@@ -86,15 +86,15 @@ def joined(tasks: Sequence[Task]) -> Task:
 
 
 def windows(task: Task, window: int, warmup: int) -> tuple[Signals, Tensor]:
-    """Return the windows from every sample on, as views: what is known, and the target."""
+    """Return views of a window from every sample on: the known signals, and the target."""
     known = task.known.map(lambda signal: _views(signal, window))
     return replace(known, y=known.y[:, :warmup]), targets(task.target, task, window, warmup)
 
 
 def targets(signal: Tensor, task: Task, window: int, warmup: int) -> Tensor:
-    """Return what the task's network predicts of every window of a signal `(time, n)`.
+    """Return those samples of a signal `(time, n)` that the network predicts, for every window.
 
-    They lie on the device of the task's target.
+    They are on the device of the task's target.
     """
     return _views(signal.to(task.target.device), window)[:, warmup :: task.stride]
 
