@@ -30,7 +30,7 @@ from splitband.forecasters.backtest import Origin, Question, backtest
 from splitband.forecasters.names import NAMES, QUICK, named
 from splitband.metrics import rmse
 from splitband.runtime.files import write_json
-from splitband.runtime.processes import over
+from splitband.runtime.processes import map_jobs
 
 Array = npt.NDArray[np.float64]
 Rng = np.random.Generator
@@ -234,7 +234,7 @@ def main() -> None:
     for part, seeds in parts.items():
         if arguments.seeds in (part, "both"):
             jobs = [(kind, seed) for kind in kinds for seed in seeds]
-            found = list(over(partial(_measured), jobs, arguments.jobs))
+            found = list(map_jobs(partial(_measured), jobs, arguments.jobs))
             before = earlier.get(part, {}).get("over_oracle", {})
             written[part] = {
                 "seeds": [*seeds],

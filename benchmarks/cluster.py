@@ -28,7 +28,7 @@ from splitband.cli.comparing import Request, compared, planned, save
 from splitband.cli.options.models import ModelOptions
 from splitband.evaluation.jobs import run_all
 from splitband.forecasters.backtest import Origin, Question, first_origin
-from splitband.runtime.processes import over
+from splitband.runtime.processes import map_jobs
 
 SAMPLES, TRAIN, STEP = 4000, 2000, 0.1
 """Of the record, about as long as the drill string's."""
@@ -124,7 +124,7 @@ def measured(workers: int, trainings: int, epochs: int) -> dict[str, float]:
     ):
         trained(cluster, 2 * workers, 1)  # everything is loaded
         began = time.perf_counter()
-        assert len([*over(nothing, range(EMPTY), cluster)]) == EMPTY
+        assert len([*map_jobs(nothing, range(EMPTY), cluster)]) == EMPTY
         empty = (time.perf_counter() - began) / EMPTY
         before = client.run(time.process_time)
         began = time.perf_counter()

@@ -21,7 +21,7 @@ import numpy.typing as npt
 import splitband as sb
 from benchmarks.driven import drawn, over_records
 from splitband.evaluation.trials import MOST_MEMBERS
-from splitband.forecasters.beginning import Earlier
+from splitband.forecasters.initialisation import Earlier
 from splitband.runtime.files import write_json
 from splitband.training import Settings
 
@@ -71,7 +71,7 @@ def trained(name: str, seed: int) -> dict[str, Array]:
             ]
             window = SAMPLES if way == "whole record" else settings.window
             more = replace(settings, quasi_newton=LAST, window=window)
-            last = sb.Single(cell, settings=more).going_on(Earlier(TRIED, {s: tried.state()}))
+            last = sb.Single(cell, settings=more).continued(Earlier(TRIED, {s: tried.state()}))
             last.fit(record, seed=s)
             stable = last.require_fitted().report.stable
             y = last.predict(

@@ -43,7 +43,7 @@ from splitband.forecasters.intervals import Interval
 from splitband.forecasters.names import QUICK
 from splitband.metrics import rmse
 from splitband.runtime.files import write_json
-from splitband.runtime.processes import over
+from splitband.runtime.processes import map_jobs
 
 Array = npt.NDArray[Any]
 Facts = dict[str, Any]
@@ -109,8 +109,8 @@ def _measured(job: RecordJob, report: object) -> Facts:
     comparison = _comparison(record, job)
     settled = comparison.require_trial()
     # A method may fail on the shorter held-out fits alone: it has no interval then.
-    tried_out = {m: mean for m, mean in comparison.means.items() if m in settled.intervals}
-    left = {m: record.y[job.train :] - mean.ahead for m, mean in tried_out.items()}
+    require_held_out = {m: mean for m, mean in comparison.means.items() if m in settled.intervals}
+    left = {m: record.y[job.train :] - mean.ahead for m, mean in require_held_out.items()}
     errors = {m: rmse(e, np.zeros_like(e)) for m, e in left.items()}
     facts = {
         "kind": job.kind,
@@ -244,7 +244,7 @@ def main() -> None:
     # What the default command does on the paper's records is in docs/results/beyond.
     others = not arguments.development and arguments.methods != DEFAULT
     todo = jobs(seeds, others, arguments.methods, arguments.parts)
-    done = {f["name"]: f for f in over(_measured, todo, arguments.jobs)}
+    done = {f["name"]: f for f in map_jobs(_measured, todo, arguments.jobs)}
     found = [done[job.name] for job in todo]
     facts = {
         "seeds": [seeds[0], seeds[-1]],

@@ -32,7 +32,7 @@ from splitband.forecasters.prediction import Prediction
 from splitband.metrics import rmse
 from splitband.report.environment import environment
 from splitband.runtime.files import CHECKPOINTS, write_json_lines
-from splitband.runtime.processes import over
+from splitband.runtime.processes import map_jobs
 from splitband.training import Checkpoint, Progress
 
 Array = npt.NDArray[np.float64]
@@ -58,7 +58,7 @@ def complete(
     todo = missing(jobs, folder)
     folder.mkdir(parents=True, exist_ok=True)
     work = partial(_work, progress is None, folder.absolute())
-    for job, facts in over(work, [(job, job.record) for job in todo], workers, progress):
+    for job, facts in map_jobs(work, [(job, job.record) for job in todo], workers, progress):
         write_json_lines(folder / job.path, facts)
         shutil.rmtree(folder / _checkpoints(job), ignore_errors=True)
     return len(todo)

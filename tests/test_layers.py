@@ -234,7 +234,7 @@ LOOKED_AT = {
     "UserCode": "a file of the user's defines an `Ode` or the like, or a plain function",
     "Absent": "it stands where a simulator has to be given again",
     "Record": "one record or several",
-    "Written": "a value is written as Python by itself, or as Python's own types are",
+    "WithRepr": "a value is written as Python by itself, or as Python's own types are",
 }
 """Classes of the package that an object is tested for, and why no method of it serves."""
 

@@ -14,7 +14,7 @@ from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
 from splitband.report.numbers import number
-from splitband.runtime.processes import over
+from splitband.runtime.processes import map_jobs
 from splitband.training import Settings
 from tests.cli.support import (
     DT,
@@ -203,7 +203,7 @@ def test_several_seeds_are_run_by_as_many_processes_as_asked_for(
 
     def in_this_process(work: Any, jobs: Any, processes: Any, progress: Any, _: Any) -> Any:
         asked.extend([(len(jobs), processes._pool._max_workers)] if jobs else [])
-        return over(work, jobs, 1, progress)
+        return map_jobs(work, jobs, 1, progress)
 
     monkeypatch.setattr("splitband.evaluation.jobs.over", in_this_process)
     call(f"compare record.csv --columns a --methods gru {QUICK} --seeds 3 --jobs 2", tmp_path)

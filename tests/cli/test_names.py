@@ -14,7 +14,7 @@ from splitband.cli.options.records import RecordOptions
 from splitband.cli.setups import names
 from splitband.forecasters.names import Sizes, named
 from splitband.forecasters.network import Network
-from splitband.report.results import FOUND, save_found
+from splitband.report.results import FOUND, save_settings
 from splitband.training import Settings
 from tests.cli.support import DT, FORCE, SAMPLES, A, B, call, results
 
@@ -29,7 +29,7 @@ def found(tmp_path: Path) -> Path:
     network = named("gru", Sizes(3, 2))
     assert isinstance(network, Network)
     network.settings = QUICK
-    save_found(network, sb.read("record.csv", columns="a", inputs="force"), tmp_path)
+    save_settings(network, sb.read("record.csv", columns="a", inputs="force"), tmp_path)
     return tmp_path / FOUND
 
 

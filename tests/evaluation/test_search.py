@@ -28,8 +28,8 @@ from splitband.evaluation.setup import Options, Setup
 from splitband.evaluation.trials import held_out_score
 from splitband.evaluation.work import Work
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.beginning import Earlier
 from splitband.forecasters.fitted import FitReport
+from splitband.forecasters.initialisation import Earlier
 from splitband.forecasters.network import Network
 from tests.records import SETUP, TRAIN, record
 
@@ -155,7 +155,7 @@ def test_a_training_goes_on_from_where_it_stopped() -> None:
         network = chosen.for_seed(seed)
         assert isinstance(network, Network)
         once = replace(settings_of(network), quasi_newton=1)
-        fresh = network.trained_as(once).going_on(Earlier())
+        fresh = network.trained_as(once).continued(Earlier())
         on, anew = (
             each.fit(driven(), seed=seed).require_fitted().report.losses["network"]
             for each in (network, fresh)

@@ -16,10 +16,10 @@ from splitband.evaluation.plan import Plan
 from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.caching import Cached
 from splitband.forecasters.names import Sizes
-from splitband.forecasters.remembering import Remembered
 from splitband.report.pictures import rollouts
-from splitband.runtime.processes import over
+from splitband.runtime.processes import map_jobs
 from splitband.simulators.calibration import Calibration
 from tests.support import compare, settled, try_out
 
@@ -46,7 +46,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         found.append(len(y))
         return Calibration(gain=(2.0,), offset=(1.0,))  # the right one
 
-    remembered = Remembered(counted)
+    remembered = Cached(counted)
     monkeypatch.setattr("splitband.forecasters.simulation.CALIBRATIONS", remembered)
     monkeypatch.setattr("splitband.evaluation.jobs.REMEMBERED", (remembered,))
     return found
@@ -84,7 +84,7 @@ def test_remembered_results_differ_where_any_argument_does() -> None:
         calls.append(1)
         return float(x.sum()) + sum(others)
 
-    remembered, x = Remembered(summed, most=3), np.arange(4.0)
+    remembered, x = Cached(summed, most=3), np.arange(4.0)
     for arguments in ((x,), (x, 1.0), (x[:3],)):
         assert remembered(*arguments) == remembered(*arguments) == summed(*arguments)
     assert len(calls) == 6
@@ -112,7 +112,7 @@ def test_blas_and_torch_have_their_threads_again_afterwards() -> None:
     with threadpoolctl.threadpool_limits(3, user_api="blas"):
         torch.set_num_threads(2)
         before = 2, blas()
-        inside = [*over(seen, [0, 1])]
+        inside = [*map_jobs(seen, [0, 1])]
         after = torch.get_num_threads(), blas()
     torch.set_num_threads(torchs)
     assert after == before
@@ -126,7 +126,7 @@ def test_they_have_them_after_a_failure_and_between_results_too() -> None:
         return job
 
     before = torch.get_num_threads(), blas()
-    results = over(failing, [0, 1])
+    results = map_jobs(failing, [0, 1])
     next(results)
     assert (torch.get_num_threads(), blas()) == before
     with pytest.raises(ValueError, match="no"):

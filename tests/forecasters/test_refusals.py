@@ -50,8 +50,8 @@ def mean() -> Forecaster:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: sb.Mean().predict(3), "mean must be fitted before it is asked"),
-        (lambda: sb.Single(GRU(3)).save("nowhere"), "gru must be fitted before it is asked"),
+        (lambda: sb.Mean().predict(3), "mean must be fitted first"),
+        (lambda: sb.Single(GRU(3)).save("nowhere"), "gru must be fitted first"),
         (lambda: sb.Mean().fit(), "records must be one or several, got none"),
         (lambda: mean().predict(0), "steps must be at least 1, got 0"),
         (lambda: mean().predict(3, u=np.ones(3)), "u must be given exactly for a record with in"),

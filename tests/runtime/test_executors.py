@@ -17,8 +17,8 @@ import torch
 
 from splitband import Work, compare
 from splitband.evaluation.work import RunProgress
-from splitband.runtime.processes import over
-from splitband.runtime.threads import drawn_from, one_thread
+from splitband.runtime.processes import map_jobs
+from splitband.runtime.threads import one_thread, seeded
 from tests.records import SETUP, record
 from tests.support import forecasters
 
@@ -62,7 +62,7 @@ def refuse(job: int, report: Callable[[int], None]) -> int:
 def test_the_last_report_of_a_job_comes_with_its_result(executor: Executor) -> None:
     seen: list[int] = []
     with executor:
-        assert sorted(over(square, [1, 2, 3], executor, seen.append)) == [1, 4, 9]
+        assert sorted(map_jobs(square, [1, 2, 3], executor, seen.append)) == [1, 4, 9]
     assert sorted(seen) == [10 * job + TOLD - 1 for job in (1, 2, 3)]
 
 
@@ -70,7 +70,7 @@ def test_the_error_of_a_job_is_raised_and_the_others_are_given_up() -> None:
     held, begun = threading.Event(), threading.Event()
     with ThreadPoolExecutor(1) as executor:
         executor.submit(held.wait)
-        results = over(refuse, [1, 2, 3], executor)
+        results = map_jobs(refuse, [1, 2, 3], executor)
         executor.submit(begun.set)
         held.set()
         with pytest.raises(ZeroDivisionError):
@@ -80,7 +80,7 @@ def test_the_error_of_a_job_is_raised_and_the_others_are_given_up() -> None:
 
 def test_an_executor_that_gives_up_is_an_error_in_one_line() -> None:
     with pytest.raises(OSError, match=r"^the executor has given up a job$"):
-        list(over(square, [1], GivingUp()))
+        list(map_jobs(square, [1], GivingUp()))
 
 
 # ---------------------------------------------------------------- comparisons
@@ -149,7 +149,7 @@ def test_blas_has_its_threads_again_when_the_last_job_has_ended() -> None:
 
 def test_weights_are_drawn_by_one_thread_at_a_time() -> None:
     def drawn(seed: int) -> float:
-        with drawn_from(seed):
+        with seeded(seed):
             return float(sum(torch.rand(1) for _ in range(500)))
 
     expected = [drawn(seed) for seed in range(40)]

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from splitband.runtime.processes import over
+from splitband.runtime.processes import map_jobs
 
 # What the scripts below import instead of torch, which every process would take seconds to load.
 NO_TORCH = "def set_num_threads(count): pass\n\n\ndef get_num_threads(): return 1\n"
@@ -34,7 +34,7 @@ def square(job: int, report: Callable[[int], None]) -> int:
 
 def test_every_job_is_done_and_reported() -> None:
     seen: list[int] = []
-    assert sorted(over(square, [1, 2, 3], 1, seen.append)) == [1, 4, 9]
+    assert sorted(map_jobs(square, [1, 2, 3], 1, seen.append)) == [1, 4, 9]
     assert sorted(seen) == [1, 2, 3]
 
 
@@ -50,11 +50,11 @@ def test_temporary_files_of_processes_are_removed_however_they_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    (folder,) = (Path(each) for each in over(leave, [0], 1))
+    (folder,) = (Path(each) for each in map_jobs(leave, [0], 1))
     assert folder.parent == tmp_path  # that of this process stays
     folder.rmdir()
     with pytest.raises(OSError, match="ended from outside"):
-        list(over(leave, [0, 1], 2))
+        list(map_jobs(leave, [0, 1], 2))
     assert not [path.name for path in tmp_path.iterdir() if not path.name.startswith("pymp-")]
 
 
@@ -65,14 +65,14 @@ def test_processes_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     script.write_text(
         """
 import os, sys, time
-from splitband.runtime.processes import over
+from splitband.runtime.processes import map_jobs
 
 def work(job, report):
     open(f"{sys.path[0]}/{job}", "w").write(str(os.getpid()))
     time.sleep(600)
 
 if __name__ == "__main__":
-    list(over(work, [1, 2], 2))
+    list(map_jobs(work, [1, 2], 2))
 """
     )
     parent = subprocess.Popen([sys.executable, str(script)])
@@ -91,7 +91,7 @@ def test_a_process_does_not_hear_ctrl_c_while_it_loads(tmp_path: Path) -> None:
     script.write_text(
         """
 import os, pathlib, time
-from splitband.runtime.processes import over
+from splitband.runtime.processes import map_jobs
 
 here = pathlib.Path(__file__).parent
 if __name__ == "__mp_main__":
@@ -103,7 +103,7 @@ def work(job, report):
     return job
 
 if __name__ == "__main__":
-    print(sorted(over(work, [1, 2], 2)))
+    print(sorted(map_jobs(work, [1, 2], 2)))
 """
     )
     parent = subprocess.Popen(
@@ -125,14 +125,14 @@ def test_processes_have_the_modules_and_the_environment_of_this_one(
     script.write_text(
         """
 import os
-from splitband.runtime.processes import over
+from splitband.runtime.processes import map_jobs
 
 def work(job, report):
     return os.environ["SIMULATOR"], os.environ.get("PYTHONSAFEPATH")
 
 if __name__ == "__main__":
     for os.environ["SIMULATOR"] in ("a", "b"):
-        print(sorted(over(work, [1, 2], 2)))
+        print(sorted(map_jobs(work, [1, 2], 2)))
 """
     )
     elsewhere = tmp_path / "elsewhere"

@@ -15,10 +15,10 @@ import numpy.typing as npt
 import scipy
 
 from splitband.baselines.common import LONGEST, known, recent, units
-from splitband.baselines.origins import origins, pays
+from splitband.baselines.origins import is_better, origins
 from splitband.baselines.states import States
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import OverError, check
+from splitband.runtime.deadlines import DeadlineError, check
 from splitband.runtime.options import saved
 
 ORDERS = (1, 2, 3, 4, 6, 8)
@@ -124,10 +124,10 @@ def _denominator(parts: Sequence[_Part], most: int | None) -> Array:
     enough_samples = max((len(known(_joined(parts))) // 3 - nu - 1) // (2 + nu), 1)
     most = enough_samples if most is None else min(most, enough_samples)
     best, errors = ORDERS[0], dict[int, Array]()
-    with suppress(OverError):  # at the deadline, take the best order so far
+    with suppress(DeadlineError):  # at the deadline, take the best order so far
         for order in (order for order in ORDERS if order <= most):
             errors[order] = _held_out(parts, order)
-            if pays(errors[order], errors[best]):
+            if is_better(errors[order], errors[best]):
                 best = order
     return _refined(_of_order(parts, best), parts)
 

@@ -1,4 +1,4 @@
-"""Define rolling origins of held-out forecasts, and when a richer model pays on them.
+"""Define rolling origins of held-out forecasts, and when a richer model is better on them.
 
 From each origin, a fit to the samples before it forecasts the samples after it. The same origins
 select trends, periods and poles, and give the held-out errors of methods and the width of
@@ -24,7 +24,7 @@ def origins(samples: int) -> list[int]:
     return [max(samples - max(1, round(share * samples)), 1) for share in HELD_OUT]
 
 
-def pays(more: Array, less: Array) -> bool:
+def is_better(more: Array, less: Array) -> bool:
     """Return whether a richer model is better than a simpler one, by one standard error.
 
     `more` and `less` are their RMSE from each origin. Logarithms are compared, so that each

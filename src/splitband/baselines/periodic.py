@@ -15,7 +15,7 @@ import numpy as np
 from splitband.baselines.common import known, recent, units
 from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.modes import Modes
-from splitband.baselines.origins import origins, pays
+from splitband.baselines.origins import is_better, origins
 from splitband.baselines.seasonal import all_around, last_period, seasons, self_similar_lags
 from splitband.baselines.trend import Shape, described, find
 from splitband.runtime.arrays import Array
@@ -104,10 +104,10 @@ def _fit_channel(y: Array) -> Modes:
 
     least = errors([Modes.none(part, shape) for part in parts])
     series = [_best_series(part, shape) for part in (scaled, *parts)]
-    if pays(errors(series[1:]), least):
+    if is_better(errors(series[1:]), least):
         choices = [_candidates(of, part) for of, part in zip(series, (scaled, *parts), strict=True)]
         for whole, *on_parts in zip(*choices, strict=True):
-            if pays(found := errors(on_parts), least):
+            if is_better(found := errors(on_parts), least):
                 best, least = whole, found
     return best.in_units(offset, scale)
 

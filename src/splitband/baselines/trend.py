@@ -15,7 +15,7 @@ import numpy.typing as npt
 import scipy
 
 from splitband.baselines.common import known, recent, units
-from splitband.baselines.origins import origins, pays
+from splitband.baselines.origins import is_better, origins
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
@@ -117,11 +117,11 @@ def find(y: Array) -> Trend | None:
     best, simpler = None, [without, last]
     for shapes in (line, exponentials):  # the simpler one first
         errors = _held_out(at, blocks, cuts, shapes)
-        if all(pays(errors, other) for other in simpler):
+        if all(is_better(errors, other) for other in simpler):
             best, simpler = shapes, [errors]
     if best is None:
         return None
-    fitted = _Sketch.fit(at, blocks, best)
+    fitted = _TrendFit.fit(at, blocks, best)
     return fitted.trend(offset, scale) if fitted.stands_out(at, blocks) else None
 
 
@@ -160,12 +160,12 @@ def _held_out(at: Array, blocks: Array, cuts: list[int], shapes: list[Shape]) ->
     """Return the RMSE of the forecast after each cut, fitted before it."""
     errors = []
     for cut in cuts:
-        fitted = _Sketch.fit(at[:cut], blocks[:cut], shapes)
+        fitted = _TrendFit.fit(at[:cut], blocks[:cut], shapes)
         errors.append(_rms(blocks[cut:] - fitted.predict(at[cut:])))
     return np.array(errors)
 
 
-class _Sketch(NamedTuple):
+class _TrendFit(NamedTuple):
     """Hold a fit of the strongest sinusoids (cycles per sample), with or without a trend."""
 
     shape: Shape | None
@@ -173,7 +173,7 @@ class _Sketch(NamedTuple):
     coefficients: Array
 
     @classmethod
-    def fit(cls, at: Array, y: Array, shapes: list[Shape]) -> _Sketch:
+    def fit(cls, at: Array, y: Array, shapes: list[Shape]) -> _TrendFit:
         """Fit the best shape out of `shapes` with sinusoids, by orthogonal matching pursuit.
 
         Sinusoids are added one by one at the peak of the residual's spectrum, among frequencies of

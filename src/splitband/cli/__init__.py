@@ -34,7 +34,7 @@ COMMANDS = {
 """A line about each command; the module of the same name is imported when the command runs."""
 
 
-class Claiming(typer.core.TyperCommand):
+class LockedCommand(typer.core.TyperCommand):
     """Run a command only if its --out replaces no input and is not in use."""
 
     def invoke(self, ctx: Any) -> Any:
@@ -63,7 +63,7 @@ class Commands(TyperGroup):
         if isinstance(command, typer.Typer):
             return typer.main.get_group(command)
         alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
-        alone.command(cmd_name, cls=Claiming)(command)
+        alone.command(cmd_name, cls=LockedCommand)(command)
         return typer.main.get_command(alone)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:

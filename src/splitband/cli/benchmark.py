@@ -31,7 +31,7 @@ from splitband.report.page import document
 from splitband.runtime.deadlines import now
 from splitband.runtime.files import CHECKPOINTS, replacing
 from splitband.runtime.outputs import FACTS, locked, staged, write_facts
-from splitband.runtime.processes import over
+from splitband.runtime.processes import map_jobs
 from splitband.runtime.threads import available_cores
 
 CORES_OF_A_CASE = 2
@@ -144,7 +144,7 @@ def _rows(
         os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [before, "ignore:resource_tracker"]))
         showing.console.print(f"{at_once} cases at once, each on {share} of {cores} cores")
     rows: dict[str, report.Row] = {}
-    for row in over(partial(_compared, out, share, cluster, starting), cases, at_once):
+    for row in map_jobs(partial(_compared, out, share, cluster, starting), cases, at_once):
         rows[row.name] = row
         short = row.note
         if not row.failed:

@@ -135,7 +135,7 @@ def _try_out(forecaster: Forecaster) -> None:
     """Calibrate intervals; if that fails, warn, and the model is saved without them."""
     try:
         with showing.without_warnings():
-            forecaster.tried_out()
+            forecaster.require_held_out()
     except (ValueError, FloatingPointError) as error:
         showing.warn(f"the model has no intervals: {error}")
 

@@ -110,7 +110,7 @@ def read_file(path: str | Path, argument: str, needed: str = "", **options: Any)
     return record
 
 
-def read_beside(
+def read_companion(
     path: str | Path, argument: str, sampling_time: float, time_column: str | None, **others: Any
 ) -> Record:
     """Read a file that accompanies a record, whose sampling time is the default.
@@ -190,7 +190,7 @@ def inputs_ahead(
         coming = replace(named, y=named.u, y_sim=None, y_true=None, columns=named.inputs)
         coming = coming if named.start is not None else coming[since:]
     else:
-        coming = read_beside(file, "--future-inputs", ahead.step, time_column, columns=inputs)
+        coming = read_companion(file, "--future-inputs", ahead.step, time_column, columns=inputs)
     # Linear interpolation, as inputs may jump.
     u = aligned(f"--future-inputs {file}", coming.y, coming.grid, ahead, smooth=False)
     if u.note:

@@ -15,7 +15,7 @@ import pandas as pd
 from splitband.cli import showing
 from splitband.cli.options.records import RecordOptions
 from splitband.cli.options.simulators import SimulatorOptions, parts_of
-from splitband.cli.records import announce, like, read_beside
+from splitband.cli.records import announce, like, read_companion
 from splitband.cli.setups import names
 from splitband.data import Grid, Record
 from splitband.data.timing import in_words
@@ -112,7 +112,7 @@ def load_further(
         )
     found = []
     for i, file in enumerate(files):
-        more = read_beside(
+        more = read_companion(
             file,
             option,
             record.sampling_time,
@@ -157,7 +157,7 @@ def opened_simulator(
     if function or text.lower().endswith(".fmu"):
         outputs = () if function else tuple(columns)
         return Isolated(file, function or None, outputs, timeout, reads, cache)
-    exported = read_beside(
+    exported = read_companion(
         text, "--simulator", record.sampling_time, time_column, columns=columns or None
     )
     y = exported.y

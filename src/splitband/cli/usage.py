@@ -13,7 +13,7 @@ from splitband.evaluation.plan import Plan
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES, TRAINED
 from splitband.report.page.parts import Usage
-from splitband.report.results import MODEL, found_in
+from splitband.report.results import MODEL, settings_path
 
 _SIMULATOR = (
     "simulator", "simulator_columns", "simulator_timeout", "simulator_cache", "simulator_reads",
@@ -61,7 +61,7 @@ def usage(
         return Usage(asked=asked)
     given = {**given, "record": record}
     commands = [("Simulate it beyond the training record", _simulate(given, out, plan, model))]
-    found = found_in(model, out)
+    found = settings_path(model, out)
     if found is not None:
         given = {k: v for k, v in given.items() if k not in _FOUND} | {"settings": str(found)}
     if model.name in NAMES:

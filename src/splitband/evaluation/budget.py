@@ -24,7 +24,7 @@ quarters of the samples, and that of a network on a baseline must end; the rest 
 trainings."""
 ONE = 0.3
 """Share of the time, and of the work, that a single training of a candidate may take. By eye."""
-SLOWER = 2.0
+ASSUMED_SLOWDOWN = 2.0
 """Assumed slowdown of trainings, relative to the gradient that `costs.speed` times, until they have
 been timed themselves. By eye."""
 START = "start"
@@ -34,7 +34,7 @@ PROCESSES = 1.5
 By eye."""
 BUSY = 0.8
 """Share of the time of all cores that parallel trainings use. By eye."""
-SUPPOSED = 5.0
+PRIOR_WEIGHT = 5.0
 """Weight of the assumed pace in the measured one, in seconds of a reference core of trainings.
 By eye."""
 NAMED = 6
@@ -56,12 +56,12 @@ class Pace:
     Attributes
     ----------
     seconds : Wall seconds per second of a reference core; an assumed value until it is measured.
-    trained : Weight of the value: `SUPPOSED` plus the estimated cost of all timed trainings.
+    trained : Weight of the value: `PRIOR_WEIGHT` plus the estimated cost of all timed trainings.
     asking : Seconds that a job needs for its forecasts, after its training.
     """
 
     seconds: float = 1.0
-    trained: float = SUPPOSED
+    trained: float = PRIOR_WEIGHT
     asking: float = 0.0
 
     def measured(self, estimated: float, took: float, asking: float = 0.0) -> None:
@@ -117,7 +117,7 @@ class TimeBudget:
         began = now() if began is None else began
         if seconds is None:
             return cls(Deadline(), cores, began)
-        deadline, pace = Deadline(began + seconds - after), Pace(SLOWER / speed())
+        deadline, pace = Deadline(began + seconds - after), Pace(ASSUMED_SLOWDOWN / speed())
         return cls(deadline, cores, began, pace, phases={START: Phase(now() - began)})
 
     @property

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from splitband.data import Record
 from splitband.forecasters.backtest import Backtest, for_trial
-from splitband.forecasters.beginning import Earlier, LinearPart
+from splitband.forecasters.initialisation import Earlier, LinearPart
 from splitband.forecasters.network import Network
 from splitband.training import Settings
 
@@ -38,7 +38,7 @@ class Candidate:
     rung : Index of its round in `LADDER`; -1: no further round.
     score : RMSE of the seeds' mean forecast of the held-out samples; infinite before training.
     done : Forecasts of the held-out samples, by seed.
-    began_as : Label that it had in its first round; empty until the second.
+    first_label : Label that it had in its first round; empty until the second.
     """
 
     method: str
@@ -46,7 +46,7 @@ class Candidate:
     rung: int = -1
     score: float = math.inf
     done: Mapping[int, Backtest] = field(default_factory=dict)
-    began_as: str = ""
+    first_label: str = ""
 
     @property
     def label(self) -> str:
@@ -64,19 +64,19 @@ class Candidate:
         """Return its total iterations of L-BFGS."""
         return self.settings.quasi_newton or 0
 
-    def going_on(self, iterations: int, weights: Mapping[int, Mapping[str, Tensor]]) -> Network:
+    def continued(self, iterations: int, weights: Mapping[int, Mapping[str, Tensor]]) -> Network:
         """Return the network set to continue from these weights, by seed, for more iterations."""
         settings = replace(self.settings, quasi_newton=self.trained + iterations)
-        return self.network.trained_as(settings).going_on(Earlier(self.trained, weights))
+        return self.network.trained_as(settings).continued(Earlier(self.trained, weights))
 
     def longer(self) -> Candidate | None:
         """Return the candidate of the next round; None where there is none."""
         if not 0 <= self.rung < len(LADDER) - 1:
             return None
         weights = {seed: done.weights for seed, done in self.done.items()}
-        network = self.going_on(LADDER[self.rung + 1] - self.trained, weights)
-        began_as = self.began_as or self.label
-        return replace(self, network=network, rung=self.rung + 1, done={}, began_as=began_as)
+        network = self.continued(LADDER[self.rung + 1] - self.trained, weights)
+        first_label = self.first_label or self.label
+        return replace(self, network=network, rung=self.rung + 1, done={}, first_label=first_label)
 
     def options(self) -> dict[str, Any]:
         """Return all options that may differ between candidates: cells and training settings."""

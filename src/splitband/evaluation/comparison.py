@@ -19,7 +19,7 @@ from splitband.evaluation.recommendation import Trial
 from splitband.evaluation.setup import Setup
 from splitband.evaluation.trials import SearchAttempt
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.ensemble import handed_out, over_seeds
+from splitband.forecasters.ensemble import fitted_ensemble, over_seeds
 from splitband.forecasters.prediction import Prediction
 from splitband.forecasters.residuals import LAGS, ResidualTests, residual_tests
 from splitband.metrics import Extrapolation, extrapolations, input_range
@@ -97,7 +97,7 @@ class Comparison:
         name = self.recommended if name is None else name
         if not self.runs.models.get(name):
             raise ValueError(f"name must be one of {', '.join(self.runs.models)}, got {name}")
-        return handed_out(self.runs.models[name], self.require_trial().held_out.get(name))
+        return fitted_ensemble(self.runs.models[name], self.require_trial().held_out.get(name))
 
     def forecaster(self, name: str | None = None) -> Forecaster:
         """Return a method with its chosen settings, not fitted, to be fitted to a record and saved.

@@ -79,8 +79,8 @@ def training_cost(network: Network, record: Record, others: Sequence[Record]) ->
     base = None if network.base is None else network.base.network
     below = 0.0 if base is None else training_cost(base, record, others)
     assert network.settings is not None
-    going_on = next(iter(network.earlier.weights), 0)
-    settings = network.earlier.remaining(network.settings, going_on)
+    seed = next(iter(network.earlier.weights), 0)
+    settings = network.earlier.remaining(network.settings, seed)
     samples = len(record) + sum(map(len, others))
     batches = settings.batches_of(samples)
     adam = settings.epochs * batches * settings.batch_size * settings.window

@@ -19,7 +19,7 @@ from splitband.evaluation.run import begun, last_fits
 from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import Origin, Question
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.ensemble import handed_out
+from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.prediction import Prediction, mean_of
 from splitband.metrics import Extrapolation, leaves_range
 from splitband.runtime.arguments import whole
@@ -141,7 +141,7 @@ def run_forecast(plan: Plan, work: Work | None = None) -> Forecast:
     best = trial.recommended
     done = [*backtests[best].values()]
     left = [leaves_range(each.y_range, each.predictions[origin].y) for each in done]
-    model = handed_out(models_of(plan, backtests)[best], trial.held_out.get(best))
+    model = fitted_ensemble(models_of(plan, backtests)[best], trial.held_out.get(best))
     u = record.u_beyond
     return Forecast(
         plan,

@@ -13,15 +13,15 @@ from splitband.evaluation.costs import job_cost
 from splitband.evaluation.work import HALF, RunProgress, Work
 from splitband.forecasters.backtest import Backtest, Question, backtest
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.caching import Cached
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.grey_box import ESTIMATES
-from splitband.forecasters.remembering import Remembered
 from splitband.forecasters.simulation import CALIBRATIONS
-from splitband.runtime.deadlines import Deadline, OverError, now, within
-from splitband.runtime.processes import over
+from splitband.runtime.deadlines import Deadline, DeadlineError, now, within
+from splitband.runtime.processes import map_jobs
 from splitband.training import Checkpoint, Progress
 
-REMEMBERED: tuple[Remembered[Any], ...] = (CALIBRATIONS, ESTIMATES)
+REMEMBERED: tuple[Cached[Any], ...] = (CALIBRATIONS, ESTIMATES)
 """Caches whose results are sent to the jobs."""
 LATE = "left out, as the time was over"
 FAILED = 2.0
@@ -133,7 +133,7 @@ def _asked(
         return FitOutcome(backtest(forecaster, question, seed, watch, checkpoint))
     except OSError:
         raise  # a full disk, or a process ended from outside, concerns every method
-    except OverError as error:
+    except DeadlineError as error:
         reason, late = str(error), True
     except (FloatingPointError, ValueError) as error:
         reason = " ".join(str(error).split())
@@ -213,7 +213,7 @@ def _carried_out(
     if any(f.random for f in forecasters.values()):
         patience = Deadline(work.deadline.at + PATIENCE + time.pace.asking)
     done: dict[Key, FitOutcome] = {}
-    for job, outcome in over(fit, jobs, work.executor or work.jobs, watch.report, patience):
+    for job, outcome in map_jobs(fit, jobs, work.executor or work.jobs, watch.report, patience):
         done[job] = outcome
         if outcome.fresh and outcome.backtest is not None:
             asking = outcome.seconds - outcome.backtest.report.seconds
@@ -248,7 +248,7 @@ def _prepared(forecaster: Forecaster, asked: Question, work: Work) -> Forecaster
     # These errors are not lost: the job that needs the result computes it again and reports them.
     workers, folder = work.executor or work.jobs, work.checkpoints
     first_half = Deadline.after(HALF * work.deadline.left)  # the rest is for the jobs
-    with suppress(ValueError, OverError), within(first_half):
+    with suppress(ValueError, DeadlineError), within(first_half):
         for samples in fits:
             training = [asked.record[:samples], *asked.others]
             forecaster.prepare(training, workers, None if folder is None else Path(folder))

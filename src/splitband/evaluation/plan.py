@@ -127,7 +127,7 @@ def plan(
         train = getattr(setup, "train", None)
     if train is None:
         train = len(record) if tests else int(TRAINING_SHARE * len(record))
-    record, horizon = _reaching(record, train, horizon, bool(tests))
+    record, horizon = _cut_to_horizon(record, train, horizon, bool(tests))
     decided = (setup or Options()).decided(record, train, methods, tests)
     if seeds is not None:
         whole("seeds", seeds)
@@ -143,7 +143,7 @@ def plan(
     check(found)
     if horizon or tests:
         _check_trial(found)
-    return replace(found, tests=_called_apart(tests))
+    return replace(found, tests=_with_distinct_names(tests))
 
 
 def check_train(record: Record, train: int, horizon: int = 1) -> None:
@@ -180,7 +180,9 @@ def check(plan: Plan) -> None:
         raise wrong[0]
 
 
-def _reaching(record: Record, train: int, horizon: int | None, tested: bool) -> tuple[Record, int]:
+def _cut_to_horizon(
+    record: Record, train: int, horizon: int | None, tested: bool
+) -> tuple[Record, int]:
     """Return the record up to its last sample to predict, and the horizon."""
     beyond = horizon is not None and train == len(record)
     check_train(record, train, 0 if tested or beyond or horizon == 0 else 1)
@@ -253,7 +255,7 @@ def _check_trial(plan: Plan) -> None:
         ) from None
 
 
-def _called_apart(tests: Sequence[Record]) -> tuple[Record, ...]:
+def _with_distinct_names(tests: Sequence[Record]) -> tuple[Record, ...]:
     """Return the test records with distinct names, numbered where names are equal or missing."""
     names: list[str] = []
     for i, test in enumerate(tests):

@@ -24,7 +24,7 @@ from splitband.evaluation.search import SEEDS, SearchResult, search
 from splitband.evaluation.work import RunProgress, Work
 from splitband.forecasters.backtest import Backtest, Origin, Question, held_out_from
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.ensemble import handed_out
+from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.runtime import deadlines
 from splitband.training import Checkpoint, Progress
 
@@ -162,7 +162,7 @@ def last_fits(
     networks = [f.name for f in methods.values() if f.random]
     time = work.time
     until = time.share(BEFORE_REFIT) if plan.refit else time.deadline
-    until = until.earlier(_asking(plan, work, [*questions.values()]))
+    until = until.earlier(_forecast_seconds(plan, work, [*questions.values()]))
     of_quick = work if time.allows_processes(time.deadline) else work.alone()
     of_quick = of_quick.for_stage(FINAL, time.deadline, (AFTER_TRIAL, AFTER_TRIAL))
     of_networks = work.for_stage(FINAL, until, (AFTER_TRIAL, AFTER_FINAL))
@@ -178,7 +178,7 @@ def last_fits(
     return {name: done[name] for name in methods if name in done}, failures
 
 
-def _asking(plan: Plan, work: Work, questions: Sequence[Question]) -> float:
+def _forecast_seconds(plan: Plan, work: Work, questions: Sequence[Question]) -> float:
     """Estimate how many seconds the last forecasts take.
 
     The time is scaled from a trial, whose three forecasts together have twice the length of the
@@ -224,4 +224,4 @@ def _refitted(plan: Plan, model: Forecaster, trial: Trial, work: Work) -> Foreca
     stage = work.for_stage(REFIT, work.time.deadline, (AFTER_FINAL, 1.0))
     with work.time.phase("refit"):
         found, _ = run_all([method], {method.name: question}, model.seeds, stage)
-    return handed_out(models_of(plan, found)[method.name], trial.held_out.get(model.name))
+    return fitted_ensemble(models_of(plan, found)[method.name], trial.held_out.get(model.name))

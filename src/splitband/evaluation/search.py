@@ -26,7 +26,7 @@ from splitband.evaluation.trials import MOST_MEMBERS, SearchAttempt, Trials
 from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import Backtest
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.beginning import Earlier
+from splitband.forecasters.initialisation import Earlier
 from splitband.forecasters.network import Network
 from splitband.runtime.threads import available_cores
 
@@ -207,7 +207,7 @@ def _chosen(
         # On a long record, held-out errors tell which training is best; others would only make the
         # mean worse.
         if len(record) <= SHORT:
-            more[name] = training_cost(network.going_on(Earlier()), record, others)
+            more[name] = training_cost(network.continued(Earlier()), record, others)
         network.by_seed = dict(enumerate(further, 1))
         chosen[name] = network
     return replace(

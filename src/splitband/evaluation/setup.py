@@ -18,7 +18,7 @@ from splitband.simulators.shooting import Adjustable
 from splitband.training import Settings, default_warmup
 from splitband.training.recipes import Recipe, recipe_settings
 
-AS_GIVEN = "simulator-as-given"
+UNFITTED_SIMULATOR = "simulator-as-given"
 """Name of a simulator whose parameters are not fitted, but the middles of their ranges."""
 
 
@@ -73,7 +73,7 @@ class Setup:
         middle = self.simulator.fixed(self.simulator.known.middle())
         names = with_base(default_names(True, record.nu > 0), GREY_BOX)
         at = names.index(GREY_BOX)
-        return [*names[:at], GreyBox(middle, name=AS_GIVEN), *names[at:]]
+        return [*names[:at], GreyBox(middle, name=UNFITTED_SIMULATOR), *names[at:]]
 
     def as_json(self) -> dict[str, Any]:
         """Return the setup as a dictionary for a result file."""

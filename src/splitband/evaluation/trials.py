@@ -77,7 +77,7 @@ class TrialRun:
     @property
     def key(self) -> tuple[str, int]:
         """Return what identifies this training, the same after every round."""
-        return self.candidate.began_as or self.candidate.label, self.seed
+        return self.candidate.first_label or self.candidate.label, self.seed
 
 
 class Trials:
@@ -225,11 +225,11 @@ class Trials:
                 continue
             more = max(round(SETTLING * candidate.trained), 1)
             if candidate.label == best == newest.label and candidate.rung >= 0:
-                each = training_cost(candidate.going_on(1, weights), self._record, self._others)
+                each = training_cost(candidate.continued(1, weights), self._record, self._others)
                 alike = sum(other.candidate.label == best for other in runs)
                 pays = int(LAST * left / (alike * max(each, 1e-9)))
                 more = max(more, min((LONGER - 1) * candidate.trained, pays))
-            networks.append(candidate.going_on(more, weights))
+            networks.append(candidate.continued(more, weights))
         return networks
 
 

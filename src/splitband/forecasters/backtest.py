@@ -23,7 +23,7 @@ from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import ExtrapolationWarning, rmse, spread
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import OverError, current
+from splitband.runtime.deadlines import DeadlineError, current
 from splitband.runtime.threads import without_warnings
 from splitband.training import Checkpoint, Progress
 
@@ -139,7 +139,7 @@ def backtest(
                 progress=progress,
                 checkpoint=checkpoint,
             )
-        except OverError:
+        except DeadlineError:
             if last is None:
                 raise
             cut = True

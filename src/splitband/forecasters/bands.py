@@ -8,12 +8,12 @@ from splitband.filters import ComplementaryPair, butterworth
 from splitband.filters.cutoff import Choice, choose, choose_with_simulator
 from splitband.runtime.arguments import LARGEST_SIZE, whole
 from splitband.runtime.arrays import Array
-from splitband.runtime.options import Written, saved
+from splitband.runtime.options import WithRepr, saved
 
 
 @saved
 @dataclass(frozen=True, repr=False)
-class Bands(Written):
+class Bands(WithRepr):
     """Hold the parameters of a filter pair; those that are None are chosen on training samples.
 
     Attributes

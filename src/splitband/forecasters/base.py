@@ -16,7 +16,12 @@ from torch import Tensor, nn
 
 from splitband.baselines.delays import check_delays
 from splitband.data import Record, require_records
-from splitband.forecasters.asking import (
+from splitband.forecasters.configurable import Configurable
+from splitband.forecasters.differentiable import Affine, TorchSimulation
+from splitband.forecasters.fitted import Fitted
+from splitband.forecasters.intervals import HeldOut
+from splitband.forecasters.known import Known
+from splitband.forecasters.predicting import (
     first_needed,
     known_at_origin,
     known_of,
@@ -24,11 +29,6 @@ from splitband.forecasters.asking import (
     prepared_like,
     seconds_after,
 )
-from splitband.forecasters.configurable import Configurable
-from splitband.forecasters.differentiable import Affine, TorchSimulation
-from splitband.forecasters.fitted import Fitted
-from splitband.forecasters.intervals import HeldOut
-from splitband.forecasters.known import Known
 from splitband.forecasters.prediction import Prediction
 from splitband.forecasters.stepping import (
     Extrapolated,
@@ -253,7 +253,7 @@ class Forecaster(Configurable):
         known, past = known_of(self, steps, history, u, y_sim, other_record)
         prediction = predicted(self, known, past)
         if level is not None:
-            prediction = self.tried_out().interval(level).around(prediction)
+            prediction = self.require_held_out().interval(level).around(prediction)
         for message in prediction.warnings:
             warnings.warn(message, ExtrapolationWarning, stacklevel=2)
         return prediction
@@ -449,11 +449,11 @@ class Forecaster(Configurable):
     def require_fitted(self) -> Fitted:
         """Return the training records and the report of the fit; raises ValueError before `fit`."""
         if self.fitted is None:
-            raise ValueError(f"{self.name} must be fitted before it is asked: call fit(record)")
+            raise ValueError(f"{self.name} must be fitted first: call fit(record)")
         return self.fitted
 
     @final
-    def tried_out(self) -> HeldOut:
+    def require_held_out(self) -> HeldOut:
         """Return the errors of held-out forecasts, from which intervals of all levels follow.
 
         The first call refits copies to shorter parts of its training record. ValueError is raised

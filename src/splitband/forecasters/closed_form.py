@@ -26,7 +26,7 @@ from splitband.forecasters.stepping_linear import Driven
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
 
-SEVERAL = 3.0
+DISAGREEMENT_RATIO = 3.0
 """A function of time disagrees with a history if its error exceeds this multiple of the training
 error. By eye."""
 _EXACT = 1e-6
@@ -121,8 +121,8 @@ class _ByTime(Forecaster):
             return []
         found = _rmse_of_channels(known.y - self.trajectory(replace(known, steps=0)))
         usual = np.maximum(self.error, _EXACT * np.ptp(self.require_fitted().y_range, axis=0))
-        worst = int(np.argmax(found - SEVERAL * usual))
-        if found[worst] <= SEVERAL * usual[worst]:
+        worst = int(np.argmax(found - DISAGREEMENT_RATIO * usual))
+        if found[worst] <= DISAGREEMENT_RATIO * usual[worst]:
             return []
         return [
             f"{self.name} disagrees with the history, RMSE {found[worst]:.3g} where it was "

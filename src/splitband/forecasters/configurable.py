@@ -14,7 +14,7 @@ import torch
 
 from splitband.data import Record, check_alike, require_records
 from splitband.forecasters.bands import Bands
-from splitband.runtime.options import Written, options
+from splitband.runtime.options import WithRepr, options
 from splitband.training import Settings
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class AsBase:
     described: bool = True
 
 
-class Configurable(Written, ABC):
+class Configurable(WithRepr, ABC):
     """Define the options and needs of a forecaster, and make changed copies of it.
 
     Parts are options that are forecasters themselves. A property of a part is one of the whole.

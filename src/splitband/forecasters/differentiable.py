@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from splitband.forecasters.asking import total
 from splitband.forecasters.known import Known, continued
+from splitband.forecasters.predicting import total
 from splitband.models import Model, Signals
 from splitband.runtime.arrays import Array
 

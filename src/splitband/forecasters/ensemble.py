@@ -11,12 +11,12 @@ import torch
 from torch import nn
 
 from splitband.data import Record
-from splitband.forecasters.asking import total
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.differentiable import Average
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.known import Known
+from splitband.forecasters.predicting import total
 from splitband.forecasters.stepping import Averaged, Recursion
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
@@ -191,7 +191,7 @@ class Ensemble(Forecaster):
         return self.members[0].describe() if self.members else ""
 
 
-def handed_out(models: Sequence[Forecaster], held_out: HeldOut | None) -> Forecaster:
+def fitted_ensemble(models: Sequence[Forecaster], held_out: HeldOut | None) -> Forecaster:
     """Return the ensemble of fitted models, with the held-out errors for its intervals.
 
     For the seed 0 alone, and for a method without seeds, it is the (first) model itself.

@@ -11,9 +11,9 @@ from torch import nn
 
 from splitband.baselines.delays import delayed
 from splitband.data.gaps import first_after, last_before
-from splitband.forecasters.asking import total
 from splitband.forecasters.differentiable import ModelSimulation
 from splitband.forecasters.known import Known
+from splitband.forecasters.predicting import total
 from splitband.forecasters.prehistory import Prehistory
 from splitband.forecasters.stepping import NotSteppedError, Recursion, Warmed
 from splitband.models import Model

@@ -13,8 +13,8 @@ import numpy as np
 from splitband.data import Record
 from splitband.data.timing import seconds_of
 from splitband.forecasters.base import Forecaster, Training
+from splitband.forecasters.caching import Cached
 from splitband.forecasters.known import Known
-from splitband.forecasters.remembering import Remembered
 from splitband.forecasters.stepping import NotSteppedError, Part, Recursion
 from splitband.forecasters.stepping_simulators import Clock, FromMemory, Given, Integrated
 from splitband.metrics import rmse
@@ -30,7 +30,7 @@ STARTS = 0.5, 2 / 3, 5 / 6
 """Origins of the forecasts that choose the `memory`, as shares of the training record. By eye."""
 SHORTEST, GROWTH = 20, 4
 """Samples of the shortest `memory` that is tried, and the factor from one to the next. By eye."""
-_PAYS = 0.9
+MAX_ERROR_SHARE = 0.9
 """A memory is used if its error is below this share of that of the simulation from the start.
 By eye."""
 
@@ -52,7 +52,7 @@ class _Fit:
         return fit_key(self.simulator, experiments, self.effort.starts)
 
 
-ESTIMATES: Remembered[Estimate] = Remembered(_Fit.result)
+ESTIMATES: Cached[Estimate] = Cached(_Fit.result)
 """Cache of fits: hybrids, seeds and trials need the same one, which takes seconds."""
 
 
@@ -259,7 +259,7 @@ class GreyBox(Forecaster):
         best = np.inf
         if not window:
             whole = self._adjusted().response(experiment.time, experiment.u)[0]
-            best = _PAYS * error([whole[a:b] for a, b in zip(origins, ends, strict=True)])
+            best = MAX_ERROR_SHARE * error([whole[a:b] for a, b in zip(origins, ends, strict=True)])
         chosen, length = window, SHORTEST
         while length <= min(window or samples, origins[0]):
             try:

@@ -79,7 +79,7 @@ def _baselines() -> list[Forecaster]:
 BASES = {each.name: each for each in _baselines() if each.as_base.words}
 """Baselines that can replace the simulator of a hybrid; they are fitted to the training samples."""
 GREY_BOX = GreyBox().name
-_IN_ITS_PLACE: dict[str, Forecaster] = {**BASES, GREY_BOX: GreyBox()}
+_REPLACEMENTS: dict[str, Forecaster] = {**BASES, GREY_BOX: GreyBox()}
 
 
 def _methods(sizes: Sizes) -> Iterator[Forecaster]:
@@ -87,7 +87,7 @@ def _methods(sizes: Sizes) -> Iterator[Forecaster]:
     for kind in _kinds(sizes):
         for based in (
             kind,
-            *(_on_base(kind, base) for base in _IN_ITS_PLACE.values() if parts_of(kind)),
+            *(_on_base(kind, base) for base in _REPLACEMENTS.values() if parts_of(kind)),
         ):
             yield from variants(based, calibrate=True, conditioned=True)
 
@@ -141,7 +141,7 @@ def with_base(names: Sequence[str], base: str) -> list[str]:
 
     The base is one of `BASES`, or the simulator with fitted parameters (`GREY_BOX`).
     """
-    put = _IN_ITS_PLACE[base]
+    put = _REPLACEMENTS[base]
     return [*dict.fromkeys(_on_base(named(name), put).name for name in names)]
 
 

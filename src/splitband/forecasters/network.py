@@ -20,27 +20,27 @@ from splitband.baselines.delays import delayed
 from splitband.baselines.linear import input_delays
 from splitband.data import Record
 from splitband.data.gaps import first_after
-from splitband.forecasters.asking import known_of
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, Training
-from splitband.forecasters.beginning import Earlier
+from splitband.forecasters.caching import Cached
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.free_run import FreeRun
+from splitband.forecasters.initialisation import Earlier
 from splitband.forecasters.known import Known
+from splitband.forecasters.predicting import known_of
 from splitband.forecasters.prehistory import Prehistory
-from splitband.forecasters.remembering import Remembered
 from splitband.forecasters.stepping import Recursion
 from splitband.models import Model
 from splitband.models.base import with_weights
 from splitband.runtime.arrays import Array
-from splitband.runtime.threads import drawn_from
+from splitband.runtime.threads import seeded
 from splitband.simulators.calibration import Calibration
 from splitband.training import Settings, fit
 from splitband.training.recipes import recipe_settings
 from splitband.training.settings import SHORTEST_WINDOW, longest_window
 from splitband.training.windows import windows_in
 
-DELAYS = Remembered(input_delays)
+DELAYS = Cached(input_delays)
 """Cache of input delays: many trainings need those of the same records."""
 CONDITIONED = "-conditioned"
 """Suffix of the names of conditioned models."""
@@ -123,8 +123,8 @@ class Network(Forecaster):
         With another base they are chosen after the base is fitted, as the frequency up to which it
         is accurate is not known before.
         """
-        beside_simulator = self.base is None or "simulator" in self.base.needs
-        return (self.bands == OPEN and beside_simulator) or super().shares_bands
+        uses_simulator = self.base is None or "simulator" in self.base.needs
+        return (self.bands == OPEN and uses_simulator) or super().shares_bands
 
     slow_part = "network"
 
@@ -167,7 +167,7 @@ class Network(Forecaster):
         """Return a copy with other settings."""
         return self.clone().set_params(settings=settings)
 
-    def going_on(self, earlier: Earlier) -> Self:
+    def continued(self, earlier: Earlier) -> Self:
         """Return a copy whose `fit` continues earlier trainings."""
         new = self.clone()
         new.earlier = earlier
@@ -358,7 +358,7 @@ class Network(Forecaster):
 
     def _built(self, record: Record, settings: Settings, seed: int) -> Model:
         """Return the untrained model, its parameters drawn from `seed`."""
-        with drawn_from(seed):
+        with seeded(seed):
             return self.build(record, settings)
 
     def _settings_for(self, record: Record) -> Settings:

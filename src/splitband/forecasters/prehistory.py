@@ -135,7 +135,7 @@ class Prehistory:
 
 def _widths(model: Model) -> list[int]:
     """Return the numbers of outputs, inputs, and outputs of the base."""
-    return [model.ny, model.nu, model.ny if model.beside_simulator else 0]
+    return [model.ny, model.nu, model.ny if model.uses_simulator else 0]
 
 
 def _before(known: Array, guess: Tensor, mean: Tensor, std: Tensor) -> Array:
@@ -145,5 +145,5 @@ def _before(known: Array, guess: Tensor, mean: Tensor, std: Tensor) -> Array:
 
 def _side_by_side(model: Model, seen: Signals) -> Tensor:
     """Return the signals that the model uses, without a simulator's output that it does not."""
-    y_sim = seen.y_sim if model.beside_simulator else None
+    y_sim = seen.y_sim if model.uses_simulator else None
     return torch.cat([x for x in (seen.y, seen.u, y_sim) if x is not None], dim=-1)

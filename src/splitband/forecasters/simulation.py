@@ -12,10 +12,10 @@ import numpy as np
 from splitband.data import Aligned, Grid, Record, Stamp, check_alike
 from splitband.data.timing import in_words, stamp_after
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.caching import Cached
 from splitband.forecasters.configurable import AsBase
 from splitband.forecasters.fitted import NEAR_ROW, first_only
 from splitband.forecasters.known import Known
-from splitband.forecasters.remembering import Remembered
 from splitband.forecasters.stepping import NotSteppedError, Part
 from splitband.forecasters.stepping_simulators import Given, RunAhead
 from splitband.models.hybrid import SLOW
@@ -25,7 +25,7 @@ from splitband.simulators.absent import Absent
 from splitband.simulators.calibrating import calibrate
 from splitband.simulators.calibration import Calibration, Term, samples_needed
 
-CALIBRATIONS = Remembered(calibrate)
+CALIBRATIONS = Cached(calibrate)
 """Cache of calibrations: forecasters, seeds and trials need the same one, which takes seconds."""
 LONGEST = 10**8
 """Most samples of a simulator's run, counted from the first training sample: bounds the memory.

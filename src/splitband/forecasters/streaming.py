@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from splitband.data import Record, require_records
 from splitband.data.preparation import Preparation, seconds
-from splitband.forecasters.asking import known_at_origin
 from splitband.forecasters.known import Known
+from splitband.forecasters.predicting import known_at_origin
 from splitband.forecasters.stepping import NotSteppedError, Recursion, State
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.arrays import Array
@@ -134,7 +134,7 @@ def stream_of(
     try:
         return _begun(forecaster, forecaster.stepped(), history, other_record)
     except NotSteppedError:
-        asked = Asked(forecaster, _prepared(forecaster, history), other_record)
+        asked = Repredicted(forecaster, _prepared(forecaster, history), other_record)
         return _begun(forecaster, asked, history, other_record)
 
 
@@ -180,7 +180,7 @@ def _in_units(forecaster: Forecaster, recursion: Recursion, history: Record | No
     return InUnits(recursion, steps, past.sampling_time)
 
 
-class Asked(Recursion):
+class Repredicted(Recursion):
     """Call `predict` for each sample, which takes longer the longer the history is."""
 
     def __init__(self, forecaster: Forecaster, history: Record, other_record: bool) -> None:

@@ -69,7 +69,7 @@ class Model(nn.Module, ABC):
     """Whether the step to a sample also uses the inputs of that sample."""
     conditioned = False
     """Whether the slow component is an input of the fast network."""
-    beside_simulator = False
+    uses_simulator = False
     """Whether a simulator's output is a component of the model."""
     steps: ClassVar[type[Stepped] | None] = None
     """Class that runs the model sample by sample."""

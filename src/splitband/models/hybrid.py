@@ -49,7 +49,7 @@ class Hybrid(Model):
     """
 
     slope_scale: Tensor
-    beside_simulator = True
+    uses_simulator = True
 
     def __init__(self, cell: Cell, conditioned: bool = False, feedthrough: bool = False) -> None:
         super().__init__(cell.ny, inputs_of(cell, 2 * cell.ny * conditioned, feedthrough))

@@ -7,10 +7,10 @@ from torch import Tensor, nn
 
 from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
-from splitband.runtime.options import Written
+from splitband.runtime.options import WithRepr
 
 
-class EulerMLP(Written, nn.Module):
+class EulerMLP(WithRepr, nn.Module):
     """Integrate a multilayer perceptron by Euler steps, the paper's "RNN" (supplement).
 
     h_{n+1} = h_n + dt f(h_n, u_n) with three layers and tanh between them; the observation is

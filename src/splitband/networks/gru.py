@@ -7,10 +7,10 @@ from torch import Tensor, nn
 
 from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
-from splitband.runtime.options import Written
+from splitband.runtime.options import WithRepr
 
 
-class GRU(Written, nn.Module):
+class GRU(WithRepr, nn.Module):
     """Combine a gated recurrent unit with a linear observation (paper, supplement).
 
     Parameters and their initialisation are those of `torch.nn.GRUCell` and `torch.nn.Linear`.

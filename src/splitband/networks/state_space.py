@@ -13,7 +13,7 @@ from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
-from splitband.runtime.options import Written
+from splitband.runtime.options import WithRepr
 
 if TYPE_CHECKING:
     from splitband.baselines.realisation import Realisation
@@ -34,7 +34,7 @@ _NONLINEAR = 0.1
 linear model. With weights of zero, all units would begin alike. By eye."""
 
 
-class StateSpace(Written, nn.Module):
+class StateSpace(WithRepr, nn.Module):
     """Add a layer of tanh units to each equation of a linear state-space model.
 
     x_{n+1} = A x_n + B u_n + f(x_n, u_n) + a + K e_n and y_{n+1} = C x_{n+1} + D u_n +

@@ -62,7 +62,7 @@ def save(
         pictures, page = _drawing()
         pictures.save(pictures.rollouts(comparison), new / "rollouts.png")
         page.of_comparison(comparison, new / page.NAME, usage)
-        save_found(comparison.forecaster(), comparison.record, new)
+        save_settings(comparison.forecaster(), comparison.record, new)
         comparison.model.save(new / MODEL)
         comparison.time.phases["writing"] = Phase(now() - began)
         found = results(comparison) | {"time": comparison.time.as_json()}
@@ -75,12 +75,12 @@ def _drawing() -> tuple[ModuleType, ModuleType]:
     return import_module(pictures), import_module(page)
 
 
-def found_in(forecaster: Forecaster, folder: Path) -> Path | None:
+def settings_path(forecaster: Forecaster, folder: Path) -> Path | None:
     """Return the file with the settings of a recommended network; None for another method."""
     return None if SavedSettings.of_forecaster(forecaster) is None else folder / FOUND
 
 
-def save_found(forecaster: Forecaster, record: Record, folder: Path) -> None:
+def save_settings(forecaster: Forecaster, record: Record, folder: Path) -> None:
     """Write the settings of a recommended network, for --settings; nothing for another method."""
     saved = SavedSettings.of_forecaster(forecaster)
     if saved is not None:
@@ -199,7 +199,7 @@ def save_forecast(result: Forecast, folder: Path, usage: Usage | None = None) ->
         drawn = pictures.prediction(result.prediction, result.record, result.method)
         pictures.save(drawn, new / "forecast.png")
         page.of_forecast(result, new / page.NAME, usage)
-        save_found(result.forecaster, result.record, new)
+        save_settings(result.forecaster, result.record, new)
         result.model.save(new / MODEL)
         facts = forecast_facts(result) | {"time": result.time.as_json()}
         write_facts(new, facts)

@@ -17,7 +17,7 @@ def now() -> float:
     return time.time()
 
 
-class OverError(Exception):
+class DeadlineError(Exception):
     """Report that the deadline of a job passed before it had a result."""
 
     def __init__(self) -> None:
@@ -87,6 +87,6 @@ def within(deadline: Deadline) -> Iterator[None]:
 
 
 def check() -> None:
-    """Raise `OverError` if the deadline of the job that runs in this thread has passed."""
+    """Raise `DeadlineError` if the deadline of the job that runs in this thread has passed."""
     if _current.get().over:
-        raise OverError
+        raise DeadlineError

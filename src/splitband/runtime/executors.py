@@ -71,7 +71,7 @@ class ExecutorAdapter(Workers):
             job.cancel()
 
 
-def given_to(
+def run_on(
     executor: Executor,
     work: Work[Job, Message, Result],
     jobs: Sequence[Job],

@@ -29,7 +29,7 @@ def saved(kind: Kind) -> Kind:
     return kind
 
 
-class Written:
+class WithRepr:
     """Define a `repr` that is Python code to create the object, with `sb` for the package."""
 
     def __repr__(self) -> str:
@@ -67,7 +67,7 @@ def expression(value: object) -> str:  # noqa: PLR0911  a line for each kind
 
     An ellipsis stands for a value without a short expression; a function is given by its name.
     """
-    if isinstance(value, Written) or _is_own(value):
+    if isinstance(value, WithRepr) or _is_own(value):
         return _call(value)
     if isinstance(value, FunctionType) and value.__name__.isidentifier():
         return value.__name__

@@ -29,7 +29,7 @@ from splitband.runtime.executors import (
     Result,
     Work,
     Workers,
-    given_to,
+    run_on,
 )
 from splitband.runtime.threads import one_thread, use_one_thread
 
@@ -38,7 +38,7 @@ LONGEST = 50
 of which `multiprocessing` takes some, twice if processes start further ones."""
 
 
-def over(
+def map_jobs(
     work: Work[Job, Message, Result],
     jobs: Sequence[Job],
     workers: int | Executor = 1,
@@ -59,10 +59,10 @@ def over(
     """
     progress = progress or _ignore
     if isinstance(workers, Executor):
-        yield from given_to(workers, work, jobs, progress, patience)
+        yield from run_on(workers, work, jobs, progress, patience)
     elif workers > 1 and len(jobs) > 1:
         with Processes(min(workers, len(jobs))) as processes:
-            yield from given_to(processes, work, jobs, progress, patience)
+            yield from run_on(processes, work, jobs, progress, patience)
     else:
         for job in jobs:
             with one_thread():

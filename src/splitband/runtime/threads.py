@@ -84,7 +84,7 @@ def one_torch_thread() -> Iterator[None]:
 
 
 @contextmanager
-def drawn_from(seed: int) -> Iterator[None]:
+def seeded(seed: int) -> Iterator[None]:
     """Seed torch's random numbers in this context, safe from other threads; then restore them."""
     with _DRAWING, torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import OverError
+from splitband.runtime.deadlines import DeadlineError
 from splitband.runtime.options import saved
 from splitband.simulators.estimate import Estimate
 from splitband.simulators.parameters import Point, Response
@@ -162,7 +162,7 @@ def _running() -> Iterator[None]:
     """Turn errors of user code into a ValueError that states the place."""
     try:
         yield
-    except OverError:
+    except DeadlineError:
         raise
     except Exception as error:
         if isinstance(error, ValueError) and not place(error):

@@ -19,11 +19,11 @@ Name = tuple[str, int]
 
 AT_BOUND = 2e-3
 """Distance from a bound, as a share of the range, within which a parameter is at it. By eye."""
-UNKNOWN = 0.25
+MAX_RELATIVE_ERROR = 0.25
 """Standard error, as a share of the range, above which a direction is not identifiable. By eye."""
-QUIETEST = 1e-3
+MIN_NOISE = 1e-3
 """Smallest assumed error of a model, in deviations of the record. By eye."""
-INVOLVED = 0.2
+MIN_COMPONENT = 0.2
 """Smallest component of a direction for which its parameter is named in a remark. By eye."""
 _MOST_LAGS = 0.1
 """Longest lag of the residuals' autocorrelation, as a share of the samples. By eye."""
@@ -140,12 +140,12 @@ class Curvature:
         _, s, vt = np.linalg.svd(j, full_matrices=False)
         s = np.concatenate([s, np.zeros(len(vt) - len(s))])
         noise, (samples, ny) = self._noise(), self.residuals.shape
-        level = float(np.sqrt(np.mean(np.maximum(noise, QUIETEST * np.sqrt(ny)) ** 2)))
-        weak = level / np.maximum(s, 1e-300) > UNKNOWN
+        level = float(np.sqrt(np.mean(np.maximum(noise, MIN_NOISE * np.sqrt(ny)) ** 2)))
+        weak = level / np.maximum(s, 1e-300) > MAX_RELATIVE_ERROR
         lost: list[int] = []
         said: list[str] = []
         for direction in vt[weak]:
-            involved = np.flatnonzero(np.abs(direction) > INVOLVED)
+            involved = np.flatnonzero(np.abs(direction) > MIN_COMPONENT)
             lost += [int(free[i]) for i in involved]
             at = [self.names[i] for i in free[involved]]
             pairs = [(name, float(place)) for (name, _), place in

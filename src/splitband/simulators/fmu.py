@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.runtime.arrays import Array
-from splitband.runtime.options import Written
+from splitband.runtime.options import WithRepr
 from splitband.simulators.parameters import Given, Parameters, Point, Response
 
 
-class Fmu(Written):
+class Fmu(WithRepr):
     """Run a functional mock-up unit with FMPy (the extra `splitband[fmu]`).
 
     The archive is unpacked once; between runs its instance is reset, not loaded again. The unpacked

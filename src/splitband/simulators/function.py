@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.runtime.arrays import Array
-from splitband.runtime.options import Written
+from splitband.runtime.options import WithRepr
 from splitband.simulators.parameters import Given, Parameters, Point, Response, parameters_class
 from splitband.simulators.sources import code_digest, count_arguments
 
 
-class UserCode(Written):
+class UserCode(WithRepr):
     """Define the base of dataclasses that hold user code and a field `parameters`."""
 
     parameters: Given | None

@@ -10,7 +10,7 @@ import numpy as np
 from splitband.data import Record, require_records
 from splitband.metrics import spread
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import NEVER, Deadline, OverError, current, within
+from splitband.runtime.deadlines import NEVER, Deadline, DeadlineError, current, within
 from splitband.simulators.estimate import Curvature, Estimate, labelled
 from splitband.simulators.shooting import Adjustable, Experiment, Shooting
 from splitband.simulators.sources import failure
@@ -25,7 +25,7 @@ from splitband.simulators.starts import (
 
 _SAME_PLACE = 0.02
 """Distance, as a share of a range, within which values count as the same. By eye."""
-HOPELESS = 0.6
+WINDOWS_FROM_ERROR = 0.6
 """Error of a simulation of whole records, in deviations, from which on windows are considered.
 By eye."""
 _WORTH_WINDOWS = 0.3
@@ -105,7 +105,7 @@ def check_runs(simulator: Adjustable, record: Record) -> None:
             simulator.respond(begin.time, begin.u, [(simulator.known.middle(), None)])
     except _DEFECTS as error:
         raise ValueError(f"simulator must run on the record: {failure(error)}") from error
-    except OverError:
+    except DeadlineError:
         raise
     except Exception:
         return  # it may run with other parameters, or on more samples
@@ -119,7 +119,7 @@ def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
             best[length] = min(error, best.get(length, np.inf))
     lengths = sorted(best, reverse=True)
     chosen = lengths[0]
-    if chosen < longest or best[chosen] < HOPELESS:
+    if chosen < longest or best[chosen] < WINDOWS_FROM_ERROR:
         return chosen
     return next((n for n in lengths[1:] if best[n] < _WORTH_WINDOWS * best[chosen]), chosen)
 

@@ -11,12 +11,12 @@ import numpy.typing as npt
 from splitband.data import Aligned, Grid, Record, Stamp, aligned
 from splitband.data.alignment import reach
 from splitband.runtime.arrays import Array
-from splitband.runtime.options import Written, saved
+from splitband.runtime.options import WithRepr, saved
 
 
 @saved
 @dataclass(frozen=True, eq=False, repr=False)
-class Recorded(Written):
+class Recorded(WithRepr):
     """Hold the exported output of a simulator, at its own times.
 
     Attributes

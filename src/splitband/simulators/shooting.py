@@ -166,7 +166,7 @@ class Shooting:
         try:
             with np.errstate(all="ignore"):
                 return [*self.simulator.respond(part.time, part.u, points)]
-        except deadlines.OverError:
+        except deadlines.DeadlineError:
             raise
         except Exception as error:
             self.failure = failure(error)

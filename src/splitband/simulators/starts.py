@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import Deadline, OverError, current, within
+from splitband.runtime.deadlines import Deadline, DeadlineError, current, within
 from splitband.runtime.files import write_json
 from splitband.simulators.shooting import BAD, Shooting, fit_key
 
@@ -94,7 +94,7 @@ def starting_points(count: int, dimensions: int) -> Array:
 def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOutcome]:
     """Try starting points in order until enough of them agree, and return their outcomes."""
     points = starting_points(effort.starts, len(problem.names))
-    kept = _Kept.of(problem, len(points), effort.folder)
+    kept = _StartStore.of(problem, len(points), effort.folder)
     done = kept.outcomes
     work = partial(_try, problem, points, deadline)
     for first in range(0, len(points), _BATCH):
@@ -118,21 +118,21 @@ def _side_by_side(
     If a process dies, its start is unknown: all starts without an outcome are tried again one by
     one.
     """
-    from splitband.runtime.processes import Processes, over  # noqa: PLC0415  which loads torch
+    from splitband.runtime.processes import Processes, map_jobs  # noqa: PLC0415  which loads torch
 
     if workers == 1:
-        yield from over(work, batch)
+        yield from map_jobs(work, batch)
         return
     left = [*batch]
     with nullcontext(workers) if isinstance(workers, Executor) else Processes(workers) as staff:
         try:
-            for outcome in over(work, batch, staff):
+            for outcome in map_jobs(work, batch, staff):
                 left.remove(outcome.number)
                 yield outcome
         except OSError:
             for number in left:
                 try:
-                    yield from over(work, [number], staff)
+                    yield from map_jobs(work, [number], staff)
                 except OSError as error:
                     yield StartOutcome(number, failure=f"{type(error).__name__}: {error}")
 
@@ -165,7 +165,7 @@ def _try(
                 if error < 0.5 * BAD:
                     places, error = descend(shooting, places, _ROUNDS)
                     found[length] = places.tolist(), error
-    except OverError:
+    except DeadlineError:
         cut = True
     return StartOutcome(number, found, shooting.failure, cut)
 
@@ -199,7 +199,7 @@ def descend(shooting: Shooting, places: Array, rounds: int) -> tuple[Array, floa
             residuals, begin, shooting.jacobian, bounds=(0.0, 1.0), max_nfev=rounds,
             x_scale=0.1, ftol=1e-8, xtol=1e-8, gtol=1e-10,
         )  # fmt: skip
-    except OverError:
+    except DeadlineError:
         if best is None:
             raise
     assert best is not None
@@ -211,7 +211,7 @@ def _error(residuals: Array) -> float:
 
 
 @dataclass(frozen=True)
-class _Kept:
+class _StartStore:
     """Hold the outcomes of starts, and store them in a file for a repetition of the same fit."""
 
     path: Path | None
@@ -219,7 +219,7 @@ class _Kept:
     outcomes: dict[int, StartOutcome]
 
     @classmethod
-    def of(cls, problem: Shooting, starts: int, folder: Path | None) -> _Kept:
+    def of(cls, problem: Shooting, starts: int, folder: Path | None) -> _StartStore:
         if folder is None:
             return cls(None, "", {})
         key = fit_key(problem.simulator, problem.experiments, starts)

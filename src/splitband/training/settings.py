@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from splitband.runtime.arguments import whole
-from splitband.runtime.options import Written, saved
+from splitband.runtime.options import WithRepr, saved
 from splitband.training.quasi_newton import ROUND
 
 STEPS = 1000
@@ -22,7 +22,7 @@ long record."""
 
 @saved
 @dataclass(frozen=True, repr=False)
-class Settings(Written):
+class Settings(WithRepr):
     """Hold training settings; defaults are the paper's for system (i), `Settings.of` our recipe.
 
     Attributes

@@ -11,7 +11,7 @@ from splitband.runtime.arrays import Array
 
 Drawn = npt.NDArray[np.float32] | Array
 
-ROUGHEST = 1e-4
+MAX_ROUNDING = 1e-4
 """Largest change of a curve by single precision, as a share of its range: less than a pixel of a
 plot. Otherwise the curve stays double."""
 
@@ -60,7 +60,7 @@ def compact(y: Array) -> Drawn:
         return y
     single = y.astype(np.float32)
     worst = abs(single[np.isfinite(y)].astype(np.float64) - seen).max()
-    return single if worst <= ROUGHEST * np.ptp(seen) else y
+    return single if worst <= MAX_ROUNDING * np.ptp(seen) else y
 
 
 def _extremes(y: Array, size: int) -> tuple[Array, Array, npt.NDArray[np.bool_]]:

@@ -14,7 +14,7 @@ from splitband.training.checkpoints import key_of
 Result = TypeVar("Result")
 
 
-class Remembered(Generic[Result]):
+class Cached(Generic[Result]):
     """Cache a function of arrays and numbers, or of lists of them.
 
     Arguments are compared by content. The function runs on one thread, so that its result is equal

@@ -8,7 +8,7 @@ import pytest
 import scipy
 
 import splitband as sb
-from splitband.forecasters.beginning import begin_as_linear
+from splitband.forecasters.initialisation import begin_as_linear
 from tests.support import simulated
 
 Array = npt.NDArray[np.float64]

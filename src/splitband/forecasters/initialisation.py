@@ -16,7 +16,7 @@ from torch import Tensor
 from splitband.baselines.linear import OutputError
 from splitband.baselines.realisation import Realisation, realised, state_estimator
 from splitband.data import Record
-from splitband.forecasters.remembering import Remembered
+from splitband.forecasters.caching import Cached
 from splitband.models import Model
 from splitband.models.base import with_next_input
 from splitband.runtime.arrays import Array
@@ -69,7 +69,7 @@ def _fitted(most: int, first: tuple[Array, Array], *others: tuple[Array, Array])
     return OutputError.fit(*first, others, most)
 
 
-FITTED: Remembered[Any] = Remembered(_fitted)
+FITTED: Cached[Any] = Cached(_fitted)
 """Cache of linear models, from which all seeds and sizes of a search start."""
 
 
