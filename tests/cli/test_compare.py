@@ -205,7 +205,7 @@ def test_several_seeds_are_run_by_as_many_processes_as_asked_for(
         asked.extend([(len(jobs), processes._pool._max_workers)] if jobs else [])
         return map_jobs(work, jobs, 1, progress)
 
-    monkeypatch.setattr("splitband.evaluation.jobs.over", in_this_process)
+    monkeypatch.setattr("splitband.evaluation.jobs.map_jobs", in_this_process)
     call(f"compare record.csv --columns a --methods gru {QUICK} --seeds 3 --jobs 2", tmp_path)
     assert asked == [(2, 2), (3, 2)]  # two seeds are tried out, three trained
     found = results(tmp_path)["methods"]["gru"]

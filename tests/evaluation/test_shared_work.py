@@ -72,7 +72,7 @@ def test_other_processes_are_sent_what_is_fitted(
         assert len(learned) == 1
         return [work(job, lambda _: None) for job in jobs]  # type: ignore[attr-defined]
 
-    monkeypatch.setattr("splitband.evaluation.jobs.over", sent)
+    monkeypatch.setattr("splitband.evaluation.jobs.map_jobs", sent)
     compare(RECORD, CALIBRATED, SETUP)
     assert fitted == [TRAIN]
 
