@@ -22,6 +22,7 @@ from torch import nn
 
 import splitband as sb
 from splitband.forecasters import saving
+from splitband.forecasters.known import Known
 
 Array = npt.NDArray[np.float64]
 DT, STEPS = 0.1, 20
@@ -202,6 +203,22 @@ def test_a_class_of_ones_own_is_asked_for_by_its_module(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert "the class Last is not known here: import my_parts first" in done.stderr
+
+
+def test_of_classes_that_a_notebook_defines_again_the_latest_is_loaded(tmp_path: Path) -> None:
+    def defined(level: float) -> sb.Forecaster:
+        class Constant(sb.Forecaster):
+            name = "constant"
+
+        class Level(Constant):
+            def extrapolate(self, known: Known) -> Array:
+                return np.full((known.steps, 1), level)
+
+        return Level()
+
+    first, _ = defined(1.0), defined(2.0)
+    first.fit(sb.Record(np.arange(9.0), 1.0)).save(tmp_path / "m")
+    assert sb.load(tmp_path / "m").predict(1).y == [[2.0]]
 
 
 def test_a_cell_that_does_not_keep_its_arguments_is_refused(tmp_path: Path) -> None:

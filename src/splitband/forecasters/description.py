@@ -10,6 +10,7 @@ method `sized`, restored from the arguments of their constructor.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from typing import Any, get_origin, get_type_hints
@@ -163,16 +164,16 @@ def _found(value: Mapping[str, Any], word: str, kinds: list[type]) -> type:
 
 
 def _below(kind: type) -> Iterator[type]:
-    """Yield all subclasses; those of one class in the order of their definition."""
-    seen: dict[type, None] = {}
-    todo = [kind]
+    """Yield all subclasses; where classes are defined again, the later ones come later."""
+    seen: dict[type, None] = {kind: None}
+    todo = deque([kind])
     while todo:
         each: type
-        for each in type.__subclasses__(todo.pop()):
+        for each in type.__subclasses__(todo.popleft()):
             if each not in seen:
                 seen[each] = None
                 todo.append(each)
-    yield from seen
+                yield each
 
 
 def _of_package(kind: type) -> bool:
