@@ -16,7 +16,7 @@ from splitband.filters.spectrum import periodogram
 from splitband.forecasters.names import HYBRIDS
 from splitband.report import words
 from splitband.report.page.parts import Usage
-from splitband.report.results import MODEL
+from splitband.report.results import MODEL_FOLDER
 from splitband.report.table import columns, remarks
 
 
@@ -72,7 +72,7 @@ def show(result: Comparison, out: Path, used: Usage) -> None:
         showing.console.print(f"residual tests: {tested.verdict()}")
     for what, command in used.commands[:1]:
         showing.console.print(f"{what}:\n    {command}", soft_wrap=True)
-    showing.console.print(f"trained model: {out / MODEL}/\nresults and picture: {out}/")
+    showing.console.print(f"trained model: {out / MODEL_FOLDER}/\nresults and picture: {out}/")
     showing.results_of(out)
 
 

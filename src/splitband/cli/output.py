@@ -10,7 +10,7 @@ from typing import Any
 
 from splitband.cli.options.simulators import parts_of
 from splitband.forecasters import saving
-from splitband.report.results import MODEL
+from splitband.report.results import MODEL_FOLDER
 from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import belongs_to_result, locked
 
@@ -48,7 +48,7 @@ def replaced(out: Path) -> list[Path]:
     if not os.path.isdir(out):
         return []
     found = [path for path in out.iterdir() if belongs_to_result(path.name)]
-    inner = [path for name in (MODEL, CHECKPOINTS) for path in (out / name).rglob("*")]
+    inner = [path for name in (MODEL_FOLDER, CHECKPOINTS) for path in (out / name).rglob("*")]
     return [*found, *inner, *saving.files(out)]
 
 

@@ -13,7 +13,7 @@ from splitband.evaluation.plan import Plan
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES, TRAINED
 from splitband.report.page.parts import Usage
-from splitband.report.results import MODEL, settings_path
+from splitband.report.results import MODEL_FOLDER, settings_path
 
 _SIMULATOR = (
     "simulator", "simulator_columns", "simulator_timeout", "simulator_cache", "simulator_reads",
@@ -71,11 +71,11 @@ def usage(
             commands.append(("Fit it to the whole record", fit))
         # A simulator or a user's equation cannot be exported.
         if model.name in TRAINED or not ("simulator" in model.needs or model.parameters):
-            export = f"splitband export {shlex.quote(str(out / MODEL))} model.fmu"
+            export = f"splitband export {shlex.quote(str(out / MODEL_FOLDER))} model.fmu"
             commands.append(("Export it: .fmu for Simulink, .c for a controller, .onnx", export))
     if given.get("test") and "simulator" not in model.needs:
         tested = shlex.quote(str(given["test"][0]))
-        checked = f"splitband check {shlex.quote(str(out / MODEL))}"
+        checked = f"splitband check {shlex.quote(str(out / MODEL_FOLDER))}"
         commands.append(("Check it on the test record", f"{checked} --record {tested}"))
     commands.sort(key=lambda each: "FILE" in each[1])  # those with a placeholder come last
     if "simulator" not in model.needs and not model.parameters:
@@ -88,7 +88,7 @@ def _python(out: Path, plan: Plan) -> str:
     known = ", u=u" if plan.record.nu else ""
     why = f"  # u: the {STEPS} samples of the inputs to come" if known else ""
     return (
-        f"import splitband as sb\n\nmodel = sb.load({str(out / MODEL)!r})\n"
+        f"import splitband as sb\n\nmodel = sb.load({str(out / MODEL_FOLDER)!r})\n"
         f"model.predict({STEPS}{known}).to_frame(){why}"
     )
 
@@ -108,7 +108,7 @@ def _simulate(given: Mapping[str, Any], out: Path, plan: Plan, model: Forecaster
         options["future_inputs"] = given.get("future_inputs") or (
             given["record"] if known else "FILE"
         )
-    begin, end = f"splitband simulate {shlex.quote(str(out / MODEL))}", [f"--steps {steps}"]
+    begin, end = f"splitband simulate {shlex.quote(str(out / MODEL_FOLDER))}", [f"--steps {steps}"]
     return _line(begin, options, [*options], [*end, "--out ahead.csv"])
 
 

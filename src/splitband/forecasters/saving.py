@@ -30,7 +30,7 @@ from splitband.simulators.absent import Absent
 
 FORMAT = 4
 """Version of the folder's format, which changes with the results of `to_dict`."""
-FILE, WEIGHTS = outputs.MODEL, outputs.WEIGHTS
+FILE, WEIGHTS = outputs.DESCRIPTION, outputs.WEIGHTS
 LARGEST_DESCRIPTION = 2**28
 """Largest size of a description in bytes: bounds the memory. By eye."""
 _DIGITS = 16

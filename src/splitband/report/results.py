@@ -35,7 +35,7 @@ from splitband.runtime.outputs import TEST_PREDICTIONS, staged, write_facts
 
 FOUND = "recommended.json"
 """File with the settings of the recommended network, for `--settings`."""
-MODEL = "model"
+MODEL_FOLDER = "model"
 """Folder with the recommended method as it was trained, for `simulate`."""
 
 
@@ -63,7 +63,7 @@ def save(
         pictures.save(pictures.rollouts(comparison), new / "rollouts.png")
         page.of_comparison(comparison, new / page.NAME, usage)
         save_settings(comparison.forecaster(), comparison.record, new)
-        comparison.model.save(new / MODEL)
+        comparison.model.save(new / MODEL_FOLDER)
         comparison.time.phases["writing"] = Phase(now() - began)
         found = results(comparison) | {"time": comparison.time.as_json()}
         write_facts(new, (facts or {}) | found)
@@ -200,7 +200,7 @@ def save_forecast(result: Forecast, folder: Path, usage: Usage | None = None) ->
         pictures.save(drawn, new / "forecast.png")
         page.of_forecast(result, new / page.NAME, usage)
         save_settings(result.forecaster, result.record, new)
-        result.model.save(new / MODEL)
+        result.model.save(new / MODEL_FOLDER)
         facts = forecast_facts(result) | {"time": result.time.as_json()}
         write_facts(new, facts)
 

@@ -29,7 +29,7 @@ RESULT_FILES = (
 )  # fmt: skip
 """Files of results. With an earlier result, only these, predictions of test records and weights of
 its model are removed."""
-MODEL, WEIGHTS = "forecaster.json", "weights-{}.safetensors"
+DESCRIPTION, WEIGHTS = "forecaster.json", "weights-{}.safetensors"
 """Files of a saved forecaster."""
 LOCK = ".splitband-lock"
 _NEW, _EARLIER = ".splitband-new", ".splitband-earlier.json"
@@ -92,7 +92,7 @@ def _replace(folder: Path, new: Path) -> None:
     outdated = files_of_result(folder)
     for file in files:
         (folder / file.parent).mkdir(exist_ok=True)
-        if file.name == MODEL:  # names of weights depend on their content
+        if file.name == DESCRIPTION:  # names of weights depend on their content
             weights = (folder / file.parent).glob(WEIGHTS.format("*"))
             outdated |= {path.relative_to(folder).as_posix() for path in weights}
     if (folder / FACTS).exists():
