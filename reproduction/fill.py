@@ -99,7 +99,7 @@ class Page:
         return str(self.tables[name]["markdown"]).strip()
 
     def fewer_seeds(self, name: str) -> str:
-        """How many seeds the rows of a table have instead of five, and what a run takes."""
+        """How many seeds the rows of a table have, and what a run takes."""
         rows = [row for row in self.rows_of[name] if row["epochs"] is not None]
         if any(row["epochs"] != row["paper_epochs"] for row in rows):
             raise SystemExit(
@@ -115,9 +115,9 @@ class Page:
         }
         said = _listed(f"{took:.0f} on ({system})" for system, took in minutes.items())
         return (
-            f"These rows have {' to '.join(map(str, counts))} seeds instead of {rows[0]['asked']}, "
-            f"each trained for all of the paper's epochs: a run takes so many minutes of a core, "
-            f"in the median: {said}."
+            f"These rows have {' to '.join(map(str, counts))} of {rows[0]['asked']} seeds, each "
+            "trained for all of the paper's epochs. A run takes so many minutes of a core, in the "
+            f"median: {said}."
         )
 
     def tally(self, ours: str, theirs: str, *systems: str) -> str:
