@@ -10,17 +10,17 @@ ifneq ($(wildcard ../shared/data),)
 export SPLITBAND_DATA_DIR ?= $(abspath ../shared/data)
 endif
 
-.PHONY: axe demo test check float32 float64 format figures docs paper bench fuzz soak memory clean
+.PHONY: axe demo test check kernels-float32 kernels-float64 format figures docs paper bench fuzz soak memory clean
 
 demo: .venv/.ready
 	$(BIN)/splitband demo --out demo
 
 test:
-	$(MAKE) --jobs=3 check float32 float64
+	$(MAKE) --jobs=3 check kernels-float32 kernels-float64
 	$(BIN)/pytest -n auto
 
-float32 float64: .venv/.ready
-	$(BIN)/python -m tests.kernels.compiling $@
+kernels-float32 kernels-float64: .venv/.ready
+	$(BIN)/python -m tests.kernels.compiling $(@:kernels-%=%)
 
 check: .venv/.ready
 	$(BIN)/ruff check .

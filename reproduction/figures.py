@@ -31,7 +31,7 @@ def _unfiltered(comparison: Comparison) -> Figure:
 
 FIGURES: dict[str, Callable[[Comparison], Figure]] = {
     "spectrum": _spectrum,
-    "rollouts": pictures.rollouts,
+    "rollouts": drawn.rollouts,
     "components": drawn.components,
     "unfiltered": _unfiltered,
     "errors": drawn.errors,

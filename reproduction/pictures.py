@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Literal
 
 import numpy as np
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.protocols import Run
-from splitband.metrics import cumulative_rmse
+from splitband.metrics import cumulative_rmse, rmse
 from splitband.report.colors import PALETTE
 from splitband.report.pictures import MEASURED, literal, time_label, times_of
 from splitband.report.table import ordered
@@ -59,6 +59,41 @@ def components(
     return figure
 
 
+def rollouts(comparison: Comparison) -> Figure:
+    """Draw the mean predictions of each method, a row for each channel, by both protocols."""
+    record, setup, means = comparison.record, comparison.setup, comparison.means
+    rows = [(name, channel) for name in means for channel in range(record.ny)]
+    figure = Figure(figsize=(13, 0.9 + 1.25 * len(rows)), layout="constrained")
+    grid = figure.subplots(len(rows), 2, sharex="col", sharey=record.ny == 1, squeeze=False)
+    times, names = times_of(record), ordered(comparison.trial, means)
+    for axes, (name, channel) in zip(grid, rows, strict=True):
+        color = PALETTE[names.index(name) % len(PALETTE)]
+        for ax, (title, prediction) in zip(axes, PROTOCOLS.items(), strict=True):
+            y = prediction(means[name])[:, channel]
+            begin = len(record) - len(y)
+            first = max(begin - setup.settings.warmup, 0)
+            ax.plot(times[first:], record.seen[first:, channel], color=MEASURED, lw=0.8)
+            ax.plot(times[begin:], y, color=color, lw=1.2)
+            ax.axvspan(times[first], times[begin - 1], color="0.93", zorder=0)
+            if setup.train < len(record):
+                ax.axvline(times[setup.train], color="0.4", ls=":", lw=1)
+            error = rmse(record.truth[begin:, channel], y)
+            ax.set_title(f"{name}, {title}: RMSE {error:.3g}", fontsize=9, loc="left", pad=3)
+            ax.margins(x=0.01)
+        axes[0].set_ylabel(literal(record.columns[channel]))
+    # A method that diverges must not set the scale.
+    seen = record.seen[np.isfinite(record.seen)]
+    if record.ny == 1:
+        grid[0, 0].set_ylim(seen.min() - np.ptp(seen) / 4, seen.max() + np.ptp(seen) / 4)
+    for ax in grid[-1]:
+        ax.set_xlabel(time_label(record))
+    figure.suptitle(
+        literal(f"{record.name}: mean of the seeds in colour, measured in black; grey: warm-up"),
+        fontsize=10,
+    )
+    return figure
+
+
 def errors(comparison: Comparison) -> Figure:
     """Return a picture of the RMSE up to each time, a row for each channel.
 
@@ -66,7 +101,7 @@ def errors(comparison: Comparison) -> Figure:
     """
     record, setup, runs = comparison.record, comparison.setup, comparison.runs
     figure = Figure(figsize=(13, 0.6 + 4 * record.ny), layout="constrained")
-    protocols = [("from the start", _from_start), ("forecast", _forecast)]
+    protocols = [*PROTOCOLS.items()]
     times, end = times_of(record), setup.train
     names = ordered(comparison.trial, runs)
     if end == len(record):  # nothing is forecast
@@ -110,3 +145,10 @@ def _from_start(run: Run) -> Array:
 
 def _forecast(run: Run) -> Array:
     return run.ahead
+
+
+PROTOCOLS: dict[str, Callable[[Run], Array]] = {
+    "from the start": _from_start,
+    "forecast": _forecast,
+}
+"""What a run predicted, by what pictures call it."""

@@ -1,6 +1,5 @@
 """The documented examples run as they stand, and their hybrid models are worth their training."""
 
-import math
 import re
 import runpy
 import sys
@@ -24,24 +23,18 @@ def train_shortly(patch: pytest.MonkeyPatch, epochs: int) -> None:
     patch.setattr(sb, "Settings", lambda **given: settings(**given | {"epochs": epochs}))
 
 
-@pytest.mark.parametrize(
-    ("name", "epochs", "off"), [("ode", None, 0.213), ("csv", 3, 2.12), ("fmu", 3, 0.212)]
-)
+@pytest.mark.parametrize(("name", "off"), [("ode", 0.213), ("csv", 2.12), ("fmu", 0.212)])
 def test_an_example_prints_a_hybrid_model_that_beats_its_simulator(
     name: str,
-    epochs: int | None,
     off: float,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    """One is trained as it stands; the others have the same network, and another simulator."""
     if name == "fmu":
         for package in ("fmpy", "pythonfmu"):
             pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)
-    if epochs:
-        train_shortly(monkeypatch, epochs)
     monkeypatch.setattr(sys, "argv", [f"{name}_simulator.py"])
     runpy.run_path(str(EXAMPLES / f"{name}_simulator.py"), run_name="__main__")
     printed = capfd.readouterr()
@@ -50,8 +43,7 @@ def test_an_example_prints_a_hybrid_model_that_beats_its_simulator(
     found = {key: float(value) for key, value in re.findall(r"(\w+) RMSE (\S+)", printed.out)}
     assert set(found) == {"simulator", "hybrid"}
     assert found["simulator"] == pytest.approx(off, rel=0.03)
-    assert math.isfinite(found["hybrid"])
-    assert epochs or found["hybrid"] < 0.8 * found["simulator"]
+    assert found["hybrid"] < 0.8 * found["simulator"]
 
 
 @pytest.mark.parametrize(

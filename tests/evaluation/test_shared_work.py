@@ -48,7 +48,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     remembered = Cached(counted)
     monkeypatch.setattr("splitband.forecasters.simulation.CALIBRATIONS", remembered)
-    monkeypatch.setattr("splitband.evaluation.jobs.REMEMBERED", (remembered,))
+    monkeypatch.setattr("splitband.evaluation.jobs.CACHES", (remembered,))
     return found
 
 

@@ -246,7 +246,7 @@ def _show(rows: Sequence[report.Row], out: Path) -> None:
 def _table(rows: Sequence[report.Row]) -> Table:
     title = "errors of the mean over seeds, as multiples of the standard deviation"
     table = Table(title=title, title_justify="left", title_style="bold")
-    shown = [c for c in report.COLUMNS if c.heading != "note" or any(row.note for row in rows)]
+    shown = [c for c in report.COLUMNS if any(c.entry(row) for row in rows)]
     for column in shown:
         table.add_column(
             column.heading,

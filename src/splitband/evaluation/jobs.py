@@ -21,7 +21,7 @@ from splitband.runtime.deadlines import Deadline, DeadlineError, now, within
 from splitband.runtime.processes import map_jobs
 from splitband.training import Checkpoint, Progress
 
-REMEMBERED: tuple[Cached[Any], ...] = (CALIBRATIONS, ESTIMATES)
+CACHES: tuple[Cached[Any], ...] = (CALIBRATIONS, ESTIMATES)
 """Caches whose results are sent to the jobs."""
 LATE = "left out, as the time was over"
 FAILED = 2.0
@@ -77,7 +77,7 @@ class FitJobs:
     Attributes
     ----------
     forecasters, questions : By name.
-    known : Results of each cache in `REMEMBERED`.
+    known : Results of each cache in `CACHES`.
     deadline : When trainings stop and keep the weights that they have then.
     checkpoints : Folder of checkpoints; a worker that cannot see it trains without.
     stage : Stage named in progress reports; None: no reports.
@@ -99,7 +99,7 @@ class FitJobs:
         # Methods that are not trained start even after the deadline, so that there is a result.
         if self.deadline.over and forecaster.random and job != self.needed:
             return job, FitOutcome(failure=Failure(name, seed, LATE, late=True))
-        for each, results in zip(REMEMBERED, self.known, strict=True):
+        for each, results in zip(CACHES, self.known, strict=True):
             each.learn(results)
 
         def watch(at: Progress) -> None:
@@ -200,7 +200,7 @@ def _carried_out(
     fit = FitJobs(
         forecasters,
         questions,
-        [dict(each.results) for each in REMEMBERED],
+        [dict(each.results) for each in CACHES],
         work.deadline,
         checkpoints,
         None if work.progress is None else work.stage,

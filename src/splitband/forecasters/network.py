@@ -371,5 +371,11 @@ class Network(Forecaster):
 
     def _free_run(self) -> FreeRun:
         """Return the trained model, ready to simulate."""
-        asked = self.name, self._trained(), self.warmup, self.delays
-        return FreeRun(*asked, self.fitted_base, self.prehistory)
+        return FreeRun(
+            self.name,
+            self._trained(),
+            self.warmup,
+            self.delays,
+            self.fitted_base,
+            self.prehistory,
+        )

@@ -113,7 +113,7 @@ def _error(fits: Sequence[Mapping[str, Any]], method: str) -> float | None:
 
 
 @dataclass(frozen=True)
-class Column:
+class CaseColumn:
     """Say what a column shows of each case.
 
     Attributes
@@ -133,35 +133,35 @@ class Column:
     def entry(self, row: Row) -> str:
         """Return the text of a row's cell."""
         value = self.value(row)
-        return (
-            str(value) if self.show is None else number(None) if value is None else self.show(value)
-        )
+        if self.show is None:
+            return str(value)
+        return number(None) if value is None else self.show(value)
 
 
 COLUMNS = (
-    Column("case", lambda row: row.name),
-    Column("of", lambda row: row.protocol),
-    Column(
+    CaseColumn("case", lambda row: row.name),
+    CaseColumn("of", lambda row: row.protocol),
+    CaseColumn(
         "fit %", lambda row: row.fit, "{:.1f}".format,
         "100 (1 - error) of the recommended method: 100 is perfect, 0 as good as the mean",
     ),
-    Column("recommended", lambda row: row.recommended),
-    Column("best", lambda row: row.best),
-    Column(
+    CaseColumn("recommended", lambda row: row.recommended),
+    CaseColumn("best", lambda row: row.best),
+    CaseColumn(
         "error", lambda row: row.error, number,
         "its RMSE over the standard deviation of the predicted samples; of several outputs the "
         "root mean square",
     ),
-    Column(
+    CaseColumn(
         "regret", lambda row: row.regret, number,
         "the recommended method's error over the lowest one; 1 is ideal", 1.0,
     ),
-    Column(
+    CaseColumn(
         "in interval", lambda row: row.held, percent,
         "share of the forecast's samples in the recommended method's interval",
     ),
-    Column("seconds", lambda row: row.seconds, number),
-    Column("note", lambda row: row.note),
+    CaseColumn("seconds", lambda row: row.seconds, number),
+    CaseColumn("note", lambda row: row.note),
 )  # fmt: skip
 """The columns that the terminal and the page show."""
 

@@ -8,7 +8,7 @@ from urllib.parse import quote
 import numpy as np
 from bokeh.models import Scatter, Segment
 
-from splitband.report.benchmark import COLUMNS, Column, Row, summary
+from splitband.report.benchmark import COLUMNS, CaseColumn, Row, summary
 from splitband.report.numbers import number, percent
 from splitband.report.page.charts import Axis, Chart, X
 from splitband.report.page.parts import Cell, Page, Plot, Section, Table, Usage
@@ -51,7 +51,7 @@ def _table(rows: Sequence[Row], own_page: str) -> Table:
     return Table(caption, headings, cells, notes=notes)
 
 
-def _cell(column: Column, row: Row) -> Cell:
+def _cell(column: CaseColumn, row: Row) -> Cell:
     value = None if column.show is None else column.value(row)
     return Cell(column.entry(row), value, value is not None and value == column.ideal)
 
