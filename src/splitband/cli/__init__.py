@@ -18,7 +18,7 @@ from splitband import __version__
 from splitband.cli import clock
 
 COMMANDS = {
-    "demo": "See what the package does, in under a minute.",
+    "demo": "See what the package does, in about a minute.",
     "compare": "Compare models of a record, and recommend one.",
     "benchmark": "Compare models on many records, in one table.",
     "forecast": "Forecast beyond the end of a record, with an interval.",

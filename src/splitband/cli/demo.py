@@ -36,7 +36,7 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = Path("demo"),
     jobs: Jobs = None,
 ) -> None:
-    """Show what the package does, in under a minute: a crane whose load swings.
+    """Show what the package does, in about a minute: a crane whose load swings.
 
     A trolley carries a load on a rope whose length changes; known are the commanded speed and the
     length. A simulator takes the load as fixed below the trolley. 200 s of the load's position to
