@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("inside")
         ("simulate", "--future-inputs"),
         ("export", "OUT"),
         ("spectrum", "--cutoff"),
-        ("demo", "under a minute"),
+        ("demo", "about a minute"),
         ("data", "fetch"),
     ],
 )
