@@ -4,16 +4,18 @@
 
 On long driven records (`benchmarks.driven`) two of each are trained on three quarters, and simulate
 test records whose inputs are as large as those of training, or larger. Writes
-docs/benchmarks/starts.json: the errors as shares of the deviation, of each alone and of means of
-two. Is the linear model to be preferred, where held-out errors differ little? Records are kept in
-FOLDER.
+docs/benchmarks/starts.json: the errors as shares of the deviation, of every mean of these four,
+and of the means that three rules choose by the errors on the held-out part (`RULES`). Records are
+kept in FOLDER.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 import statistics
 import tempfile
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,14 +31,13 @@ from splitband.training import Settings
 Array = npt.NDArray[np.float64]
 PARTS = Path(tempfile.gettempdir()) / "splitband-starts"
 SAMPLES, TESTED, WARMUP, ITERATIONS = 10_000, 3000, 50, 3200
+FAILED = 2.0
+"""Multiple of the lowest held-out error."""
 AMPLITUDES = 1.0, 1.5, 2.0
 HELD_OUT = "held-out part"
 PARTS_OF = HELD_OUT, *(f"inputs {amplitude} times as large" for amplitude in AMPLITUDES)
-MEANS = {
-    "linear model": [("linear", 0), ("linear", 1)],
-    "random weights": [("random", 0), ("random", 1)],
-    "one of each": [("linear", 0), ("random", 0)],
-}
+Errors = dict[str, dict[str, float]]
+"""By what is simulated, and by the trainings of the mean."""
 
 
 def settings() -> dict[str, Settings]:
@@ -48,8 +49,8 @@ def settings() -> dict[str, Settings]:
     return {"linear": linear, "random": replace(linear, epochs=epochs, linear_start=False)}
 
 
-def measured(name: str, seed: int) -> dict[str, dict[str, float]]:
-    """Train networks for a record; return their errors by what is simulated, and by the start."""
+def measured(name: str, seed: int) -> Errors:
+    """Train networks for a record; return the errors of all their means, by what is simulated."""
     record, *tests = drawn(name, seed, SAMPLES, TESTED, AMPLITUDES)
     fitted = 3 * SAMPLES // 4
     parts = [(record, fitted, False), *((test, WARMUP, True) for test in tests)]
@@ -57,19 +58,14 @@ def measured(name: str, seed: int) -> dict[str, dict[str, float]]:
     for start, how in settings().items():
         for number in range(2):
             model = sb.Single(sb.StateSpace(4, 10), settings=how).fit(record[:fitted], seed=number)
-            simulated[start, number] = [_ahead(model, *part) for part in parts]
-    found: dict[str, dict[str, float]] = {}
+            simulated[f"{start} {number}"] = [_ahead(model, *part) for part in parts]
+    every = [of for n in range(len(simulated)) for of in itertools.combinations(simulated, n + 1)]
+    found: Errors = {}
     for i, (label, (part, begin, _)) in enumerate(zip(PARTS_OF, parts, strict=True)):
-        truth, scale = part.seen[begin:], part.seen.std()
-        alone = {key: _rmse([of[i]], truth) / scale for key, of in simulated.items()}
+        truth = part.seen[begin:]
         found[label] = {
-            f"{start}, alone": statistics.geometric_mean(
-                max(error, 1e-12) for key, error in alone.items() if key[0] == start
-            )
-            for start in ("linear", "random")
-        } | {
-            mean: _rmse([simulated[key][i] for key in of], truth) / scale
-            for mean, of in MEANS.items()
+            ", ".join(of): _rmse([simulated[each][i] for each in of], truth) / part.seen.std()
+            for of in every
         }
     return found
 
@@ -85,13 +81,50 @@ def _rmse(simulations: list[Array], truth: Array) -> float:
     return float(np.sqrt(np.mean((np.mean(simulations, axis=0) - truth) ** 2)))
 
 
-def kept(name: str, seed: int, path: Path) -> dict[str, dict[str, float]]:
+def kept(name: str, seed: int, path: Path) -> Errors:
     """Return the errors of a record, from a file where there is one."""
     file = path.with_suffix(".json")
     if not file.exists():
         write_json(file, measured(name, seed))
-    errors: dict[str, dict[str, float]] = json.loads(file.read_text(encoding="utf-8"))
+    errors: Errors = json.loads(file.read_text(encoding="utf-8"))
     return errors
+
+
+def prefix(held_out: Mapping[str, float]) -> str:
+    """Return the n best trainings, whose mean has the lowest error of all n."""
+    ranked = _ranked(held_out)
+    means = [", ".join(sorted(ranked[: n + 1])) for n in range(len(ranked))]
+    return min(means, key=held_out.__getitem__)
+
+
+def one_of_each(held_out: Mapping[str, float]) -> str:
+    """Return the best training of each start, without those above `FAILED` times the lowest error."""
+    ranked = _able(held_out)
+    best = {each.split()[0]: each for each in reversed(ranked)}
+    return ", ".join(sorted(best.values()))
+
+
+def every(held_out: Mapping[str, float]) -> str:
+    """Return all trainings, without those above `FAILED` times the lowest error."""
+    return ", ".join(sorted(_able(held_out)))
+
+
+RULES = {
+    "the lowest held-out error": prefix,
+    "the best of each start": one_of_each,
+    "all": every,
+    "linear model": lambda held_out: "linear 0, linear 1",
+    "random weights": lambda held_out: "random 0, random 1",
+}
+
+
+def _ranked(held_out: Mapping[str, float]) -> list[str]:
+    return sorted((each for each in held_out if "," not in each), key=held_out.__getitem__)
+
+
+def _able(held_out: Mapping[str, float]) -> list[str]:
+    ranked = _ranked(held_out)
+    return [each for each in ranked if held_out[each] <= FAILED * held_out[ranked[0]]]
 
 
 def main() -> None:
@@ -99,8 +132,10 @@ def main() -> None:
     records, out = over_records(__doc__, PARTS, Path("docs/benchmarks/starts.json"), kept)
     means = {
         part: {
-            way: statistics.geometric_mean(of[part][way] for of in records.values())
-            for way in next(iter(records.values()))[part]
+            rule: statistics.geometric_mean(
+                of[part][choose(of[HELD_OUT])] for of in records.values()
+            )
+            for rule, choose in RULES.items()
         }
         for part in PARTS_OF
     }
