@@ -15,7 +15,7 @@ import itertools
 import json
 import statistics
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -98,18 +98,18 @@ def prefix(held_out: Mapping[str, float]) -> str:
 
 
 def one_of_each(held_out: Mapping[str, float]) -> str:
-    """Return the best training of each start, without those above `FAILED` times the lowest error."""
+    """Return the best training of each start, if it is within `FAILED` times the lowest error."""
     ranked = _able(held_out)
     best = {each.split()[0]: each for each in reversed(ranked)}
     return ", ".join(sorted(best.values()))
 
 
 def every(held_out: Mapping[str, float]) -> str:
-    """Return all trainings, without those above `FAILED` times the lowest error."""
+    """Return all trainings that are within `FAILED` times the lowest error."""
     return ", ".join(sorted(_able(held_out)))
 
 
-RULES = {
+RULES: dict[str, Callable[[Mapping[str, float]], str]] = {
     "the lowest held-out error": prefix,
     "the best of each start": one_of_each,
     "all": every,
