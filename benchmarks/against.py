@@ -165,7 +165,7 @@ def searched(name: str, minutes: float) -> Point:
     watch = _Watch()
     setup = sb.Options(search=sb.Search(60 * minutes))
     result = sb.compare(record, tests=tests, setup=setup)
-    seconds, best = watch.seconds, result.means[result.recommended]
+    seconds, best = watch.seconds, result.medians[result.recommended]
     errors = [float(error) for error in best.errors.tests]
     return _point(SEARCHED, 0, minutes, seconds, errors, recommended=result.recommended)
 

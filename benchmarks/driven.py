@@ -217,7 +217,7 @@ def measured(name: str, seed: int, samples: int, work: float, alone: bool) -> di
     for label, methods in (("default", None), ("gru", ["gru"]))[: 1 + alone]:
         result = sb.compare(record, methods=methods, tests=[test], setup=setup)
         errors = {
-            n: of.errors.tests[0] / test.y.std() for n, of in result.means.items() if of.tests
+            n: of.errors.tests[0] / test.y.std() for n, of in result.medians.items() if of.tests
         }
         found[label] = errors | {"recommended": result.recommended}
         best = result.recommended

@@ -49,7 +49,7 @@ def measure(draw: int, work: Work) -> dict[str, object]:
     truth = record.truth[TRAINING:]
     return {
         "draw": draw,
-        "nrmse": {name: sb.nrmse(truth, mean.ahead) for name, mean in comparison.means.items()},
+        "nrmse": {name: sb.nrmse(truth, mean.ahead) for name, mean in comparison.medians.items()},
         "cpu_seconds": round(_cpu_seconds() - began, 1),
     } | results(comparison)
 

@@ -193,7 +193,7 @@ def measured_wrong() -> dict[str, list[dict[str, Any]]]:
             options = sb.Options(search=sb.Search(120.0), simulator=simulator)
             result = sb.compare(record(seed), 2000, setup=options)
             print(case, result.table[["forecast RMSE", "score"]].to_string(), flush=True)
-            errors = {name: of.forecast_rmse for name, of in result.means.items()}
+            errors = {name: of.forecast_rmse for name, of in result.medians.items()}
             found[case].append({"recommended": result.recommended, "forecast_rmse": errors})
     return found
 

@@ -62,7 +62,7 @@ def made(out: Path) -> str:
         "# Public benchmarks",
         "Free runs over test files that nothing was fitted to or chosen by: fitted and chosen on "
         "the training file, warmed up on the first samples of each test file (50 unless said "
-        "otherwise), simulated to its end; RMSE of the mean of all trainings. `python -m "
+        "otherwise), simulated to its end; RMSE of the median of all trainings. `python -m "
         "benchmarks.public` makes this page. Other scores are those that their authors published.",
         "Work is limited, not time, so that the errors do not depend on the machine: "
         f"{', '.join(_limits(found))}, of a reference core. That is for training networks alone, "
@@ -82,8 +82,8 @@ def made(out: Path) -> str:
 
 def errors_of(benchmark: Benchmark, facts: Facts) -> list[str]:
     """Of the recommended method, on the tests, in the benchmark's unit."""
-    mean = facts["methods"][facts["recommended"]]["mean_of_seeds"]
-    return _in_unit(benchmark, mean["test_rmse"])
+    median = facts["methods"][facts["recommended"]]["median_of_seeds"]
+    return _in_unit(benchmark, median["test_rmse"])
 
 
 def _benchmark(benchmark: Benchmark, of_budget: dict[float, Facts]) -> list[str]:

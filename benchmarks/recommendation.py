@@ -109,8 +109,8 @@ def _measured(job: RecordJob, report: object) -> Facts:
     comparison = _comparison(record, job)
     settled = comparison.require_trial()
     # A method may fail on the shorter held-out fits alone: it has no interval then.
-    require_held_out = {m: mean for m, mean in comparison.means.items() if m in settled.intervals}
-    left = {m: record.y[job.train :] - mean.ahead for m, mean in require_held_out.items()}
+    judged = {m: run for m, run in comparison.medians.items() if m in settled.intervals}
+    left = {m: record.y[job.train :] - run.ahead for m, run in judged.items()}
     errors = {m: rmse(e, np.zeros_like(e)) for m, e in left.items()}
     facts = {
         "kind": job.kind,

@@ -108,7 +108,7 @@ def default_minutes() -> float:
 def drill_string() -> dict[str, dict[str, float]]:
     """Return each method's errors on the drill string, and those of the recommended one."""
     methods = _methods("results/drill-string")
-    errors = {name: facts["mean_of_seeds"] for name, facts in methods.items()}
+    errors = {name: facts["median_of_seeds"] for name, facts in methods.items()}
     return errors | {"recommended": errors[_read("results/drill-string")["recommended"]]}
 
 

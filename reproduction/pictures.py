@@ -60,16 +60,16 @@ def components(
 
 
 def rollouts(comparison: Comparison) -> Figure:
-    """Draw the mean predictions of each method, a row for each channel, by both protocols."""
-    record, setup, means = comparison.record, comparison.setup, comparison.means
-    rows = [(name, channel) for name in means for channel in range(record.ny)]
+    """Draw the median predictions of each method, a row for each channel, by both protocols."""
+    record, setup, medians = comparison.record, comparison.setup, comparison.medians
+    rows = [(name, channel) for name in medians for channel in range(record.ny)]
     figure = Figure(figsize=(13, 0.9 + 1.25 * len(rows)), layout="constrained")
     grid = figure.subplots(len(rows), 2, sharex="col", sharey=record.ny == 1, squeeze=False)
-    times, names = times_of(record), ordered(comparison.trial, means)
+    times, names = times_of(record), ordered(comparison.trial, medians)
     for axes, (name, channel) in zip(grid, rows, strict=True):
         color = PALETTE[names.index(name) % len(PALETTE)]
         for ax, (title, prediction) in zip(axes, PROTOCOLS.items(), strict=True):
-            y = prediction(means[name])[:, channel]
+            y = prediction(medians[name])[:, channel]
             begin = len(record) - len(y)
             first = max(begin - setup.settings.warmup, 0)
             ax.plot(times[first:], record.seen[first:, channel], color=MEASURED, lw=0.8)
@@ -88,7 +88,7 @@ def rollouts(comparison: Comparison) -> Figure:
     for ax in grid[-1]:
         ax.set_xlabel(time_label(record))
     figure.suptitle(
-        literal(f"{record.name}: mean of the seeds in colour, measured in black; grey: warm-up"),
+        literal(f"{record.name}: median of the seeds in colour, measured in black; grey: warm-up"),
         fontsize=10,
     )
     return figure
@@ -97,7 +97,7 @@ def rollouts(comparison: Comparison) -> Figure:
 def errors(comparison: Comparison) -> Figure:
     """Return a picture of the RMSE up to each time, a row for each channel.
 
-    Lines are of the mean of the seeds' predictions, shaded is the range of the single seeds.
+    Lines are of the median of the seeds' predictions, shaded is the range of the single seeds.
     """
     record, setup, runs = comparison.record, comparison.setup, comparison.runs
     figure = Figure(figsize=(13, 0.6 + 4 * record.ny), layout="constrained")
@@ -112,12 +112,12 @@ def errors(comparison: Comparison) -> Figure:
         for name, of_method in runs.items():
             steps = len(prediction(of_method[0]))
             truth, time = record.truth[-steps:, channel], times[-steps:]
-            mean, *each = (
+            median, *each = (
                 cumulative_rmse(truth, prediction(run)[:, channel])
-                for run in (comparison.means[name], *of_method)
+                for run in (comparison.medians[name], *of_method)
             )
             color = PALETTE[names.index(name) % len(PALETTE)]
-            ax.plot(time, mean, color=color, lw=1.4, label=name)
+            ax.plot(time, median, color=color, lw=1.4, label=name)
             if len(each) > 1:
                 low, high = np.min(each, axis=0), np.max(each, axis=0)
                 ax.fill_between(time, low, high, color=color, alpha=0.15, lw=0)

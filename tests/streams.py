@@ -77,7 +77,7 @@ WITH_INPUTS: dict[str, Callable[[], sb.Forecaster]] = {
     "residual of linear": lambda: sb.Residual(
         sb.Linear(), sb.GRU(5), conditioned=True, settings=SHORT
     ),
-    "ensemble": lambda: sb.Ensemble([sb.Single(sb.GRU(4), SHORT), sb.Single(sb.GRU(3), SHORT)]),
+    "ensemble": lambda: sb.Ensemble([sb.Single(sb.GRU(n), SHORT) for n in (4, 3, 2)]),
 }
 WITHOUT: dict[str, Callable[[], sb.Forecaster]] = {
     "seasonal-naive": sb.SeasonalNaive,

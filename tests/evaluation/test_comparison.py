@@ -9,7 +9,7 @@ import scipy
 from splitband import Record, Settings
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.protocols import Errors, Run, mean_run
+from splitband.evaluation.protocols import Errors, Run, median_run
 from splitband.evaluation.recommendation import Trial
 from splitband.evaluation.setup import Options, Setup, default_names, usual_names
 from splitband.forecasters.backtest import Origin, Question, backtest, for_trial, held_out_origins
@@ -157,15 +157,15 @@ def test_what_draws_nothing_runs_once() -> None:
     assert len(runs["mean"]) == 1
 
 
-def test_several_seeds_are_tried_out_by_their_mean() -> None:
+def test_several_seeds_are_tried_out_by_their_median() -> None:
     r = record()
-    trial = try_out(r, ["gru"], SETUP, seeds=(0, 1))
+    trial = try_out(r, ["gru"], SETUP, seeds=(0, 1, 2))
     part, shorter = r[:TRAIN], SETUP.forecaster("gru").for_samples(90, 120)
     origins = [Origin(90, at) for at in (90, 100, 110)]
     question = Question(part, origins, TRAIN)
-    found = [backtest(shorter, question, seed).predictions for seed in (0, 1)]
-    means = {o.at: np.mean([each[o].y for each in found], axis=0) for o in origins}
-    left = np.concatenate([part.y[start:] - mean for start, mean in means.items()])
+    found = [backtest(shorter, question, seed).predictions for seed in (0, 1, 2)]
+    medians = {o.at: np.median([each[o].y for each in found], axis=0) for o in origins}
+    left = np.concatenate([part.y[start:] - y for start, y in medians.items()])
     assert trial.errors["gru"] == pytest.approx((np.sqrt(np.mean(left**2)),), rel=1e-5)
 
 
@@ -213,12 +213,12 @@ def test_fits_to_too_few_samples_do_not_widen_an_interval() -> None:
     assert interval.half_widths(1).max() < 0.15
 
 
-def test_errors_of_several_seeds_cancel_in_their_mean() -> None:
-    """Its error is that of the mean prediction, not the mean of the errors."""
+def test_a_seed_that_goes_astray_hardly_moves_the_median() -> None:
+    """The error is that of the median prediction, not the median of the errors."""
     r = record()
     assert r.y_true is not None
     start, ahead = r.y_true[WARMUP:], r.y_true[TRAIN:]
-    off = [(0.3, 0.1), (-0.1, 0.1), (-0.2, 0.1)]
+    off = [(300.0, 0.1), (0.0, 0.2), (-0.2, -50.0)]
     runs = [
         Run(
             "gru",
@@ -229,12 +229,12 @@ def test_errors_of_several_seeds_cancel_in_their_mean() -> None:
         )
         for seed, (a, b) in enumerate(off)
     ]
-    mean = mean_run(Plan.of(r, (), SETUP), runs)
-    np.testing.assert_allclose(mean.from_start.y, start, atol=1e-12)
-    np.testing.assert_allclose(mean.ahead, ahead + 0.1, atol=1e-12)
-    assert mean.total_rmse == pytest.approx(0, abs=1e-12)
-    assert mean.forecast_rmse == pytest.approx(0.1)
-    assert mean.fit.seconds == 6.0
+    median = median_run(Plan.of(r, (), SETUP), runs)
+    np.testing.assert_allclose(median.from_start.y, start, atol=1e-12)
+    np.testing.assert_allclose(median.ahead, ahead + 0.1, atol=1e-12)
+    assert median.total_rmse == pytest.approx(0, abs=1e-12)
+    assert median.forecast_rmse == pytest.approx(0.1)
+    assert median.fit.seconds == 6.0
 
 
 def test_channels_of_different_units_have_errors_and_scales_of_their_own() -> None:

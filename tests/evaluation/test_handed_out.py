@@ -1,4 +1,4 @@
-"""What a comparison hands out: methods as they were trained, means with their parts."""
+"""What a comparison hands out: methods as they were trained, medians with their parts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 import splitband as sb
 from splitband import GRU, Bands, Forecaster, Known, Record, Settings, Setup
 from splitband.evaluation.setup import Options
-from splitband.forecasters.prediction import mean_of
+from splitband.forecasters.prediction import median_of
 from splitband.metrics import ExtrapolationWarning
 from tests.runtime.test_executors import Elsewhere
 
@@ -30,7 +30,7 @@ def record(samples: int = 200) -> Record:
 
 @cache
 def compared() -> sb.Comparison:
-    return sb.compare(record(), methods=["split-gru", "gru", "mean"], seeds=2, setup=SETUP)
+    return sb.compare(record(), methods=["split-gru", "gru", "mean"], seeds=3, setup=SETUP)
 
 
 @pytest.mark.parametrize("name", ["split-gru", "mean"])
@@ -38,14 +38,14 @@ def test_a_method_can_be_fitted_again_and_says_the_same(name: str) -> None:
     model = compared().forecaster(name)
     assert model.fitted is None
     model.fit(record()[:TRAIN], seed=0)
-    np.testing.assert_allclose(model.predict(40).y, compared().means[name].ahead, atol=1e-12)
+    np.testing.assert_allclose(model.predict(40).y, compared().medians[name].ahead, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["split-gru", "mean"])
 def test_a_method_is_handed_out_as_it_was_trained(name: str, tmp_path: Path) -> None:
     """Nothing is trained again: not for its forecast, and not for the interval."""
     model = compared().trained(name)
-    np.testing.assert_allclose(model.predict(40).y, compared().means[name].ahead, atol=1e-12)
+    np.testing.assert_allclose(model.predict(40).y, compared().medians[name].ahead, atol=1e-12)
     model.save(tmp_path / "model")
     loaded = sb.load(tmp_path / "model").predict(40, level=0.9)
     np.testing.assert_array_equal(loaded.y, model.predict(40).y)
@@ -60,7 +60,7 @@ def test_what_was_trained_elsewhere_is_handed_out() -> None:
         result = sb.compare(record(), methods=methods, seeds=2, setup=SETUP, work=work)
     for name in result.runs:
         ahead = result.trained(name).predict(40).y
-        np.testing.assert_allclose(ahead, result.means[name].ahead, atol=1e-12)
+        np.testing.assert_allclose(ahead, result.medians[name].ahead, atol=1e-12)
 
 
 def test_processes_find_the_numbers_of_this_one_and_report() -> None:
@@ -103,19 +103,19 @@ def test_what_was_not_compared_is_not_handed_out() -> None:
         compared().forecaster("linear")
 
 
-def test_the_parts_of_a_mean_over_seeds_add_up_to_it() -> None:
-    mean, runs = compared().means["split-gru"], compared().runs["split-gru"]
-    assert len(runs) == 2
-    assert mean.forecast is not None
-    for each in (mean.from_start, mean.forecast):
+def test_the_parts_of_a_median_over_seeds_add_up_to_it() -> None:
+    median, runs = compared().medians["split-gru"], compared().runs["split-gru"]
+    assert len(runs) == 3
+    assert median.forecast is not None
+    for each in (median.from_start, median.forecast):
         assert sorted(each.components) == ["high band", "low band"]
         np.testing.assert_allclose(sum(each.components.values()), each.y, atol=1e-12)
 
 
-def test_reasons_to_doubt_one_seed_are_reasons_to_doubt_the_mean() -> None:
-    first, second = (run.from_start for run in compared().runs["gru"])
-    mean = mean_of([replace(first, warnings=("a", "b")), replace(second, warnings=("b", "c"))])
-    assert mean.warnings == ("a", "b", "c")
+def test_reasons_to_doubt_one_seed_are_reasons_to_doubt_the_median() -> None:
+    first, second, _ = (run.from_start for run in compared().runs["gru"])
+    median = median_of([replace(first, warnings=("a", "b")), replace(second, warnings=("b", "c"))])
+    assert median.warnings == ("a", "b", "c")
 
 
 def test_the_setup_of_a_forecast_is_for_all_of_the_record() -> None:
@@ -195,7 +195,7 @@ def test_the_seeds_that_did_not_diverge_are_handed_out() -> None:
     result = sb.compare(record(), methods=[_Diverging()], seeds=3, setup=SETUP)
     assert [run.seed for run in result.runs["diverging"]] == [0, 2]
     again = result.forecaster("diverging").fit(record()[:TRAIN], seed=0)
-    np.testing.assert_array_equal(again.predict(40).y, result.means["diverging"].ahead)
+    np.testing.assert_array_equal(again.predict(40).y, result.medians["diverging"].ahead)
     forecast = sb.forecast(record(), 30, [_Diverging()], seeds=3, setup=replace(SETUP, train=200))
     again = forecast.forecaster.fit(record(), seed=0)
     np.testing.assert_array_equal(again.predict(30).y, forecast.prediction.y)
@@ -209,7 +209,7 @@ def test_a_calibration_is_the_same_wherever_it_is_fitted() -> None:
     result = sb.compare(simulated, methods=[sb.Calibrated(terms=["clock"])], setup=setup)
     with pytest.warns(ExtrapolationWarning, match="output ends too early"):
         found = result.forecaster().fit(simulated[:300]).predict(100)
-    np.testing.assert_array_equal(found.y, result.means["simulator-clock"].ahead)
+    np.testing.assert_array_equal(found.y, result.medians["simulator-clock"].ahead)
 
 
 def test_a_method_goes_by_its_name_alone() -> None:

@@ -76,7 +76,7 @@ def test_fewer_samples_than_a_network_was_trained_with_can_start_a_simulation() 
         expected = model.predict(len(test) - 5, test[:5], u=test.u[5:], other_record=True)
     (run,) = result.runs["gru"]
     np.testing.assert_array_equal(run.tests[0].y, expected.y)
-    assert [len(run.tests[0].y) for run in result.means.values()] == [len(test) - 5] * 2
+    assert [len(run.tests[0].y) for run in result.medians.values()] == [len(test) - 5] * 2
     error = rmse(test.y[5:], expected.y)
     assert run.errors.tests[0] == pytest.approx(error)
 
@@ -118,7 +118,7 @@ def test_a_hybrid_model_needs_the_simulator_of_the_test_record() -> None:
     record = simulated(driven(TRAIN, 0))
     found = sb.compare(record, methods=methods, tests=tests, seeds=1, setup=SETUP)
     assert found.left_out == []
-    assert max(found.means["simulator-affine"].errors.tests) < 1e-6
+    assert max(found.medians["simulator-affine"].errors.tests) < 1e-6
     found = sb.compare(record, methods=methods, tests=TESTS, seeds=1, setup=SETUP)
     assert found.left_out == ["residual-gru", "simulator-affine"]
 
@@ -128,8 +128,8 @@ def test_all_of_the_record_is_trained_on_and_nothing_is_learned_from_tests() -> 
         methods = [sb.Single(sb.GRU(4), settings=QUICK)]
         found = sb.compare(driven(TRAIN, 0), methods=methods, tests=tests, seeds=1)
         assert found.setup.train == TRAIN
-        assert found.means["gru"].forecast is None
-        return found.means["gru"].tests[0].y
+        assert found.medians["gru"].forecast is None
+        return found.medians["gru"].tests[0].y
 
     changed = TESTS[0].y.copy()
     changed[WARMUP:] += 5.0
@@ -145,11 +145,11 @@ def test_the_files_hold_an_entry_for_each_seed_and_test(
     facts = json.loads((tmp_path / "results.json").read_text())
     gru = facts["methods"]["gru"]
     assert [len(of_seed) for of_seed in gru["test_rmse"]] == [2, 2]
-    mean = np.mean([run.tests[0].y for run in usual.runs["gru"]], axis=0)
-    expected = rmse(TESTS[0].y[WARMUP:], mean)
-    assert gru["mean_of_seeds"]["test_rmse"][0] == pytest.approx(expected)
+    median = np.median([run.tests[0].y for run in usual.runs["gru"]], axis=0)
+    expected = rmse(TESTS[0].y[WARMUP:], median)
+    assert gru["median_of_seeds"]["test_rmse"][0] == pytest.approx(expected)
     assert (
-        facts["methods"]["linear"]["mean_of_seeds"]["test_rmse"]
+        facts["methods"]["linear"]["median_of_seeds"]["test_rmse"]
         == (facts["methods"]["linear"]["test_rmse"][0])
     )
     assert "test_rmse" not in facts["methods"]["seasonal-naive"]

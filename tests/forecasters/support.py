@@ -60,7 +60,7 @@ MADE: dict[str, Callable[[], Forecaster]] = {
     "residual of a network": lambda: sb.Residual(
         sb.Single(GRU(3), SETTINGS), GRU(3), settings=SETTINGS
     ),
-    "ensemble": lambda: sb.Ensemble(sb.Single(GRU(3), SETTINGS), 2),
+    "ensemble": lambda: sb.Ensemble(sb.Single(GRU(3), SETTINGS), 3),
     "ensemble of residuals of networks": lambda: sb.Ensemble(
         sb.Residual(sb.Single(GRU(3), SETTINGS), GRU(3), settings=SETTINGS), seeds=(0, 2)
     ),

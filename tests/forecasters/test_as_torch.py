@@ -29,7 +29,7 @@ MODELS: dict[str, Callable[[], sb.Forecaster]] = {
     "linear": sb.Linear,
     "persistence": sb.Persistence,
     "state-space": lambda: sb.Single(sb.StateSpace(3, 4), SETTINGS),
-    "mean": lambda: sb.Ensemble([sb.Single(sb.GRU(3), SETTINGS), sb.Linear()]),
+    "median": lambda: sb.Ensemble([*(sb.Single(sb.GRU(n), SETTINGS) for n in (3, 2)), sb.Linear()]),
     "split": lambda: sb.Split(sb.GRU(3), sb.GRU(3), BANDS, settings=SETTINGS),
     "filtered": lambda: sb.Filtered(None, sb.GRU(3), BANDS, conditioned=True, settings=SETTINGS),
     "residual": lambda: sb.Residual(sb.Linear(), sb.GRU(3), settings=SETTINGS),

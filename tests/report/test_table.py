@@ -24,7 +24,7 @@ SCALE = 1000.0
 
 
 def of_two_seeds(found: Comparison, method: str = "mean", apart: float = 0.2) -> Comparison:
-    """Two seeds of a method whose errors cancel in their mean, but not in either of them."""
+    """Two seeds of a method whose errors cancel in their median, but not in either of them."""
     (run,) = found.runs[method]
     assert run.forecast is not None
     runs = []
@@ -69,7 +69,7 @@ def page_text(comparison: Comparison, folder: Path) -> str:
     return " ".join("".join(tree.itertext()).split())
 
 
-def test_errors_are_of_the_mean_of_seeds_with_their_spread_beside(seeds: Comparison) -> None:
+def test_errors_are_of_the_median_of_seeds_with_their_spread_beside(seeds: Comparison) -> None:
     record, train = seeds.record, seeds.setup.train
     shown = column(seeds, "forecast RMSE")
     level = record.y[:train].mean()

@@ -244,7 +244,7 @@ def _show(rows: Sequence[report.Row], out: Path) -> None:
 
 
 def _table(rows: Sequence[report.Row]) -> Table:
-    title = "errors of the mean over seeds, as multiples of the standard deviation"
+    title = "errors of the median over seeds, as multiples of the standard deviation"
     table = Table(title=title, title_justify="left", title_style="bold")
     shown = [c for c in report.COLUMNS if any(c.entry(row) for row in rows)]
     for column in shown:

@@ -71,12 +71,13 @@ def _tell(result: Comparison) -> None:
         f"\nforecast of {len(truth) * step:g} s, RMSE of its first and of its last {STRETCH:g} s:"
     )
     for number, (name, what) in enumerate(story, 1):
-        errors = result.means[name].ahead - truth
-        first, last = (np.sqrt(np.mean(part**2)) for part in (errors[:samples], errors[-samples:]))
+        left = result.medians[name].ahead - truth
+        first, last = (np.sqrt(np.mean(part**2)) for part in (left[:samples], left[-samples:]))
         showing.console.print(f"{number}. {name}: {first:.2f} m, then {last:.2f} m; {what}")
     best = result.recommended
-    alone = min(ALONE, key=lambda name: result.means[name].forecast_rmse)
+    errors = {name: run.forecast_rmse for name, run in result.medians.items()}
+    alone = min(ALONE, key=errors.__getitem__)
     showing.console.print(
-        f"whole forecast: {best} {result.means[best].forecast_rmse:.2f} m; the best of simulator, "
-        f"linear model and network alone, {alone}: {result.means[alone].forecast_rmse:.2f} m"
+        f"whole forecast: {best} {errors[best]:.2f} m; the best of simulator, "
+        f"linear model and network alone, {alone}: {errors[alone]:.2f} m"
     )

@@ -36,7 +36,7 @@ class Candidate:
     ----------
     method, network : Name of the method, and the network with its settings.
     rung : Index of its round in `LADDER`; -1: no further round.
-    score : RMSE of the seeds' mean forecast of the held-out samples; infinite before training.
+    score : RMSE of the seeds' median forecast of the held-out samples; infinite before training.
     done : Forecasts of the held-out samples, by seed.
     first_label : Label that it had in its first round; empty until the second.
     """

@@ -77,7 +77,7 @@ def on_baseline(
     ----------
     plan : Its setup's search says whether this is wanted (`Search.bases`).
     trial, searched : Results of all other methods.
-    seeds : Seeds of the network; their mean forecast is scored.
+    seeds : Seeds of the network; their median forecast is scored.
     work : Processes, progress and checkpoints.
     """
     record, others, setup = plan.training, plan.others, plan.setup

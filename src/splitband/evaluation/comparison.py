@@ -14,7 +14,7 @@ import pandas as pd
 from splitband.data import Record
 from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.protocols import Run, Runs, mean_run
+from splitband.evaluation.protocols import Run, Runs, median_run
 from splitband.evaluation.recommendation import Trial
 from splitband.evaluation.setup import Setup
 from splitband.evaluation.trials import SearchAttempt
@@ -82,7 +82,7 @@ class Comparison:
         """Return the recommended method as it was trained here, ready to predict and to be saved.
 
         It is fitted to the training part, with `refit` to the whole record. A network predicts the
-        mean over its seeds.
+        median over its seeds.
         """
         return self.refit or self.trained()
 
@@ -102,8 +102,8 @@ class Comparison:
     def forecaster(self, name: str | None = None) -> Forecaster:
         """Return a method with its chosen settings, not fitted, to be fitted to a record and saved.
 
-        A network is the mean over the same seeds. Fitted with seed 0 to the training part, a method
-        repeats its predictions of this comparison.
+        A network is the median over the same seeds. Fitted with seed 0 to the training part, a
+        method repeats its predictions of this comparison.
 
         Parameters
         ----------
@@ -120,30 +120,30 @@ class Comparison:
         return over_seeds(self.forecasters[name], [run.seed for run in self.runs[name]])
 
     @cached_property
-    def means(self) -> dict[str, Run]:
-        """Return the mean of each method's runs over its seeds, by name."""
-        return {name: mean_run(self.plan, runs) for name, runs in self.runs.items()}
+    def medians(self) -> dict[str, Run]:
+        """Return the median of each method's runs over its seeds, by name."""
+        return {name: median_run(self.plan, runs) for name, runs in self.runs.items()}
 
     @property
     def left_out(self) -> list[str]:
         """Return the methods that cannot simulate the test records."""
-        return [name for name, mean in self.means.items() if self.tests and not mean.tests]
+        return [name for name, run in self.medians.items() if self.tests and not run.tests]
 
     @cached_property
     def predictions(self) -> dict[str, Prediction]:
         """Return the forecast of each method beyond the training part, with its interval."""
         intervals = {} if self.trial is None else self.trial.intervals
         return {
-            name: intervals[name].around(mean.forecast) if name in intervals else mean.forecast
-            for name, mean in self.means.items()
-            if mean.forecast is not None
+            name: intervals[name].around(run.forecast) if name in intervals else run.forecast
+            for name, run in self.medians.items()
+            if run.forecast is not None
         }
 
     @cached_property
     def table(self) -> pd.DataFrame:
         """Return a row for each method, with the columns that `splitband compare` shows.
 
-        Errors are those of the mean prediction over seeds, for each channel; columns that end in
+        Errors are those of the median prediction over seeds, for each channel; columns that end in
         "spread" hold the standard deviation of the seeds' errors.
         """
         table: pd.DataFrame = provided("table")(self)
@@ -154,12 +154,12 @@ class Comparison:
 
         NaN without a forecast.
         """
-        errors = self.record.seen[self.setup.train :] - self.means[name].ahead
+        errors = self.record.seen[self.setup.train :] - self.medians[name].ahead
         return self.require_trial().intervals[name].coverage(errors) if len(errors) else np.nan
 
     def coverages(self, name: str) -> tuple[float, ...]:
         """Return `covers` for each channel."""
-        errors = self.record.seen[self.setup.train :] - self.means[name].ahead
+        errors = self.record.seen[self.setup.train :] - self.medians[name].ahead
         return self.require_trial().intervals[name].coverages(errors)
 
     def residual_tests(self, name: str | None = None) -> tuple[ResidualTests, ...]:
@@ -172,8 +172,8 @@ class Comparison:
         ----------
         name : By default that of the recommended method.
         """
-        mean = self.means[self.recommended if name is None else name]
-        record, y = (self.tests[0], mean.tests[0].y) if mean.tests else (self.record, mean.ahead)
+        run = self.medians[self.recommended if name is None else name]
+        record, y = (self.tests[0], run.tests[0].y) if run.tests else (self.record, run.ahead)
         if len(y) < 2 * LAGS:
             return ()
         left = record.seen[len(record) - len(y) :] - y

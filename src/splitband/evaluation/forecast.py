@@ -20,7 +20,7 @@ from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import Origin, Question
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
-from splitband.forecasters.prediction import Prediction, mean_of
+from splitband.forecasters.prediction import Prediction, median_of
 from splitband.metrics import Extrapolation, leaves_range
 from splitband.runtime.arguments import whole
 from splitband.runtime.provided import provided
@@ -34,7 +34,7 @@ class Forecast:
     ----------
     plan : Record, methods and setup of the forecast.
     model : The recommended method, fitted to the whole record, ready to predict and to be saved.
-    prediction : Its forecast, the mean over seeds, with the interval.
+    prediction : Its forecast, the median over seeds, with the interval.
     trial : Results of all methods on held-out samples.
     description : What its fit has chosen, in words.
     leaves : Samples before a seed's forecast leaves the range of `metrics.leaves_range`; None if it
@@ -146,7 +146,7 @@ def run_forecast(plan: Plan, work: Work | None = None) -> Forecast:
     return Forecast(
         plan,
         model,
-        trial.intervals[best].around(mean_of(forecasts[best])),
+        trial.intervals[best].around(median_of(forecasts[best])),
         trial,
         done[0].description,
         min((samples for samples in left if samples is not None), default=None),

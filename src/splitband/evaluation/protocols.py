@@ -19,7 +19,7 @@ from splitband.evaluation.plan import Plan
 from splitband.forecasters.backtest import Backtest, Origin, Question, first_origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
-from splitband.forecasters.prediction import Prediction, mean_of
+from splitband.forecasters.prediction import Prediction, median_of
 from splitband.metrics import leaves_range, rmse, spread
 
 Array = npt.NDArray[np.float64]
@@ -194,16 +194,16 @@ def models_of(
     return models
 
 
-def mean_run(plan: Plan, runs: Sequence[Run]) -> Run:
-    """Return the mean prediction over several seeds, with the errors of the mean."""
+def median_run(plan: Plan, runs: Sequence[Run]) -> Run:
+    """Return the median prediction over several seeds, with its errors."""
     first = runs[0]
     if len(runs) == 1:
         return first
     forecasts = [run.forecast for run in runs if run.forecast is not None]
     said = (
-        mean_of([run.from_start for run in runs]),
-        mean_of(forecasts) if forecasts else None,
-        tuple(mean_of(of_test) for of_test in zip(*(run.tests for run in runs), strict=True)),
+        median_of([run.from_start for run in runs]),
+        median_of(forecasts) if forecasts else None,
+        tuple(median_of(of_test) for of_test in zip(*(run.tests for run in runs), strict=True)),
     )
     fit = replace(first.fit, seconds=sum(run.fit.seconds for run in runs))
     return Run(first.method, Errors.of(plan, *said), *said, fit=fit)

@@ -22,7 +22,7 @@ from splitband.forecasters.backtest import (
     held_out,
     held_out_errors,
     held_out_origins,
-    mean_forecasts,
+    median_forecasts,
 )
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.intervals import HeldOut, Interval
@@ -42,7 +42,7 @@ WORTH_TRAINING = 0.1
 class Trial:
     """Hold the results of each method on the held-out last quarter of the training samples.
 
-    Networks with several seeds are scored by the mean of their forecasts.
+    Networks with several seeds are scored by the median of their forecasts.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Trial:
         a fit to the samples before. See `backtest.held_out_origins`.
     scores : RMSE of all channels together, each scaled to a standard deviation of 1.
     trained : Methods that are trained: networks.
-    final : Mean forecast over the seeds by each method fitted to the whole training part; see
+    final : Median forecast over the seeds by each method fitted to the whole training part; see
         `settled`.
     failed : Why methods could not be fitted, now or, after `settled`, on the whole training part.
     left_out : Methods that cannot simulate the test records; they are recommended only if there is
@@ -81,13 +81,13 @@ class Trial:
         final : The forecast `(time, ny)` of each seed of each method.
         failed : Why methods could not be fitted.
         """
-        means = {name: np.mean(y, axis=0) for name, y in final.items() if name in self.errors}
+        medians = {name: np.median(y, axis=0) for name, y in final.items() if name in self.errors}
         doubt = {}
-        for name in self.early.keys() & means:
-            change = np.mean([(means[name] - y) ** 2 for y in self.early[name]], axis=0)
+        for name in self.early.keys() & medians:
+            change = np.mean([(medians[name] - y) ** 2 for y in self.early[name]], axis=0)
             apart = np.var(final[name], axis=0, ddof=1) if len(final[name]) > 1 else 0.0
             doubt[name] = np.sqrt(change + apart)
-        return replace(self, final=means, doubt=doubt, failed={**self.failed, **failed})
+        return replace(self, final=medians, doubt=doubt, failed={**self.failed, **failed})
 
     def joined(self, other: Trial) -> Trial:
         """Return the trial with the methods of another trial of the same record added."""
@@ -170,7 +170,9 @@ def try_out(
         todo, questions, seeds, work or Work(), need_one=need_one and not any(done.values())
     )
     made = {**done, **fitted}
-    forecasts = {f.name: mean_forecasts([*made[f.name].values()]) for f in shorter if made[f.name]}
+    forecasts = {
+        f.name: median_forecasts([*made[f.name].values()]) for f in shorter if made[f.name]
+    }
     trained = frozenset(f.name for f in shorter if f.random)
     return Trial(
         {name: _of_channels(held_out_errors(record, y)) for name, y in forecasts.items()},

@@ -98,7 +98,7 @@ class SavedSettings:
     def of_forecaster(cls, forecaster: Forecaster) -> SavedSettings | None:
         """Return the settings of a network; None for forecasters that a file cannot describe.
 
-        For a mean over seeds, they are those of the first member.
+        For a median over seeds, they are those of the first member.
         """
         network = forecaster.of_one_seed.network
         if network is None or network.settings is None or network.name not in TRAINED:

@@ -205,7 +205,7 @@ def _chosen(
         each = [training_cost(one, record, others) for one in (network, *further)]
         costs[name] = sum(each) / len(each)
         # On a long record, held-out errors tell which training is best; others would only make the
-        # mean worse.
+        # median worse.
         if len(record) <= SHORT:
             more[name] = training_cost(network.continued(Earlier()), record, others)
         network.by_seed = dict(enumerate(further, 1))

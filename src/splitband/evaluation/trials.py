@@ -20,7 +20,7 @@ from splitband.forecasters.backtest import (
     for_trial,
     held_out_errors,
     held_out_origins,
-    mean_forecasts,
+    median_forecasts,
     root_mean_square,
 )
 from splitband.forecasters.network import Network
@@ -29,10 +29,10 @@ from splitband.metrics import spread
 SEARCHED = 0.55
 """Share of the budget for the search."""
 TRIAL_SEEDS, CORE_SECONDS_A_SEED = 2, 120.0
-"""Seeds of each candidate, whose mean is scored. On records of up to `SHORT` samples there is one
+"""Seeds of each candidate, whose median is scored. On records of up to `SHORT` samples there is one
 for so many core seconds of the budget, if that is more, and at most `MOST_MEMBERS`."""
 MOST_MEMBERS = 8
-"""Largest number of trainings that are averaged."""
+"""Largest number of trainings whose median is handed out."""
 KEPT = 0.5
 """Share of the candidates of a round that go on."""
 WORSE = 1.1
@@ -193,9 +193,9 @@ class Trials:
         return [c for c in found if c is not None]
 
     def best(self, method: str) -> list[TrialRun]:
-        """Return the trainings of a method to average, the best one first.
+        """Return the trainings of a method whose median is handed out, the best one first.
 
-        These are the n best trainings, whatever their settings, where n gives the mean with the
+        These are the n best trainings, whatever their settings, where n gives the median with the
         lowest held-out error (`benchmarks.members`). A training of several rounds counts once, with
         its best round.
         """
@@ -204,9 +204,11 @@ class Trials:
             if run.candidate.method == method:
                 distinct.setdefault(run.key, run)
         ranked = [*distinct.values()][:MOST_MEMBERS]
-        means = [ranked[: i + 1] for i in range(len(ranked))]
+        medians = [ranked[: i + 1] for i in range(len(ranked))]
         return min(
-            means, key=lambda runs: held_out_score(self._record, [r.done for r in runs]), default=[]
+            medians,
+            key=lambda runs: held_out_score(self._record, [r.done for r in runs]),
+            default=[],
         )
 
     def last(self, runs: Sequence[TrialRun], left: float) -> list[Network]:
@@ -234,7 +236,7 @@ class Trials:
 
 
 def held_out_score(record: Record, done: Sequence[Backtest]) -> float:
-    """Return the RMSE of the seeds' mean forecasts of a record's last quarter, channels scaled."""
+    """Return the RMSE of the seeds' median forecast of a record's last quarter, channels scaled."""
     check_held_out(record)
-    errors, scale = held_out_errors(record, mean_forecasts(done)), spread(record.seen)
+    errors, scale = held_out_errors(record, median_forecasts(done)), spread(record.seen)
     return root_mean_square([error / scale for error in errors])

@@ -277,10 +277,10 @@ def held_out_by(forecaster: Forecaster) -> HeldOut:
     return held_out(record, {at: p.y for at, p in done.predictions.items()})
 
 
-def mean_forecasts(done: Sequence[Backtest]) -> dict[Origin, Array]:
-    """Return the mean forecast over the seeds, by origin."""
+def median_forecasts(done: Sequence[Backtest]) -> dict[Origin, Array]:
+    """Return the median forecast over the seeds, by origin."""
     return {
-        origin: np.mean([backtest.predictions[origin].y for backtest in done], axis=0)
+        origin: np.median([backtest.predictions[origin].y for backtest in done], axis=0)
         for origin in done[0].predictions
     }
 

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from splitband.forecasters.known import Known, continued
+from splitband.forecasters.medians import median
 from splitband.forecasters.predicting import total
 from splitband.models import Model, Signals
 from splitband.runtime.arrays import Array
@@ -166,13 +167,15 @@ class ModelSimulation(nn.Module):
         return ((signal - mean) / std).to(next(self.model.parameters()).dtype)
 
 
-class Average(nn.Module):
-    """Average several simulations."""
+class Median(nn.Module):
+    """Simulate the median of several simulations."""
 
     def __init__(self, members: Sequence[nn.Module]) -> None:
         super().__init__()
         self.members = nn.ModuleList(members)
 
     def forward(self, u: Tensor) -> Tensor:
-        """Return the mean of the members' simulations."""
-        return torch.stack([member(u) for member in self.members]).mean(dim=0)
+        """Return the median of the members' simulations."""
+        simulated = [member(u) for member in self.members]
+        found: Tensor = median(simulated, torch.minimum, torch.maximum)
+        return found

@@ -1,4 +1,4 @@
-"""Forecast by the mean of several trainings."""
+"""Forecast by the median of several trainings."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Self, Unpack, final
 
-import numpy as np
 import torch
 from torch import nn
 
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
-from splitband.forecasters.differentiable import Average
+from splitband.forecasters.differentiable import Median
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.known import Known
+from splitband.forecasters.medians import mean_over, middle_members
 from splitband.forecasters.predicting import total
-from splitband.forecasters.stepping import Averaged, Recursion
+from splitband.forecasters.stepping import Medians, Recursion
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.training import Progress
@@ -25,7 +25,9 @@ from splitband.training import Progress
 
 @final
 class Ensemble(Forecaster):
-    """Average several forecasters, each fitted with a different seed.
+    """Forecast by the median of several forecasters, each fitted with a different seed.
+
+    At each sample it is the prediction in the middle, or the mean of the two in the middle.
 
     Parameters
     ----------
@@ -164,22 +166,26 @@ class Ensemble(Forecaster):
         self._take(self.members, seed)
 
     def extrapolate(self, known: Known) -> dict[str, Array]:
-        """Return the mean of the members, by component where all have the same components."""
+        """Return the median of the members, by component where all have the same components.
+
+        At each sample the components are those of the members in the middle, so that they add up.
+        """
         extrapolated = [member.extrapolate(known) for member in self.members]
         parts: list[dict[str, Array]] = [
             each if isinstance(each, dict) else {self.name: each} for each in extrapolated
         ]
         if any(each.keys() != parts[0].keys() for each in parts):
             parts = [{self.name: total([*each.values()])} for each in parts]
-        return {name: np.mean([p[name] for p in parts], axis=0) for name in parts[0]}
+        middle = middle_members([total([*each.values()]) for each in parts])
+        return {name: mean_over([each[name] for each in parts], middle) for name in parts[0]}
 
     def stepped(self, outside: bool = False) -> Recursion:
-        """Return the recursion that averages the members."""
-        return Averaged([member.stepped(outside) for member in self.members])
+        """Return the recursion that predicts the median of the members."""
+        return Medians([member.stepped(outside) for member in self.members])
 
     def differentiable(self, known: Known) -> nn.Module:
-        """Return the module that averages the members."""
-        return Average([member.differentiable(known) for member in self.members])
+        """Return the module that simulates the median of the members."""
+        return Median([member.differentiable(known) for member in self.members])
 
     def doubts(self, known: Known) -> list[str]:
         """Return the doubts of all members."""

@@ -123,8 +123,11 @@ class Network(Forecaster):
         With another base they are chosen after the base is fitted, as the frequency up to which it
         is accurate is not known before.
         """
-        uses_simulator = self.base is None or "simulator" in self.base.needs
-        return (self.bands == OPEN and uses_simulator) or super().shares_bands
+        return self._takes_bands or super().shares_bands
+
+    @property
+    def _takes_bands(self) -> bool:
+        return self.bands == OPEN and (self.base is None or "simulator" in self.base.needs)
 
     slow_part = "network"
 
@@ -156,7 +159,7 @@ class Network(Forecaster):
         new = super().with_defaults(settings, bands)
         shared: dict[str, Any] = {} if self.settings is not None else {"settings": settings}
         # Bands that are given in part are completed later, to suit the given cut-off or order.
-        if self.bands == OPEN and (self.base is None or "simulator" in self.base.needs):
+        if self._takes_bands:
             shared["bands"] = bands
         if shared:
             new = new.clone().set_params(**shared)

@@ -13,6 +13,7 @@ import pandas as pd
 from splitband.data import Grid
 from splitband.data.preparation import Preparation
 from splitband.data.timing import stamps_at
+from splitband.forecasters.medians import mean_over, middle_members
 from splitband.runtime.arrays import Array
 from splitband.runtime.provided import provided
 
@@ -100,18 +101,20 @@ class Prediction:
         return figure
 
 
-def mean_of(predictions: Sequence[Prediction]) -> Prediction:
-    """Return the mean of several predictions of the same samples, such as those of several seeds.
+def median_of(predictions: Sequence[Prediction]) -> Prediction:
+    """Return the median of several predictions of the same samples, such as those of several seeds.
 
-    Components that all of them have are averaged, too; the warnings of all are kept.
+    Of components that all of them have, it takes those of the predictions in the middle; the
+    warnings of all are kept.
     """
     first = predictions[0]
+    middle = middle_members([p.y for p in predictions])
     parts = [name for name in first.components if all(name in p.components for p in predictions)]
     return replace(
         first,
-        y=np.mean([p.y for p in predictions], axis=0),
+        y=mean_over([p.y for p in predictions], middle),
         components={
-            name: np.mean([p.components[name] for p in predictions], axis=0) for name in parts
+            name: mean_over([p.components[name] for p in predictions], middle) for name in parts
         },
         lower=None,
         upper=None,

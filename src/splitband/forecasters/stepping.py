@@ -18,6 +18,7 @@ import numpy as np
 from splitband.data.gaps import last_before
 from splitband.data.preparation import Preparation
 from splitband.forecasters.known import Known
+from splitband.forecasters.medians import median
 from splitband.models.stepping import Stepped
 from splitband.runtime.arrays import Array
 from splitband.runtime.tracing import cond
@@ -269,8 +270,8 @@ class Warmed(Recursion):
         return self.part.row(part, u, y_sim, self.ahead)
 
 
-class Averaged(Recursion):
-    """Average several recursions."""
+class Medians(Recursion):
+    """Predict the median of several recursions."""
 
     def __init__(self, members: Sequence[Recursion]) -> None:
         self.members = [*members]
@@ -284,15 +285,16 @@ class Averaged(Recursion):
         return {"members": [member.initial(known) for member in self.members]}
 
     def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """Return the mean prediction of the members, once all of them have one."""
+        """Return the median prediction of the members, once all of them have one."""
         ticks = [
             member.tick(own, y, u, y_sim[: 1 + member.ahead])
             for member, own in zip(self.members, state["members"], strict=True)
         ]
-        total, ready = ticks[0][1], ticks[0][2]
-        for _, predicted, able in ticks[1:]:
-            total, ready = total + predicted, ready & able
-        return {"members": [new for new, _, _ in ticks]}, total / len(ticks), ready
+        ready = ticks[0][2]
+        for _, _, able in ticks[1:]:
+            ready = ready & able
+        predicted = median([each for _, each, _ in ticks], np.minimum, np.maximum)
+        return {"members": [new for new, _, _ in ticks]}, predicted, ready
 
     def followed(self, known: Known) -> State:
         """Return the states of the members after the history."""

@@ -17,8 +17,9 @@ from splitband.report.numbers import number, percent
 class Row:
     """Hold the result of the comparison of one case.
 
-    An error is the RMSE of the mean over seeds, divided by the standard deviation of the predicted
-    samples: 1 is as good as their mean. With several outputs it is the root mean square over them.
+    An error is the RMSE of the median over seeds, divided by the standard deviation of the
+    predicted samples: 1 is as good as their mean. With several outputs it is the root mean square
+    over them.
 
     Attributes
     ----------

@@ -100,15 +100,15 @@ SMALL_ACROSS = 4
 
 def _sides(comparison: Comparison) -> list[_Side]:
     """Return the panels of the forecast and the test records, or else one of the simulation."""
-    record, means, train = comparison.record, comparison.means, comparison.setup.train
+    record, medians, train = comparison.record, comparison.medians, comparison.setup.train
     sides = []
     if comparison.predictions:
         sides.append(_Side(record, train, "forecast", comparison.predictions))
     for i, test in enumerate(comparison.tests):
-        tested = {name: mean.tests[i] for name, mean in means.items() if mean.tests}
+        tested = {name: run.tests[i] for name, run in medians.items() if run.tests}
         start = len(test) - max(map(len, tested.values()), default=0)
         sides.append(_Side(test, start, f"test record {literal(test.name)}", tested))
-    simulated = {name: mean.from_start for name, mean in means.items()}
+    simulated = {name: run.from_start for name, run in medians.items()}
     start = len(record) - max(map(len, simulated.values()))
     return sides or [_Side(record, start, "simulation", simulated)]
 

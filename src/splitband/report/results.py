@@ -90,7 +90,7 @@ def save_settings(forecaster: Forecaster, record: Record, folder: Path) -> None:
 def results(comparison: Comparison) -> dict[str, Any]:
     """Return what `compare` writes to results.json.
 
-    `table` has the errors of the mean over seeds, by channel, as they are shown. Errors in
+    `table` has the errors of the median over seeds, by channel, as they are shown. Errors in
     `methods` are over all channels: the root of the sum of their squares.
     """
     record, trial = comparison.record, comparison.require_trial()
@@ -120,7 +120,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
                 "score": trial.worth(name),
                 "held_out_rmse": math.hypot(*trial.errors[name]),
                 "interval": _interval(comparison, name),
-                "mean_of_seeds": _mean(comparison, name),
+                "median_of_seeds": _median(comparison, name),
             }
             for name, of_method in comparison.runs.items()
         }
@@ -132,13 +132,13 @@ def results(comparison: Comparison) -> dict[str, Any]:
 def predictions(comparison: Comparison) -> pd.DataFrame:
     """Return the record and the predictions, a row for each sample.
 
-    There is a column for each channel, and one for each channel, method and protocol: the mean over
-    seeds, empty before the prediction begins. The interval of the recommended method's forecast has
-    columns, too.
+    There is a column for each channel, and one for each channel, method and protocol: the median
+    over seeds, empty before the prediction begins. The interval of the recommended method's
+    forecast has columns, too.
     """
     sides: dict[str, Array] = {}
-    for name, mean in comparison.means.items():
-        sides[f"{name}, from start"] = mean.from_start.y
+    for name, run in comparison.medians.items():
+        sides[f"{name}, from start"] = run.from_start.y
         forecast = comparison.predictions.get(name)
         sides |= {} if forecast is None else {f"{name}, forecast": forecast.y}
         if name == comparison.recommended and forecast is not None:
@@ -150,8 +150,8 @@ def predictions(comparison: Comparison) -> pd.DataFrame:
 
 def predictions_of_test(comparison: Comparison, number: int) -> pd.DataFrame:
     """Return a test record and its simulations, as `predictions` does."""
-    means = {name: mean for name, mean in comparison.means.items() if mean.tests}
-    sides = {f"{name}, from start": mean.tests[number].y for name, mean in means.items()}
+    medians = {name: run for name, run in comparison.medians.items() if run.tests}
+    sides = {f"{name}, from start": run.tests[number].y for name, run in medians.items()}
     return _beside(comparison.tests[number], sides)
 
 
@@ -240,7 +240,7 @@ def _test_facts(comparison: Comparison) -> list[dict[str, Any]]:
 def _interval(comparison: Comparison, name: str) -> dict[str, Any]:
     """Return a forecast's interval, and the share of the measured samples that it covers."""
     interval = comparison.require_trial().intervals[name]
-    ahead = len(comparison.means[name].ahead)
+    ahead = len(comparison.medians[name].ahead)
     if not ahead:
         return asdict(interval)
     mean = interval.half_widths(ahead).mean(axis=0)
@@ -250,12 +250,12 @@ def _interval(comparison: Comparison, name: str) -> dict[str, Any]:
     }
 
 
-def _mean(comparison: Comparison, name: str) -> dict[str, Any]:
-    """Return the errors of the mean over seeds, which is the method's prediction."""
-    mean = comparison.means[name]
-    facts: dict[str, Any] = {"total_rmse": mean.total_rmse}
-    facts |= {} if mean.forecast is None else {"forecast_rmse": mean.forecast_rmse}
-    return facts | ({"test_rmse": [*mean.errors.tests]} if mean.tests else {})
+def _median(comparison: Comparison, name: str) -> dict[str, Any]:
+    """Return the errors of the median over seeds, which is the method's prediction."""
+    run = comparison.medians[name]
+    facts: dict[str, Any] = {"total_rmse": run.total_rmse}
+    facts |= {} if run.forecast is None else {"forecast_rmse": run.forecast_rmse}
+    return facts | ({"test_rmse": [*run.errors.tests]} if run.tests else {})
 
 
 def _method(runs: Sequence[Run]) -> dict[str, Any]:

@@ -136,7 +136,7 @@ class Column:
 def columns(comparison: Comparison) -> list[Column]:
     """Return the columns of a comparison: fit and error first, then supporting numbers.
 
-    Errors are of the mean of the seeds' predictions, which is the method's prediction, for each
+    Errors are of the median of the seeds' predictions, which is the method's prediction, for each
     output separately. Their spread is the standard deviation of the single seeds' errors.
     """
     runs, record, ahead = comparison.runs, comparison.record, bool(comparison.predictions)
@@ -249,14 +249,14 @@ def _errors(
     record: Record,
     predicted: Callable[[Run], Prediction | None],
 ) -> list[Column]:
-    """Return the columns of fit and RMSE on a record, of each method's mean over seeds."""
+    """Return the columns of fit and RMSE on a record, of each method's median over seeds."""
     fits, errors, spreads = {}, {}, {}
     for name, runs in comparison.runs.items():
-        mean = predicted(comparison.means[name])
-        if mean is None:
+        median = predicted(comparison.medians[name])
+        if median is None:
             continue
-        truth = record.truth[len(record) - len(mean) :]
-        fits[name], errors[name] = fit_percent(truth, mean.y), channel_rmse(truth, mean.y)
+        truth = record.truth[len(record) - len(median) :]
+        fits[name], errors[name] = fit_percent(truth, median.y), channel_rmse(truth, median.y)
         each = [channel_rmse(truth, p.y) for run in runs if (p := predicted(run)) is not None]
         if len(each) > 1:
             spreads[name] = [statistics.stdev(of_seeds) for of_seeds in zip(*each, strict=True)]

@@ -127,8 +127,8 @@ def _listed(found: Sequence[Column], method: str) -> str:
 def doubts(comparison: Comparison) -> list[str]:
     """Return the methods' own warnings about their forecasts, each once."""
     said: dict[str, list[str]] = {}
-    for name, mean in comparison.means.items():
-        for doubt in () if mean.forecast is None else mean.forecast.doubts:
+    for name, run in comparison.medians.items():
+        for doubt in () if run.forecast is None else run.forecast.doubts:
             said.setdefault(doubt, []).append(name)
     return [f"{', '.join(names)}: {doubt}" for doubt, names in said.items()]
 
@@ -154,7 +154,7 @@ def warnings(comparison: Comparison) -> list[str]:
             "samples after the training part. Either the system has changed, or the training part "
             "does not show how errors grow."
         )
-    for test, prediction in zip(comparison.tests, comparison.means[best].tests, strict=False):
+    for test, prediction in zip(comparison.tests, comparison.medians[best].tests, strict=False):
         said += [f"{test.name}: {message}" for message in prediction.warnings]
     said += [
         f"{name}: {note}"

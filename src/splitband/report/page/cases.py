@@ -39,7 +39,7 @@ def page(rows: Sequence[Row], used: Usage, own_page: str) -> Page:
 
 
 def _table(rows: Sequence[Row], own_page: str) -> Table:
-    caption, headings = "Fit and error of the mean over seeds", [each.heading for each in COLUMNS]
+    caption, headings = "Fit and error of the median over seeds", [each.heading for each in COLUMNS]
     cells = [
         [
             Cell(row.name, link="" if row.failed else f"{quote(row.name)}/{own_page}"),

@@ -59,8 +59,8 @@ def _shared(comparison: Comparison) -> dict[str, object]:
 
 
 _HORIZON = (
-    "RMSE up to each horizon: the error of a model that does not drift stays flat. Lines: the mean "
-    "of a method's trainings, which is its prediction; shaded: the range of the single trainings."
+    "RMSE up to each horizon: the error of a model that does not drift stays flat. Lines: the "
+    "median of a method's trainings, which is its prediction; shaded: the range of all of them."
 )
 
 
@@ -71,10 +71,10 @@ def _predicted(
 
     They are those of the test records, else the forecast, else the simulation of the record.
     """
-    record, means = comparison.record, comparison.means
+    record, medians = comparison.record, comparison.medians
     takes: list[tuple[Callable[[Run], Prediction | None], Predicted]] = []
     for i, test in enumerate(comparison.tests):
-        tested = {name: mean.tests[i] for name, mean in means.items() if mean.tests}
+        tested = {name: run.tests[i] for name, run in medians.items() if run.tests}
         says = f"simulation of the test record {test.name}"
         if tested:
             takes.append(
@@ -85,7 +85,7 @@ def _predicted(
         found = Predicted.of(record, comparison.predictions, styles, says, name="time")
         takes.append((lambda run: run.forecast, found))
     if not takes:
-        whole = {name: mean.from_start for name, mean in means.items()}
+        whole = {name: run.from_start for name, run in medians.items()}
         found = Predicted.of(record, whole, styles, "simulation", name="time")
         takes.append((lambda run: run.from_start, found))
     plots = []
@@ -108,14 +108,14 @@ def _further(comparison: Comparison, styles: Mapping[str, Method]) -> list[Secti
     if comparison.tests and comparison.predictions:
         forecast = Predicted.of(comparison.record, comparison.predictions, styles, "forecast")
         sections.append(Section("forecast", "Forecast", plots=forecast.outputs(), folded=True))
-    whole = {name: mean.from_start for name, mean in comparison.means.items()}
+    whole = {name: run.from_start for name, run in comparison.medians.items()}
     says = "simulation from the first samples"
     simulated = Predicted.of(comparison.record, whole, styles, says)
     title = "Simulation from the start of the record"
     sections.append(Section("runs", title, plots=simulated.outputs(), folded=True))
     parts = simulated.components()
     if parts:
-        names = ", ".join(name for name, mean in whole.items() if mean.components)
+        names = ", ".join(name for name, y in whole.items() if y.components)
         text = ["A model's output is the sum of these parts. All curves are without their means. "
                 f"Switch on a method to see its parts: {names}."]  # fmt: skip
         title = "Components of hybrid and split models"
