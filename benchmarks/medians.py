@@ -1,0 +1,77 @@
+"""The median of the trainings that are handed out, beside their mean.
+
+    python -m benchmarks.medians [--systems ...] [--seeds 100 101] [--parts FOLDER]
+
+`compare` with its default methods on short driven records (`benchmarks.driven`), which simulates a
+test record. Writes docs/benchmarks/medians.json: for each network of several trainings, the errors
+of the best and the worst of them, of their mean and of their median, as shares of the deviation.
+Records are kept in FOLDER.
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+import splitband as sb
+from benchmarks.driven import drawn, over_records
+from splitband.metrics import rmse
+from splitband.runtime.files import write_json
+
+PARTS = Path(tempfile.gettempdir()) / "splitband-medians"
+SAMPLES, WORK = 400, 240.0
+Errors = dict[str, dict[str, float]]
+"""By network, and by what is made of its trainings."""
+
+
+def kept(name: str, seed: int, path: Path) -> Errors:
+    """Return the errors of a record, from a file where there is one."""
+    file = path.with_suffix(".json")
+    if not file.exists():
+        write_json(file, measured(name, seed))
+    errors: Errors = json.loads(file.read_text(encoding="utf-8"))
+    return errors
+
+
+def measured(name: str, seed: int) -> Errors:
+    """Compare the default methods; return the errors of all networks of several trainings."""
+    record, test = drawn(name, seed, SAMPLES)
+    result = sb.compare(record, tests=[test], setup=sb.Options(search=sb.Search(WORK)))
+    found: Errors = {}
+    for method, runs in result.runs.items():
+        if len(runs) > 1:
+            every = np.array([run.tests[0].y for run in runs])
+            truth, scale = test.y[-len(every[0]) :], float(test.y.std())
+            alone = [rmse(truth, y) / scale for y in every]
+            found[method] = {
+                "best": min(alone),
+                "worst": max(alone),
+                "mean": rmse(truth, every.mean(axis=0)) / scale,
+                "median": rmse(truth, np.median(every, axis=0)) / scale,
+                "trainings": len(runs),
+            }
+    return found
+
+
+def ratios(records: Mapping[str, Errors]) -> dict[str, float]:
+    """Return how the median's error compares with that of the mean, over all networks."""
+    every = [of["median"] / of["mean"] for errors in records.values() for of in errors.values()]
+    facts = {"networks": len(every), "lowest": min(every), "highest": max(every)}
+    return facts | {"geometric mean": statistics.geometric_mean(every)}
+
+
+def main() -> None:
+    """Measure what is not there yet, and print the ratios."""
+    records, out = over_records(__doc__, PARTS, Path("docs/benchmarks/medians.json"), kept)
+    facts = {"samples": SAMPLES, "work": WORK, "ratios": ratios(records), "records": records}
+    write_json(out, facts)
+    print(json.dumps(facts["ratios"], indent=1))
+
+
+if __name__ == "__main__":
+    main()
