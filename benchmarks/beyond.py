@@ -170,8 +170,8 @@ def _recommended(found: dict[str, Facts]) -> str:
         "Total RMSE from the start and of the forecast, mean over seeds, and from the start that "
         "of the median of their predictions, which is what a user gets; *best row* is that of all "
         "methods compared which did best on the test samples, which nobody knows before; *ratio* "
-        "is the recommended one's median of seeds over it. Older files have the mean.\n",
-        "| system | recommended | from the start | forecast | median of seeds | the paper's best "
+        "is the recommended one's over it. Older files have the mean of the predictions.\n",
+        "| system | recommended | from the start | forecast | seeds together | the paper's best "
         "| best row | ratio | in interval |",
         "|---|---|---:|---:|---:|---:|---|---:|---:|",
     ]
@@ -224,7 +224,7 @@ def _shares(found: dict[str, Facts]) -> str:
         for method, of_method in facts["methods"].items():
             if of_method.get("final_loss"):
                 rows[method] = of_method["total_rmse"]
-                rows[f"{method}, median of its seeds"] = [_handed_out(of_method)]
+                rows[f"{method}, its seeds together"] = [_handed_out(of_method)]
         rows |= facts["variants"]
         lines += [
             f"| {name} | {method} | {statistics.mean(values):.3f}"

@@ -44,7 +44,7 @@ NOTES = {
     "RMSE from the start": "of the simulation from the first samples to the end of the record",
     "fit % from the start": "of the same simulation",
     "fit (s)": "seconds of one training, on average",
-    "trainings": "how many are averaged; after ±: the standard deviation of their errors",
+    "trainings": "how many the median is of; after ±: the standard deviation of their errors",
 }
 """What each column means; each heading needs an entry. The order is that of the columns: a narrow
 terminal leaves out the last ones."""
