@@ -93,7 +93,7 @@ class SearchResult:
     attempts : All attempts, in order.
     done : Held-out forecasts of the chosen networks, by name and seed.
     costs : Cost of one final training of each chosen network, in seconds of a reference core.
-    members : Number of trainings to average, as chosen by the search, by network.
+    members : Number of trainings whose median is used, as chosen by the search, by network.
     more : Cost of each further seed of the best setting, for networks that may have more seeds.
     left : Work that is left, in seconds of a reference core.
     """

@@ -59,7 +59,7 @@ Methods = Annotated[
     ),
 ]
 Seeds = Annotated[
-    int | None, _training("Trainings of each network, averaged.", "N", "1 to 8", min=1)
+    int | None, _training("Trainings of each network; the median is used.", "N", "1 to 8", min=1)
 ]
 SettingsFile = Annotated[
     Path | None, _training("Train as recommended.json of an earlier run says.", "FILE", False)
