@@ -1,18 +1,20 @@
-"""Whose mean is handed out: the seeds of the best setting, or the best trainings of all settings.
+"""Whose median is handed out: as many of the best trainings as have the best median.
 
-    python -m benchmarks.members [--systems ...] [--seeds 100 101] [--parts FOLDER]
+    python -m benchmarks.members [--systems ...] [--seeds 100 101 102] [--parts FOLDER]
 
 State-space networks of eight settings, two seeds each, are trained on three quarters of a short
 driven record (`benchmarks.driven`) and scored on the rest, as the search does; all go on on the
 whole of it and simulate the test record. Writes docs/benchmarks/members.json: errors there as
-shares of its deviation, by what the mean is made of. Trainings are kept in FOLDER.
+shares of its deviation, by what is handed out. Trainings are kept in FOLDER.
 """
 
 from __future__ import annotations
 
 import statistics
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +28,7 @@ from splitband.runtime.files import write_json
 from splitband.training import Settings
 
 Array = npt.NDArray[np.float64]
+Combine = Callable[..., Array]
 PARTS = Path(tempfile.gettempdir()) / "splitband-members"
 SAMPLES, SEEDS, WARMUP = 400, 2, 50
 TRIED, LAST = 400, 500
@@ -83,30 +86,37 @@ def trained(name: str, seed: int) -> dict[str, Array]:
 
 
 def errors(found: dict[str, Array]) -> dict[str, float]:
-    """Return the test errors of means of several kinds."""
+    """Return the test errors by what is handed out."""
     runs = [tuple(key.split("|")[1:]) for key in found if key.startswith("test|")]
     # As in use: what is unstable is left out, unless everything is.
     every = [run for run in runs if found["|".join(["stable", *run])]] or runs
 
-    def error(part: str, runs: list[tuple[str, ...]]) -> float:
-        mean = np.mean([found["|".join([part, *run])] for run in runs], axis=0)
+    def error(part: str, runs: list[tuple[str, ...]], way: Combine) -> float:
+        y = way([found["|".join([part, *run])] for run in runs], axis=0)
         scale = found["scale"][0 if part == "held" else 1]
-        return float(np.sqrt(np.mean((mean - found[part]) ** 2)) / scale)
+        return float(np.sqrt(np.mean((y - found[part]) ** 2)) / scale)
 
-    by_way = {way: [run for run in every if run[0] == way] for way, _ in every}
-    ranked = sorted(every, key=lambda run: error("held", [run]))
-    lowest = error("held", ranked[:1])
-    firsts = [ranked[: i + 1] for i in range(min(MOST_MEMBERS, len(ranked)))]
-    means = {
-        "the best training": ranked[:1],
-        "the seeds of the best setting": min(by_way.values(), key=lambda of: error("held", of)),
-        "the best eight": ranked[:8],
-        "the best eight within twice the lowest error": [
-            run for run in ranked if error("held", [run]) <= 2 * lowest
-        ][:8],
-        "as many of the best as have the best mean": min(firsts, key=lambda of: error("held", of)),
-    }
-    return {kind: error("test", runs) for kind, runs in means.items()}
+    def alone(run: tuple[str, ...]) -> float:
+        return error("held", [run], np.mean)
+
+    by_way = [[run for run in every if run[0] == way] for way in {way: None for way, _ in every}]
+    ranked = sorted(every, key=alone)[:MOST_MEMBERS]
+    firsts = [ranked[: i + 1] for i in range(len(ranked))]
+    handed_out = {"the best training": error("test", ranked[:1], np.mean)}
+    for name, way in (("mean", np.mean), ("median", np.median)):
+        held_out = partial(error, "held", way=way)
+        handed_out |= {
+            f"the {name} of {those}": error("test", of, way)
+            for those, of in {
+                "the seeds of the best setting": min(by_way, key=held_out),
+                "the best eight": ranked,
+                "the best eight within twice the lowest error": [
+                    run for run in ranked if alone(run) <= 2 * alone(ranked[0])
+                ],
+                f"as many of the best as have the best {name}": min(firsts, key=held_out),
+            }.items()
+        }
+    return handed_out
 
 
 def measured(name: str, seed: int, path: Path) -> dict[str, float]:

@@ -33,6 +33,9 @@ TRIAL_SEEDS, CORE_SECONDS_A_SEED = 2, 120.0
 for so many core seconds of the budget, if that is more, and at most `MOST_MEMBERS`."""
 MOST_MEMBERS = 8
 """Largest number of trainings whose median is handed out."""
+LEAST_MEMBERS = 3
+"""Smallest number of them on records of up to `SHORT` samples: the median of fewer is their mean,
+which one of them can spoil. On longer ones, held-out errors tell which training is best."""
 KEPT = 0.5
 """Share of the candidates of a round that go on."""
 WORSE = 1.1
@@ -204,7 +207,8 @@ class Trials:
             if run.candidate.method == method:
                 distinct.setdefault(run.key, run)
         ranked = [*distinct.values()][:MOST_MEMBERS]
-        medians = [ranked[: i + 1] for i in range(len(ranked))]
+        least = LEAST_MEMBERS if len(self._record) <= SHORT else 1
+        medians = [ranked[:n] for n in range(min(least, len(ranked)), len(ranked) + 1) if n]
         return min(
             medians,
             key=lambda runs: held_out_score(self._record, [r.done for r in runs]),
