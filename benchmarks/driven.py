@@ -186,14 +186,18 @@ def drawn(
 
 
 def over_records(
-    described: str | None, parts: Path, out: Path, measured: Callable[[str, int, Path], Facts]
+    described: str | None,
+    parts: Path,
+    out: Path,
+    measured: Callable[[str, int, Path], Facts],
+    systems: Sequence[str] = tuple(SYSTEMS),
 ) -> tuple[dict[str, Facts], Path]:
     """Measure the systems and seeds of the command line, and return that by record, and OUT.
 
     `measured` is given a path without its ending, where it keeps what it has made.
     """
     parser = argparse.ArgumentParser(description=(described or "").splitlines()[0])
-    parser.add_argument("--systems", nargs="*", default=[*SYSTEMS], choices=[*SYSTEMS])
+    parser.add_argument("--systems", nargs="*", default=systems, choices=systems)
     parser.add_argument("--seeds", nargs="*", type=int, default=[100, 101])
     parser.add_argument("--parts", type=Path, default=parts)
     parser.add_argument("--out", type=Path, default=out)

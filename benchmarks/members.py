@@ -1,88 +1,140 @@
 """Whose median is handed out: as many of the best trainings as have the best median.
 
-    python -m benchmarks.members [--systems ...] [--seeds 100 101 102] [--parts FOLDER]
+    python -m benchmarks.members [--systems ...] [--seeds 100 101 102 103] [--parts FOLDER]
 
-State-space networks of eight settings, two seeds each, are trained on three quarters of a short
-driven record (`benchmarks.driven`) and scored on the rest, as the search does; all go on on the
-whole of it and simulate the test record. Writes docs/benchmarks/members.json: errors there as
-shares of its deviation, by what is handed out. Trainings are kept in FOLDER.
+Networks of several settings, two seeds each, are trained on three quarters of a short record and
+scored on the rest, as the search does; all go on on the whole of it. State-space networks simulate
+the test record of a driven system (`benchmarks.driven`), GRUs forecast a record without inputs
+(`benchmarks.kinds`). Writes docs/benchmarks/members.json: errors as shares of the deviation, by
+what is handed out. Trainings are kept in FOLDER.
 """
 
 from __future__ import annotations
 
+import json
 import statistics
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from torch import Tensor
 
 import splitband as sb
-from benchmarks.driven import drawn, over_records
-from splitband.evaluation.trials import MOST_MEMBERS
+from benchmarks import kinds
+from benchmarks.driven import SYSTEMS, Facts, drawn, over_records
+from splitband.evaluation.trials import LEAST_MEMBERS, MOST_MEMBERS
 from splitband.forecasters.initialisation import Earlier
+from splitband.forecasters.network import Network
 from splitband.runtime.files import write_json
 from splitband.training import Settings
 
 Array = npt.NDArray[np.float64]
 Combine = Callable[..., Array]
 PARTS = Path(tempfile.gettempdir()) / "splitband-members"
-SAMPLES, SEEDS, WARMUP = 400, 2, 50
-TRIED, LAST = 400, 500
-"""Iterations of L-BFGS in the trial, and after the training that goes on from it."""
+SAMPLES, FITTED, AHEAD, SEEDS, WARMUP = 400, 300, 200, 2, 50
+TRIED, TRIED_GRU = 400, 100
+"""Iterations of L-BFGS in the trial. The training that goes on from it has a quarter more."""
+WITHOUT_INPUTS = ", no inputs"
+UNDRIVEN = (
+    "Duffing", "Lorenz", "Mackey-Glass", "beating", "five tones", "square wave",
+    "resonance driven by noise",
+)  # fmt: skip
 
 
-def ways(samples: int) -> dict[str, tuple[sb.StateSpace, Settings]]:
-    """Return the settings, by what they are called."""
-    usual = Settings.of(samples)
+def driven_ways() -> dict[str, sb.Single]:
+    """Return the networks of driven systems, by what they are called."""
+    usual = Settings.of(SAMPLES)
     window = min(usual.warmup + 150, usual.window)
     base = replace(usual, window=window, epochs=0, quasi_newton=TRIED, penalty=1e-4)
-    adam = max(1, round(300 / base.batches_of(samples)))
     small = sb.StateSpace(4, 10)
-    return {
+    found = {
         "no penalty": (small, replace(base, penalty=0.0)),
         "penalty 1e-4": (small, base),
         "penalty 1e-3": (small, replace(base, penalty=1e-3)),
-        "whole record": (small, replace(base, window=3 * samples // 4)),
+        "whole record": (small, replace(base, window=FITTED)),
         "2 states": (sb.StateSpace(2, 10), base),
         "6 states": (sb.StateSpace(6, 15), base),
         "20 units": (sb.StateSpace(4, 20), base),
-        "random weights": (small, replace(base, epochs=adam, linear_start=False)),
+        "random weights": (small, replace(base, epochs=_adam(base), linear_start=False)),
     }
+    return {way: sb.Single(cell, settings=how) for way, (cell, how) in found.items()}
+
+
+def undriven_ways() -> dict[str, sb.Single]:
+    """Return the networks of records without inputs, by what they are called."""
+    usual = Settings.of(SAMPLES)
+    base = replace(usual, epochs=_adam(usual), quasi_newton=TRIED_GRU)
+    short, shortest = (replace(base, window=usual.warmup + free) for free in (100, 50))
+    found = {
+        "longest windows": (16, replace(base, window=min(base.window, FITTED))),
+        "100 samples": (16, short),
+        "32 units": (32, short),
+        "50 samples": (16, shortest),
+        "penalty": (16, replace(short, penalty=1e-4)),
+    }
+    return {way: sb.Single(sb.GRU(units), settings=how) for way, (units, how) in found.items()}
+
+
+def _adam(settings: Settings) -> int:
+    return max(1, round(300 / settings.batches_of(SAMPLES)))
 
 
 def trained(name: str, seed: int) -> dict[str, Array]:
     """Train every way with every seed; return forecasts of the held-out and of the test samples."""
-    record, test = drawn(name, seed, SAMPLES)
-    fitted = 3 * SAMPLES // 4
-    origins = [fitted + i * (SAMPLES - fitted) // 3 for i in range(3)]
-    assert record.u is not None
-    assert test.u is not None
+    kind = name.removesuffix(WITHOUT_INPUTS)
+    if kind == name:
+        record, test = drawn(name, seed, SAMPLES)
+        train, truth, ways = record, test.y[WARMUP:], driven_ways()
+    else:
+        record = kinds.drawn(kind, seed, SAMPLES + AHEAD)
+        train, truth, ways = record[:SAMPLES], record.seen[SAMPLES:], undriven_ways()
+
+    def simulated(model: sb.Forecaster) -> Array:
+        if kind != name:
+            return model.predict(AHEAD).y
+        past, u = test[:WARMUP], test.u
+        assert u is not None
+        return model.predict(len(truth), history=past, u=u[WARMUP:], other_record=True).y
+
+    origins = [FITTED + i * (SAMPLES - FITTED) // 3 for i in range(3)]
     found = {
-        "held": np.concatenate([record.seen[o:].ravel() for o in origins]),
-        "test": test.y.ravel()[WARMUP:],
-        "scale": np.array([record.seen.std(), test.y.std()]),
+        "held": np.concatenate([train.seen[o:].ravel() for o in origins]),
+        "test": truth.ravel(),
+        "scale": np.array([train.seen.std(), truth.std()]),
     }
-    for way, (cell, settings) in ways(SAMPLES).items():
+    for way, network in ways.items():
         for s in range(SEEDS):
-            tried = sb.Single(cell, settings=settings).fit(record[:fitted], seed=s)
-            ahead = [
-                tried.predict(SAMPLES - o, history=record[:o], u=record.u[o:]).y for o in origins
-            ]
-            window = SAMPLES if way == "whole record" else settings.window
-            more = replace(settings, quasi_newton=LAST, window=window)
-            last = sb.Single(cell, settings=more).continued(Earlier(TRIED, {s: tried.state()}))
-            last.fit(record, seed=s)
+            tried = network.clone().fit(train[:FITTED], seed=s)
+            ahead = [_forecast(tried, train, o).ravel() for o in origins]
+            last = _longer(network, tried.state(), s).fit(train, seed=s)
             stable = last.require_fitted().report.stable
-            y = last.predict(
-                len(test) - WARMUP, history=test[:WARMUP], u=test.u[WARMUP:], other_record=True
-            ).y
-            found[f"held|{way}|{s}"] = np.concatenate([each.ravel() for each in ahead])
-            found[f"test|{way}|{s}"], found[f"stable|{way}|{s}"] = y.ravel(), np.array(stable)
+            found[f"held|{way}|{s}"] = np.concatenate(ahead)
+            found[f"test|{way}|{s}"] = simulated(last).ravel()
+            found[f"stable|{way}|{s}"] = np.array(stable)
     return found
+
+
+def _forecast(model: sb.Forecaster, record: sb.Record, begin: int) -> Array:
+    u = None if record.u is None else record.u[begin:]
+    return np.asarray(model.predict(SAMPLES - begin, history=record[:begin], u=u).y)
+
+
+def _longer(network: sb.Single, weights: Mapping[str, Tensor], seed: int) -> Network:
+    """Return the network set to go on from the trial's weights, on all samples."""
+    settings = network.settings
+    assert settings is not None
+    assert settings.quasi_newton is not None
+    iterations, window = settings.quasi_newton, settings.window
+    settings = replace(
+        settings,
+        quasi_newton=round(1.25 * iterations),
+        window=SAMPLES if window == FITTED else window,
+    )
+    return network.trained_as(settings).continued(Earlier(iterations, {seed: weights}))
 
 
 def errors(found: dict[str, Array]) -> dict[str, float]:
@@ -101,8 +153,9 @@ def errors(found: dict[str, Array]) -> dict[str, float]:
 
     by_way = [[run for run in every if run[0] == way] for way in {way: None for way, _ in every}]
     ranked = sorted(every, key=alone)[:MOST_MEMBERS]
-    firsts = [ranked[: i + 1] for i in range(len(ranked))]
+    firsts = [ranked[:n] for n in range(1, len(ranked) + 1)]
     handed_out = {"the best training": error("test", ranked[:1], np.mean)}
+    least = min(LEAST_MEMBERS, len(ranked))
     for name, way in (("mean", np.mean), ("median", np.median)):
         held_out = partial(error, "held", way=way)
         handed_out |= {
@@ -114,6 +167,9 @@ def errors(found: dict[str, Array]) -> dict[str, float]:
                     run for run in ranked if alone(run) <= 2 * alone(ranked[0])
                 ],
                 f"as many of the best as have the best {name}": min(firsts, key=held_out),
+                f"at least three of the best, as many as have the best {name}": min(
+                    firsts[least - 1 :], key=held_out
+                ),
             }.items()
         }
     return handed_out
@@ -130,15 +186,16 @@ def measured(name: str, seed: int, path: Path) -> dict[str, float]:
 
 def main() -> None:
     """Train what is not there yet, and print the geometric means over the records."""
-    records, out = over_records(__doc__, PARTS, Path("docs/benchmarks/members.json"), measured)
-    means = {
-        kind: statistics.geometric_mean(of[kind] for of in records.values())
-        for kind in next(iter(records.values()))
-    }
-    facts = {"samples": SAMPLES, "count": len(records), "means": means, "records": records}
+    systems = [*SYSTEMS, *(kind + WITHOUT_INPUTS for kind in UNDRIVEN)]
+    out = Path("docs/benchmarks/members.json")
+    records, out = over_records(__doc__, PARTS, out, measured, systems)
+    facts: Facts = {"samples": SAMPLES, "records": records}
+    for part, undriven in (("driven", False), ("undriven", True)):
+        every = [of for name, of in records.items() if (WITHOUT_INPUTS in name) == undriven]
+        means = {way: statistics.geometric_mean(of[way] for of in every) for way in every[0]}
+        facts[part] = {"count": len(every), "means": means}
+        print(part, json.dumps(means, indent=1))
     write_json(out, facts)
-    for kind, mean in means.items():
-        print(f"{kind}: {mean:.4f}")
 
 
 if __name__ == "__main__":
