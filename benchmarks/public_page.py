@@ -82,8 +82,9 @@ def made(out: Path) -> str:
 
 def errors_of(benchmark: Benchmark, facts: Facts) -> list[str]:
     """Of the recommended method, on the tests, in the benchmark's unit."""
-    median = facts["methods"][facts["recommended"]]["median_of_seeds"]
-    return _in_unit(benchmark, median["test_rmse"])
+    of_method = facts["methods"][facts["recommended"]]
+    together = of_method.get("median_of_seeds") or of_method["mean_of_seeds"]  # before 0.3
+    return _in_unit(benchmark, together["test_rmse"])
 
 
 def _benchmark(benchmark: Benchmark, of_budget: dict[float, Facts]) -> list[str]:
