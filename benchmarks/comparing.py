@@ -12,7 +12,7 @@ from splitband.evaluation.protocols import Runs, question_of, runs_of
 from splitband.evaluation.recommendation import try_out
 from splitband.evaluation.setup import Setup
 from splitband.evaluation.work import Work
-from splitband.forecasters.backtest import for_trial, held_out_from
+from splitband.forecasters.backtest import first_held_out, for_trial
 from splitband.forecasters.network import Network
 
 
@@ -50,4 +50,4 @@ def held_out(record: Record, setup: Setup) -> tuple[Record, Setup]:
     assert isinstance(network, Network)
     assert network.settings is not None
     part = replace(record[: setup.train], y_true=None)
-    return part, replace(setup, train=held_out_from(setup.train), settings=network.settings)
+    return part, replace(setup, train=first_held_out(setup.train), settings=network.settings)

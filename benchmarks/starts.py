@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 import splitband as sb
 from benchmarks.driven import drawn, over_records
-from splitband.evaluation.candidates import FIRST_STEPS, FREE_RUN
+from splitband.evaluation.candidates import FIRST_STEPS, FREE_RUN_FROM_LINEAR
 from splitband.runtime.files import write_json
 from splitband.training import Settings
 
@@ -45,7 +45,7 @@ Errors = dict[str, dict[str, float]]
 def settings() -> dict[str, Settings]:
     """Return how networks are trained, by their start: the first candidates of a search."""
     usual = Settings.of(SAMPLES)
-    window = min(usual.warmup + FREE_RUN, usual.window)
+    window = min(usual.warmup + FREE_RUN_FROM_LINEAR, usual.window)
     linear = replace(usual, window=window, epochs=0, quasi_newton=ITERATIONS)
     epochs = max(1, round(FIRST_STEPS / linear.batches_of(SAMPLES)))
     return {"linear": linear, "random": replace(linear, epochs=epochs, linear_start=False)}

@@ -27,7 +27,7 @@ provide(
         "saving": "splitband.forecasters.saving:save",
         "step responses": "splitband.forecasters.responses:respond",
         "check": "splitband.forecasters.checking:check",
-        "held-out forecasts": "splitband.forecasters.backtest:held_out_by",
+        "held-out forecasts": "splitband.forecasters.backtest:interval_errors_of",
     }
 )
 

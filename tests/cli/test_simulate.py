@@ -135,7 +135,11 @@ def test_an_interval_that_is_saved_with_a_model_is_written(
     np.testing.assert_allclose(table["a, lower"], expected.lower[:, 0], rtol=1e-12)
     np.testing.assert_allclose(table["a, upper"], expected.upper[:, 0], rtol=1e-12)
     for folder, level, said in (
-        ("plain", 0.8, "--level must have been asked for before the forecaster was saved"),
+        (
+            "plain",
+            0.8,
+            "--level must be left out for a model that was saved without held-out errors",
+        ),
         ("model", 2, "--level must be between 0 and 1, got 2"),
     ):
         line = f"simulate {tmp_path / folder} --history {history} --steps 25 --level {level}"

@@ -25,7 +25,7 @@ SEARCHED = replace(SETUP, settings=replace(QUICK, most_batches=2), search=Search
 
 def shorten(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(candidates, "LADDER", (3,))
-    patch.setattr(candidates, "FREE_RUN", 10)
+    patch.setattr(candidates, "FREE_RUN_FROM_LINEAR", 10)
     patch.setattr(candidates, "FIRST_STEPS", 4)
     patch.setattr("splitband.evaluation.budget.speed", lambda: 1.0)
 
@@ -136,14 +136,14 @@ def test_the_pace_is_learned_from_what_trainings_took() -> None:
     plan = TimeBudget(Deadline.after(100.0), cores=2)
     assert plan.work_until(plan.deadline) == pytest.approx(160.0, rel=0.01)
     plan.pace.measured(
-        0.1, 5.0, asking=4.0
+        0.1, 5.0, forecasting=4.0
     )  # a process had to start: other trainings need not be so slow
     assert plan.pace.seconds < 2.0
     for _ in range(200):
-        plan.pace.measured(2.0, 8.0, asking=0.1)
+        plan.pace.measured(2.0, 8.0, forecasting=0.1)
     assert plan.pace.seconds == pytest.approx(4.0, rel=0.02)
     assert plan.work_until(plan.deadline) == pytest.approx(40.0, rel=0.03)
-    assert plan.pace.asking == 0.1
+    assert plan.pace.forecasting == 0.1
     assert math.isinf(TimeBudget().work_until(Deadline()))
 
 

@@ -92,7 +92,7 @@ def test_it_is_trained_as_the_search_has_found() -> None:
     result = sb.compare(record(), methods=[sb.Single(GRU(4))], setup=setup)
     model = result.forecaster()
     members = model.templates if isinstance(model, sb.Ensemble) else [model]
-    # The last training may be longer than any trial.
+    # The final training may be longer than any trial.
     said = [each.training.rpartition(", ")[0] for each in result.attempts]
     assert {each.training_in_words().rpartition(", ")[0] for each in members} <= {*said}
     assert len(members) == len(result.runs["gru"])

@@ -326,7 +326,7 @@ def test_a_saved_model_of_several_records_has_the_interval_that_was_asked_for(
     found = loaded.predict(STEPS, level=0.8, u=u, y_sim=y_sim)
     np.testing.assert_array_equal(found.upper, expected.upper)
     loaded.held_out = None
-    with pytest.raises(ValueError, match="level must have been asked for before"):
+    with pytest.raises(ValueError, match="level must be left out for a model that was saved"):
         loaded.predict(STEPS, level=0.8, u=u, y_sim=y_sim)
 
 

@@ -20,7 +20,10 @@ FARTHEST_BACK = 10 * LONGEST
 
 
 class ByTime(Protocol):
-    """Define the interface of baselines without inputs: functions of the time index."""
+    """Define the interface of baselines that are functions of the time index alone.
+
+    Others forecast from the history, such as persistence, or from the inputs.
+    """
 
     @classmethod
     def fit(cls, y: Array) -> Self:

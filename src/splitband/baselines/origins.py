@@ -11,7 +11,7 @@ import numpy as np
 
 from splitband.runtime.arrays import Array
 
-HELD_OUT = (0.5, 0.375, 0.25, 0.2, 0.15, 0.1)
+HELD_OUT_SHARES = (0.5, 0.375, 0.25, 0.2, 0.15, 0.1)
 """Shares of a record that are held out, one for each origin. A long share shows how errors grow; a
 short one is forecast by nearly the final fit. Chosen by the regret of trends, periods and poles on
 development records, also with the last four alone (docs/results/rules.md)."""
@@ -21,7 +21,7 @@ NEGLIGIBLE = 1e-8
 
 def origins(samples: int) -> list[int]:
     """Return how many of `samples` samples are fitted, for each held-out share."""
-    return [max(samples - max(1, round(share * samples)), 1) for share in HELD_OUT]
+    return [max(samples - max(1, round(share * samples)), 1) for share in HELD_OUT_SHARES]
 
 
 def is_better(more: Array, less: Array) -> bool:

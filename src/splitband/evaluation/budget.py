@@ -15,14 +15,14 @@ from typing import Any
 from splitband.evaluation.costs import speed
 from splitband.runtime.deadlines import Deadline, now
 
-BASELINES = 0.3
-"""Share of the time that baselines may take. These shares are by eye, checked with `python -m
-benchmarks.budget`."""
-SEARCH, TRIAL, BASE = 0.5, 0.65, 0.7
-"""Shares of the time after the baselines by which the search, the trial of all methods on three
-quarters of the samples, and that of a network on a baseline must end; the rest is for final
-trainings."""
-ONE = 0.3
+BASELINES_SHARE = 0.3
+"""Share of the time that baselines may take, if there are networks too. These shares are by eye,
+checked with `python -m benchmarks.budget`."""
+SEARCH_SHARE, TRIAL_SHARE, BASE_SHARE = 0.5, 0.65, 0.7
+"""Deadlines of the search, of the trial of all methods on three quarters of the samples, and of the
+trial of a network on a baseline, as shares of the time left when baselines are done. The rest is
+for final trainings."""
+MOST_FOR_ONE_TRAINING = 0.3
 """Share of the time, and of the work, that a single training of a candidate may take. By eye."""
 ASSUMED_SLOWDOWN = 2.0
 """Assumed slowdown of trainings, relative to the gradient that `costs.speed` times, until they have
@@ -30,8 +30,8 @@ been timed themselves. By eye."""
 START = "start"
 """The phase before a comparison: loading the package, reading the record."""
 PROCESSES = 1.5
-"""Other processes are started if more time is left than this multiple of the command's own start.
-By eye."""
+"""Other processes are started if the time left is more than this many times the seconds that the
+command took to start. By eye."""
 BUSY = 0.8
 """Share of the time of all cores that parallel trainings use. By eye."""
 PRIOR_WEIGHT = 5.0
@@ -56,24 +56,28 @@ class Pace:
     Attributes
     ----------
     seconds : Wall seconds per second of a reference core; an assumed value until it is measured.
-    trained : Weight of the value: `PRIOR_WEIGHT` plus the estimated cost of all timed trainings.
-    asking : Seconds that a job needs for its forecasts, after its training.
+    trained : Work on which `seconds` rests, in seconds of a reference core: `PRIOR_WEIGHT` plus the
+        estimated cost of all timed trainings.
+    forecasting : Seconds that a job needs for its forecasts, after its training.
     """
 
     seconds: float = 1.0
     trained: float = PRIOR_WEIGHT
-    asking: float = 0.0
+    forecasting: float = 0.0
 
-    def measured(self, estimated: float, took: float, asking: float = 0.0) -> None:
+    def measured(self, estimated: float, took: float, forecasting: float = 0.0) -> None:
         """Update the pace with the estimated cost and the measured time of a training.
 
-        The pace is that of all trainings together, as the time of a short one includes much else,
-        such as the start of a process. For the same reason `asking` is the shortest one measured.
+        The pace is that of all trainings together, because the time of a short one is mostly
+        overhead, such as the start of a process. For the same reason `forecasting` is the shortest
+        time that was measured.
         """
         if estimated > 0:
             self.seconds = (self.trained * self.seconds + took) / (self.trained + estimated)
             self.trained += estimated
-            self.asking = min(self.asking, asking) if self.asking else asking
+            self.forecasting = (
+                min(self.forecasting, forecasting) if self.forecasting else forecasting
+            )
 
 
 @dataclass(eq=False)
@@ -89,7 +93,7 @@ class TimeBudget:
     left_out : Methods for which there was no time, and why.
     cut : Trainings that the deadline ended, and choices that it narrowed.
     phases : Time used by each phase, in order.
-    asked : Limits that were given: seconds of wall time, and of a reference core; None: no limit.
+    requested_limits : Seconds of wall time, and of a reference core; None: no limit.
     """
 
     deadline: Deadline = field(default_factory=Deadline)
@@ -99,7 +103,7 @@ class TimeBudget:
     left_out: dict[str, str] = field(default_factory=dict)
     cut: list[str] = field(default_factory=list)
     phases: dict[str, Phase] = field(default_factory=dict)
-    asked: tuple[float | None, float | None] = (None, None)
+    requested_limits: tuple[float | None, float | None] = (None, None)
 
     @classmethod
     def of(
@@ -176,7 +180,7 @@ class TimeBudget:
 
     def as_json(self) -> dict[str, Any]:
         """Return the entries of result files: kind of limit, its values, the time used."""
-        seconds, work = self.asked
+        seconds, work = self.requested_limits
         limited = "nothing" if work is None else "work" if seconds is None else "time"
         return {
             "limited": limited,
@@ -200,7 +204,7 @@ class TimeBudget:
             + ("" if phase.planned is None else f" of {phase.planned:.0f}")
             for name, phase in self.phases.items()
         )
-        wall, work = self.asked
+        wall, work = self.requested_limits
         of_wall = "" if wall is None else f" of {wall:.0f}"
         said = f"time: {now() - self.began:.0f}{of_wall} s ({phases})"
         if wall is None and work is not None:

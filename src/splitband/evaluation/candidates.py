@@ -17,15 +17,20 @@ from splitband.training import Settings
 
 FIRST_STEPS = 300
 """Steps of Adam before L-BFGS takes over, from random weights."""
-FREE_RUN, FREE_RUNS = 150, (100, 50)
-"""Predicted samples of the shorter windows, for networks that begin as a linear model and for those
-with random weights; the longest windows are the recipe's."""
+FREE_RUN_FROM_LINEAR = 150
+"""Predicted samples of the shorter window that is tried for networks that begin as a linear model,
+beside the recipe's window."""
+FREE_RUNS_FROM_RANDOM = 100, 50
+"""Predicted samples of the shorter windows that are tried for networks that begin with random
+weights, beside the recipe's window."""
 SHORT = 3000
 """Longest record, in samples, for which one window over all of it is tried, too."""
 PENALTIES = 1e-4, 1e-3
 """Penalties to try; the second one only on records of up to `SHORT` samples."""
 LADDER = 100, 400, 1600, 6400
-"""Total iterations of L-BFGS of a candidate after each round."""
+"""Total iterations of L-BFGS: a candidate has had 100 after its first round, 400 after its second,
+and so on. On records of more than `SHORT` samples, networks that begin as a linear model start with
+the second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +40,12 @@ class Candidate:
     Attributes
     ----------
     method, network : Name of the method, and the network with its settings.
-    rung : Index of its round in `LADDER`; -1: no further round.
+    rung : Index of its round in `LADDER`; -1: no further round, as it is trained by Adam alone or
+        has been dropped.
     score : RMSE of the seeds' median forecast of the held-out samples; infinite before training.
     done : Forecasts of the held-out samples, by seed.
-    first_label : Label that it had in its first round; empty until the second.
+    first_label : Label of its first round; empty until the second. Labels contain the iterations
+        and change with each round; this one identifies the candidate.
     """
 
     method: str
@@ -60,21 +67,21 @@ class Candidate:
         return self.network.settings
 
     @property
-    def trained(self) -> int:
+    def iterations(self) -> int:
         """Return its total iterations of L-BFGS."""
         return self.settings.quasi_newton or 0
 
-    def continued(self, iterations: int, weights: Mapping[int, Mapping[str, Tensor]]) -> Network:
-        """Return the network set to continue from these weights, by seed, for more iterations."""
-        settings = replace(self.settings, quasi_newton=self.trained + iterations)
-        return self.network.trained_as(settings).continued(Earlier(self.trained, weights))
+    def continued(self, more: int, weights: Mapping[int, Mapping[str, Tensor]]) -> Network:
+        """Return the network set to continue from these weights, by seed, for `more` iterations."""
+        settings = replace(self.settings, quasi_newton=self.iterations + more)
+        return self.network.trained_as(settings).continued(Earlier(self.iterations, weights))
 
     def longer(self) -> Candidate | None:
         """Return the candidate of the next round; None where there is none."""
         if not 0 <= self.rung < len(LADDER) - 1:
             return None
         weights = {seed: done.weights for seed, done in self.done.items()}
-        network = self.continued(LADDER[self.rung + 1] - self.trained, weights)
+        network = self.continued(LADDER[self.rung + 1] - self.iterations, weights)
         first_label = self.first_label or self.label
         return replace(self, network=network, rung=self.rung + 1, done={}, first_label=first_label)
 
@@ -83,34 +90,36 @@ class Candidate:
         return {**self.network.get_params(), **vars(self.settings)}
 
 
-def combined(first: Candidate, one: Candidate, other: Candidate) -> Candidate | None:
-    """Return the first candidate with the changes of both others.
+def combined(usual: Candidate, best: Candidate, other: Candidate) -> Candidate | None:
+    """Return the usual candidate with the changes of both others.
 
     None where both change the same option, or `other` changes none.
     """
-    usual = {name: str(value) for name, value in first.options().items()}
+    # As text: cells are modules, which equal only themselves.
+    unchanged = {name: str(value) for name, value in usual.options().items()}
     ours, theirs = (
-        {name: value for name, value in each.options().items() if str(value) != usual[name]}
-        for each in (one, other)
+        {name: value for name, value in each.options().items() if str(value) != unchanged[name]}
+        for each in (best, other)
     )
     ours.pop("settings", None)
     theirs.pop("settings", None)
     if not theirs or ours.keys() & theirs.keys():
         return None
-    of_training = {name: value for name, value in theirs.items() if name in vars(one.settings)}
+    of_training = {name: value for name, value in theirs.items() if name in vars(best.settings)}
     of_network = {name: value for name, value in theirs.items() if name not in of_training}
-    network = one.network.clone().set_params(**of_network)
-    network = network.trained_as(replace(one.settings, **of_training))
-    return replace(first, network=network, rung=max(one.rung, other.rung), score=math.inf, done={})
+    network = best.network.clone().set_params(**of_network)
+    network = network.trained_as(replace(best.settings, **of_training))
+    rung = max(best.rung, other.rung)
+    return replace(usual, network=network, rung=rung, score=math.inf, done={})
 
 
 def candidates(forecaster: Network, record: Record) -> list[Candidate]:
     """Return the candidates for training a network on a record, the most promising one first.
 
     A network that begins as a linear model needs no steps of Adam. Its candidates differ from the
-    first one in size, window, penalty or start, one at a time; on long records they begin with more
-    iterations, which are quick. For other networks, the first candidate is the default recipe, by
-    Adam alone.
+    first one in size, window, penalty or start, one at a time. On long records they begin with the
+    iterations of the second round, as an iteration of such a small network is quick. For other
+    networks, the first candidate is the default recipe, by Adam alone.
     """
     usual, samples = forecaster.settings, len(record)
     assert usual is not None
@@ -119,7 +128,7 @@ def candidates(forecaster: Network, record: Record) -> list[Candidate]:
     size, *sizes = _sizes(forecaster)
     if record.nu and all(isinstance(cell, LinearPart) for cell in _cells(forecaster)):
         rung = int(samples > SHORT)
-        window = min(usual.warmup + FREE_RUN, usual.window)
+        window = min(usual.warmup + FREE_RUN_FROM_LINEAR, usual.window)
         base = replace(finished, window=window, epochs=0, quasi_newton=LADDER[rung])
         settings = [base, replace(base, window=usual.window), replace(base, penalty=PENALTIES[0])]
         if samples <= SHORT:
@@ -130,7 +139,10 @@ def candidates(forecaster: Network, record: Record) -> list[Candidate]:
         found = []
     else:
         rung = 0
-        windows = {min(usual.warmup + free, usual.window) for free in (*FREE_RUNS, usual.window)}
+        windows = {
+            min(usual.warmup + free, usual.window)
+            for free in (*FREE_RUNS_FROM_RANDOM, usual.window)
+        }
         settings = [replace(finished, window=window) for window in sorted(windows)]
         every = [(other, each) for each in settings for other in (sizes or [size])]
         every += [(other, replace(settings[0], penalty=PENALTIES[0])) for other in sizes[-1:]]

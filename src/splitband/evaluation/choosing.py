@@ -1,11 +1,13 @@
-"""Choose training settings, and score all methods, on the training part alone.
+"""Run the held-out trial: baselines, search, networks, a network on a baseline.
 
 Baselines are tried first, then networks with the settings that the search has found. If a baseline
 beats every network, a network on top of it is tried as well, which learns only what the baseline
-leaves (a periodic regression or a linear model, for instance). It is kept if it beats the baseline
-alone on held-out samples. That is not in the paper.
+leaves (a periodic regression or a linear model, for instance). It is kept only if the held-out
+error of the baseline alone is more than a tenth above its own (`WORTH_TRAINING`). That is not in
+the paper.
 
-No measured sample after the training part is used.
+Settings are chosen and methods are scored on the training part alone: no measured sample after it
+is used.
 """
 
 from __future__ import annotations
@@ -13,20 +15,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from splitband.evaluation.budget import BASE, BASELINES, SEARCH
-from splitband.evaluation.budget import TRIAL as TRIAL_OVER
+from splitband.evaluation.budget import BASE_SHARE, BASELINES_SHARE, SEARCH_SHARE, TRIAL_SHARE
 from splitband.evaluation.costs import job_cost, training_cost
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.recommendation import MOST_TRIAL_SEEDS, WORTH_TRAINING, Trial, try_out
 from splitband.evaluation.search import SEEDS, SearchResult, search
 from splitband.evaluation.trials import SearchAttempt
 from splitband.evaluation.work import Work
-from splitband.forecasters.backtest import HELD_OUT, Origin, Question, held_out_from
+from splitband.forecasters.backtest import HELD_OUT_SHARE, Origin, Question, first_held_out
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASES, with_base
 from splitband.forecasters.network import Network
 
-TRIAL = "held-out fit"
+TRIAL_STAGE = "held-out fit"
 """Name of the stage that fits methods to three quarters of the training part."""
 AFTER_BASELINES, AFTER_SEARCH, AFTER_TRIAL = 0.1, 0.6, 0.7
 """Shares of a command that are done after these stages, for progress bars. By eye."""
@@ -40,19 +41,20 @@ def choose(plan: Plan, work: Work) -> tuple[Trial, SearchResult]:
     time, seeds = work.time, range(SEEDS if plan.seeds is None else plan.seeds)[:MOST_TRIAL_SEEDS]
     trial, searched = Trial(), SearchResult([*plan.methods])
     if quick:
-        until = time.share(BASELINES if slow else TRIAL_OVER)
-        stage = work.for_stage(TRIAL, until, (0.0, AFTER_BASELINES))
+        until = time.share(BASELINES_SHARE if slow else TRIAL_SHARE)
+        stage = work.for_stage(TRIAL_STAGE, until, (0.0, AFTER_BASELINES))
         stage = stage if time.allows_processes(until) else stage.alone()
         with time.phase("baselines", until):
             trial = try_out(record, quick, ahead, seeds, stage, others, need_one=not slow)
     if not slow:
         return trial, searched
-    searching, trying, basing = time.share(SEARCH), time.share(TRIAL_OVER), time.share(BASE)
+    searching, trying = time.share(SEARCH_SHARE), time.share(TRIAL_SHARE)
+    basing = time.share(BASE_SHARE)
     if setup.search is not None:
         stage = replace(work, deadline=searching, span=(AFTER_BASELINES, AFTER_SEARCH))
         with time.phase("search", searching):
             searched = search(record, plan.methods, ahead, setup.search, stage, others)
-    stage = work.for_stage(TRIAL, trying, (AFTER_SEARCH, AFTER_TRIAL))
+    stage = work.for_stage(TRIAL_STAGE, trying, (AFTER_SEARCH, AFTER_TRIAL))
     with time.phase("trial", trying):
         needed = not trial.errors
         networks, unpaid = _affordable(plan, searched, len(seeds), stage, needed)
@@ -83,7 +85,8 @@ def on_baseline(
     record, others, setup = plan.training, plan.others, plan.setup
     networks = {f.name: f.network for f in searched.forecasters if f.network is not None}
     best, scores = trial.best_network, trial.scores
-    # A method that depends on the time since its training record is no base for several records.
+    # A method that depends on the time since its training record began cannot be a base when there
+    # are several records.
     several = bool(plan.tests or others)
     able = [
         f.name
@@ -97,7 +100,7 @@ def on_baseline(
         return trial, searched
     network = _on(base, networks[best], plan)
     cost = training_cost(network, record, others)
-    spent = len(seeds) * (1 - HELD_OUT) * cost
+    spent = len(seeds) * (1 - HELD_OUT_SHARE) * cost
     if network.name in scores or spent + cost > searched.left:
         return trial, searched
     if spent > work.time.work_until(work.deadline):
@@ -132,22 +135,22 @@ def _affordable(
 ) -> tuple[list[Forecaster], dict[str, str]]:
     """Return the networks to try, and why the budget is too small for others.
 
-    It must suffice for both trial and training. Networks without time for a trial are left out and
-    reported. If there is no other result, the first network is `needed` whatever its cost and the
-    time; the deadline then cuts its training short.
+    The budget must suffice for both trial and training. Networks without time for a trial are left
+    out and reported. If one network is `needed`, as there is no other result, the first one is kept
+    even if it is too expensive; the deadline then cuts its training short.
     """
     time, kept, unpaid = work.time, list[Forecaster](), dict[str, str]()
     left = searched.left - sum(searched.costs[name] for name in searched.done)
     in_time = time.work_until(work.deadline)
     held_out = Question(
-        plan.training, [Origin(held_out_from(plan.train), plan.train)], 0, plan.others
+        plan.training, [Origin(first_held_out(plan.train), plan.train)], 0, plan.others
     )
     for f in searched.forecasters:
         if not f.random:
             continue
         optional = kept or not needed
         if f.name in searched.costs and f.name not in searched.done:
-            cost = (1 + seeds * (1 - HELD_OUT)) * searched.costs[f.name]
+            cost = (1 + seeds * (1 - HELD_OUT_SHARE)) * searched.costs[f.name]
             if cost > left and optional:
                 unpaid[f.name] = (
                     f"left out: its trial and training take about {cost:.0f} s of a reference "
@@ -155,8 +158,8 @@ def _affordable(
                 )
                 continue
             left -= cost
-        tried = not time.limited or searched.done.get(f.name)
-        cost = 0.0 if tried else seeds * job_cost(f, held_out)
+        costs_no_trial_time = not time.limited or searched.done.get(f.name)
+        cost = 0.0 if costs_no_trial_time else seeds * job_cost(f, held_out)
         if cost > max(in_time, 0.0) and optional:
             takes = cost * time.pace.seconds / time.cores
             time.leave_out(f.name, "trial", takes, work.deadline)

@@ -1,4 +1,8 @@
-"""Estimate the cost of a training in seconds of a reference core, and this machine's speed."""
+"""Estimate the cost of a training in seconds of a reference core, and this machine's speed.
+
+The reference core is a notional core, for which the constants below hold: costs are the same on
+every machine.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +21,13 @@ from splitband.networks import GRU, rollout
 from splitband.runtime.threads import one_thread
 from splitband.training.quasi_newton import samples_in_a_step
 
-FOR_TRAINING, STARTING = 0.4, 8.0
-"""Share of a wall-time budget that is planned for training networks, and seconds reserved for
-starting the command and writing its results. The rest is for other work, and for trainings that
-take longer than estimated. By eye, checked with `python -m benchmarks.budget`."""
+FOR_TRAINING = 0.4
+"""Share of a wall-time budget that is planned for training networks. The rest is for other work,
+and for trainings that take longer than estimated. By eye, checked with `python -m
+benchmarks.budget`."""
+STARTING = 8.0
+"""Seconds of it that are reserved for starting the command and writing its results. By eye, checked
+likewise."""
 REFERENCE_SIZE, REFERENCE_BATCH, REFERENCE_STEPS = 32, 25, 400
 """Hidden units, windows and samples of the gradient whose run time measures a machine's speed.
 By eye."""
@@ -39,7 +46,8 @@ def reference_seconds(wall: float, cores: int) -> float:
 
     The measured speed is rounded to a power of the square root of two, so that the same machine
     mostly plans the same work. The plan ends well before the time is over, so that results do not
-    depend on the clock unless the machine is busy.
+    depend on the clock unless the machine is busy. `STARTING` takes at most half of a short wall
+    time.
     """
     rounded = 2 ** (round(2 * math.log2(speed())) / 2)
     return FOR_TRAINING * max(wall - STARTING, wall / 2) * cores * rounded
@@ -62,7 +70,7 @@ def speed() -> float:
 
 
 def job_cost(forecaster: Forecaster, question: Question) -> float:
-    """Estimate the cost of the fits that a question needs, in seconds of a reference core."""
+    """Estimate the cost of the fits that these forecasts need, in seconds of a reference core."""
     samples = max(origin.fitted for origin in question.origins)
     network = forecaster.of_one_seed.network
     if network is None or network.settings is None:
@@ -75,7 +83,10 @@ def job_cost(forecaster: Forecaster, question: Question) -> float:
 
 
 def training_cost(network: Network, record: Record, others: Sequence[Record]) -> float:
-    """Estimate the cost of a training and of its base network's, in seconds of a reference core."""
+    """Estimate the cost of a training, including that of its base, in seconds of a reference core.
+
+    A base counts only if it is a network.
+    """
     base = None if network.base is None else network.base.network
     below = 0.0 if base is None else training_cost(base, record, others)
     assert network.settings is not None

@@ -15,7 +15,7 @@ from splitband.evaluation.jobs import reasons
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.protocols import models_of
 from splitband.evaluation.recommendation import Trial
-from splitband.evaluation.run import begun, last_fits
+from splitband.evaluation.run import final_fits, with_limits
 from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import Origin, Question
 from splitband.forecasters.base import Forecaster
@@ -124,13 +124,13 @@ def run_forecast(plan: Plan, work: Work | None = None) -> Forecast:
     record, steps = plan.record, plan.horizon
     origin = Origin(plan.train, plan.train)
     question = Question(record, [origin], plan.train + steps, plan.others, keep=True)
-    with begun(plan, work).staffed() as staff:
+    with with_limits(plan, work).staffed() as staff:
         trial, searched = choose(plan, staff)
         # Training is slow: only the best network is trained on the whole record.
         fitted = [m for m in searched.forecasters if m.name in trial.errors]
         fitted = [m for m in fitted if not m.random or m.name == trial.best_network]
         questions = {method.name: question for method in fitted}
-        backtests, failures = last_fits(plan, questions, searched, trial, staff)
+        backtests, failures = final_fits(plan, questions, searched, trial, staff)
     forecasts = {
         name: [each.predictions[origin] for each in of_seeds.values()]
         for name, of_seeds in backtests.items()

@@ -27,8 +27,7 @@ LATE = "left out, as the time was over"
 FAILED = 2.0
 """A seed whose error is above this multiple of the lowest seed's has failed."""
 PATIENCE = 2.0
-"""Seconds that a job may run past its deadline, plus the time of its forecasts, until it is given
-up."""
+"""A job is abandoned so many seconds, plus the time of its forecasts, after its deadline."""
 
 Key = tuple[str, int]
 """A job: the name of a forecaster, and a seed."""
@@ -55,7 +54,7 @@ def reasons(failures: Sequence[Failure], done: Container[str]) -> dict[str, str]
 class FitOutcome:
     """Hold the outcome of a job: its forecasts, or why it failed.
 
-    `seconds`: its run time; `fresh`: it trained from start to end, so that this measures the pace.
+    `seconds`: its run time; `fresh`: it trained from start to end, so its time may update the pace.
     """
 
     backtest: Backtest | None = None
@@ -81,7 +80,7 @@ class FitJobs:
     deadline : When trainings stop and keep the weights that they have then.
     checkpoints : Folder of checkpoints; a worker that cannot see it trains without.
     stage : Stage named in progress reports; None: no reports.
-    needed : Job that starts even after the deadline.
+    needed : Job that starts even after the deadline, so that there is a result; None: no such job.
     """
 
     forecasters: Mapping[str, Forecaster]
@@ -163,8 +162,8 @@ def run_all(
         except ValueError as error:
             for job in jobs[f.name]:
                 done[job] = FitOutcome(failure=Failure(*job, str(error)))
-    # Networks first, as they take longest: no process is left with one at the end. Among them, the
-    # first seed of every method precedes all second ones.
+    # Networks first, as they take longest, so no long job starts last. Among them, the first seed
+    # of every method precedes all second ones.
     todo = [job for name in ready for job in jobs[name]]
     todo.sort(key=lambda job: (not ready[job[0]].random, jobs[job[0]].index(job)))
     done |= _carried_out(ready, questions, todo, work, need_one)
@@ -211,13 +210,13 @@ def _carried_out(
     # Jobs without training check the deadline themselves, and their results are always needed.
     patience = Deadline()
     if any(f.random for f in forecasters.values()):
-        patience = Deadline(work.deadline.at + PATIENCE + time.pace.asking)
+        patience = Deadline(work.deadline.at + PATIENCE + time.pace.forecasting)
     done: dict[Key, FitOutcome] = {}
     for job, outcome in map_jobs(fit, jobs, work.executor or work.jobs, watch.report, patience):
         done[job] = outcome
         if outcome.fresh and outcome.backtest is not None:
-            asking = outcome.seconds - outcome.backtest.report.seconds
-            time.pace.measured(costs[job[0]], outcome.seconds, asking)
+            forecasting = outcome.seconds - outcome.backtest.report.seconds
+            time.pace.measured(costs[job[0]], outcome.seconds, forecasting)
         watch.finished(job)
     for job in jobs:
         done.setdefault(job, FitOutcome(failure=Failure(*job, LATE, late=True)))
@@ -281,7 +280,7 @@ class _Watch:
 def failed_seeds(
     reports: Mapping[int, FitReport], errors: Mapping[int, float] | None = None
 ) -> dict[int, str]:
-    """Return the seeds of a method that failed in training, and why; never all of them.
+    """Return the seeds of a method that failed in training, and why; if all failed, none of them.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ import numpy as np
 from splitband.data import Record, check_alike, require_records
 from splitband.data.gaps import first_after
 from splitband.evaluation.setup import Options, Setup
-from splitband.forecasters.backtest import for_trial, held_out_from
+from splitband.forecasters.backtest import first_held_out, for_trial
 from splitband.forecasters.base import Forecaster
 from splitband.runtime.arguments import whole
 from splitband.simulators.identification import check_runs
@@ -244,7 +244,7 @@ def _check_test(test: Record, plan: Plan) -> None:
 def _check_trial(plan: Plan) -> None:
     """Check the trial on the last quarter of the training part."""
     part = replace(plan.training, y_true=None)
-    setup = replace(plan.setup, train=held_out_from(plan.train))
+    setup = replace(plan.setup, train=first_held_out(plan.train))
     shorter = tuple(for_trial(f, plan.train) for f in plan.methods)
     try:
         check(Plan(part, shorter, setup, len(part) - setup.train, plan.others))

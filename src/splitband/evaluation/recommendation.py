@@ -19,9 +19,9 @@ from splitband.forecasters.backtest import (
     Backtest,
     Question,
     for_trial,
-    held_out,
     held_out_errors,
     held_out_origins,
+    interval_errors,
     median_forecasts,
 )
 from splitband.forecasters.base import Forecaster
@@ -179,7 +179,7 @@ def try_out(
         {name: held_out_score(record, [*made[name].values()]) for name in forecasts},
         trained,
         failed=reasons(failures, forecasts),
-        held_out={name: held_out(record, y) for name, y in forecasts.items()},
+        held_out={name: interval_errors(record, y) for name, y in forecasts.items()},
         early={
             name: [y[len(record) - at.at :] for at, y in sorted(forecasts[name].items())]
             for name in trained & forecasts.keys()

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from splitband.data import Record
-from splitband.evaluation.budget import SEARCH
+from splitband.evaluation.budget import SEARCH_SHARE
 from splitband.evaluation.choosing import AFTER_TRIAL, choose
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.jobs import Failure, checkpoint_path, run_all
@@ -22,7 +22,7 @@ from splitband.evaluation.protocols import (
 from splitband.evaluation.recommendation import Trial
 from splitband.evaluation.search import SEEDS, SearchResult, search
 from splitband.evaluation.work import RunProgress, Work
-from splitband.forecasters.backtest import Backtest, Origin, Question, held_out_from
+from splitband.forecasters.backtest import Backtest, Origin, Question, first_held_out
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.runtime import deadlines
@@ -85,11 +85,11 @@ def run(plan: Plan, work: Work | None = None) -> Comparison:
     ValueError
         If no method can be fitted.
     """
-    with begun(plan, work).staffed() as staff:
+    with with_limits(plan, work).staffed() as staff:
         trial, searched = choose(plan, staff)
         methods = [method for method in searched.forecasters if method.name in trial.errors]
         questions = {method.name: question_of(plan, method) for method in methods}
-        done, failures = last_fits(plan, questions, searched, trial, staff)
+        done, failures = final_fits(plan, questions, searched, trial, staff)
         runs = runs_of(plan, questions, done, failures)
         if plan.seeds is None:
             runs = without_failed(runs, plan.training)
@@ -120,16 +120,17 @@ def fit(plan: Plan, seed: int = 0, work: Work | None = None) -> Forecaster:
     if len(plan.methods) != 1:
         raise ValueError(f"methods must be one to be fitted, got {', '.join(plan.names)}")
     (forecaster,) = plan.methods
-    work = begun(plan, work)
+    work = with_limits(plan, work)
     if plan.setup.search is not None:
         with work.staffed() as staff:
-            stage = replace(staff, deadline=work.time.share(SEARCH), span=(0.0, SEARCH))
+            stage = replace(staff, deadline=work.time.share(SEARCH_SHARE), span=(0.0, SEARCH_SHARE))
             found = search(plan.training, [forecaster], 0, plan.setup.search, stage, plan.others)
         forecaster = found.forecasters[0]
 
     def update(at: Progress) -> None:
         if work.progress is not None:
-            label, overall = f"{forecaster.name}, {at.task}", SEARCH + at.share * (1 - SEARCH)
+            label = f"{forecaster.name}, {at.task}"
+            overall = SEARCH_SHARE + at.share * (1 - SEARCH_SHARE)
             work.progress(RunProgress(label, seed, at.share, at.loss, overall=overall))
 
     checkpoint = None
@@ -143,20 +144,20 @@ def fit(plan: Plan, seed: int = 0, work: Work | None = None) -> Forecaster:
         )
 
 
-def begun(plan: Plan, work: Work | None) -> Work:
+def with_limits(plan: Plan, work: Work | None) -> Work:
     """Return the work with a time budget: the caller's, if limited, else that of the search."""
-    work, asked = work or Work(), plan.setup.search
-    return work if asked is None else work.limited(asked.seconds, asked.core_seconds)
+    work, limits = work or Work(), plan.setup.search
+    return work if limits is None else work.limited(limits.seconds, limits.core_seconds)
 
 
-def last_fits(
+def final_fits(
     plan: Plan,
     questions: Mapping[str, Question],
     searched: SearchResult,
     trial: Trial,
     work: Work,
 ) -> tuple[dict[str, dict[int, Backtest]], list[Failure]]:
-    """Fit the methods to the whole training part: networks last, the best of them first."""
+    """Fit the methods to the whole training part: baselines first, then networks, best first."""
     methods = {f.name: f for f in searched.forecasters if f.name in questions}
     quick = [f for f in methods.values() if not f.random]
     networks = [f.name for f in methods.values() if f.random]
@@ -170,7 +171,7 @@ def last_fits(
         done, failures = run_all(quick, questions, (0,), of_quick, need_one=not networks)
         scores = {name: trial.scores[name] for name in networks}
         needed = not set(trial.scores) - set(scores)
-        wanted = _last_trainings(plan, scores, searched, of_networks, needed)
+        wanted = _final_trainings(plan, scores, searched, of_networks, needed)
         if wanted:
             trained, need_one = [methods[name] for name in wanted], not any(done.values())
             slow, more = run_all(trained, questions, wanted, of_networks, need_one)
@@ -179,17 +180,19 @@ def last_fits(
 
 
 def _forecast_seconds(plan: Plan, work: Work, questions: Sequence[Question]) -> float:
-    """Estimate how many seconds the last forecasts take.
+    """Estimate how many seconds the final forecasts take.
 
     The time is scaled from a trial, whose three forecasts together have twice the length of the
-    held-out part, plus three horizons.
+    held-out part (1 + 2/3 + 1/3), plus three horizons.
     """
-    held_out = plan.train - held_out_from(plan.train)
-    asked = max(sum(q.end - at.at for at in q.origins) + sum(map(len, q.tests)) for q in questions)
-    return work.time.pace.asking * asked / (2 * held_out + 3 * plan.horizon)
+    held_out = plan.train - first_held_out(plan.train)
+    samples = max(
+        sum(q.end - origin.at for origin in q.origins) + sum(map(len, q.tests)) for q in questions
+    )
+    return work.time.pace.forecasting * samples / (2 * held_out + 3 * plan.horizon)
 
 
-def _last_trainings(
+def _final_trainings(
     plan: Plan, scores: Mapping[str, float], searched: SearchResult, work: Work, needed: bool
 ) -> dict[str, range]:
     """Return the seeds of the networks to train on the whole training part, best network first.
@@ -209,7 +212,7 @@ def _last_trainings(
         cost = searched.costs.get(name, 0.0)
         late = kept and cost > min(left, time.work_of_one(work.deadline))
         if late or (work.deadline.over and (kept or not needed)):
-            time.leave_out(name, "last training", cost * time.pace.seconds, work.deadline)
+            time.leave_out(name, "final training", cost * time.pace.seconds, work.deadline)
             continue
         kept[name] = wanted[name]
         left -= cost
@@ -219,6 +222,7 @@ def _last_trainings(
 def _refitted(plan: Plan, model: Forecaster, trial: Trial, work: Work) -> Forecaster:
     """Return a trained method, refitted to the whole record with the same settings and seeds."""
     samples = len(plan.record)
+    # One sample, the last one, is forecast, as `backtest` needs an origin.
     method, origin = model.of_one_seed.clone(), Origin(samples, samples - 1)
     question = Question(plan.record, [origin], samples, plan.others, keep=True)
     stage = work.for_stage(REFIT, work.time.deadline, (AFTER_FINAL, 1.0))

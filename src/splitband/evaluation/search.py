@@ -7,9 +7,9 @@ its last weights, and so does the final training, on all samples. The first shor
 gives a result, which later rounds improve.
 
 The candidates depend on the record and on the allowed work, estimated in seconds of a reference
-core, so that the same command tries the same on every run. A limit of wall time takes precedence:
-trainings that this machine would not finish in time are not started, and the time budget of the
-command (`evaluation.budget`) reports it.
+core (see `evaluation.costs`), so that the same command tries the same on every run. A limit of wall
+time takes precedence: trainings that this machine would not finish in time are not started, and the
+time budget of the command (`evaluation.budget`) reports it.
 """
 
 from __future__ import annotations
@@ -33,11 +33,14 @@ from splitband.runtime.threads import available_cores
 CORE_SECONDS, SECONDS = 240.0, 120.0
 """The default limits of work, in seconds of a reference core, and of wall time. They belong
 together: two cores of any recent machine do the work in less than that time."""
-FIRST_ROUND, OF_OTHERS = 0.5, 0.15
-"""Shares of the search budget for the first round of the first network, and of all others."""
+FIRST_ROUND = 0.5
+"""Share of the search budget for the first round of the first network, if there are others."""
+OF_OTHERS = 0.15
+"""Share that is added to it for the first round of all other networks, and for combinations of the
+first one's changes."""
 GOOD = 1.5
-"""A method whose error is at most this multiple of the lowest one gets more than one seed, as far
-as the budget allows."""
+"""A method whose error is at most this multiple of the lowest one gets more than one training, as
+far as the budget allows."""
 SEEDS = 3
 """Default number of trainings (seeds) of each network."""
 
@@ -93,8 +96,9 @@ class SearchResult:
     attempts : All attempts, in order.
     done : Held-out forecasts of the chosen networks, by name and seed.
     costs : Cost of one final training of each chosen network, in seconds of a reference core.
-    members : Number of trainings whose median is used, as chosen by the search, by network.
-    more : Cost of each further seed of the best setting, for networks that may have more seeds.
+    members : By network, how many trainings the search chose to combine by their median.
+    more : By network, cost of one more training with the best settings, from scratch; only on short
+        records.
     left : Work that is left, in seconds of a reference core.
     """
 
@@ -109,9 +113,9 @@ class SearchResult:
     def seeds(self, scores: Mapping[str, float], left: float | None = None) -> dict[str, range]:
         """Return the seeds of each method that are worth their training, by held-out `scores`.
 
-        Every method gets one seed. Good ones (see `GOOD`) get all members, the best method first,
-        which then gets more seeds, up to `MOST_MEMBERS`. All of it must fit into the work `left`,
-        by default that of the budget.
+        Every method gets one training. Good ones (see `GOOD`) get the number that the search chose
+        (`members`), the best method first, which then gets more, up to `MOST_MEMBERS`. All of it
+        must fit into the work `left`, by default that of the budget.
         """
         ranked = sorted([name for name in self.costs if name in scores], key=lambda n: scores[n])
         counts = dict.fromkeys(ranked, 1)
@@ -125,9 +129,9 @@ class SearchResult:
                 left -= cost
                 counts[name] += 1
         for name in ranked[:1]:
-            begun = counts[name] == self.members.get(name)
+            all_chosen_fit = counts[name] == self.members.get(name)
             more = self.more.get(name, math.inf)
-            while begun and counts[name] < MOST_MEMBERS and more <= left:
+            while all_chosen_fit and counts[name] < MOST_MEMBERS and more <= left:
                 left -= more
                 counts[name] += 1
         return {name: range(count) for name, count in counts.items()}
@@ -175,17 +179,17 @@ def search(
         ladder = trials.run([c for each in trials.promoted(ladder) if (c := each.longer())], 1.0)
     best = {f.name: runs for f in tunable if (runs := trials.best(f.name))}
     left = budget.core_seconds - trials.spent
-    last = {name: trials.last(runs, left) for name, runs in best.items()}
+    final = {name: trials.final(runs, left) for name, runs in best.items()}
     # Networks without an affordable trial are trained with their cheapest candidate.
     soonest = [min(each, key=trials.cost) for each in (first, *rest)]
-    last = {each.method: [each.network] for each in soonest} | last
+    final = {each.method: [each.network] for each in soonest} | final
     done = {name: {i: run.done for i, run in enumerate(runs)} for name, runs in best.items()}
     found = SearchResult([*forecasters], tuple(trials.attempts), done, left=left)
-    return _chosen(found, last, record, others)
+    return _chosen(found, final, record, others)
 
 
 def _fits(network: Network, record: Record, others: Sequence[Record]) -> bool:
-    """Return whether a network can be trained on these records; its row says why not."""
+    """Return whether a network can be trained on these records; the table says why not."""
     try:
         network.check(record, *others)
     except ValueError:
@@ -195,13 +199,13 @@ def _fits(network: Network, record: Record, others: Sequence[Record]) -> bool:
 
 def _chosen(
     found: SearchResult,
-    last: Mapping[str, Sequence[Network]],
+    final: Mapping[str, Sequence[Network]],
     record: Record,
     others: Sequence[Record],
 ) -> SearchResult:
-    """Return the result with the networks of the `last` trainings, and their costs."""
+    """Return the result with the networks of the final trainings, and their costs."""
     costs, more, chosen = {}, {}, {}
-    for name, (network, *further) in last.items():
+    for name, (network, *further) in final.items():
         each = [training_cost(one, record, others) for one in (network, *further)]
         costs[name] = sum(each) / len(each)
         # On a long record, held-out errors tell which training is best; others would only make the
@@ -214,6 +218,6 @@ def _chosen(
         found,
         forecasters=[chosen.get(f.name, f) for f in found.forecasters],
         costs=costs,
-        members={name: len(networks) for name, networks in last.items()},
+        members={name: len(networks) for name, networks in final.items()},
         more=more,
     )

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from splitband.data import Record
-from splitband.evaluation.budget import ONE
+from splitband.evaluation.budget import MOST_FOR_ONE_TRAINING
 from splitband.evaluation.candidates import SHORT, Candidate, combined
 from splitband.evaluation.costs import training_cost
 from splitband.evaluation.jobs import failed_seeds, run_all
 from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import (
-    HELD_OUT,
+    HELD_OUT_SHARE,
     Backtest,
     Question,
     check_held_out,
@@ -26,11 +26,11 @@ from splitband.forecasters.backtest import (
 from splitband.forecasters.network import Network
 from splitband.metrics import spread
 
-SEARCHED = 0.55
-"""Share of the budget for the search."""
+SEARCH_SHARE_OF_WORK = 0.55
+"""Share of the work of a comparison that its search may take."""
 TRIAL_SEEDS, CORE_SECONDS_A_SEED = 2, 120.0
-"""Seeds of each candidate, whose median is scored. On records of up to `SHORT` samples there is one
-for so many core seconds of the budget, if that is more, and at most `MOST_MEMBERS`."""
+"""Each candidate gets `TRIAL_SEEDS` seeds, whose median is scored; on records of up to `SHORT`
+samples one per `CORE_SECONDS_A_SEED` of the work, if that is more, and at most `MOST_MEMBERS`."""
 MOST_MEMBERS = 8
 """Largest number of trainings whose median is handed out."""
 LEAST_MEMBERS = 3
@@ -38,15 +38,15 @@ LEAST_MEMBERS = 3
 which one of them can spoil. On longer ones, held-out errors tell which training is best."""
 KEPT = 0.5
 """Share of the candidates of a round that go on."""
-WORSE = 1.1
-"""A candidate does not go on if its error is above this multiple of that of its last round."""
-MAX_ERROR_RATIO = 2.0
+MOST_OF_OWN_PREVIOUS = 1.1
+"""A candidate does not go on if its error is above this multiple of that of its round before."""
+MOST_OF_BEST = 2.0
 """A candidate does not go on if its error is above this multiple of the lowest of all."""
-LONGER = 4
-"""Largest length of the best candidate's last training, as a multiple of its longest trial, if
-longer trials were better and only the budget ended them."""
-LAST = 0.7
-"""Share of the remaining budget that such last trainings may take."""
+MOST_TIMES_LONGER = 4
+"""If errors still fell when the budget ran out, the best candidate's final trainings may have this
+many times the iterations of its longest trial."""
+LONGER_TRAININGS_SHARE = 0.7
+"""Share of the work left after the search that these longer final trainings may take."""
 SETTLING = 0.25
 """Additional iterations of a training that continues on all samples, as a share of those before."""
 
@@ -79,15 +79,15 @@ class TrialRun:
 
     @property
     def key(self) -> tuple[str, int]:
-        """Return what identifies this training, the same after every round."""
+        """Return the key by which all rounds of one candidate and seed count as one training."""
         return self.candidate.first_label or self.candidate.label, self.seed
 
 
 class Trials:
     """Try candidates on the held-out end of a training record.
 
-    `attempts` are in order; `tried` are the candidates that could be trained, `runs` all of their
-    seeds; `spent` is the cost so far, in seconds of a reference core.
+    `attempts` are in order. `tried` has one entry per candidate and round that could be trained,
+    `runs` one per seed of these. `spent` is the cost so far, in seconds of a reference core.
     """
 
     def __init__(
@@ -95,11 +95,12 @@ class Trials:
     ) -> None:
         """Prepare trials on a record that is to be forecast for `steps` samples in the end."""
         self._record, self._end = replace(record, y_true=None), len(record) + steps
-        self._work, self._others, self._most = work, others, SEARCHED * budget
-        alone = work.time.work_of_one(work.time.share(ONE))
-        self._longest = min(alone, ONE * budget)
-        paid = round(budget / CORE_SECONDS_A_SEED) if len(record) <= SHORT else 0
-        self._seeds = range(min(max(TRIAL_SEEDS, paid), MOST_MEMBERS))
+        self._work, self._others, self._most = work, others, SEARCH_SHARE_OF_WORK * budget
+        # The most work that one training may take, by the time limit and by the limit of work.
+        in_time = work.time.work_of_one(work.time.share(MOST_FOR_ONE_TRAINING))
+        self._most_for_one = min(in_time, MOST_FOR_ONE_TRAINING * budget)
+        by_work = round(budget / CORE_SECONDS_A_SEED) if len(record) <= SHORT else 0
+        self._seeds = range(min(max(TRIAL_SEEDS, by_work), MOST_MEMBERS))
         self._rounds = 0
         self.attempts: list[SearchAttempt] = []
         self.tried: list[Candidate] = []
@@ -109,12 +110,14 @@ class Trials:
     def cost(self, candidate: Candidate) -> float:
         """Return the cost of a trial with all seeds, in seconds of a reference core."""
         whole = training_cost(candidate.network, self._record, self._others)
-        return len(self._seeds) * (1 - HELD_OUT) * whole
+        return len(self._seeds) * (1 - HELD_OUT_SHARE) * whole
 
     def run(self, candidates: Sequence[Candidate], share: float) -> list[Candidate]:
-        """Train the candidates that this share of the budget allows, in order; return them scored.
+        """Train candidates until a share of the search budget is used, and return them scored.
 
-        A training that the deadline ends is scored with the weights that it has then.
+        The share includes what the search has spent so far. Candidates that are too expensive are
+        left out, and cheaper ones after them are trained. A training that the deadline ends is
+        scored with the weights that it has then.
         """
         affordable, cost = self._affordable(candidates, share)
         if not affordable:
@@ -147,7 +150,7 @@ class Trials:
         affordable, total = [], 0.0
         for candidate in candidates:
             cost = self.cost(candidate)
-            if cost <= left and cost / len(self._seeds) <= self._longest:
+            if cost <= left and cost / len(self._seeds) <= self._most_for_one:
                 affordable.append(candidate)
                 left, total = left - cost, total + cost
         return affordable, total
@@ -163,7 +166,7 @@ class Trials:
             self.tried.append(scored)
         for seed, each in done.items():
             self.runs.append(TrialRun(scored, seed, each, held_out_score(self._record, [each])))
-        worse = not done or score > WORSE * candidate.score
+        worse = not done or score > MOST_OF_OWN_PREVIOUS * candidate.score
         return replace(scored, rung=-1) if worse else scored
 
     def promoted(self, last: Sequence[Candidate]) -> list[Candidate]:
@@ -178,7 +181,7 @@ class Trials:
         return not tried or any(map(self._competes, tried))
 
     def _competes(self, candidate: Candidate) -> bool:
-        return candidate.score <= MAX_ERROR_RATIO * min(c.score for c in self.tried)
+        return candidate.score <= MOST_OF_BEST * min(c.score for c in self.tried)
 
     def combinations(self, first: Candidate) -> list[Candidate]:
         """Combine the best candidate of a method with each other one that beat the first.
@@ -215,26 +218,26 @@ class Trials:
             default=[],
         )
 
-    def last(self, runs: Sequence[TrialRun], left: float) -> list[Network]:
-        """Return a network for each last training, which continues from the trial's weights.
+    def final(self, runs: Sequence[TrialRun], left: float) -> list[Network]:
+        """Return a network for each final training, which continues from the trial's weights.
 
-        Trainings without L-BFGS start anew. If longer trials were better, and only the budget has
-        ended them, the last trainings of the best candidate are longer.
+        Trainings without L-BFGS start anew. If errors still fell when the budget ran out, the final
+        trainings of the best candidate are longer, as far as the work `left` allows.
         """
         best = runs[0].candidate.label
-        newest = max(self.tried, key=lambda candidate: candidate.trained)
+        newest = max(self.tried, key=lambda candidate: candidate.iterations)
         networks = []
-        for seed, run in enumerate(runs):
-            candidate, weights = run.candidate, {seed: run.done.weights}
-            if not candidate.trained:
+        for place, run in enumerate(runs):  # the place is the seed of the final training
+            candidate, weights = run.candidate, {place: run.done.weights}
+            if not candidate.iterations:
                 networks.append(candidate.network)
                 continue
-            more = max(round(SETTLING * candidate.trained), 1)
+            more = max(round(SETTLING * candidate.iterations), 1)
             if candidate.label == best == newest.label and candidate.rung >= 0:
                 each = training_cost(candidate.continued(1, weights), self._record, self._others)
-                alike = sum(other.candidate.label == best for other in runs)
-                pays = int(LAST * left / (alike * max(each, 1e-9)))
-                more = max(more, min((LONGER - 1) * candidate.trained, pays))
+                of_best = sum(other.candidate.label == best for other in runs)
+                paid = int(LONGER_TRAININGS_SHARE * left / (of_best * max(each, 1e-9)))
+                more = max(more, min((MOST_TIMES_LONGER - 1) * candidate.iterations, paid))
             networks.append(candidate.continued(more, weights))
         return networks
 

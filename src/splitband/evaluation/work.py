@@ -74,7 +74,7 @@ class Work:
         time = self.time
         if not time.limited:
             time = TimeBudget.of(seconds, self.cores, time.began)
-        time.asked = seconds, core_seconds
+        time.requested_limits = seconds, core_seconds
         return replace(self, time=time, deadline=time.deadline)
 
     def for_stage(

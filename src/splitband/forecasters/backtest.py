@@ -1,6 +1,6 @@
 """Forecast known samples from several origins.
 
-Both protocols of a comparison, the trial on held-out training samples, and the calibration of
+All protocols of a comparison, the trial on held-out training samples, and the calibration of
 intervals use these forecasts.
 """
 
@@ -29,15 +29,15 @@ from splitband.training import Checkpoint, Progress
 
 AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
 
-HELD_OUT = 0.25
+HELD_OUT_SHARE = 0.25
 """Share of the training part that is held out for a trial, while models are fitted to the rest. A
 convention; longer parts chose no better (docs/results/rules.md)."""
 FEWEST_FITTED = 20
-"""Fewest measured samples of each channel to which a baseline is fitted for the intervals.
+"""An earlier origin, for the intervals, needs this many measured samples of each channel before it.
 By eye."""
 FAILED_FIT_RATIO = 5.0
-"""A fit has failed, and its errors are discarded, if the error of its first forecast samples is
-above this multiple of the method's usual one. By eye."""
+"""A fit to few samples has failed if the error of its first forecast samples is above this multiple
+of the method's error over as many first samples of the forecasts that are scored. By eye."""
 
 
 @dataclass(frozen=True, order=True)
@@ -70,8 +70,8 @@ class Question:
         fitted to the most samples.
     warmup : Length of the history at the beginning of a test record, for a forecaster without a
         warm-up (`Forecaster.warmup` is 0).
+    initial : Length of that history for all forecasters: overrides every warm-up on test records.
     keep : Whether to return the model that was fitted to the most samples.
-    initial : Length of this history for all forecasters, in place of their warm-ups.
     """
 
     record: Record
@@ -95,8 +95,8 @@ class Backtest:
     report : Of the fit to the most samples.
     y_range : Lowest and highest training value of each channel, `(2, ny)`.
     description : Of the fitted forecaster.
-    unfiltered : Inputs of a model's filters, from the origin within the training samples on; empty
-        for a model without filters, and without such an origin.
+    unfiltered : Signals before a model's filters, for the forecast that begins inside the training
+        part; empty for a model without filters, and without such a forecast.
     weights : The state dict of a network's model.
     model : The model that was fitted to the most samples, if requested.
     """
@@ -195,14 +195,14 @@ def first_origin(record: Record, train: int, warmup: int) -> Origin:
     return Origin(train, start)
 
 
-def held_out_from(samples: int) -> int:
+def first_held_out(samples: int) -> int:
     """Return the first sample of the held-out part, the last quarter of `samples`."""
-    return samples - max(1, round(HELD_OUT * samples))
+    return samples - max(1, round(HELD_OUT_SHARE * samples))
 
 
 def check_held_out(record: Record) -> None:
     """Raise ValueError for a channel without a measured sample in a record's last quarter."""
-    held_out = record.seen[held_out_from(len(record)) :]
+    held_out = record.seen[first_held_out(len(record)) :]
     for column, channel in zip(record.columns, held_out.T, strict=True):
         if np.isnan(channel).all():
             raise ValueError(
@@ -213,7 +213,7 @@ def check_held_out(record: Record) -> None:
 
 def for_trial(forecaster: AnyForecaster, samples: int) -> AnyForecaster:
     """Return the forecaster adapted to `samples` without their held-out part."""
-    return forecaster.for_samples(held_out_from(samples), samples)
+    return forecaster.for_samples(first_held_out(samples), samples)
 
 
 def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
@@ -225,7 +225,7 @@ def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
     refitted for each of several origins, some of them earlier.
     """
     samples = len(record)
-    fitted = held_out_from(samples)
+    fitted = first_held_out(samples)
     if not forecaster.refits:
         held = samples - fitted
         return sorted({Origin(fitted, fitted + i * held // 3) for i in range(3)})
@@ -240,10 +240,11 @@ def held_out_errors(
 ) -> list[Array]:
     """Return the errors of forecasts that begin in a record's last quarter, for a score.
 
-    Each is by horizon, in the order of origins. With `earlier`, return the errors of the forecasts
-    that begin before that quarter instead.
+    They are in the order of origins, `(time, ny)` each, by horizon: row h is the error of the
+    forecast sample h + 1. With `earlier`, return the errors of the forecasts that begin before that
+    quarter instead.
     """
-    seen, first = record.seen, held_out_from(len(record))
+    seen, first = record.seen, first_held_out(len(record))
     return [
         seen[origin.at :] - y[: len(record) - origin.at]
         for origin, y in sorted(forecasts.items(), key=lambda pair: pair[0].at)
@@ -251,15 +252,15 @@ def held_out_errors(
     ]
 
 
-def held_out(record: Record, forecasts: Mapping[Origin, Array]) -> HeldOut:
+def interval_errors(record: Record, forecasts: Mapping[Origin, Array]) -> HeldOut:
     """Return the held-out errors of a record, from which intervals beyond it follow."""
     scored = held_out_errors(record, forecasts)
     longer = held_out_errors(record, forecasts, earlier=True)[::-1]
     return HeldOut.of(_sound(scored, longer, spread(record.seen)), record.seen)
 
 
-def held_out_by(forecaster: Forecaster) -> HeldOut:
-    """Return the held-out errors of a fitted forecaster, of copies fitted to less of its record.
+def interval_errors_of(forecaster: Forecaster) -> HeldOut:
+    """Return the held-out errors of a fitted forecaster, by copies fitted to less of its record.
 
     Raises ValueError for a loaded forecaster, which does not have all of its training records.
     """
@@ -267,14 +268,14 @@ def held_out_by(forecaster: Forecaster) -> HeldOut:
     record = fitted.record
     if fitted.begin or not fitted.whole:
         raise ValueError(
-            "level must have been asked for before the forecaster was saved (by fit, with "
-            "--intervals); not all of its training records are left"
+            "level must be left out for a model that was saved without held-out errors: request an "
+            "interval before it is saved, or fit it with --intervals"
         )
     shorter = for_trial(forecaster, len(record))
     origins = held_out_origins(forecaster, record)
     question = Question(record, origins, len(record), fitted.others)
     done = backtest(shorter, question, fitted.report.seed)
-    return held_out(record, {at: p.y for at, p in done.predictions.items()})
+    return interval_errors(record, {at: p.y for at, p in done.predictions.items()})
 
 
 def median_forecasts(done: Sequence[Backtest]) -> dict[Origin, Array]:
@@ -300,5 +301,6 @@ def _sound(scored: Sequence[Array], longer: Sequence[Array], scale: Array) -> li
     """
     near = min(map(len, scored))
     usual = root_mean_square([e[:near] / scale for e in scored])
+    # A fit to even fewer samples is no better: all are discarded from the first failed fit on.
     sound = [root_mean_square([e[:near] / scale]) <= FAILED_FIT_RATIO * usual for e in longer]
     return [*scored, *longer[: [*sound, False].index(False)]]

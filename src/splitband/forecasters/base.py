@@ -60,12 +60,13 @@ class Training(TypedDict):
 
 
 class Forecaster(Configurable):
-    """Predict what follows a record: a network, a simulator, a baseline, a mean of several.
+    """Predict what follows a record: a network, a simulator, a baseline, a median of several.
 
     A forecaster of your own defines its `name`, its training (`learn`) and its forecast
-    (`extrapolate`); `known` is already aligned in time. Its constructor keeps each argument under
-    an attribute of the same name, which `fit` does not change. All other attributes are set by
-    `fit`, which first removes those of an earlier fit.
+    (`extrapolate`). What `extrapolate` receives (`Known`: history, inputs, simulator's output) is
+    already aligned in time. The constructor keeps each argument under an attribute of the same
+    name, which `fit` does not change. All other attributes are set by `fit`, which first removes
+    those of an earlier fit.
 
     Attributes
     ----------
@@ -75,7 +76,8 @@ class Forecaster(Configurable):
     """
 
     affine: ClassVar[bool] = False
-    """Whether predictions are affine in the inputs, or do not depend on them."""
+    """Whether predictions are affine in the inputs, or do not depend on them; needed by `as_torch`,
+    unless `differentiable` is overridden."""
     fitted: Fitted | None = None
     delays: tuple[int, ...] = ()
     held_out: HeldOut | None = None
@@ -91,7 +93,7 @@ class Forecaster(Configurable):
         return {}
 
     def for_seed(self, seed: int) -> Forecaster:
-        """Return the forecaster to fit with this seed."""
+        """Return the variant that this seed trains: that of `by_seed`, or the forecaster itself."""
         return self.by_seed.get(seed, self)
 
     @property
@@ -122,7 +124,7 @@ class Forecaster(Configurable):
 
         A forecaster with this method can be the slow component of a hybrid.
         """
-        raise NotImplementedError(f"{self.name} says nothing about a history")
+        raise NotImplementedError(f"{self.name} cannot be the base of a hybrid")
 
     def on(self, record: Record, first: bool = True) -> Record:
         """Return a training record, the `first` or another, with the trajectory as `y_sim`."""
@@ -131,7 +133,7 @@ class Forecaster(Configurable):
         return replace(record, y_sim=self.trajectory(known), beyond=None)
 
     def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
-        """Return the inputs of its filters by name; empty for a forecaster without filters."""
+        """Return the signals before its filters by name; empty for a forecaster without filters."""
         return {}
 
     def describe(self) -> str:
@@ -143,7 +145,7 @@ class Forecaster(Configurable):
         return []
 
     def given(self, simulator: Any) -> Forecaster:
-        """Return it with this simulator, where it needs one to fit the parameters of."""
+        """Return it with this simulator in each part that fits a simulator's parameters."""
         return self.with_parts(lambda part: part.given(simulator))
 
     def calibrated(self) -> Forecaster:
@@ -320,8 +322,8 @@ class Forecaster(Configurable):
     ) -> TorchSimulation:
         """Return a torch module that simulates what follows a history, as `predict` does.
 
-        It takes batches of inputs and is differentiable, for predictive control, for finding the
-        inputs of a desired output, or for a loss of your own.
+        It takes batches of inputs and is differentiable. It serves for predictive control, for
+        finding the inputs of a desired output, and for a loss of your own.
 
         Parameters
         ----------
@@ -390,7 +392,9 @@ class Forecaster(Configurable):
         return files
 
     def stepped(self, outside: bool = False) -> Recursion:
-        """Return the recursion of the fitted forecaster, by default that of its `part`.
+        """Return the step-by-step form of the fitted forecaster, by default that of its `part`.
+
+        Streams and exported programs run it, see `splitband.forecasters.stepping`.
 
         Parameters
         ----------
@@ -400,13 +404,13 @@ class Forecaster(Configurable):
         Raises
         ------
         NotSteppedError
-            With the reason, where there is no recursion and `predict` is needed.
+            With the reason, where there is no step-by-step form and `predict` is needed.
         """
         record = self.require_fitted().record
         return Extrapolated(self.part(outside), record.ny, record.nu)
 
     def part(self, outside: bool = False) -> Part:
-        """Return the recursive form of the fitted forecaster, for use alone or in a hybrid.
+        """Return what computes its values step by step, alone or as the slow component of a hybrid.
 
         Raises NotSteppedError, see `stepped`.
         """

@@ -2,8 +2,9 @@
 
 Not in the paper. The method is split conformal prediction (J. Lei et al., 2018): the half-width is
 a quantile of the errors of held-out forecasts. As errors grow with the horizon, they are divided by
-a power of it first (a normalised score: V. Vovk et al., 2005). As errors of neighbouring samples
-are correlated, Student's quantile for the number of independent errors widens the interval.
+a power of it first (a normalised score: V. Vovk et al., 2005). Correlated errors, as those of
+neighbouring samples are, count as few independent ones, and few errors mean a wider interval:
+Student's quantile for their number widens it.
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ FEWEST = 2.0
 """Smallest number of independent errors that is assumed; with 1, Student's quantile would be
 twice as large. By eye."""
 PARTS, BOUNDED = 4, 1.1
-"""A channel is bounded if its variance is at most `BOUNDED` times the mean variance of its `PARTS`
-parts: a drifting signal varies more as a whole than in a part. By eye; the limit for bounded
-channels makes intervals narrower on development records (docs/results/rules.md)."""
+"""A signal that does not wander is bounded: its variance is at most `BOUNDED` times the mean
+variance of its `PARTS` parts. One that wanders varies more as a whole than in a part. By eye; the
+limit for bounded channels makes intervals narrower on development records
+(docs/results/rules.md)."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class Interval:
     first : By channel: half-width at the first forecast sample, in the record's unit.
     exponent : By channel.
     most : By channel: upper limit of the half-width if the channel is bounded, else None.
-    share : Of the samples that should lie inside, 0 to 1.
+    share : Of the samples that should lie inside, 0 to 1: the `level` of a prediction.
     """
 
     first: tuple[float, ...]
@@ -49,7 +51,11 @@ class Interval:
     share: float = 0.9
 
     def widened(self, size: Array) -> Interval:
-        """Return it widened where needed for errors of this size, `(time, ny)`, by horizon."""
+        """Return it widened until its mean half-width covers normal errors of this RMS.
+
+        `size` is the RMS by horizon, `(time, ny)`; both are averaged over the horizon. An interval
+        that is wide enough stays as it is.
+        """
         if not len(size):
             return self
         needed = _quantile(self.share) * np.sqrt(np.mean(size**2, axis=0))
@@ -102,7 +108,7 @@ class HeldOut:
     errors : Of forecasts from several origins, `(time, ny)` each, by horizon; NaN where nothing was
         measured.
     largest, deviation, bounded : By channel, `(ny,)` each: the largest absolute value, the standard
-        deviation, and whether level and spread are constant over the training record.
+        deviation over the training record, and whether it does not wander there (see `BOUNDED`).
     """
 
     errors: tuple[Array, ...]
@@ -147,10 +153,10 @@ class HeldOut:
         laws = [_law([e[:, i] for e in self.errors], share) for i in range(len(least))]
         first = [max(size, float(floor)) for (size, _), floor in zip(laws, least, strict=True)]
         # Without skill the error is the difference of two independent signals: sqrt(2) times wider.
-        apart = np.sqrt(2) * _quantile(share) * self.deviation
+        without_skill = np.sqrt(2) * _quantile(share) * self.deviation
         most = tuple(
             max(float(limit), size) if bounded else None
-            for limit, size, bounded in zip(apart, first, self.bounded, strict=True)
+            for limit, size, bounded in zip(without_skill, first, self.bounded, strict=True)
         )
         return Interval(tuple(first), tuple(exponent for _, exponent in laws), most, share)
 
@@ -161,7 +167,7 @@ def _quantile(share: float) -> float:
 
 
 def _is_bounded(channel: Array) -> bool:
-    """Return whether level and spread of a channel `(time,)` are constant; NaN in gaps."""
+    """Return whether a channel `(time,)`, NaN in gaps, does not wander (see `BOUNDED`)."""
     parts = [part[~np.isnan(part)] for part in np.array_split(channel, PARTS)]
     within = [float(np.var(part)) for part in parts if len(part)]
     return float(np.nanvar(channel)) <= BOUNDED * float(np.mean(within))
@@ -170,8 +176,9 @@ def _is_bounded(channel: Array) -> bool:
 def _law(errors: Sequence[Array], share: float) -> tuple[float, float]:
     """Return the first half-width and the exponent of one channel, from its errors `(time,)`.
 
-    The exponent maximises the likelihood of errors with Laplace's distribution, which is robust to
-    a few large errors.
+    The exponent a maximises the likelihood of errors e at horizons h with Laplace's distribution of
+    scale b h^a, which is robust to a few large errors. The likeliest b is the mean of |e| / h^a,
+    and with it the likeliest a minimises a mean(log h) + log(mean(|e| / h^a)).
     """
     known = [np.flatnonzero(~np.isnan(of_one)) for of_one in errors]
     sizes = abs(np.concatenate([e[at] for e, at in zip(errors, known, strict=True)]))

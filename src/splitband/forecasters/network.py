@@ -120,8 +120,8 @@ class Network(Forecaster):
         """Return whether it, or its base, takes the bands that a comparison chooses.
 
         A comparison chooses bands for networks alone and for the simulator output of the record.
-        With another base they are chosen after the base is fitted, as the frequency up to which it
-        is accurate is not known before.
+        Another base shows only after its fit up to which frequency it is accurate; the bands are
+        chosen then.
         """
         return self._takes_bands or super().shares_bands
 
@@ -196,7 +196,7 @@ class Network(Forecaster):
         return sum(weight.numel() for weight in model.parameters())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what is saved: of the model the weights, and no earlier trainings."""
+        """Return what is saved: the model as its weights; `earlier` is omitted."""
         said = super().to_dict()
         model = said.pop("model", None)
         said.pop("earlier", None)
@@ -216,7 +216,10 @@ class Network(Forecaster):
         return new
 
     def first_needed(self) -> int:
-        """Return 0 for a base that is a network: its free run begins with the record."""
+        """Return the first sample of the training record that a forecast from its end needs.
+
+        With a network as base the whole record is needed, since the base's run starts there.
+        """
         beside_network = self.fitted_base is not None and self.fitted_base.random
         return 0 if beside_network else super().first_needed()
 
@@ -226,6 +229,7 @@ class Network(Forecaster):
         if self.settings is None:
             return new
         window = self.settings.window
+        # A shrunken window stays as long as the default recipe's shortest, and beyond the warm-up.
         least = max(min(SHORTEST_WINDOW, longest_window(samples)), self.settings.warmup + 1)
         shorter = max(round(window * samples / instead_of), least)
         settings = replace(self.settings, window=min(window, shorter))
@@ -274,6 +278,7 @@ class Network(Forecaster):
         notes = (*self._remarks(seen[0]), *history.notes)
         networks: Iterable[Any] = self.model.modules()
         stable = all(each.stable() for each in networks if hasattr(each, "stable"))
+        # The error that is assumed of simulations when a short history is completed.
         error = math.hypot(*(losses[-1] for losses in history.losses.values() if losses))
         self.prehistory = Prehistory.of(self.model, seen, settings.warmup, error)
         report = FitReport(seed, history.seconds, history.losses, notes, history.cut, stable)
@@ -288,11 +293,11 @@ class Network(Forecaster):
         return self._free_run().trajectory(known)
 
     def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
-        """Return the inputs of the model's filters by name; empty for a model without filters."""
+        """Return the signals before the model's filters by name; empty for one without filters."""
         return self._free_run().unfiltered(known_of(self, steps, history, None, None)[0])
 
     def stepped(self, outside: bool = False) -> Recursion:
-        """Return the recursion of its model, warmed up."""
+        """Return the step-by-step form of its model, warmed up."""
         return self._free_run().stepped(outside)
 
     def differentiable(self, known: Known) -> nn.Module:

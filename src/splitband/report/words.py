@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.recommendation import WORTH_TRAINING, Trial
-from splitband.forecasters.backtest import HELD_OUT, held_out_from
+from splitband.forecasters.backtest import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES
 from splitband.metrics import Extrapolation
@@ -79,7 +79,8 @@ def why(trial: Trial, train: int) -> list[str]:
     if len(trial.errors) == 1:
         return [
             f"No other method was tried. Its held-out error is that of forecasts of the last "
-            f"{percent(HELD_OUT)} of the {train:,} training samples, fitted to the rest of them."
+            f"{percent(HELD_OUT_SHARE)} of the {train:,} training samples, fitted to the rest of "
+            "them."
         ]
     able = [name for name in settled if name not in trial.left_out] or settled
     others = sorted((trial.worth(name), name) for name in able if name != best)
@@ -91,7 +92,7 @@ def why(trial: Trial, train: int) -> list[str]:
     words[0] += "."
     words.append(
         f"The score uses the {train:,} training samples alone: every method was trained on the "
-        f"first {percent(1 - HELD_OUT)} of them and predicted the rest."
+        f"first {percent(1 - HELD_OUT_SHARE)} of them and predicted the rest."
     )
     if trial.trained and set(trial.errors) - trial.trained:
         words.append(f"Networks carry a penalty of {percent(WORTH_TRAINING)}.")
@@ -139,7 +140,7 @@ def warnings(comparison: Comparison) -> list[str]:
     left = leaving_range(comparison.runs[best])
     said = [f"{best}: {left}"] if left else []
     train = comparison.setup.train
-    if (held_out := train - held_out_from(train)) < FEW:
+    if (held_out := train - first_held_out(train)) < FEW:
         said.append(
             f"The method was chosen by {held_out} held-out samples, which are too few to tell "
             "methods apart: a longer record may lead to another choice."
