@@ -62,7 +62,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def inside_rig(rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def inside_rig(rig: Path, monkeypatch: pytest.MonkeyPatch, compiled_soon: None) -> None:
     monkeypatch.chdir(rig)
 
 

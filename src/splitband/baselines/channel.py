@@ -264,7 +264,10 @@ def _impulse(u: Array) -> Array:
 
 def _delayed(x: Array, delays: int) -> Array:
     """Return a signal delayed by 0, 1, ... samples, `(time, delays)`."""
-    return np.asarray(scipy.linalg.toeplitz(x, np.zeros(delays)))
+    delayed = np.zeros((len(x), delays))
+    for k in range(min(delays, len(x))):
+        delayed[k:, k] = x[: len(x) - k]
+    return delayed
 
 
 def stable(a: Array) -> Array:
