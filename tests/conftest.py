@@ -22,8 +22,8 @@ from tests.drawing import nothing_drawn
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-# Where Python is told to write no bytecode beside the sources, each process of the suite would compile
-# all that it imports from its text, which takes three times as long as the imports themselves.
+# Where Python is told to write no bytecode beside the sources, each process of the suite would
+# compile all that it imports, which takes three times as long as the imports themselves.
 if sys.dont_write_bytecode and sys.pycache_prefix is None:
     sys.dont_write_bytecode = False
     sys.pycache_prefix = str(Path(__file__).parents[1] / ".pytest_cache" / "bytecode")

@@ -18,7 +18,7 @@ from splitband.forecasters.names import Sizes
 
 SAMPLES, STEPS = 300, 60
 BASED = "residual-linear-gru-conditioned"
-SHORT = Settings(30, 5, 2, 16, most_batches=4, quasi_newton=30)
+SHORT = Settings(30, 5, 2, 16, most_batches=4, quasi_newton=12)
 SETUP = Setup(SAMPLES, SHORT, sizes=Sizes(hidden_high=4, hidden_low=2))
 WANTED = Search(bases=True)
 

@@ -20,7 +20,7 @@ from tests.records import QUICK, SETUP, TRAIN, record
 from tests.support import slowed
 
 METHODS = ["gru", "mean", "persistence", "seasonal-naive"]
-SEARCHED = replace(SETUP, settings=replace(QUICK, most_batches=2), search=Search(4.0, 1e6))
+SEARCHED = replace(SETUP, settings=replace(QUICK, most_batches=2), search=Search(2.0, 1e6))
 
 
 def shorten(patch: pytest.MonkeyPatch) -> None:
@@ -90,7 +90,7 @@ def test_where_the_clock_changes_nothing_the_work_alone_decides(
     unhurried: tuple[Comparison, list[RunProgress]],
 ) -> None:
     by_time, _ = unhurried
-    by_work = compare(record(), TRAIN, METHODS, setup=replace(SEARCHED, search=Search(4.0)))
+    by_work = compare(record(), TRAIN, METHODS, setup=replace(SEARCHED, search=Search(2.0)))
     assert by_time.time.reproducible
     assert not by_work.time.limited
     assert by_time.attempts == by_work.attempts

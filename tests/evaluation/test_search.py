@@ -42,8 +42,8 @@ STEPS = 20
 @pytest.fixture(autouse=True)
 def short_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(candidates, "LADDER", (3, 6))
-    monkeypatch.setattr(candidates, "FREE_RUN", 10)
-    monkeypatch.setattr(candidates, "FREE_RUNS", (10, 15))
+    monkeypatch.setattr(candidates, "FREE_RUN_FROM_LINEAR", 10)
+    monkeypatch.setattr(candidates, "FREE_RUNS_FROM_RANDOM", (10, 15))
     monkeypatch.setattr(candidates, "FIRST_STEPS", 4)
 
 
@@ -112,8 +112,8 @@ def test_windows_sizes_penalties_and_steps_are_tried() -> None:
 
 def test_every_method_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(candidates, "LADDER", (1,))
-    monkeypatch.setattr(candidates, "FREE_RUNS", (10,))
-    searched = searched_by(record()[:TRAIN], ["gru", "split-gru"])
+    monkeypatch.setattr(candidates, "FREE_RUNS_FROM_RANDOM", (10,))
+    searched = searched_by(record()[:TRAIN], ["gru", "split-gru"], Search(20.0))
     assert {attempt.method for attempt in searched.attempts} == {"gru", "split-gru"}
 
 
@@ -140,11 +140,11 @@ def test_windows_that_are_one_on_the_shorter_record_of_a_trial_are_tried_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # A window of 160 samples of 400 becomes one of 150 samples of the first 300.
-    monkeypatch.setattr(candidates, "FREE_RUNS", (50, 100))
+    monkeypatch.setattr(candidates, "FREE_RUNS_FROM_RANDOM", (50, 100))
     wave = sb.Record(np.sin(np.arange(400.0)), 1.0)
     network = sb.Single(sb.GRU(4), Settings.of(400)).network
     found = candidates.candidates(network, wave)
-    assert {c.settings.window for c in found if c.trained} == {100, 150}
+    assert {c.settings.window for c in found if c.iterations} == {100, 150}
 
 
 def test_a_training_goes_on_from_where_it_stopped() -> None:
@@ -206,7 +206,7 @@ def test_it_depends_neither_on_workers_nor_on_what_is_resumed(
 ) -> None:
     """But for rounding, which trainings amplify: what is tried first is the same in any case."""
     monkeypatch.setattr(candidates, "LADDER", (1,))
-    monkeypatch.setattr(candidates, "FREE_RUNS", (10,))
+    monkeypatch.setattr(candidates, "FREE_RUNS_FROM_RANDOM", (10,))
     training = record()[:TRAIN]
     alone = searched_by(training, ["gru"])
     with ThreadPoolExecutor(2) as pool:
@@ -227,7 +227,7 @@ def test_a_small_budget_tries_less_and_a_tiny_one_nothing() -> None:
     spent = BUDGET.core_seconds - whole.left
     less = searched_by(training, ["gru"], Search(0.8 * spent))
     assert 0 < len(less.attempts) < len(whole.attempts)
-    assert Search(0.8 * spent).core_seconds - less.left <= trials.SEARCHED * 0.8 * spent
+    assert Search(0.8 * spent).core_seconds - less.left <= trials.SEARCH_SHARE_OF_WORK * 0.8 * spent
     nothing = searched_by(training, ["gru"], Search(1e-6))
     assert nothing.attempts == ()
     assert settings_of(nothing.forecasters[0]) == QUICK
@@ -296,7 +296,7 @@ def test_a_larger_budget_tries_more_seeds_on_short_records(
 ) -> None:
     assert max(attempt.seeds for attempt in of_gru().attempts) == 2
     monkeypatch.setattr(candidates, "LADDER", (1,))
-    monkeypatch.setattr(candidates, "FREE_RUNS", (10,))
+    monkeypatch.setattr(candidates, "FREE_RUNS_FROM_RANDOM", (10,))
     searched = searched_by(record()[:TRAIN], ["gru"], Search(2 * BUDGET.core_seconds))
     assert max(attempt.seeds for attempt in searched.attempts) == 4
 
@@ -305,7 +305,7 @@ def test_compare_searches_by_default_and_says_what_it_has_tried(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     setup = replace(
-        Options().decided(record(), TRAIN), settings=QUICK, bands=SETUP.bands, search=Search(2.0)
+        Options().decided(record(), TRAIN), settings=QUICK, bands=SETUP.bands, search=Search(1.0)
     )
     monkeypatch.setattr(Options, "decided", lambda *_: setup)
     comparison = sb.compare(record(), TRAIN, [sb.Single(sb.GRU(4)), sb.Mean()])

@@ -1,6 +1,7 @@
 """Simulations as torch modules: batches, gradients and the numbers of `predict`."""
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import splitband as sb
 from splitband.runtime.threads import without_warnings
 
 DT, TRAIN, STEPS = 0.1, 300, 25
-SETTINGS = sb.Settings(warmup=20, window=60, epochs=0, quasi_newton=10)
+SETTINGS = sb.Settings(warmup=20, window=60, epochs=0, quasi_newton=4)
 BANDS = sb.Bands(0.5, 1, 2)
 
 
@@ -36,9 +37,14 @@ MODELS: dict[str, Callable[[], sb.Forecaster]] = {
 }
 
 
+@cache
+def fitted(name: str) -> sb.Forecaster:
+    return MODELS[name]().fit(driven()[:TRAIN], seed=0)
+
+
 @pytest.fixture(scope="module", params=MODELS)
 def model(request: pytest.FixtureRequest) -> sb.Forecaster:
-    return MODELS[request.param]().fit(driven()[:TRAIN], seed=0)
+    return fitted(request.param)
 
 
 def futures(batch: int) -> torch.Tensor:
@@ -70,9 +76,7 @@ def test_gradients_are_those_of_finite_differences(model: sb.Forecaster) -> None
 
 
 def test_inputs_are_found_that_lead_to_a_wanted_output() -> None:
-    record = driven()
-    model = sb.Single(sb.StateSpace(3, 4), SETTINGS).fit(record[:TRAIN], seed=0)
-    simulate, wanted = model.as_torch(), torch.full((STEPS, 1), 0.5)
+    simulate, wanted = fitted("state-space").as_torch(), torch.full((STEPS, 1), 0.5)
     u = torch.zeros(STEPS, 2, requires_grad=True)
     optimiser = torch.optim.Adam([u], 0.05)
     losses = []
@@ -87,9 +91,8 @@ def test_inputs_are_found_that_lead_to_a_wanted_output() -> None:
 
 def test_what_cannot_be_differentiated_says_so() -> None:
     record = driven()[:TRAIN]
-    linear = sb.Linear().fit(record)
     with pytest.raises(ValueError, match=r"u must be \(steps, 2\) or \(batch, steps, 2\), got"):
-        linear.as_torch()(torch.zeros(5, 3))
+        fitted("linear").as_torch()(torch.zeros(5, 3))
     nested = sb.Residual(sb.Single(sb.GRU(2), SETTINGS), sb.GRU(2), settings=SETTINGS)
     with pytest.raises(ValueError, match="cannot be run by torch: its base, gru, is not affine"):
         nested.fit(record, seed=0).as_torch()
@@ -99,4 +102,4 @@ def test_what_cannot_be_differentiated_says_so() -> None:
     with pytest.raises(ValueError, match=r"y_sim must hold the 25 samples to come"):
         simulator(futures(1))
     with pytest.raises(ValueError, match="fitted to a record as it was measured"):
-        sb.Linear().fit(record.detrend()).as_torch()
+        sb.Persistence().fit(record.detrend()).as_torch()

@@ -264,10 +264,7 @@ def _impulse(u: Array) -> Array:
 
 def _delayed(x: Array, delays: int) -> Array:
     """Return a signal delayed by 0, 1, ... samples, `(time, delays)`."""
-    delayed = np.zeros((len(x), delays))
-    for k in range(min(delays, len(x))):
-        delayed[k:, k] = x[: len(x) - k]
-    return delayed
+    return np.asarray(scipy.linalg.toeplitz(x, np.zeros(delays)))
 
 
 def stable(a: Array) -> Array:
