@@ -202,8 +202,8 @@ class Trials:
         """Return the trainings of a method whose median is handed out, the best one first.
 
         These are the n best trainings, whatever their settings, where n gives the median with the
-        lowest held-out error (`benchmarks.members`). A training of several rounds counts once, with
-        its best round.
+        lowest held-out error; on short records at least three (`benchmarks.members`). A training of
+        several rounds counts once, with its best round.
         """
         distinct: dict[tuple[str, int], TrialRun] = {}
         for run in sorted(self.runs, key=lambda run: run.score):
