@@ -164,6 +164,18 @@ def test_a_training_goes_on_from_where_it_stopped() -> None:
         assert on[-1] < 0.9 * anew[-1]
 
 
+def test_seeds_of_the_default_recipe_of_a_hybrid_are_distinct_forecasters() -> None:
+    """One of them in its own `by_seed` would be adapted to a shorter record without end."""
+    hybrid, training = "residual-gru-calibrated-conditioned", record()[:TRAIN]
+    (first,) = methods(SEARCHED, hybrid)
+    recipe = candidates.candidates(first, training)[0]  # the one that the budget pays for
+    both_seeds = 1.5 * training_cost(recipe.network, training, ())
+    setup = replace(SEARCHED, search=Search(1.01 * both_seeds / trials.SEARCH_SHARE_OF_WORK))
+    result = sb.compare(record(), TRAIN, [hybrid, "simulator"], setup=setup)
+    assert [a.training for a in result.attempts] == [recipe.network.training_in_words()]
+    assert hybrid in result.runs
+
+
 def test_a_seed_whose_simulation_may_grow_is_left_out_where_another_cannot() -> None:
     """Tanh units are bounded: with a stable linear part so is every simulation."""
     cell = sb.StateSpace(2, 4)

@@ -230,7 +230,7 @@ class Trials:
         for place, run in enumerate(runs):  # the place is the seed of the final training
             candidate, weights = run.candidate, {place: run.done.weights}
             if not candidate.iterations:
-                networks.append(candidate.network)
+                networks.append(candidate.network.clone())  # one for each seed
                 continue
             more = max(round(SETTLING * candidate.iterations), 1)
             if candidate.label == best == newest.label and candidate.rung >= 0:
