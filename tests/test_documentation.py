@@ -20,6 +20,7 @@ import pytest
 
 import splitband
 from splitband.cli import COMMANDS
+from splitband.forecasters.names import NAMES
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 EXAMPLES = (
@@ -95,6 +96,20 @@ def test_every_public_name_and_every_command_is_in_the_reference(site: Path) -> 
     commands = (site / "reference/commands.html").read_text(encoding="utf-8")
     sections = re.findall(r'<section id="splitband-(\w+)">', commands)
     assert [name for name in sections if name in COMMANDS] == [*COMMANDS]
+
+
+def test_every_method_is_in_the_guide_to_the_table() -> None:
+    """By its name, or by what it begins or ends with."""
+    guide = (DOCS / "howto" / "table.md").read_text(encoding="utf-8")
+    terms = re.findall(r"`([^`]+)`", guide.partition("## The methods")[2].partition("`--methods")[0])
+    names = {term for term in terms if term[0] not in "-."}
+    begins = tuple(name.removesuffix("...") for name in names if name.endswith("..."))
+    ends = tuple(term.removeprefix("...") for term in terms if term not in names)
+    for method in NAMES:
+        usual = method
+        while usual not in names and usual.endswith(ends):
+            usual = usual.rpartition("-")[0]
+        assert usual in names or method.startswith(begins), method
 
 
 def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:
