@@ -101,7 +101,8 @@ def test_every_public_name_and_every_command_is_in_the_reference(site: Path) -> 
 def test_every_method_is_in_the_guide_to_the_table() -> None:
     """By its name, or by what it begins or ends with."""
     guide = (DOCS / "howto" / "table.md").read_text(encoding="utf-8")
-    terms = re.findall(r"`([^`]+)`", guide.partition("## The methods")[2].partition("`--methods")[0])
+    listed = guide.partition("## The methods")[2].partition("`--methods")[0]
+    terms = re.findall(r"`([^`]+)`", listed)
     names = {term for term in terms if term[0] not in "-."}
     begins = tuple(name.removesuffix("...") for name in names if name.endswith("..."))
     ends = tuple(term.removeprefix("...") for term in terms if term not in names)

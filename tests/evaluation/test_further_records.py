@@ -1,5 +1,7 @@
 """Further training records are for baselines, too; and what cannot be fitted has a reason."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.signal
@@ -7,6 +9,7 @@ import scipy.signal
 import splitband as sb
 from splitband import Bands, Record, Settings, Setup
 from splitband.baselines.linear import OutputError
+from splitband.evaluation.candidates import candidates
 from splitband.metrics import ExtrapolationWarning, rmse
 
 SHORT = Settings(40, 10, 1)
@@ -82,3 +85,15 @@ def test_a_method_that_cannot_be_fitted_does_not_take_the_others_along() -> None
     assert "there is no band to split off" in found.table["note"]["split-gru"]
     with pytest.raises(ValueError, match="no band to split off"):
         sb.compare(constant, 150, methods[:1], seeds=1)
+
+
+def test_windows_that_nobody_chose_fit_into_the_shortest_record() -> None:
+    more, quick = [MOVED[:60]], sb.Options(changes={"epochs": 1})
+    result = sb.compare(STILL, 300, ["gru"], others=more, setup=quick)
+    assert result.setup.settings.window == 60
+    assert [*result.runs] == ["gru"]
+    network = sb.Single(sb.StateSpace(2, 2), settings=SHORT)
+    tried = {c.settings.window for c in candidates(network, STILL, more)}
+    assert max(tried) <= 60
+    with pytest.raises(ValueError, match="window must fit into the training record run 1 of 60 sa"):
+        sb.Single(sb.GRU(2), settings=replace(SHORT, window=61)).fit(STILL, *more)

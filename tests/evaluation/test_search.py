@@ -168,6 +168,7 @@ def test_seeds_of_the_default_recipe_of_a_hybrid_are_distinct_forecasters() -> N
     """One of them in its own `by_seed` would be adapted to a shorter record without end."""
     hybrid, training = "residual-gru-calibrated-conditioned", record()[:TRAIN]
     (first,) = methods(SEARCHED, hybrid)
+    assert isinstance(first, Network)
     recipe = candidates.candidates(first, training)[0]  # the one that the budget pays for
     both_seeds = 1.5 * training_cost(recipe.network, training, ())
     setup = replace(SEARCHED, search=Search(1.01 * both_seeds / trials.SEARCH_SHARE_OF_WORK))

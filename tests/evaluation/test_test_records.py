@@ -100,6 +100,15 @@ def test_what_goes_on_in_the_time_of_the_training_record_is_left_out_by_name(
     assert usual.runs["seasonal-naive"][0].tests == ()
 
 
+@pytest.mark.usefixtures("drawn")
+def test_what_is_found_is_written_where_no_method_can_be_tested(tmp_path: Path) -> None:
+    result = sb.compare(driven(TRAIN, 0), methods=["seasonal-naive"], tests=TESTS, setup=SETUP)
+    assert result.left_out == ["seasonal-naive"]
+    result.save(tmp_path)
+    result.report(tmp_path / "report.html")
+    assert {"results.json", "rollouts.png"} <= {path.name for path in tmp_path.iterdir()}
+
+
 @pytest.mark.parametrize(("start", "said"), [("2024-05-01T10:00", 1), ("2024-05-01T10:00Z", 0)])
 def test_dates_of_which_just_one_has_a_time_zone_are_named(start: str, said: int) -> None:
     """Another record's stamps are not compared; a reader should know that they could not be."""

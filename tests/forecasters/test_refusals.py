@@ -73,6 +73,10 @@ def mean() -> Forecaster:
             r"y_sim must hold the 9 samples to come in 1 channel\(s\), got \(8, 1\)",
         ),
         (
+            lambda: fitted("simulator").predict(9, y_sim=record().y_sim),
+            f"y_sim must hold the 9 samples to come alone, got the {TRAIN} of the history first",
+        ),
+        (
             lambda: fitted("simulator").predict(
                 9, replace(record()[:TRAIN], y_sim=None, beyond=None)
             ),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -113,7 +113,9 @@ def combined(usual: Candidate, best: Candidate, other: Candidate) -> Candidate |
     return replace(usual, network=network, rung=rung, score=math.inf, done={})
 
 
-def candidates(forecaster: Network, record: Record) -> list[Candidate]:
+def candidates(
+    forecaster: Network, record: Record, others: Sequence[Record] = ()
+) -> list[Candidate]:
     """Return the candidates for training a network on a record, the most promising one first.
 
     A network that begins as a linear model needs no steps of Adam. Its candidates differ from the
@@ -133,6 +135,7 @@ def candidates(forecaster: Network, record: Record) -> list[Candidate]:
         settings = [base, replace(base, window=usual.window), replace(base, penalty=PENALTIES[0])]
         if samples <= SHORT:
             settings.append(replace(base, penalty=PENALTIES[1]))
+        if samples <= min([SHORT, *map(len, others)]):
             settings.append(replace(base, window=samples, penalty=PENALTIES[0]))
         settings.append(replace(base, epochs=steps, linear_start=False))
         every = [(size, each) for each in settings] + [(other, base) for other in sizes]

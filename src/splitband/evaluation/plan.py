@@ -128,7 +128,7 @@ def plan(
     if train is None:
         train = len(record) if tests else int(TRAINING_SHARE * len(record))
     record, horizon = _cut_to_horizon(record, train, horizon, bool(tests))
-    decided = (setup or Options()).decided(record, train, methods, tests)
+    decided = (setup or Options()).decided(record, train, methods, tests, others)
     if seeds is not None:
         whole("seeds", seeds)
     if methods is None:

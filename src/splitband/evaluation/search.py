@@ -164,7 +164,7 @@ def search(
     if not tunable:
         return SearchResult([*forecasters], left=budget.core_seconds)
     trials = Trials(record, steps, work, others, budget.core_seconds)
-    first, *rest = [candidates(f, record) for f in tunable]
+    first, *rest = [candidates(f, record, others) for f in tunable]
     # One short training first: it gives a result, which all other candidates have to beat.
     ladder = trials.run(first[:1], 1.0) + trials.run(first[1:], FIRST_ROUND if rest else 1.0)
     # Then the cheapest candidate of each other network, so that all of them are tried.

@@ -60,6 +60,7 @@ class Setup:
         train: int,
         methods: Sequence[Forecaster | str] | None = None,
         tests: Sequence[Record] = (),
+        others: Sequence[Record] = (),
     ) -> Setup:
         """Return this setup; raises ValueError where it is for another training part."""
         if train != self.train:
@@ -150,6 +151,7 @@ class Options:
         train: int,
         methods: Sequence[Forecaster | str] | None = None,
         tests: Sequence[Record] = (),
+        others: Sequence[Record] = (),
     ) -> Setup:
         """Return the setup for a record, from its first `train` samples alone.
 
@@ -159,9 +161,11 @@ class Options:
         methods : Forecasters or names; by default `default_names`.
         tests : Test records, of which only the lengths are used: a warm-up that is not given is at
             most a third of the shortest one.
+        others : Further training records, of which only the lengths are used, too: windows that are
+            not given fit into the shortest one.
         """
         training = record[:train]
-        settings = self._settings(recipe_settings(self.recipe, training), tests)
+        settings = self._settings(recipe_settings(self.recipe, training, others), tests)
         names = default_names(record.y_sim is not None) if methods is None else methods
         made = [named(each) if isinstance(each, str) else each for each in names]
         bands = self._bands(training, settings, made)

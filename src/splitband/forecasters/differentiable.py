@@ -100,7 +100,8 @@ class Affine(nn.Module):
         known, past = self._known, self._known.u
         inputs = None if past is None else np.concatenate([past, u])
         if known.y_sim is not None:
-            continued("y_sim", known.y_sim[: len(known.y)], known.y_sim[len(known.y) :], len(u))
+            n = len(known.y)
+            continued("y_sim", known.y_sim[:n], known.y_sim[n:], None, len(u))
         found = self._forecaster.extrapolate(replace(known, steps=len(u), u=inputs))
         return torch.from_numpy(total([*found.values()] if isinstance(found, dict) else [found]))
 

@@ -39,22 +39,30 @@ class Known:
 
 
 def continued(
-    name: str, past: Array, ahead: npt.ArrayLike | None, steps: int, more: bool = False
+    name: str,
+    past: Array,
+    beyond: npt.ArrayLike | None,
+    given: npt.ArrayLike | None,
+    steps: int,
+    more: bool = False,
 ) -> Array:
-    """Return a signal up to the origin and its next `steps` samples; with `more`, all of `ahead`.
+    """Return a signal up to the origin and its next `steps` samples; with `more`, all after it.
 
     Parameters
     ----------
     name : For errors.
     past : `(time, channels)`.
-    ahead : `(steps or more, channels)`, or `(steps or more,)` for a single channel.
+    beyond, given : Samples after the origin that the history brings, and that a user gives in their
+        place, `(steps or more, channels)`, or `(steps or more,)` for a single channel.
 
     Raises
     ------
     ValueError
-        For too few samples ahead, or another number of channels.
+        For too few samples ahead, another number of channels, and given samples that begin with
+        those of the history.
     """
-    channels = past.shape[1]
+    n, channels = past.shape
+    ahead = beyond if given is None else given
     values = None if ahead is None else np.asarray(ahead, dtype=np.float64)
     if values is not None and values.ndim == 1:
         values = values[:, None]
@@ -62,5 +70,10 @@ def continued(
         shape = "none" if values is None else values.shape
         raise ValueError(
             f"{name} must hold the {steps} samples to come in {channels} channel(s), got {shape}"
+        )
+    whole = given is not None and len(values) >= n + steps and np.array_equal(values[:n], past)
+    if whole and np.ptp(past):
+        raise ValueError(
+            f"{name} must hold the {steps} samples to come alone, got the {n} of the history first"
         )
     return np.concatenate([past, values if more else values[:steps]])

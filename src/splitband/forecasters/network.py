@@ -243,7 +243,7 @@ class Network(Forecaster):
                 f"{self.name} cannot be fitted to several records: its base, {self.base.name}, "
                 "depends on the time since the first one began"
             )
-        first, settings = records[0], self._settings_for(records[0])
+        first, settings = records[0], self._settings_for(records[0], records[1:])
         complete = first.complete
         if not complete.all() and first_after(complete, settings.warmup) is None:
             raise ValueError(
@@ -266,7 +266,7 @@ class Network(Forecaster):
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the base, choose settings and bands that are not given, and train the model."""
         seed = how["seed"]
-        settings = self.trained_by = self._settings_for(records[0])
+        settings = self.trained_by = self._settings_for(records[0], records[1:])
         seen = self._seen(records, seed)
         if self.bands is not None:
             self.trained_in = self._bands_for(seen[0], settings)
@@ -369,8 +369,8 @@ class Network(Forecaster):
         with seeded(seed):
             return self.build(record, settings)
 
-    def _settings_for(self, record: Record) -> Settings:
-        return self.settings or recipe_settings("default", record)
+    def _settings_for(self, record: Record, others: Sequence[Record] = ()) -> Settings:
+        return self.settings or recipe_settings("default", record, others)
 
     def _trained(self) -> Model:
         self.require_fitted()

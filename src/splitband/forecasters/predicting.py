@@ -74,7 +74,7 @@ def known_of(
     if u is not None and not np.isfinite(np.asarray(u, dtype=np.float64)).all():
         raise ValueError("u must hold finite numbers, got some that are not")
     if past.u is not None:
-        inputs = continued("u", past.u, past.u_beyond if u is None else u, steps)
+        inputs = continued("u", past.u, past.u_beyond, u, steps)
     elif u is not None:
         raise ValueError("u must be given exactly for a record with inputs, this has none")
     simulated = None
@@ -83,8 +83,7 @@ def known_of(
             raise ValueError(
                 f"history must bring a simulator's output (y_sim) for {forecaster.name}"
             )
-        ahead = past.beyond if y_sim is None else y_sim
-        simulated = continued("y_sim", past.y_sim, ahead, steps, more=True)
+        simulated = continued("y_sim", past.y_sim, past.beyond, y_sim, steps, more=True)
     own = history is None and not other_record
     return Known(past.seen, steps, begin, inputs, simulated, past.grid, own), past
 

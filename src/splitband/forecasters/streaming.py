@@ -26,7 +26,8 @@ class Stream:
     """Observe measured samples, and predict samples that are not measured.
 
     `Forecaster.stream` returns one. At any sample, the forecast equals that of `Forecaster.predict`
-    from the samples observed so far. Predicted samples count as not measured.
+    from the samples observed so far. Predicted samples count as not measured. Only the last sample
+    of a `predict` may differ, where a network knows the slow signal's slope: `predict` ends there.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ class _Side:
     Attributes
     ----------
     record : The measured record.
-    start : Index of the first predicted sample.
+    start : Index of the first predicted sample; 0 where no method predicts any.
     what : The kind of prediction, in words.
     predicted : Predictions up to the record's end, by method; some methods may have none.
     """
@@ -106,7 +106,7 @@ def _sides(comparison: Comparison) -> list[_Side]:
         sides.append(_Side(record, train, "forecast", comparison.predictions))
     for i, test in enumerate(comparison.tests):
         tested = {name: run.tests[i] for name, run in medians.items() if run.tests}
-        start = len(test) - max(map(len, tested.values()), default=0)
+        start = len(test) - max(map(len, tested.values()), default=len(test))
         sides.append(_Side(test, start, f"test record {literal(test.name)}", tested))
     simulated = {name: run.from_start for name, run in medians.items()}
     start = len(record) - max(map(len, simulated.values()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -16,10 +17,17 @@ ENOUGH_WINDOWS = 0.25
 """Share of all windows that must have a warm-up without gaps, or else warm-ups are shortened."""
 
 
-def recipe_settings(recipe: Recipe, training: Record) -> Settings:
-    """Return a recipe's settings for a record, with a shorter warm-up if gaps leave few windows."""
+def recipe_settings(recipe: Recipe, training: Record, others: Sequence[Record] = ()) -> Settings:
+    """Return a recipe's settings for a record, with a shorter warm-up if gaps leave few windows.
+
+    Windows fit into the `others`, the further training records, too.
+    """
     samples = len(training)
     settings = Settings.of(samples) if recipe == "default" else paper_settings(samples)
+    longest = max(min(map(len, others), default=settings.window), 2)
+    if longest < settings.window:
+        warmup = min(settings.warmup, default_warmup(longest))
+        settings = replace(settings, window=longest, warmup=warmup)
     if training.measured is None or samples < settings.window:
         return settings
     tried = []
