@@ -372,6 +372,16 @@ def test_a_damaged_start_is_one_line(
     assert "bad" in said
 
 
+def test_a_history_without_the_time_stamps_of_the_training_record_says_so(
+    late_model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pd.DataFrame({"when": times(20), "y": signal(times())}).to_csv("h.csv", index=False)
+    for option, said in (("", 1), (" --time-column when", 0)):
+        capsys.readouterr()
+        ahead(late_model, "h.csv", "--simulator functions.py:slow_start" + option)
+        assert capsys.readouterr().out.count("h.csv: no time stamps") == said
+
+
 def test_a_history_of_a_slightly_other_sampling_time_is_resampled(
     late_model: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -162,6 +162,11 @@ def history_of(
             f"{option} must be sampled like the training record, every "
             f"{record.sampling_time:g} s, got every {past.sampling_time:g} s in {file}"
         )
+    if past.start is None and record.start is not None:
+        showing.console.print(
+            f"{file}: no time stamps, the training record has some: taken to begin together; "
+            "--time-column names the column"
+        )
     past = like(past, record.sampling_time, str(file))
     return replace(past, columns=record.columns)
 
