@@ -229,5 +229,9 @@ def test_other_texts_are_refused(text: str) -> None:
 
 
 def test_initial_values_are_those_of_states() -> None:
+    wrong: list[Any] = [[(-2, 2), 0.0], [[1.0, 2.0]], [], [np.nan]]
+    for x0 in wrong:
+        with pytest.raises(ValueError, match=r'x0 must be .* parameters=\{"x0_1": \(low, high\)'):
+            sb.Ode(lambda t, x: -x, x0)
     with pytest.raises(ValueError, match=r"initial values must be out of x0_1, x0_2, .* got x0_3"):
         oscillator(x0_3=(0.0, 1.0))

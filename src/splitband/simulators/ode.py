@@ -64,7 +64,16 @@ class Ode(UserCode):
     key: str | None = None
 
     def __post_init__(self) -> None:
-        """Check that every initial value names a state."""
+        """Check the initial values, and that every one among the parameters names a state."""
+        try:
+            x0 = np.atleast_1d(np.asarray(self.x0, float))
+        except (TypeError, ValueError):
+            x0 = np.empty((0, 0))
+        if x0.ndim != 1 or not x0.size or not np.isfinite(x0).all():
+            raise ValueError(
+                f"x0 must be a finite number for each state, got {self.x0!r}; a state with a range "
+                f'is a parameter: parameters={{"{INITIAL}1": (low, high)}}'
+            )
         wrong = [name for name in self.known.given if name.startswith(INITIAL)
                  and name not in self._states]  # fmt: skip
         if wrong:
