@@ -7,6 +7,7 @@ from collections.abc import Callable, Container, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import median_low
 from typing import Any
 
 from splitband.evaluation.costs import job_cost
@@ -25,7 +26,7 @@ CACHES: tuple[Cached[Any], ...] = (CALIBRATIONS, ESTIMATES)
 """Caches whose results are sent to the jobs."""
 LATE = "left out, as the time was over"
 FAILED = 2.0
-"""A seed whose error is above this multiple of the lowest seed's has failed."""
+"""A seed whose error is above this multiple of the usual one of the seeds has failed."""
 PATIENCE = 2.0
 """A job is abandoned so many seconds, plus the time of its forecasts, after its deadline."""
 
@@ -282,6 +283,9 @@ def failed_seeds(
 ) -> dict[int, str]:
     """Return the seeds of a method that failed in training, and why; if all failed, none of them.
 
+    Their errors are compared with the median, of two seeds with the lower one. The lowest of many
+    may be that of a training that has learned the noise.
+
     Parameters
     ----------
     reports : Fit reports by seed.
@@ -297,8 +301,8 @@ def failed_seeds(
             seed: sum(losses[-1] ** 2 for losses in report.losses.values() if len(losses)) ** 0.5
             for seed, report in reports.items()
         }
-    least = min((errors[seed] for seed in stable), default=0.0)
+    usual = median_low(errors[seed] for seed in stable)
     for seed in stable:
-        if least and errors[seed] > FAILED * least:
-            failed[seed] = f"training error {errors[seed] / least:.3g} times the lowest"
+        if usual and errors[seed] > FAILED * usual:
+            failed[seed] = f"training error {errors[seed] / usual:.3g} times the usual one"
     return failed if len(failed) < len(reports) else {}

@@ -217,7 +217,7 @@ def without_failed(runs: Runs, training: Record) -> Runs:
     """
     kept, models = {}, {}
     for name, each in runs.items():
-        errors = {run.seed: _from_start(run, training) for run in each}
+        errors = {run.seed: error_from_start(run, training) for run in each}
         failed = failed_seeds({run.seed: run.fit for run in each}, errors)
         sound = [run for run in each if run.seed not in failed]
         said = [f"seed {seed} left out: {why}" for seed, why in failed.items()]
@@ -229,7 +229,7 @@ def without_failed(runs: Runs, training: Record) -> Runs:
     return Runs(kept, runs.failures, models)
 
 
-def _from_start(run: Run, training: Record) -> float:
+def error_from_start(run: Run, training: Record) -> float:
     """Return the RMSE of the simulation of the training record, channels scaled; 0 if empty."""
     begin = max(len(training) + len(run.ahead) - len(run.from_start), 0)
     y = run.from_start.y[: max(len(training) - begin, 0)]
