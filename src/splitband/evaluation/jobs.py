@@ -301,7 +301,7 @@ def failed_seeds(
             seed: sum(losses[-1] ** 2 for losses in report.losses.values() if len(losses)) ** 0.5
             for seed, report in reports.items()
         }
-    usual = median_low(errors[seed] for seed in stable)
+    usual = median_low(errors[seed] for seed in stable) if stable else 0.0
     for seed in stable:
         if usual and errors[seed] > FAILED * usual:
             failed[seed] = f"training error {errors[seed] / usual:.3g} times the usual one"
