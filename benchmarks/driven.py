@@ -185,6 +185,18 @@ def drawn(
     return records
 
 
+def kept(measured: Callable[[str, int], Facts]) -> Callable[[str, int, Path], Facts]:
+    """Return a function for `over_records` that measures a record once, into a JSON file."""
+
+    def read_or_measured(name: str, seed: int, path: Path) -> Facts:
+        file = path.with_suffix(".json")
+        if not file.exists():
+            write_json(file, measured(name, seed))
+        return _read(file)
+
+    return read_or_measured
+
+
 def over_records(
     described: str | None,
     parts: Path,

@@ -20,7 +20,7 @@ from unittest.mock import patch
 import numpy as np
 
 import splitband as sb
-from benchmarks.driven import drawn, over_records
+from benchmarks.driven import drawn, kept, over_records
 from splitband.evaluation.jobs import FAILED
 from splitband.evaluation.protocols import Runs, error_from_start
 from splitband.metrics import rmse
@@ -36,15 +36,6 @@ RULES: dict[str, Callable[[Sequence[float]], float]] = {
 """By what the errors on the training record are compared with; of stable trainings."""
 Errors = dict[str, dict[str, float]]
 """By network, and by rule."""
-
-
-def kept(name: str, seed: int, path: Path) -> Errors:
-    """Return the errors of a record, from a file where there is one."""
-    file = path.with_suffix(".json")
-    if not file.exists():
-        write_json(file, measured(name, seed))
-    errors: Errors = json.loads(file.read_text(encoding="utf-8"))
-    return errors
 
 
 def measured(name: str, seed: int) -> Errors:
@@ -74,7 +65,7 @@ def measured(name: str, seed: int) -> Errors:
 
 def main() -> None:
     """Measure what is not there yet, and print geometric means over records and networks."""
-    records, out = over_records(__doc__, PARTS, Path("docs/benchmarks/failed.json"), kept)
+    records, out = over_records(__doc__, PARTS, Path("docs/benchmarks/failed.json"), kept(measured))
     every = [errors for of in records.values() for errors in of.values()]
     means = {rule: statistics.geometric_mean(each[rule] for each in every) for rule in RULES}
     write_json(out, {"networks": len(every), "means": means, "records": records})

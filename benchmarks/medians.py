@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 import splitband as sb
-from benchmarks.driven import drawn, over_records
+from benchmarks.driven import drawn, kept, over_records
 from reproduction.jobs import Job
 from reproduction.runs import as_run
 from splitband.metrics import rmse
@@ -32,15 +32,6 @@ PARTS = Path(tempfile.gettempdir()) / "splitband-medians"
 SAMPLES, WORK = 400, 240.0
 Errors = dict[str, dict[str, float]]
 """By network, and by what is made of its trainings."""
-
-
-def kept(name: str, seed: int, path: Path) -> Errors:
-    """Return the errors of a record, from a file where there is one."""
-    file = path.with_suffix(".json")
-    if not file.exists():
-        write_json(file, measured(name, seed))
-    errors: Errors = json.loads(file.read_text(encoding="utf-8"))
-    return errors
 
 
 def measured(name: str, seed: int) -> Errors:
@@ -91,7 +82,9 @@ def _summary(every: Sequence[float]) -> dict[str, float]:
 
 def main() -> None:
     """Measure what is not there yet, and print the ratios."""
-    records, out = over_records(__doc__, PARTS, Path("docs/benchmarks/medians.json"), kept)
+    records, out = over_records(
+        __doc__, PARTS, Path("docs/benchmarks/medians.json"), kept(measured)
+    )
     facts = {"drawn": ratios(records), "paper": of_the_paper()}
     write_json(out, {"samples": SAMPLES, "work": WORK} | facts | {"records": records})
     print(json.dumps(facts, indent=1))

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 import splitband as sb
-from benchmarks.driven import drawn, over_records
+from benchmarks.driven import drawn, kept, over_records
 from splitband.evaluation.candidates import FIRST_STEPS, FREE_RUN_FROM_LINEAR
 from splitband.runtime.files import write_json
 from splitband.training import Settings
@@ -83,15 +83,6 @@ def _rmse(simulations: list[Array], truth: Array) -> float:
     return float(np.sqrt(np.mean((np.mean(simulations, axis=0) - truth) ** 2)))
 
 
-def kept(name: str, seed: int, path: Path) -> Errors:
-    """Return the errors of a record, from a file where there is one."""
-    file = path.with_suffix(".json")
-    if not file.exists():
-        write_json(file, measured(name, seed))
-    errors: Errors = json.loads(file.read_text(encoding="utf-8"))
-    return errors
-
-
 def prefix(held_out: Mapping[str, float]) -> str:
     """Return the n best trainings, whose mean has the lowest error of all n."""
     ranked = _ranked(held_out)
@@ -131,7 +122,7 @@ def _able(held_out: Mapping[str, float]) -> list[str]:
 
 def main() -> None:
     """Measure what is not there yet, and print geometric means over the records."""
-    records, out = over_records(__doc__, PARTS, Path("docs/benchmarks/starts.json"), kept)
+    records, out = over_records(__doc__, PARTS, Path("docs/benchmarks/starts.json"), kept(measured))
     means = {
         part: {
             rule: statistics.geometric_mean(

@@ -216,3 +216,12 @@ def test_a_resampled_model_takes_samples_of_its_step() -> None:
     stream = model.stream(raw[:120])
     stream.observe(3.0)
     assert stream.step() == 3.0
+
+
+def test_a_simulator_that_repeats_the_history_goes_on() -> None:
+    """The record brings what follows it, which may equal what came before."""
+    periodic = np.tile(np.sin(2 * np.pi * np.arange(20) / 20), 8)
+    record = sb.Record(periodic + 0.01, 0.1, y_sim=periodic)
+    simulator = sb.Simulation().fit(record[:40])
+    np.testing.assert_array_equal(simulator.stream().step(y_sim=periodic[40]), periodic[:1])
+    np.testing.assert_array_equal(simulator.predict(20).y[:, 0], periodic[:20])

@@ -72,7 +72,7 @@ def continued(
             f"{name} must hold the {steps} samples to come in {channels} channel(s), got {shape}"
         )
     whole = given is not None and len(values) >= n + steps and np.array_equal(values[:n], past)
-    if whole and np.ptp(past):
+    if whole and n and np.ptp(past):
         raise ValueError(
             f"{name} must hold the {steps} samples to come alone, got the {n} of the history first"
         )

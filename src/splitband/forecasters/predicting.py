@@ -94,7 +94,7 @@ def known_at_origin(
     """Return the data at the end of a history, by default of the training record."""
     past = forecaster.require_fitted().record if history is None else history
     u = None if past.u is None else past.u[:0]
-    y_sim = past.beyond if past.y_sim is None or past.beyond is not None else past.y_sim[:0]
+    y_sim = None if past.y_sim is None or past.beyond is not None else past.y_sim[:0]
     return known_of(forecaster, 0, history, u, y_sim, other_record)[0]
 
 
