@@ -60,26 +60,28 @@ def measured(name: str, seed: int) -> Errors:
     for start, how in settings().items():
         for number in range(2):
             model = sb.Single(sb.StateSpace(4, 10), settings=how).fit(record[:fitted], seed=number)
-            simulated[f"{start} {number}"] = [_ahead(model, *part) for part in parts]
+            simulated[f"{start} {number}"] = [ahead(model, *part) for part in parts]
     every = [of for n in range(len(simulated)) for of in itertools.combinations(simulated, n + 1)]
     found: Errors = {}
     for i, (label, (part, begin, _)) in enumerate(zip(PARTS_OF, parts, strict=True)):
         truth = part.seen[begin:]
         found[label] = {
-            ", ".join(of): _rmse([simulated[each][i] for each in of], truth) / part.seen.std()
+            ", ".join(of): rmse([simulated[each][i] for each in of], truth) / part.seen.std()
             for of in every
         }
     return found
 
 
-def _ahead(model: sb.Forecaster, record: sb.Record, begin: int, other: bool) -> Array:
+def ahead(model: sb.Forecaster, record: sb.Record, begin: int, other: bool) -> Array:
+    """Simulate a record after its first samples, `(time, ny)`."""
     assert record.u is not None
     past, u, steps = record[:begin], record.u[begin:], len(record) - begin
     y = model.predict(steps, history=past, u=u, other_record=other).y
     return np.asarray(y).reshape(steps, -1)
 
 
-def _rmse(simulations: list[Array], truth: Array) -> float:
+def rmse(simulations: list[Array], truth: Array) -> float:
+    """Return the error of the simulations' mean."""
     return float(np.sqrt(np.mean((np.mean(simulations, axis=0) - truth) ** 2)))
 
 

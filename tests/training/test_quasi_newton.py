@@ -9,7 +9,7 @@ import scipy
 import torch
 from torch import Tensor, nn
 
-from splitband import Settings
+from splitband import Record, Settings, Single, StateSpace
 from splitband.training import fit, quasi_newton
 from splitband.training.checkpoints import Checkpoint
 from splitband.training.quasi_newton import QuasiNewton, end_to_end, samples_in_a_step
@@ -119,6 +119,35 @@ def test_a_training_that_was_cut_off_ends_with_the_same_bits(
     assert_same(model, whole)
     assert resumed.losses == history.losses
     assert len(again) == 8 - (die_after - 1)
+
+
+def test_where_rounding_ends_the_descent_in_float32_it_goes_on_in_float64() -> None:
+    """Without noise, the error is otherwise a hundred times as large."""
+    u = np.random.default_rng(0).standard_normal(200)
+    y = scipy.signal.lfilter([0, 0.1], [1, -1.6, 0.8], np.tanh(u))
+    recipe = Settings(60, 20, 1, 16, quasi_newton=1000)
+    fitted = Single(StateSpace(2, 2), recipe).fit(Record(y, 0.1, u=u), seed=0)
+    assert fitted.require_fitted().report.losses["network"][-1] < 1e-5
+    assert fitted.model is not None
+    assert {weight.dtype for weight in fitted.model.parameters()} == {torch.float32}
+
+
+@pytest.mark.parametrize("die_after", [2, 4, 5, 9])
+def test_a_training_that_was_cut_off_goes_on_in_its_precision(
+    die_after: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("splitband.training.checkpoints.MOST_OVERHEAD", 1e9)
+    monkeypatch.setattr(quasi_newton, "CONVERGED", 1.0)  # no round makes enough progress
+    recipe = replace(RECIPE, epochs=1, quasi_newton=200)
+    whole, history, seen = trained(settings=recipe)
+    assert len(seen) == 10  # of each network an epoch, and two rounds in either precision
+    file = tmp_path / "training.safetensors"
+    with pytest.raises(Killed):
+        trained(Checkpoint(file), die_after, settings=recipe)
+    model, resumed, _ = trained(Checkpoint(file), settings=recipe)
+    assert_same(model, whole)
+    assert resumed.losses == history.losses
+    assert {weight.dtype for weight in model.parameters()} == {torch.float32}
 
 
 def test_what_was_not_measured_counts_for_nothing() -> None:

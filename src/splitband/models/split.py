@@ -258,8 +258,10 @@ class Split(Model):
         """Return the high band, given the slow network's low band, without a gradient for that."""
         low = known.y[:, :0]
         if self.conditioned:
+            # The fast network may be trained in float64 when the slow one is not.
+            dtype = next(as_module(self.slow).parameters()).dtype
             with torch.no_grad():
-                low = self.low(known, steps)
+                low = self.low(known.map(lambda signal: signal.to(dtype)), steps).to(low.dtype)
         return self.high(known, steps, low)
 
 

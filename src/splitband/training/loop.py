@@ -117,6 +117,7 @@ def fit(
                     last = done + 1 == len(tasks) and training.done
                     now = partial(_prefixed, states, prefix, training)
                     checkpoint.offer(key, now, last)
+        training.end()
         states = _prefixed(states, prefix, training)
         history.notes += [f"{task.name}: {note}" for note in training.notes]
         history.cut |= training.cut

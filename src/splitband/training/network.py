@@ -53,8 +53,7 @@ class NetworkTraining:
         self.measured: Tensor | None = None
         if places.measured is not None:
             self.measured = targets(places.measured, task, settings.window, settings.warmup)
-        parameters = [*task.network.parameters()]
-        self.optimizer = Adam(parameters, lr=settings.learning_rate)
+        self.optimizer = Adam([*task.network.parameters()], lr=settings.learning_rate)
         self.generator = torch.Generator().manual_seed(seed)
         size = float(torch.linalg.vector_norm(task.target)) / task.target.numel() ** 0.5
         self.target_rms = size or 1.0
@@ -65,10 +64,9 @@ class NetworkTraining:
         self.restarts: list[int] = []
         """Epochs that diverged and were repeated with half the learning rate."""
         self.finish: quasi_newton.QuasiNewton | None = None
+        self._dtype = self._given_dtype = next(task.network.parameters()).dtype
         if settings.quasi_newton:
-            chosen = quasi_newton.end_to_end(places.starts, settings.window, settings.warmup)
-            error = partial(self._mean_square, chosen)
-            self.finish = quasi_newton.QuasiNewton(parameters, error, self.deadline)
+            self.finish = self._quasi_newton()
 
     @property
     def notes(self) -> list[str]:
@@ -109,6 +107,8 @@ class NetworkTraining:
             return
         self.losses.append(self.finish.round())
         self.cut = self.finish.cut
+        if self.finish.settled and self._dtype != torch.float64:
+            self._go_on_in(torch.float64)
 
     def steps(self) -> int:
         """Return the gradient steps so far; an iteration of L-BFGS counts as one."""
@@ -131,7 +131,11 @@ class NetworkTraining:
 
     def restore(self, state: State) -> None:
         """Restore what `state` returned."""
-        self.task.network.load_state_dict(below(state, "network."))
+        weights = below(state, "network.")
+        first, _ = next(self.task.network.named_parameters())
+        if weights[first].dtype != self._dtype:
+            self._go_on_in(weights[first].dtype)
+        self.task.network.load_state_dict(weights)
         moments: dict[int, dict[str, Tensor]] = {}
         for name, value in below(state, "adam.").items():
             i, moment = name.split(".")
@@ -144,6 +148,10 @@ class NetworkTraining:
         self.first_loss = float(state["first_loss"])
         if self.finish is not None:
             self.finish.restore(below(state, "finish."))
+
+    def end(self) -> None:
+        """Return the network to the precision in which it came."""
+        self.task.network.to(self._given_dtype)
 
     def epoch(self) -> None:
         """Train an epoch; repeat it with a smaller learning rate where it diverges."""
@@ -197,10 +205,22 @@ class NetworkTraining:
                 break
         return total / seen_windows
 
+    def _go_on_in(self, dtype: torch.dtype) -> None:
+        self._dtype = dtype
+        self.task.network.to(dtype)
+        self.finish = self._quasi_newton()
+
+    def _quasi_newton(self) -> quasi_newton.QuasiNewton:
+        settings = self.settings
+        chosen = quasi_newton.end_to_end(self.starts, settings.window, settings.warmup)
+        error = partial(self._mean_square, chosen)
+        return quasi_newton.QuasiNewton([*self.task.network.parameters()], error, self.deadline)
+
     def _mean_square(self, starts: Tensor) -> Tensor:
         """Return the mean squared error of the windows that begin there, plus the penalty."""
-        wanted = self.target[starts]
-        prediction = self.task.simulate(select(self.known, starts), wanted.shape[1])
+        wanted = self.target[starts].to(self._dtype)
+        seen = select(self.known, starts).map(lambda signal: signal.to(self._dtype))
+        prediction = self.task.simulate(seen, wanted.shape[1])
         counted = None if self.measured is None else self.measured[starts]
         return _rmse(prediction, wanted, counted) ** 2 + self._penalty()
 

@@ -4,7 +4,7 @@ Not in the paper. Adam, which sees a few windows at a time, makes fast progress 
 Near a minimum its steps are mostly noise. The gradient over the whole record costs no more than a
 few dozen steps of Adam for networks of this size. From there on, quasi-Newton iterations
 (Nocedal and Wright, Numerical Optimization, 2006, Sec. 7.2) lower the loss in a fraction of the
-time.
+time. Where rounding in float32 hides the descent, they go on in float64.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from splitband.training.checkpoints import State
 from splitband.training.optimizers import LBFGS
 
 ROUND = 20
-"""Iterations of a round. Checkpoints are written between rounds, not within them."""
+"""Iterations of a round, in float32: in float64, where each takes twice as long, half as many.
+Checkpoints are written between rounds, not within them."""
 MEMORY = 30
 """Steps from which the curvature is estimated."""
 CONVERGED = 1e-5
@@ -93,10 +94,12 @@ class QuasiNewton:
         """Mean square at the beginning, by which the loss is divided: torch's tolerances suit a
         loss of about 1."""
         self.settled = self._stuck = False
+        double = self.parameters[0].dtype == torch.float64
+        iterations = ROUND // 2 if double else ROUND
         self._optimizer: torch.optim.LBFGS = LBFGS(
             self.parameters,
-            max_iter=ROUND,
-            max_eval=2 * ROUND,
+            max_iter=iterations,
+            max_eval=2 * iterations,
             history_size=MEMORY,
             tolerance_grad=0.0,
             tolerance_change=0.0,
@@ -104,7 +107,7 @@ class QuasiNewton:
         )
 
     def round(self) -> float:
-        """Run at most `ROUND` iterations; return the RMS error after them.
+        """Run the iterations of a `ROUND`; return the RMS error after them.
 
         If the error is not finite, or has grown, the weights stay as they were. The second round in
         a row without progress (see `CONVERGED`) is the last one.
