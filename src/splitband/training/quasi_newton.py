@@ -18,9 +18,9 @@ from splitband.runtime.deadlines import Deadline
 from splitband.training.checkpoints import State
 from splitband.training.optimizers import LBFGS
 
-ROUND = 20
-"""Iterations of a round, in float32: in float64, where each takes twice as long, half as many.
-Checkpoints are written between rounds, not within them."""
+ROUND, ROUND_IN_FLOAT64 = 20, 12
+"""Iterations of a round, in float64 as many as take about as long as those in float32. Checkpoints
+are written between rounds, not within them."""
 MEMORY = 30
 """Steps from which the curvature is estimated."""
 CONVERGED = 1e-5
@@ -95,7 +95,7 @@ class QuasiNewton:
         loss of about 1."""
         self.settled = self._stuck = False
         double = self.parameters[0].dtype == torch.float64
-        iterations = ROUND // 2 if double else ROUND
+        iterations = ROUND_IN_FLOAT64 if double else ROUND
         self._optimizer: torch.optim.LBFGS = LBFGS(
             self.parameters,
             max_iter=iterations,
