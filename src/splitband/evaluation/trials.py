@@ -43,8 +43,8 @@ MOST_OF_OWN_PREVIOUS = 1.1
 MOST_OF_BEST = 2.0
 """A candidate does not go on if its error is above this multiple of the lowest of all."""
 MOST_TIMES_LONGER = 4
-"""If errors still fell when the budget ran out, the best candidate's final trainings may have this
-many times the iterations of its longest trial."""
+"""If errors still fell when the budget ran out, final trainings may have this many times the
+iterations of the longest trial."""
 LONGER_TRAININGS_SHARE = 0.7
 """Share of the work left after the search that these longer final trainings may take."""
 SETTLING = 0.25
@@ -221,11 +221,20 @@ class Trials:
     def final(self, runs: Sequence[TrialRun], left: float) -> list[Network]:
         """Return a network for each final training, which continues from the trial's weights.
 
-        Trainings without L-BFGS start anew. If errors still fell when the budget ran out, the final
-        trainings of the best candidate are longer, as far as the work `left` allows.
+        Trainings without L-BFGS start anew. If errors still fell when the budget ran out, the best
+        one and those with as many iterations are longer, as far as the work `left` allows.
         """
-        best = runs[0].candidate.label
-        newest = max(self.tried, key=lambda candidate: candidate.iterations)
+        most = max(candidate.iterations for candidate in self.tried)
+        unfinished = {
+            place: training_cost(
+                run.candidate.continued(1, {place: run.done.weights}), self._record, self._others
+            )
+            for place, run in enumerate(runs)
+            if run.candidate.rung >= 0 and run.candidate.iterations == most
+        }
+        paid = 0
+        if 0 in unfinished:
+            paid = int(LONGER_TRAININGS_SHARE * left / max(sum(unfinished.values()), 1e-9))
         networks = []
         for place, run in enumerate(runs):  # the place is the seed of the final training
             candidate, weights = run.candidate, {place: run.done.weights}
@@ -233,11 +242,8 @@ class Trials:
                 networks.append(candidate.network.clone())  # one for each seed
                 continue
             more = max(round(SETTLING * candidate.iterations), 1)
-            if candidate.label == best == newest.label and candidate.rung >= 0:
-                each = training_cost(candidate.continued(1, weights), self._record, self._others)
-                of_best = sum(other.candidate.label == best for other in runs)
-                paid = int(LONGER_TRAININGS_SHARE * left / (of_best * max(each, 1e-9)))
-                more = max(more, min((MOST_TIMES_LONGER - 1) * candidate.iterations, paid))
+            if place in unfinished:
+                more = max(more, min((MOST_TIMES_LONGER - 1) * most, paid))
             networks.append(candidate.continued(more, weights))
         return networks
 
