@@ -164,6 +164,15 @@ def test_a_training_goes_on_from_where_it_stopped() -> None:
         assert on[-1] < 0.9 * anew[-1]
 
 
+def test_if_errors_still_fall_all_trainings_of_the_last_round_go_on_equally_long() -> None:
+    """Those of the round before settle on all samples alone."""
+    searched = of_driven()
+    (chosen,) = searched.forecasters
+    every = [chosen.for_seed(seed).network for seed in searched.done["state-space"]]
+    iterations = {(n.earlier.iterations, settings_of(n).quasi_newton) for n in every if n}
+    assert iterations == {(3, 4), (6, trials.MOST_TIMES_LONGER * 6)}
+
+
 def test_seeds_of_the_default_recipe_of_a_hybrid_are_distinct_forecasters() -> None:
     """One of them in its own `by_seed` would be adapted to a shorter record without end."""
     hybrid, training = "residual-gru-calibrated-conditioned", record()[:TRAIN]
