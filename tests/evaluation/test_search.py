@@ -164,9 +164,17 @@ def test_a_training_goes_on_from_where_it_stopped() -> None:
         assert on[-1] < 0.9 * anew[-1]
 
 
-def test_if_errors_still_fall_all_trainings_of_the_last_round_go_on_equally_long() -> None:
-    """Those of the round before settle on all samples alone."""
-    searched = of_driven()
+def test_if_errors_still_fall_all_trainings_of_the_last_round_go_on_equally_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """On a long record. Those of the round before settle on all samples alone."""
+    monkeypatch.setattr(trials, "SHORT", TRAIN - 1)
+
+    def every_training(searched: trials.Trials, method: str) -> list[trials.TrialRun]:
+        return sorted(searched.runs, key=lambda run: -run.candidate.iterations)
+
+    monkeypatch.setattr(trials.Trials, "best", every_training)
+    searched = searched_by(driven(), ["state-space"])
     (chosen,) = searched.forecasters
     every = [chosen.for_seed(seed).network for seed in searched.done["state-space"]]
     iterations = {(n.earlier.iterations, settings_of(n).quasi_newton) for n in every if n}

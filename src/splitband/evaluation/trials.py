@@ -221,20 +221,22 @@ class Trials:
     def final(self, runs: Sequence[TrialRun], left: float) -> list[Network]:
         """Return a network for each final training, which continues from the trial's weights.
 
-        Trainings without L-BFGS start anew. If errors still fell when the budget ran out, the best
-        one and those with as many iterations are longer, as far as the work `left` allows.
+        Trainings without L-BFGS start anew. If errors still fell when the budget ran out, those of
+        the best candidate are longer, as far as the work `left` allows, and on long records those
+        of all candidates with as many iterations, as a median is no better than most of its
+        members.
         """
-        most = max(candidate.iterations for candidate in self.tried)
-        unfinished = {
+        newest = max(self.tried, key=lambda candidate: candidate.iterations)
+        long = len(self._record) > SHORT
+        costs = {
             place: training_cost(
                 run.candidate.continued(1, {place: run.done.weights}), self._record, self._others
             )
             for place, run in enumerate(runs)
-            if run.candidate.rung >= 0 and run.candidate.iterations == most
+            if run.candidate.rung >= 0 and run.candidate.iterations == newest.iterations
+            if long or run.candidate.label == newest.label
         }
-        paid = 0
-        if 0 in unfinished:
-            paid = int(LONGER_TRAININGS_SHARE * left / max(sum(unfinished.values()), 1e-9))
+        paid = int(LONGER_TRAININGS_SHARE * left / max(sum(costs.values()), 1e-9))
         networks = []
         for place, run in enumerate(runs):  # the place is the seed of the final training
             candidate, weights = run.candidate, {place: run.done.weights}
@@ -242,8 +244,8 @@ class Trials:
                 networks.append(candidate.network.clone())  # one for each seed
                 continue
             more = max(round(SETTLING * candidate.iterations), 1)
-            if place in unfinished:
-                more = max(more, min((MOST_TIMES_LONGER - 1) * most, paid))
+            if 0 in costs and place in costs:
+                more = max(more, min((MOST_TIMES_LONGER - 1) * candidate.iterations, paid))
             networks.append(candidate.continued(more, weights))
         return networks
 
