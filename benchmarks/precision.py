@@ -40,7 +40,7 @@ def measured(name: str, seed: int) -> dict[str, Any]:
     for label in (SETTLING, GOING_ON):
         began = time.process_time()
         if label == SETTLING:
-            with mock.patch.object(NetworkTraining, "_go_on_in"):
+            with mock.patch.object(NetworkTraining, "_go_on_in_float64"):
                 model = sb.Single(sb.StateSpace(4, 10), settings=how).fit(record)
         else:
             model = sb.Single(sb.StateSpace(4, 10), settings=how).fit(record)

@@ -14,6 +14,7 @@ from splitband.training import fit, quasi_newton
 from splitband.training.checkpoints import Checkpoint
 from splitband.training.quasi_newton import QuasiNewton, end_to_end, samples_in_a_step
 from tests.records import SETUP, TRAIN, holed, record, standing_in
+from tests.streams import Leaky
 from tests.support import untrained
 from tests.training.test_checkpoints import RECIPE, Killed, assert_same, trained
 
@@ -130,6 +131,32 @@ def test_where_rounding_ends_the_descent_in_float32_it_goes_on_in_float64() -> N
     assert fitted.require_fitted().report.losses["network"][-1] < 1e-5
     assert fitted.model is not None
     assert {weight.dtype for weight in fitted.model.parameters()} == {torch.float32}
+
+
+class InFloat32(Leaky):
+    """A cell of a user's own that makes tensors without asking for their precision."""
+
+    def __init__(self, ny: int = 1, nu: int = 0) -> None:
+        super().__init__(ny, nu)
+        self.remember = nn.Linear(ny, ny)
+
+    def sized(self, ny: int, nu: int, warmup: int) -> "InFloat32":
+        return InFloat32(ny, nu)
+
+    def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
+        return torch.zeros(len(y_warmup), self.ny)
+
+    def step(self, h: Tensor, y: Tensor, u: Tensor | None = None) -> Tensor:
+        return torch.tanh(self.remember(h) + self.mix(y))
+
+
+def test_a_cell_that_computes_in_float32_alone_ends_where_it_settles(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(quasi_newton, "CONVERGED", 1.0)
+    fitted = Single(InFloat32(), replace(RECIPE, epochs=1, quasi_newton=200)).fit(record()[:TRAIN])
+    assert len(fitted.require_fitted().report.losses["network"]) == 3  # an epoch and two rounds
+    assert len(fitted.predict(10)) == 10
 
 
 @pytest.mark.parametrize("die_after", [2, 4, 5, 9])

@@ -108,7 +108,7 @@ class NetworkTraining:
         self.losses.append(self.finish.round())
         self.cut = self.finish.cut
         if self.finish.settled and self._dtype != torch.float64:
-            self._go_on_in(torch.float64)
+            self._go_on_in_float64()
 
     def steps(self) -> int:
         """Return the gradient steps so far; an iteration of L-BFGS counts as one."""
@@ -204,6 +204,15 @@ class NetworkTraining:
                 self.cut = True
                 break
         return total / seen_windows
+
+    def _go_on_in_float64(self) -> None:
+        settled = self.finish
+        self._go_on_in(torch.float64)
+        try:
+            self._mean_square(self.starts[:1])
+        except RuntimeError:  # a user's cell that makes float32 tensors
+            self._go_on_in(torch.float32)
+            self.finish = settled
 
     def _go_on_in(self, dtype: torch.dtype) -> None:
         self._dtype = dtype
