@@ -10,7 +10,8 @@ import torch
 from torch import Tensor, nn
 
 from splitband import Record, Settings, Single, StateSpace
-from splitband.training import fit, quasi_newton
+from splitband.models import Model
+from splitband.training import History, Progress, fit, quasi_newton
 from splitband.training.checkpoints import Checkpoint
 from splitband.training.quasi_newton import QuasiNewton, end_to_end, samples_in_a_step
 from tests.records import SETUP, TRAIN, holed, record, standing_in
@@ -106,6 +107,16 @@ def test_it_gets_further_than_as_many_epochs() -> None:
         assert losses[-1] < 0.9 * by_adam.losses[name][-1]
 
 
+def cut_off(
+    folder: Path, die_after: int, settings: Settings
+) -> tuple[Model, History, list[Progress]]:
+    """A training that is killed, and its second part from the checkpoint."""
+    file = folder / "training.safetensors"
+    with pytest.raises(Killed):
+        trained(Checkpoint(file), die_after, settings=settings)
+    return trained(Checkpoint(file), settings=settings)
+
+
 @pytest.mark.parametrize("die_after", [2, 7])
 def test_a_training_that_was_cut_off_ends_with_the_same_bits(
     die_after: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -113,10 +124,7 @@ def test_a_training_that_was_cut_off_ends_with_the_same_bits(
     monkeypatch.setattr("splitband.training.checkpoints.MOST_OVERHEAD", 1e9)
     whole, history, seen = trained(settings=FINISHED)
     assert len(seen) == 8  # of each network an epoch and three rounds
-    file = tmp_path / "training.safetensors"
-    with pytest.raises(Killed):
-        trained(Checkpoint(file), die_after, settings=FINISHED)
-    model, resumed, again = trained(Checkpoint(file), settings=FINISHED)
+    model, resumed, again = cut_off(tmp_path, die_after, FINISHED)
     assert_same(model, whole)
     assert resumed.losses == history.losses
     assert len(again) == 8 - (die_after - 1)
@@ -168,10 +176,7 @@ def test_a_training_that_was_cut_off_goes_on_in_its_precision(
     recipe = replace(RECIPE, epochs=1, quasi_newton=200)
     whole, history, seen = trained(settings=recipe)
     assert len(seen) == 10  # of each network an epoch, and two rounds in either precision
-    file = tmp_path / "training.safetensors"
-    with pytest.raises(Killed):
-        trained(Checkpoint(file), die_after, settings=recipe)
-    model, resumed, _ = trained(Checkpoint(file), settings=recipe)
+    model, resumed, _ = cut_off(tmp_path, die_after, recipe)
     assert_same(model, whole)
     assert resumed.losses == history.losses
     assert {weight.dtype for weight in model.parameters()} == {torch.float32}

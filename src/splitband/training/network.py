@@ -64,7 +64,7 @@ class NetworkTraining:
         self.restarts: list[int] = []
         """Epochs that diverged and were repeated with half the learning rate."""
         self.finish: quasi_newton.QuasiNewton | None = None
-        self._dtype = self._given_dtype = next(task.network.parameters()).dtype
+        self._given_dtype = self._dtype
         if settings.quasi_newton:
             self.finish = self._quasi_newton()
 
@@ -205,17 +205,20 @@ class NetworkTraining:
                 break
         return total / seen_windows
 
+    @property
+    def _dtype(self) -> torch.dtype:
+        return next(self.task.network.parameters()).dtype
+
     def _go_on_in_float64(self) -> None:
         settled = self.finish
         self._go_on_in(torch.float64)
         try:
             self._mean_square(self.starts[:1])
         except RuntimeError:  # a user's cell that makes float32 tensors
-            self._go_on_in(torch.float32)
+            self.end()
             self.finish = settled
 
     def _go_on_in(self, dtype: torch.dtype) -> None:
-        self._dtype = dtype
         self.task.network.to(dtype)
         self.finish = self._quasi_newton()
 
@@ -227,8 +230,9 @@ class NetworkTraining:
 
     def _mean_square(self, starts: Tensor) -> Tensor:
         """Return the mean squared error of the windows that begin there, plus the penalty."""
-        wanted = self.target[starts].to(self._dtype)
-        seen = select(self.known, starts).map(lambda signal: signal.to(self._dtype))
+        dtype = self._dtype
+        wanted = self.target[starts].to(dtype)
+        seen = select(self.known, starts).map(lambda signal: signal.to(dtype))
         prediction = self.task.simulate(seen, wanted.shape[1])
         counted = None if self.measured is None else self.measured[starts]
         return _rmse(prediction, wanted, counted) ** 2 + self._penalty()
