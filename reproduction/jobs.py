@@ -9,10 +9,11 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 from reproduction.settings import HYBRID, LEARNING_BASED, Hybrid, LearningBased, in_hz
-from reproduction.systems import double_torsion_pendulum
+from reproduction.systems import MassSpringOracle, double_torsion_pendulum, noisy_van_der_pol
 from splitband.data import Record, double_torsion, drill_string, read
 from splitband.data.named import double_mass_spring, van_der_pol
 from splitband.evaluation.setup import Setup
+from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES, QUICK
 
 ORACLE = "oracle"
@@ -67,10 +68,17 @@ SYSTEMS = {
         )
         for row in ("ii", "iii", "iv")
     },
+    "i-deviation": System(
+        "double mass-spring, noise of deviation 0.1",
+        LEARNING_BASED["i"],
+        _once(lambda draw: double_mass_spring(noise_variance=0.01, seed=draw)),
+    ),
     "v": System("Van der Pol", HYBRID["v"], _once(lambda draw: van_der_pol())),
+    "v-noisy": System("Van der Pol with noise", HYBRID["v"], _once(noisy_van_der_pol)),
     "vi": System("drill string", HYBRID["vi"], _once(lambda draw: drill_string())),
 }
-"""By the paper's numbers; it has one record for each of (ii) to (iv), of which one is public."""
+"""By the paper's numbers; it has one record for each of (ii) to (iv), of which one is public. Its
+text reads as if all simulated systems had noise, and does not say how much."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,8 @@ class Job:
     cutoff : w, in the unit of the paper's tables.
     downsampling : k.
     epochs : The paper's training steps.
+    own_warmup : Of split models: whether the warm-up of each training window is filtered alone,
+        instead of being cut from the filtered training record (paper, Eq. 10).
     """
 
     system: str
@@ -92,6 +102,7 @@ class Job:
     cutoff: float | None = None
     downsampling: int | None = None
     epochs: int | None = None
+    own_warmup: bool = False
 
     def __post_init__(self) -> None:
         """Drop what is the paper's own value, so that equal runs are equal jobs."""
@@ -105,6 +116,13 @@ class Job:
         for name, value in own.items():
             if getattr(self, name) == value or self.method in (*QUICK, ORACLE):
                 object.__setattr__(self, name, None)
+        if not self.splits:
+            object.__setattr__(self, "own_warmup", False)
+
+    @property
+    def splits(self) -> bool:
+        """Whether it trains two networks, one for each band."""
+        return self.method.startswith("split-")
 
     @property
     def path(self) -> Path:
@@ -116,6 +134,7 @@ class Job:
             "epochs": self.epochs,
         }
         parts = [f"{name}{value:g}" for name, value in marks.items() if value is not None]
+        parts = ["own-warmup", *parts] if self.own_warmup else parts
         return Path(self.system, self.method, "-".join([*parts, f"seed{self.seed}"]) + ".json")
 
     @property
@@ -127,6 +146,13 @@ class Job:
     def record(self) -> Record:
         """What it learns from and is measured on."""
         return SYSTEMS[self.system].record(self.draw)
+
+    def forecaster(self, setup: Setup) -> Forecaster:
+        """The untrained method."""
+        if self.method == ORACLE:
+            return MassSpringOracle()
+        made = setup.forecaster(self.method)
+        return made.clone().set_params(own_warmup=self.own_warmup) if self.splits else made
 
     def setup(self, record: Record) -> Setup:
         """The paper's settings with what this job changes."""

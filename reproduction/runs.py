@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
-from reproduction.jobs import ORACLE, Job
-from reproduction.systems import MassSpringOracle
+from reproduction.jobs import Job
 from splitband.data import Record
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.protocols import Errors, Run
@@ -25,11 +25,12 @@ from splitband.evaluation.protocols import as_run as run_of
 from splitband.evaluation.setup import Setup
 from splitband.evaluation.work import RunProgress
 from splitband.forecasters.backtest import Origin, Question, backtest, first_origin
-from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.names import QUICK, named
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import rmse
+from splitband.models import Split
+from splitband.models.base import Signals
 from splitband.report.environment import environment
 from splitband.runtime.files import CHECKPOINTS, write_json_lines
 from splitband.runtime.processes import map_jobs
@@ -201,9 +202,10 @@ def _work(
         checkpoints.mkdir(parents=True, exist_ok=True)
         resumed = any(checkpoints.iterdir())
     try:
-        done = run(job, record, setup, None if silent else report, checkpoints)
+        done, sliced = run(job, record, setup, None if silent else report, checkpoints)
         seconds = _time(done.fit.seconds, time.process_time() - began, resumed)
         facts = _results(job, done) | seconds
+        facts |= {} if sliced is None else {"sliced_rmse": sliced}
     except FloatingPointError as error:
         facts = {"diverged": str(error)}
     return job, _identity(job, record, setup) | facts | {"environment": environment()}
@@ -215,10 +217,9 @@ def run(
     setup: Setup,
     progress: Callable[[RunProgress], None] | None = None,
     checkpoints: Path | None = None,
-) -> Run:
-    """One method on a system, under both protocols."""
-    oracle = job.method == ORACLE
-    forecaster: Forecaster = MassSpringOracle() if oracle else setup.forecaster(job.method)
+) -> tuple[Run, float | None]:
+    """One method on a system, under both protocols; of a split model also `sliced_rmse`."""
+    forecaster = job.forecaster(setup)
     forecaster.check(record[: setup.train])
     first = first_origin(record, setup.train, setup.settings.warmup)
     forecast = Origin(setup.train, setup.train)
@@ -230,9 +231,27 @@ def run(
         if progress is not None:
             progress(RunProgress(job.method, job.seed, at.share, at.loss))
 
-    question = Question(record, [first, forecast], len(record))
+    question = Question(record, [first, forecast], len(record), keep=True)
     done = backtest(forecaster, question, job.seed, watch, checkpoint)
-    return run_of(Plan.of(record, [forecaster], setup), job.method, question, done)
+    sliced = None
+    if job.splits:
+        assert done.model is not None and done.model.network is not None
+        model = done.model.network.model
+        assert isinstance(model, Split)
+        sliced = sliced_rmse(model, record, setup.train, setup.settings.warmup)
+    return run_of(Plan.of(record, [forecaster], setup), job.method, question, done), sliced
+
+
+def sliced_rmse(model: Split, record: Record, train: int, warmup: int) -> float:
+    """Return the total RMSE from a warm-up that is cut from the filtered training record.
+
+    The free run of Eq. 11 filters the first `warmup` samples alone.
+    """
+    bands = np.concatenate(model.pair.split(record[:train].y), axis=1)[:warmup]
+    known = Signals(torch.from_numpy(bands)[None].float())
+    with torch.no_grad():
+        parts = model.components_of(known, len(record) - warmup).values()
+    return rmse(record.truth[warmup:], sum(part[0].double().numpy() for part in parts))
 
 
 def _results(job: Job, done: Run) -> dict[str, Any]:
@@ -278,7 +297,7 @@ def _identity(job: Job, record: Record, setup: Setup) -> dict[str, Any]:
     }
 
 
-_UNNAMED = {"penalty": 0.0, "linear_start": True}
+_UNNAMED = {"penalty": 0.0, "linear_start": True, "own_warmup": False}
 """Settings that are younger than some of the files, at the values that change nothing there."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy.typing as npt
 import scipy
 
 from splitband.data import Record
+from splitband.data.named import van_der_pol
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.known import Known
 from splitband.simulators import Ode, run
@@ -117,3 +119,13 @@ def _angle(row: str, samples: int) -> Array:
     pendulum = Ode(discs, [0.3, 0, 0.1, 0], lambda s: s[:, 2])
     angle = run(pendulum, settling + samples, _STEP)[settling:]
     return np.asarray((angle - angle.mean(axis=0)) / angle.std(axis=0))
+
+
+def noisy_van_der_pol(seed: int = 0) -> Record:
+    """Return system (v) with Gaussian noise of deviation 0.1 on `y`; `y_true` is without.
+
+    Sec. 5.1 says that simulated systems are corrupted with noise, and gives no level for (v).
+    """
+    record = van_der_pol()
+    noise = np.random.default_rng(seed).normal(0.0, 0.1, record.y.shape)
+    return replace(record, y=record.y + noise, y_true=record.y, name="van-der-pol-noisy")

@@ -6,6 +6,7 @@ from typing import final
 
 from splitband import models
 from splitband.data import Record
+from splitband.filters.resampling import Alignment
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.network import CONDITIONED, Network
 from splitband.models import Model
@@ -63,6 +64,10 @@ class Split(Network):
     filter_output : High-pass the fast network's output too, the paper's "+HP".
     conditioned : Use the slow network's prediction, value and slope, as an input of the fast one.
         Not in the paper.
+    own_warmup : Filter the warm-up of each training window alone, as that of a simulation is.
+        Otherwise windows are cut from the filtered training record, as in the paper (Eq. 10).
+    alignment : Of the up-sampled low band: `"time"`, or `"paper"`, which shifts it by (k - 1) / 2
+        samples.
     settings, name : See `Single`.
 
     Examples
@@ -87,8 +92,11 @@ class Split(Network):
         conditioned: bool = False,
         settings: Settings | None = None,
         name: str | None = None,
+        own_warmup: bool = True,
+        alignment: Alignment = "time",
     ) -> None:
         super().__init__(settings, name)
+        self.own_warmup, self.alignment = own_warmup, alignment
         self.low, self.high = as_template(low), as_template(high)
         self.bands, self.conditioned = bands, conditioned
         self.filter_output = filter_output
@@ -108,6 +116,8 @@ class Split(Network):
             self.filter_output,
             self.conditioned,
             record.nu > 0,
+            self.own_warmup,
+            self.alignment,
         )
 
     def in_words(self) -> str:

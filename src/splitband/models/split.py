@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from torch import Tensor, nn
 
 from splitband.data import Record
 from splitband.filters import ComplementaryPair
-from splitband.filters.resampling import check_downsampling, downsample, upsample
+from splitband.filters.resampling import Alignment, check_downsampling, downsample, upsample
 from splitband.models.base import (
     Model,
     Signals,
@@ -52,7 +53,10 @@ class SteppedSplit(Stepped):
             raise ValueError(
                 "a split model whose output is filtered forwards and backwards cannot be stepped"
             )
+        if model.alignment != "time":
+            raise ValueError('a split model that is up-sampled with alignment="paper" cannot be stepped')
         self.pair: ComplementaryPair = model.pair
+        self.own_warmup: bool = model.own_warmup
         self.slow, self.fast = (SteppedCell(network) for network in model.networks)
         self.k: int = model.downsampling
         self.output = model.pair.one_way() if model.filter_output else None
@@ -61,6 +65,7 @@ class SteppedSplit(Stepped):
     def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
         k, warmup = self.k, len(y)
         low = both_ways(self.pair, y)
+        high = y - low if self.own_warmup else both_ways(self.pair, y, "high")
         means = self._rows(u) if self.at_once else self._means(u, warmup % k)
         run: Run = {"slow": self.slow.begin(low[warmup % k :: k], means[: warmup // k])}
         run["current"] = run["slow"]["y"]
@@ -68,10 +73,10 @@ class SteppedSplit(Stepped):
             run["slow"] = self.slow.advance(run["slow"], means[warmup // k])
         run |= {"phase": np.zeros(()), "sum": np.zeros(len(self.u_mean))}
         given = self._beside(low, run, u)
-        run["fast"] = self.fast.begin(y - low, given)
+        run["fast"] = self.fast.begin(high, given)
         if self.output is not None:
             _, run["output"] = one_way(
-                self.output.b_high, self.output.a, y - low, steady(self.output, "high")
+                self.output.b_high, self.output.a, high, steady(self.output, "high")
             )
         return self._combined(run)
 
@@ -132,9 +137,10 @@ class Split(Model):
     The slow network simulates the low-passed, down-sampled signal. Its free run is up-sampled and
     added to that of the fast network. The paper has no conditioning.
 
-    The warm-up is filtered without the samples after it, in training as in simulation: no
-    prediction depends on later samples through the zero-phase filter, and the networks learn to
-    start from a history whose ends are distorted (docs/deviations.md).
+    A simulation filters its warm-up alone (paper, Eq. 11): no prediction depends on later samples
+    through the zero-phase filter. The ends of a short filtered stretch differ from the same samples
+    of the filtered record, on which the paper trains (Eq. 10); with `own_warmup`, networks are
+    trained on what they will start from.
 
     Known inputs act on no sample before them: the slow network's step from n to n + k uses the mean
     of the k inputs up to n, with feedthrough and k = 1 also the next input.
@@ -149,6 +155,10 @@ class Split(Model):
     conditioned : The low band as the slow network predicts it, value and slope of each channel, is
         an input of the fast network: 2 ny additional inputs.
     feedthrough : As for `Recurrent`, for networks that see every sample.
+    own_warmup : Filter the warm-up of each training window alone; the high band is then y - L(y),
+        so that both bands add up to the record at its ends, too. Otherwise windows are cut from
+        L(y) and H(y) of the whole training record (paper, Eq. 10).
+    alignment : Of the up-sampled low band, see `upsample`; `"paper"` shifts it in time.
 
     Raises
     ------
@@ -168,13 +178,15 @@ class Split(Model):
         filter_output: bool = False,
         conditioned: bool = False,
         feedthrough: bool = False,
+        own_warmup: bool = True,
+        alignment: Alignment = "time",
     ) -> None:
         slow, fast = networks
         super().__init__(slow.ny, inputs_of(slow, 0, feedthrough and downsampling == 1))
         self.pair, self.downsampling = pair, downsampling
         self.networks = nn.ModuleList([as_module(slow), as_module(fast)])
         self.filter_output, self.conditioned = filter_output, conditioned
-        self.feedthrough = feedthrough
+        self.feedthrough, self.own_warmup, self.alignment = feedthrough, own_warmup, alignment
         self.register_buffer("slope_scale", torch.ones(1, self.ny, dtype=torch.float64))
         each = 2 if feedthrough else 1
         of_slow = self.nu * (each if downsampling == 1 else 1)
@@ -197,22 +209,37 @@ class Split(Model):
         return self.networks[1]  # type: ignore[return-value]
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """Return both bands at the full rate (paper, Eq. 13)."""
+        """Return both bands at the full rate, of a warm-up that is filtered alone (Eq. 11)."""
+        return self.components_of(self._bands(known), steps)
+
+    def components_of(self, known: Signals, steps: int) -> dict[str, Tensor]:
+        """Return both bands at the full rate, given those of the warm-up.
+
+        Parameters
+        ----------
+        known : Its `y` holds the low band of the warm-up beside the high one, `(batch, R, 2 ny)`.
+        steps : How many samples to simulate.
+        """
         # The slope at the last sample needs the one after it.
         low = self.low(known, steps + 1 if self.conditioned and not self.nu else steps)
         return {LOW: low[:, :steps], HIGH: self.high(known, steps, low)}
 
     def tasks(self, record: Signals) -> list[Task]:
-        """Reproduce each band of the record, the slow one first (paper, Eq. 12).
-
-        Both targets add up to the record, even at its ends; away from them, the fast one is H(y).
-        """
-        low = self.pair.lowpass(record.y)
+        """Reproduce each band of the record, the slow one first (paper, Eq. 10)."""
+        bands = self._bands(record)
+        low, high = bands.y.split(self.ny, dim=-1)
+        known = record if self.own_warmup else bands
         slow, fast = self.networks
         return [
-            Task(LOW, slow, record, low, self.slow_run, self.downsampling),
-            Task(HIGH, fast, record, record.y - low, self.high_in_training),
+            Task(LOW, slow, known, low, self.slow_in_training, self.downsampling),
+            Task(HIGH, fast, known, high, self.high_in_training),
         ]
+
+    def _bands(self, known: Signals) -> Signals:
+        """Return the signals with both bands of `y` beside each other, `(..., time, 2 ny)`."""
+        low = self.pair.lowpass(known.y)
+        high = known.y - low if self.own_warmup else self.pair.highpass(known.y)
+        return replace(known, y=torch.cat([low, high], dim=-1))
 
     def adapt_to(self, records: Sequence[Record], normalize: bool = True) -> None:
         """Set the scaling from the training records, that of the slopes included."""
@@ -227,7 +254,7 @@ class Split(Model):
         if u is not None:
             at_once = self.feedthrough and k == 1
             u = with_next_input(u) if at_once else _mean_before(u, k, offset)
-        return rollout(self.slow, downsample(self.pair.lowpass(known.y), k, offset), steps, u)
+        return rollout(self.slow, downsample(known.y[..., : self.ny], k, offset), steps, u)
 
     def low(self, known: Signals, steps: int) -> Tensor:
         """Return `steps` samples of the low band at the full rate."""
@@ -235,14 +262,12 @@ class Split(Model):
         if k == 1:
             return self.slow_run(known, steps)
         # Interpolation needs a sample at or beyond the last one.
-        return upsample(self.slow_run(known, (steps - 2) // k + 2), k, length=steps)
+        return upsample(self.slow_run(known, (steps - 2) // k + 2), k, steps, self.alignment)
 
     def high(self, known: Signals, steps: int, low: Tensor) -> Tensor:
         """Return `steps` samples of the high band, given the low one."""
-        warmup, u = known.y.shape[1], known.u
-        before = self.pair.lowpass(known.y)
-        history = known.y - before
-        u = self._rows(u)
+        before, history = known.y.split(self.ny, dim=-1)
+        u = self._rows(known.u)
         if self.conditioned:
             whole = torch.cat([before, low], dim=1)
             u = concat_inputs(u, conditioning(whole, self.slope_scale[0], driven=self.nu > 0))
@@ -252,11 +277,16 @@ class Split(Model):
         # A zero-phase filter would let an input act on earlier samples.
         pair = self.pair.one_way() if self.nu else self.pair
         # The filter begins in the history, so that it has settled at the first prediction.
-        return pair.highpass(torch.cat([history, y], dim=1))[:, warmup:]
+        return pair.highpass(torch.cat([history, y], dim=1))[:, history.shape[1] :]
+
+    def slow_in_training(self, known: Signals, steps: int) -> Tensor:
+        """Return the low band at its rate after the warm-up of a training window."""
+        return self.slow_run(self._bands(known) if self.own_warmup else known, steps)
 
     def high_in_training(self, known: Signals, steps: int) -> Tensor:
         """Return the high band, given the slow network's low band, without a gradient for that."""
-        low = known.y[:, :0]
+        known = self._bands(known) if self.own_warmup else known
+        low = known.y[:, :0, : self.ny]
         if self.conditioned:
             # The fast network may be trained in float64 when the slow one is not.
             dtype = next(as_module(self.slow).parameters()).dtype

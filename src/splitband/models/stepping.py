@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from splitband.filters import ComplementaryPair
+from splitband.filters import Band, ComplementaryPair
 from splitband.networks import Cell
 from splitband.networks.plain import in_numpy, values
 from splitband.runtime.arrays import Array
@@ -133,21 +133,22 @@ def one_way(b: Array, a: Array, x: Array, zi: Array) -> tuple[Array, Array]:
     return y, state
 
 
-def both_ways(pair: ComplementaryPair, y: Array) -> Array:
-    """Return the low band of `(time, ny)`: filtered both ways, or one way if not `zero_phase`."""
+def both_ways(pair: ComplementaryPair, y: Array, band: Band = "low") -> Array:
+    """Return a band of `(time, ny)`: filtered both ways, or one way if not `zero_phase`."""
+    b = pair.b_low if band == "low" else pair.b_high
     if not pair.zero_phase:
-        return one_way(pair.b_low, pair.a, y, steady(pair, "low"))[0]
+        return one_way(b, pair.a, y, steady(pair, band))[0]
     p = 3 * len(pair.a) if pair.start == "odd" else 0
     x, n = y, len(y)
     if p:
         head, tail = y[1 : p + 1][::-1], y[::-1][1 : p + 1]
         x = np.concatenate([2 * y[:1] - head, y, 2 * y[n - 1 :] - tail])
     for _ in range(2):
-        x = one_way(pair.b_low, pair.a, x, steady(pair, "low"))[0][::-1]
+        x = one_way(b, pair.a, x, steady(pair, band))[0][::-1]
     return x[p : p + n]
 
 
-def steady(pair: ComplementaryPair, band: str) -> Array:
+def steady(pair: ComplementaryPair, band: Band) -> Array:
     """Return the initial state of a filter, for a first sample of 1."""
     b = pair.b_low if band == "low" else pair.b_high
     if pair.start == "zeros":
