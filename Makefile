@@ -32,7 +32,8 @@ format: .venv/.ready
 	$(BIN)/ruff format .
 
 figures: .venv/.ready
-	$(BIN)/python -m reproduction.fill
+	$(BIN)/python -m reproduction table all --no-run --out docs/results
+	$(BIN)/python -m reproduction horizons --out docs/results
 	$(BIN)/python -m docs.figures_in_text
 
 docs: .venv/.ready

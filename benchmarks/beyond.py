@@ -38,7 +38,7 @@ from splitband.runtime.files import write_json
 from splitband.simulators import run as simulate
 from splitband.simulators.calibration import samples_needed
 from splitband.simulators.named import van_der_pol_simulator
-from splitband.training.recipes import paper_settings
+from splitband.training.recipes import constant_rate_settings
 
 DRAWS = 20
 DEFAULT = "-default"
@@ -124,7 +124,7 @@ def measured(name: str, seeds: int, jobs: int) -> Facts:
     else:
         column = (LEARNING_BASED | HYBRID)[system.column].setup(record.sampling_rate, "gru")
         left_out = {
-            "the paper's recipe": replace(setup, settings=paper_settings(system.train)),
+            "the paper's recipe": replace(setup, settings=constant_rate_settings(system.train)),
             "the paper's cut-off": replace(setup, bands=column.bands),
         }
         best = default_names(hybrid)[1:3]

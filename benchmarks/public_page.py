@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -16,7 +17,6 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from benchmarks import against, pendulum
 from benchmarks.jax_settings import SETTINGS
 from benchmarks.sets import SETS, Benchmark
-from benchmarks.study import table
 from splitband.evaluation.costs import FOR_TRAINING, STARTING
 from splitband.evaluation.search import CORE_SECONDS
 from splitband.runtime.files import replacing
@@ -483,3 +483,12 @@ def _mean(seeds: list[against.Point]) -> against.Point:
 
 def _read(path: Path) -> Facts:
     return dict(json.loads(path.read_text(encoding="utf-8")))
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """A table in Markdown, line by line; words to the left, numbers to the right."""
+    rows = [*rows]
+    columns = zip(*rows, strict=True) if rows else [[]] * len(header)
+    number = re.compile(r"(-?\d+(\.\d+)?( \(.*\))?)?")
+    ruled = ["---:" if all(map(number.fullmatch, column)) else "---" for column in columns]
+    return ["| " + " | ".join(line) + " |" for line in (header, ruled, *rows)]

@@ -26,7 +26,7 @@ from splitband.evaluation.setup import Options, Setup
 from splitband.evaluation.work import Work
 from splitband.metrics import spread
 from splitband.runtime.files import write_json
-from splitband.training.recipes import paper_settings
+from splitband.training.recipes import constant_rate_settings
 
 STUDIED = ("i, draw 0", "i, draw 1", "double-torsion record", "pendulum ii", "v", "vi")
 HYBRID = ("gru", "filtered-gru-calibrated-conditioned")
@@ -94,7 +94,9 @@ VARIANTS: dict[str, Callable[[Setup], Setup]] = {
     "third of the cut-off": partial(_cutoff, factor=1 / 3),
     "3 times the cut-off": partial(_cutoff, factor=3.0),
     "filters of order 2": lambda setup: replace(setup, bands=replace(setup.bands, order=2)),
-    "trained as in the paper": lambda setup: replace(setup, settings=paper_settings(setup.train)),
+    "trained as in the paper": lambda setup: replace(
+        setup, settings=constant_rate_settings(setup.train)
+    ),
 }
 
 

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.sets import SETS
+from reproduction import statements
 from splitband.evaluation.search import SECONDS
 from splitband.forecasters.names import NAMES, QUICK
 
@@ -344,7 +345,7 @@ COMPUTED: dict[str, Callable[[], Any]] = {
         default_minutes, drill_string, drill_string_table, calibration_of_v,
         regrets_beyond, reliability, tanks_published, conditioning, tsfast, paper,
         drill_string_of_the_paper, losses, lowest_deviation, physics, physics_wrong_table,
-        few_samples,
+        few_samples, *statements.FIGURES,
     )
 }  # fmt: skip
 

@@ -16,7 +16,7 @@ from rich.table import Table as RichTable
 from typer.exceptions import TyperException
 
 import splitband as sb
-from reproduction import evidence, long_runs, long_tables
+from reproduction import horizons
 from reproduction.costs import progress
 from reproduction.figures import FIGURES, figure, needed
 from reproduction.jobs import SYSTEMS
@@ -26,7 +26,7 @@ from reproduction.tables import Table, table
 from splitband.evaluation.work import RunProgress
 from splitband.forecasters.names import TRAINED
 from splitband.report import pictures
-from splitband.runtime.files import output_folder, replacing, write_json, write_json_lines
+from splitband.runtime.files import output_folder, write_json, write_json_lines
 from splitband.runtime.threads import available_cores
 
 console = Console(markup=False, emoji=False, highlight=False)
@@ -81,7 +81,7 @@ Cluster = Annotated[
 
 @app.command("list")
 def list_names(seeds: Seeds = 5, out: Out = Path("paper")) -> None:
-    """List the tables, readings, figures and systems, and how many runs of each OUT has.
+    """List the tables, figures and systems, and how many runs of each OUT has.
 
     A run counts with all of the paper's epochs. What is missing is estimated from the finished runs
     of the same method on the same system, or by the run times that the paper reports.
@@ -97,10 +97,6 @@ def list_names(seeds: Seeds = 5, out: Out = Path("paper")) -> None:
         mark = "" if state.measured else " *"
         takes = "" if state.there == state.needed else _duration(state.seconds) + mark
         listed.add_row("table", name, f"{state.there} of {state.needed}", takes, spec.title)
-    for part in long_runs.parts(out):
-        takes = "" if part.there == part.runs else _duration(part.seconds)
-        there = f"{part.there} of {part.runs}"
-        listed.add_row("readings", part.name, there, takes, long_runs.TITLES[part.name])
     for name in FIGURES:
         listed.add_row("figure", name)
     for name, system in SYSTEMS.items():
@@ -151,20 +147,11 @@ def make_table(
     console.print(f"tables: {out / 'tables'}/")
 
 
-@app.command("readings")
-def make_readings(out: Out = Path("paper"), run: Run = True) -> None:
-    """Run system (i) under other readings of the paper's text, and "+HP"; make their tables.
-
-    The tables are OUT/readings.md. Every run is one file in OUT/system-i or OUT/high-pass; what is
-    there is not run again, so that the same command goes on where it was stopped.
-    """
-    output_folder(out, "--out")
-    if run:
-        long_runs.complete(out, console.print)
-    with replacing(out / "readings.md") as temporary:
-        temporary.write_text(long_tables.page(out), encoding="utf-8")
-    write_json_lines(out / "readings.json", evidence.collected(out))
-    console.print(f"tables: {out / 'readings.md'}, their figures: {out / 'readings.json'}")
+@app.command("horizons")
+def make_horizons(out: Out = Path("paper")) -> None:
+    """Measure the finished runs in the short and in the long term: OUT/horizons.json."""
+    write_json_lines(out / "horizons.json", horizons.collected(out / "runs"))
+    console.print(f"{out / 'horizons.json'}")
 
 
 @app.command("figure")

@@ -67,7 +67,7 @@ def _seconds_per_epoch(folder: Path) -> float | None:
 
 def _papers_seconds_per_epoch(job: Job) -> float:
     """From the run times that the paper reports; a simulated record costs what its model does."""
-    system = job.system.removesuffix("-simulated")
+    system = job.system.removesuffix("-simulated").removesuffix("-noisy")
     tables = (published.SECONDS, published.SECONDS_RNN, published.SECONDS_GRU)
     row = {method: value for table in tables for method, value in table.get(system, {}).items()}
     return row[job.method].mean / job.full_epochs

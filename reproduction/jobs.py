@@ -68,11 +68,6 @@ SYSTEMS = {
         )
         for row in ("ii", "iii", "iv")
     },
-    "i-deviation": System(
-        "double mass-spring, noise of deviation 0.1",
-        LEARNING_BASED["i"],
-        _once(lambda draw: double_mass_spring(noise_variance=0.01, seed=draw)),
-    ),
     "v": System("Van der Pol", HYBRID["v"], _once(lambda draw: van_der_pol())),
     "v-noisy": System("Van der Pol with noise", HYBRID["v"], _once(noisy_van_der_pol)),
     "vi": System("drill string", HYBRID["vi"], _once(lambda draw: drill_string())),
@@ -92,7 +87,7 @@ class Job:
     downsampling : k.
     epochs : The paper's training steps.
     own_warmup : Of split models: whether the warm-up of each training window is filtered alone,
-        instead of being cut from the filtered training record (paper, Eq. 10).
+        instead of being cut from the filtered training record (paper, Eq. 10, training).
     """
 
     system: str

@@ -187,6 +187,12 @@ def load_known(facts: dict[str, Any]) -> bool:
     return "cpu_seconds" in facts
 
 
+def unversioned(facts: dict[str, Any]) -> bool:
+    """Whether a run's file does not say of which commit it is, without changes on top of it."""
+    commit = facts["environment"].get("commit")
+    return not commit or "dirty" in commit
+
+
 def _checkpoints(job: Job) -> str:
     return f"{job.path.with_suffix('')}-{CHECKPOINTS}"
 
@@ -235,7 +241,8 @@ def run(
     done = backtest(forecaster, question, job.seed, watch, checkpoint)
     sliced = None
     if job.splits:
-        assert done.model is not None and done.model.network is not None
+        assert done.model is not None
+        assert done.model.network is not None
         model = done.model.network.model
         assert isinstance(model, Split)
         sliced = sliced_rmse(model, record, setup.train, setup.settings.warmup)
@@ -245,7 +252,7 @@ def run(
 def sliced_rmse(model: Split, record: Record, train: int, warmup: int) -> float:
     """Return the total RMSE from a warm-up that is cut from the filtered training record.
 
-    The free run of Eq. 11 filters the first `warmup` samples alone.
+    The free run of Eq. 11, prediction, filters the first `warmup` samples alone.
     """
     bands = np.concatenate(model.pair.split(record[:train].y), axis=1)[:warmup]
     known = Signals(torch.from_numpy(bands)[None].float())

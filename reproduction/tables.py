@@ -19,6 +19,7 @@ from reproduction.runs import (
     load_known,
     parts_rmse,
     training_seconds,
+    unversioned,
     whole_rmse,
 )
 from reproduction.specs import SPECS, Line, Spec
@@ -110,11 +111,13 @@ def _facts(spec: Spec, line: Line, folder: Path) -> dict[str, Any]:
         "total_rmse": [run["total_rmse"] for _, run in good],
         "forecast_rmse": [run["forecast_rmse"] for _, run in good],
         "whole_rmse": [whole_rmse(run, job) for job, run in good] if not spec.varied else [],
+        "sliced_rmse": [run["sliced_rmse"] for _, run in good if "sliced_rmse" in run],
         "parts_rmse": parts_rmse(runs[0], jobs[0]) if good and not spec.varied else {},
         "losses": {name: [each[name] for each in losses] for name in (losses or [{}])[0]},
         "seconds": [seconds for seconds, _ in timed if seconds is not None],
         "seconds_unsure": not all(known for seconds, known in timed if seconds is not None),
         "runs": len(runs),
+        "unversioned": sum(unversioned(run) for run in runs),
         "asked": len(line.jobs),
         "diverged": len(runs) - len(good),
         "epochs": None if fixed else first.epochs or first.full_epochs,
@@ -134,12 +137,13 @@ def _oracle(line: Line, folder: Path) -> float:
 
 def _error_cells(facts: dict[str, Any]) -> tuple[str, ...]:
     total, forecast = (spread(facts[name]) for name in ("total_rmse", "forecast_rmse"))
-    return (total, facts["paper_text"], _ratio(facts, "total_rmse"), forecast,
+    sliced = spread(facts["sliced_rmse"]) if facts["sliced_rmse"] else ""
+    return (total, sliced, facts["paper_text"], _ratio(facts, "total_rmse"), forecast,
             _seeds(facts), epochs(facts))  # fmt: skip
 
 
 def _whole_error_cells(facts: dict[str, Any]) -> tuple[str, ...]:
-    total, *others = _error_cells(facts)
+    total, _, *others = _error_cells(facts)
     return (total, spread(facts["whole_rmse"]), *others)
 
 
@@ -171,10 +175,10 @@ def _quantile_cells(facts: dict[str, Any]) -> tuple[str, ...]:
 
 
 _Cells = Callable[[dict[str, Any]], tuple[str, ...]]
-_ERRORS = ("ours", "paper", "ours / paper", "forecast", "seeds", "epochs")
+_ERRORS = ("ours", "sliced", "paper", "ours / paper", "forecast", "seeds", "epochs")
 _COLUMNS: dict[str, tuple[tuple[str, ...], _Cells]] = {
     "errors": (_ERRORS, _error_cells),
-    "whole errors": (("ours", "with warm-up", *_ERRORS[1:]), _whole_error_cells),
+    "whole errors": (("ours", "with warm-up", *_ERRORS[2:]), _whole_error_cells),
     "losses": (("ours", "forecast", "training loss", "settled", "seeds"), _loss_cells),
     "quantiles": (
         ("median", "10 %", "90 %", "worst", "mean", "paper, one draw", "median / oracle's",
@@ -204,7 +208,8 @@ def _seeds(facts: dict[str, Any]) -> str:
         return ""
     short = f" of {facts['asked']}" if facts["runs"] != facts["asked"] else ""
     lost = f", {facts['diverged']} diverged" if facts["diverged"] else ""
-    return f"{facts['runs']}{short}{lost}"
+    marked = f", {facts['unversioned']} \\*" if facts["unversioned"] else ""
+    return f"{facts['runs']}{short}{lost}{marked}"
 
 
 def epochs(facts: Mapping[str, Any]) -> str:

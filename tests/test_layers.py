@@ -187,7 +187,7 @@ LONGER = {
     "read": "all that a file may leave open of a record",
     "try_out": "a trial of a few methods of a search that has not ended",
     "choose_with_simulator": "two signals, and all that a cut-off is chosen by",
-    "perfect": "the filters of the paper's Eq. 7, each number of which a user may give",
+    "perfect": "the filters of the paper's Eq. 6, joint recurrence; a user may give each number",
     "__init__": "the options of a model, each by its name",
     "run": "all that a trajectory of a simulator depends on, and where it is kept",
 }

@@ -154,7 +154,65 @@ def growth() -> Figure:
     return figure
 
 
-FIGURES: tuple[Callable[[], Figure], ...] = (pair, bands, drift, calibration, trap, growth)
+def scheme() -> Figure:
+    """Both methods of the paper, as boxes: what is filtered, what is trained, what is added."""
+    figure, (left, right) = _panels(2, height=4.6)
+    train, add, signal = "#d7e6f7", "#e8e8e8", "white"
+    _boxes(
+        left,
+        "Split: two networks",
+        {
+            "y": (0.5, 0.92, "training record y (Eq. 10, training)", signal),
+            "L": (0.22, 0.74, "low-pass L", add),
+            "H": (0.78, 0.74, "high-pass H", add),
+            "d": (0.22, 0.56, "every k-th sample, $d_k$", add),
+            "slow": (0.22, 0.38, "slow network\ntrained on $d_k$(L(y))", train),
+            "fast": (0.78, 0.38, "fast network\ntrained on H(y)", train),
+            "u": (0.22, 0.20, "interpolated, $u_k$", add),
+            "sum": (0.5, 0.04, "sum: the prediction (Eq. 11, prediction)", signal),
+        },
+        ["y-L", "y-H", "L-d", "d-slow", "H-fast", "slow-u", "u-sum", "fast-sum"],
+    )
+    _boxes(
+        right,
+        "Hybrid: simulator and network",
+        {
+            "sim": (0.22, 0.83, "simulator\n(black box)", signal),
+            "net": (0.78, 0.83, "network\ntrained through H", train),
+            "L": (0.22, 0.56, "low-pass L", add),
+            "H": (0.78, 0.56, "high-pass H", add),
+            "sum": (0.5, 0.30, "sum: the prediction", signal),
+            "y": (0.5, 0.04, "RMSE to the record y (Eq. 12, hybrid loss)", add),
+        },
+        ["sim-L", "net-H", "L-sum", "H-sum", "sum-y"],
+    )
+    return figure
+
+
+def _boxes(
+    axes: Axes, title: str, boxes: dict[str, tuple[float, float, str, str]], arrows: list[str]
+) -> None:
+    axes.set(title=title, xlim=(-0.05, 1.05), ylim=(-0.06, 1.0))
+    axes.axis("off")
+    drawn = {
+        name: axes.text(
+            x, y, text, ha="center", va="center", fontsize=9,
+            bbox={"boxstyle": "round,pad=0.4", "fc": colour, "ec": "0.4"},
+        )
+        for name, (x, y, text, colour) in boxes.items()
+    }  # fmt: skip
+    for arrow in arrows:
+        begin, end = arrow.split("-")
+        axes.annotate(
+            "", xy=boxes[end][:2], xytext=boxes[begin][:2], zorder=0,
+            arrowprops={
+                "arrowstyle": "->", "color": "0.4", "shrinkA": 4, "shrinkB": 4,
+                "patchA": drawn[begin].get_bbox_patch(), "patchB": drawn[end].get_bbox_patch(),
+            },
+        )  # fmt: skip
+
+
+FIGURES: tuple[Callable[[], Figure], ...] = (pair, bands, drift, calibration, trap, growth, scheme)
 
 
 def main() -> None:

@@ -271,7 +271,7 @@ _FLAGS = (
     "--simulator", "--simulator-timeout", "--recipe", "--history", "--learning-rate", "--nonsense",
 )  # fmt: skip
 _WORDS = (
-    *_NUMBERS, "a", "b", "time", "mask", "refuse", "auto", "paper", "default", "gru", "split-gru",
+    *_NUMBERS, "a", "b", "time", "mask", "refuse", "auto", "default", "gru", "split-gru",
     "simulator", "record.csv", "record.npz", "model", "absent.csv", "3,2", "1:2", "mean", ".",
 )  # fmt: skip
 

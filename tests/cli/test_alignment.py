@@ -24,7 +24,7 @@ from tests.support import load_model as load
 
 Array = npt.NDArray[np.float64]
 DT = 0.1
-QUICK = "--recipe paper --epochs 2 --hidden 4,3 --window 30 --warmup 10"
+QUICK = "--recipe constant-rate --epochs 2 --hidden 4,3 --window 30 --warmup 10"
 FUNCTIONS = """
 import numpy as np
 

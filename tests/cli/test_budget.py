@@ -30,7 +30,7 @@ def test_what_is_no_duration_is_refused(text: str) -> None:
         seconds(text)
 
 
-@pytest.mark.parametrize("option", ["--epochs 2", "--window 40", "--recipe paper"])
+@pytest.mark.parametrize("option", ["--epochs 2", "--window 40", "--recipe constant-rate"])
 def test_a_budget_and_a_training_of_ones_own_exclude_each_other(
     option: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

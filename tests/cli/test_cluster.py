@@ -300,7 +300,7 @@ def test_the_end_of_the_scheduler_is_one_line_and_finished_work_is_kept(
 ) -> None:
     running.whole("b")
     out = tmp_path / "out"
-    line = f"{LONG} --recipe paper --warmup 10 --epochs 40 --out {out}"
+    line = f"{LONG} --recipe constant-rate --warmup 10 --epochs 40 --out {out}"
 
     def killed(*_: Any, **__: Any) -> None:
         if [*out.rglob("held*/*-0.safetensors")] and running.scheduler is not None:
@@ -316,5 +316,5 @@ def test_the_end_of_the_scheduler_is_one_line_and_finished_work_is_kept(
     assert {path.name for path in out.iterdir()} == {CHECKPOINTS}
     assert [*out.rglob("*.safetensors")]
     call(line + " --jobs 1")
-    call(f"{LONG} --recipe paper --warmup 10 --epochs 40 --jobs 1", tmp_path / "whole")
+    call(f"{LONG} --recipe constant-rate --warmup 10 --epochs 40 --jobs 1", tmp_path / "whole")
     assert same(results(out), results(tmp_path / "whole"))

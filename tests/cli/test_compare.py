@@ -219,7 +219,8 @@ def test_the_seasonal_baseline_finds_the_period_of_the_double_torsion_record(
     tmp_path: Path,
 ) -> None:
     call(
-        "compare double-torsion --recipe paper --warmup 100 --methods seasonal-naive,persistence",
+        "compare double-torsion --recipe constant-rate --warmup 100 "
+        "--methods seasonal-naive,persistence",
         tmp_path,
     )
     facts = results(tmp_path)["methods"]["seasonal-naive"]

@@ -37,7 +37,7 @@ plant = sb.Ode(lag, [0.0], parameters={"rate": (0.1, 1.0)})
 number = 3
 """
 RIG = "record.csv --inputs u --simulator plant.py:lag --parameters rate=0.1:10,x0_1=0"
-QUICK = "--recipe paper --epochs 1 --hidden 4,3 --window 30 --warmup 10 --seeds 1 --jobs 1"
+QUICK = "--recipe constant-rate --epochs 1 --hidden 4,3 --window 30 --warmup 10 --seeds 1 --jobs 1"
 
 
 @pytest.fixture(scope="module")

@@ -44,7 +44,7 @@ def compare(
     it on the whole record.
 
     --budget or --effort limit the search for how to train; --window, --epochs, --learning-rate,
-    --lr-milestones and --recipe paper replace it. --calibrate and --conditioned add rows.
+    --lr-milestones and --recipe constant-rate replace it. --calibrate and --conditioned add rows.
     """
     with workers(jobs, cluster) as work:
         result = compared(planned(asked, work.cores), work, out)

@@ -124,7 +124,7 @@ class Options:
 
     Attributes
     ----------
-    recipe : Training settings where none are given: "default" or "paper".
+    recipe : Training settings where none are given: "default" or "constant-rate".
     settings : Training settings in place of the recipe's.
     changes : Single settings, such as `{"epochs": 5}`, in place of those of the recipe or of
         `settings`. Any but `warmup` switches the search off.
@@ -169,7 +169,7 @@ class Options:
         names = default_names(record.y_sim is not None) if methods is None else methods
         made = [named(each) if isinstance(each, str) else each for each in names]
         bands = self._bands(training, settings, made)
-        sizes = Sizes() if self.recipe == "paper" else Sizes(hidden_high=32, hidden_low=16)
+        sizes = Sizes() if self.recipe == "constant-rate" else Sizes(hidden_high=32, hidden_low=16)
         sizes = self.sizes or sizes
         search = self._search()
         return Setup(train, settings, bands, sizes, search, self.simulator, self.initial)
@@ -189,7 +189,7 @@ class Options:
 
     def _search(self) -> Search | None:
         decided = [name for name in self.changes if name != "warmup"]
-        decided += ["recipe paper"] if self.recipe == "paper" else []
+        decided += ["recipe constant-rate"] if self.recipe == "constant-rate" else []
         if decided and self.search is not None:
             raise ValueError(
                 "search must be None where it is decided how to train, got it beside "

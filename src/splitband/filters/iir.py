@@ -35,7 +35,9 @@ def lfilter(
     first: Signal | None = None,
     dim: int | None = None,
 ) -> Signal:
-    """Filter one way: a_0 y_n = sum_k b_k x_{n-k} - sum_{k>=1} a_k y_{n-k} (paper, Eq. 6).
+    """Filter one way: a_0 y_n = sum_k b_k x_{n-k} - sum_{k>=1} a_k y_{n-k}.
+
+    That is the paper's Eq. 4, recurrence.
 
     The sign of the feedback is SciPy's, not the paper's (docs/deviations.md).
 

@@ -64,7 +64,9 @@ def butterworth(
 
 @dataclass(frozen=True, eq=False)
 class ComplementaryPair:
-    """Combine a low-pass and a high-pass filter that sum to the identity (paper, Eqs. 3 and 7).
+    """Combine a low-pass and a high-pass filter that sum to the identity.
+
+    That is the paper's Eq. 3, complementarity; both together run as its Eq. 6, joint recurrence.
 
     Use `ComplementaryPair.butterworth` or `ComplementaryPair.perfect`.
 
@@ -185,7 +187,7 @@ class ComplementaryPair:
     def combine(
         self, *, low: Signal, high: Signal, first: Signal | None = None, dim: int | None = None
     ) -> Signal:
-        """Return L(low) + H(high), the joint recurrence (paper, Eq. 7), shaped like its arguments.
+        """Return L(low) + H(high), shaped like its arguments (paper, Eq. 6, joint recurrence).
 
         One way, `first` may give the first P outputs of the sum. The recurrence is linear: the low
         band is filtered separately, and the high band starts from `first` minus the low band. A

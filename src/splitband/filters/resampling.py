@@ -35,7 +35,7 @@ def check_downsampling(downsampling: int, cutoff: float, sampling_rate: float) -
 
 
 def downsample(y: Signal, k: int, offset: int = 0) -> Signal:
-    """Return every k-th sample from `offset` on (paper, Eq. 11)."""
+    """Return every k-th sample from `offset` on (paper, Eq. 9, down-sampling)."""
     if k < 1:
         raise ValueError(f"k must be at least 1, got {k}")
     if offset < 0:

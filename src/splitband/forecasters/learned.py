@@ -65,7 +65,7 @@ class Split(Network):
     conditioned : Use the slow network's prediction, value and slope, as an input of the fast one.
         Not in the paper.
     own_warmup : Filter the warm-up of each training window alone, as that of a simulation is.
-        Otherwise windows are cut from the filtered training record, as in the paper (Eq. 10).
+        Otherwise windows are cut from the filtered training record (paper, Eq. 10, training).
     alignment : Of the up-sampled low band: `"time"`, or `"paper"`, which shifts it by (k - 1) / 2
         samples.
     settings, name : See `Single`.

@@ -53,7 +53,7 @@ def euler_rollout(
     weight_3: Tensor,
     bias_3: Tensor,
 ) -> Tensor:
-    """Simulate from a given state (paper, Eqs. 8 and 9).
+    """Simulate from a given state (paper, Eq. 8, rollout).
 
     Differentiable once, with respect to every tensor. Without gradients the memory does not grow
     with the steps, apart from the result.

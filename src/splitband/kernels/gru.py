@@ -53,7 +53,7 @@ def gru_rollout(
     weight_out: Tensor,
     bias_out: Tensor,
 ) -> Tensor:
-    """Warm up from h = 0 on measured samples, then simulate (paper, Eqs. 8 and 9).
+    """Warm up from h = 0 on measured samples, then simulate (paper, Eq. 8, rollout).
 
     Differentiable once, with respect to every tensor. Without gradients the memory does not grow
     with the steps, apart from the result.

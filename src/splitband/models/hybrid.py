@@ -141,7 +141,10 @@ class Filtered(Hybrid):
         return {SLOW: _after_warmup(known, steps), FAST: network}
 
     def tasks(self, record: Signals) -> list[Task]:
-        """Reproduce the record (paper, Eq. 14); L(simulator) is filtered once, as a whole."""
+        """Reproduce the record (paper, Eq. 12, hybrid loss).
+
+        L(simulator) is filtered once, as a whole.
+        """
         known = self._low_passed(record)
         return [Task(FAST, as_module(self.cell), known, record.y, self._combined)]
 

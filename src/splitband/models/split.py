@@ -54,7 +54,7 @@ class SteppedSplit(Stepped):
                 "a split model whose output is filtered forwards and backwards cannot be stepped"
             )
         if model.alignment != "time":
-            raise ValueError('a split model that is up-sampled with alignment="paper" cannot be stepped')
+            raise ValueError('a split model with alignment="paper" cannot be stepped')
         self.pair: ComplementaryPair = model.pair
         self.own_warmup: bool = model.own_warmup
         self.slow, self.fast = (SteppedCell(network) for network in model.networks)
@@ -137,10 +137,10 @@ class Split(Model):
     The slow network simulates the low-passed, down-sampled signal. Its free run is up-sampled and
     added to that of the fast network. The paper has no conditioning.
 
-    A simulation filters its warm-up alone (paper, Eq. 11): no prediction depends on later samples
-    through the zero-phase filter. The ends of a short filtered stretch differ from the same samples
-    of the filtered record, on which the paper trains (Eq. 10); with `own_warmup`, networks are
-    trained on what they will start from.
+    A simulation filters its warm-up alone (paper, Eq. 11, prediction): no prediction depends on
+    later samples through the zero-phase filter. The ends of a short filtered stretch differ from
+    the same samples of the filtered record, on which the paper trains (Eq. 10, training); with
+    `own_warmup`, networks are trained on what they will start from.
 
     Known inputs act on no sample before them: the slow network's step from n to n + k uses the mean
     of the k inputs up to n, with feedthrough and k = 1 also the next input.
@@ -157,7 +157,7 @@ class Split(Model):
     feedthrough : As for `Recurrent`, for networks that see every sample.
     own_warmup : Filter the warm-up of each training window alone; the high band is then y - L(y),
         so that both bands add up to the record at its ends, too. Otherwise windows are cut from
-        L(y) and H(y) of the whole training record (paper, Eq. 10).
+        L(y) and H(y) of the whole training record (paper, Eq. 10, training).
     alignment : Of the up-sampled low band, see `upsample`; `"paper"` shifts it in time.
 
     Raises
@@ -209,7 +209,7 @@ class Split(Model):
         return self.networks[1]  # type: ignore[return-value]
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """Return both bands at the full rate, of a warm-up that is filtered alone (Eq. 11)."""
+        """Return both bands at the full rate (paper, Eq. 11, prediction)."""
         return self.components_of(self._bands(known), steps)
 
     def components_of(self, known: Signals, steps: int) -> dict[str, Tensor]:
@@ -225,7 +225,7 @@ class Split(Model):
         return {LOW: low[:, :steps], HIGH: self.high(known, steps, low)}
 
     def tasks(self, record: Signals) -> list[Task]:
-        """Reproduce each band of the record, the slow one first (paper, Eq. 10)."""
+        """Reproduce each band of the record, the slow one first (paper, Eq. 10, training)."""
         bands = self._bands(record)
         low, high = bands.y.split(self.ny, dim=-1)
         known = record if self.own_warmup else bands

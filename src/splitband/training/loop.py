@@ -53,7 +53,7 @@ def fit(
     progress: Callable[[Progress], None] | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> History:
-    """Train a model in place (paper, Eqs. 12 and 14).
+    """Train a model in place (paper, Eq. 10, training, and Eq. 12, hybrid loss).
 
     A window lies within one record, its warm-up has no gap, and its loss counts measured samples
     only. An epoch whose loss is no longer finite, or diverges (see `DIVERGED`), is repeated from

@@ -10,7 +10,7 @@ from splitband.data import Record
 from splitband.training.settings import Settings, default_warmup
 from splitband.training.windows import window_starts
 
-Recipe = Literal["default", "paper"]
+Recipe = Literal["default", "constant-rate"]
 
 
 ENOUGH_WINDOWS = 0.25
@@ -23,7 +23,7 @@ def recipe_settings(recipe: Recipe, training: Record, others: Sequence[Record] =
     Windows fit into the `others`, the further training records, too.
     """
     samples = len(training)
-    settings = Settings.of(samples) if recipe == "default" else paper_settings(samples)
+    settings = Settings.of(samples) if recipe == "default" else constant_rate_settings(samples)
     longest = max(min(map(len, others), default=settings.window), 2)
     if longest < settings.window:
         warmup = min(settings.warmup, default_warmup(longest))
@@ -43,7 +43,10 @@ def recipe_settings(recipe: Recipe, training: Record, others: Sequence[Record] =
     return replace(settings, warmup=warmup)
 
 
-def paper_settings(train: int) -> Settings:
-    """Return the paper's settings for so many samples: constant learning rate, whole windows."""
+def constant_rate_settings(train: int) -> Settings:
+    """Return settings like the paper's: Adam at 1e-3 on windows of at most 250 samples.
+
+    The columns of its tables, one for each of its systems, are `reproduction.settings`.
+    """
     window = min(250, max(2, train // 2))
     return Settings(window, default_warmup(window))

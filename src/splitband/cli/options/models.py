@@ -94,9 +94,7 @@ class ModelOptions:
         _training("Samples in a training window, warm-up included.", "N", "150 to 400"),
     ] = None
     epochs: Epochs = None
-    recipe: Annotated[Recipe, _training("Training settings: ours, or those of the paper.")] = (
-        "default"
-    )
+    recipe: Annotated[Recipe, _training("Training settings where none are given.")] = "default"
     learning_rate: Annotated[
         float | None, _training("Highest learning rate of Adam.", "RATE", "1e-2")
     ] = None

@@ -1,0 +1,111 @@
+"""docs/paper.md: its equations, its code; and figures that are as fresh as the run files."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from reproduction import horizons, statements
+from reproduction.jobs import Job
+from reproduction.runs import complete, load
+from splitband.metrics import rmse
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "paper.md"
+RESULTS = ROOT / "docs" / "results"
+EQUATIONS = {
+    1: "dynamics", 2: "observation", 3: "complementarity", 4: "recurrence", 5: "decomposition",
+    6: "joint recurrence", 7: "recurrent model", 8: "rollout", 9: "down-sampling", 10: "training",
+    11: "prediction", 12: "hybrid loss",
+}  # fmt: skip
+"""The numbered equations of the paper's main text."""
+MENTION = re.compile(r"\bEqs?\.\s+(\d+)(?:, ([a-z][a-z-]*(?: (?:loss|model|recurrence))?))?")
+
+
+def mentions(text: str) -> list[tuple[int, str]]:
+    """Each equation that a text names, with the words behind its number."""
+    return [(int(number), name) for number, name in MENTION.findall(" ".join(text.split()))]
+
+
+def wrong(text: str) -> list[tuple[int, str]]:
+    return [(number, name) for number, name in mentions(text) if EQUATIONS.get(number) != name]
+
+
+@pytest.mark.parametrize("folder", ["src", "reproduction", "benchmarks", "docs", "README.md"])
+def test_every_equation_is_named_and_numbered_as_in_the_paper(folder: str) -> None:
+    files = [ROOT / folder] if folder.endswith(".md") else (ROOT / folder).rglob("*.*")
+    found = {
+        str(path.relative_to(ROOT)): faults
+        for path in files
+        if path.suffix in (".py", ".md") and "_build" not in path.parts
+        if (faults := wrong(path.read_text(encoding="utf-8")))
+    }
+    assert found == {}
+
+
+def test_a_wrong_number_is_found() -> None:
+    assert wrong("(paper, Eq. 10, training)") == []
+    assert wrong("(paper, Eq. 12,\n    training), Eq. 8 and Eq. 6, joint recurrence") == [
+        (12, "training"), (8, ""),
+    ]  # fmt: skip
+    assert {number for number, _ in mentions(PAGE.read_text(encoding="utf-8"))} == {*EQUATIONS}
+
+
+def test_the_files_of_the_page_are_there() -> None:
+    for path in re.findall(r"`((?:filters|models|networks|data|tests)/[\w./]*)`", PAGE.read_text()):
+        assert (ROOT / path).exists() or (ROOT / "src/splitband" / path).exists(), path
+
+
+JOBS = {"Split": ("i", "split-gru"), "Filtered": ("v", "filtered-gru")}
+BLOCKS = re.findall(r"```python\n(.+?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def error_of(method: str, epochs: int | None) -> tuple[float, float]:
+    """The RMSE of a block of the page, and what its comment says."""
+    (code,) = (block for block in BLOCKS if f"sb.{method}(" in block)
+    if epochs is not None:
+        code = re.sub(r"epochs=\d+", f"epochs={epochs}", code)
+    names: dict[str, Any] = {}
+    exec(code, names)
+    y = names["y"]
+    return rmse(names["record"].truth[-len(y) :], y), float(re.findall(r"\]: ([\d.]+)", code)[0])
+
+
+@pytest.mark.parametrize("method", JOBS)
+def test_five_lines_are_the_paper_s_row(method: str, tmp_path: Path) -> None:
+    """Of two epochs, by the page and by the reproduction."""
+    system, name = JOBS[method]
+    job = Job(system, name, epochs=2)
+    complete([job], tmp_path)
+    assert error_of(method, 2)[0] == pytest.approx(load(job, tmp_path)["total_rmse"], abs=1e-6)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("method", JOBS)
+def test_five_lines_have_the_stored_error(method: str) -> None:
+    stored = load(Job(*JOBS[method]), RESULTS / "runs")["total_rmse"]
+    found, said = error_of(method, None)
+    assert found == pytest.approx(stored, abs=1e-6)
+    assert said == pytest.approx(stored, abs=5e-4)
+
+
+@pytest.mark.usefixtures("public_data")
+def test_errors_by_horizon_are_those_of_the_committed_runs() -> None:
+    """Where they are not: `make figures`."""
+    committed = json.loads((RESULTS / "horizons.json").read_text(encoding="utf-8"))
+    assert json.loads(json.dumps(horizons.collected(RESULTS / "runs"))) == committed
+
+
+def test_a_method_is_better_where_two_standard_errors_tell_it_apart() -> None:
+    rows = [
+        ({"total_rmse": [1.0, 1.1, 0.9]}, {"total_rmse": [2.0, 2.1, 1.9]}, "better"),
+        ({"total_rmse": [2.0, 2.1, 1.9]}, {"total_rmse": [1.0, 1.1, 0.9]}, "worse"),
+        ({"total_rmse": [1.0, 3.0]}, {"total_rmse": [2.0, 2.1]}, "level"),
+    ]
+    for ours, theirs, verdict in rows:
+        said = statements._tally([("i", ours, theirs)])
+        assert said.startswith(f"{verdict} on (i) ")
