@@ -229,6 +229,23 @@ def conditioning() -> dict[str, dict[str, float]]:
     }
 
 
+def split_training() -> dict[str, float]:
+    """Return forecast errors with own warm-ups over those with windows of the filtered record.
+
+    Geometric means, by record and over all of them.
+    """
+    ratios = {
+        record: statistics.geometric_mean(
+            own / cut
+            for forms in methods.values()
+            for own, cut in zip(forms["own warm-up"], forms["Eq. 10"], strict=True)
+        )
+        for record, methods in _read("benchmarks/split_training").items()
+    }
+    whole = {"ratio": statistics.geometric_mean(ratios.values()), "records": len(ratios)}
+    return ratios | whole
+
+
 def tsfast() -> dict[str, float]:
     """Return the time of tsfast's faster backend over ours, by number of threads."""
     return {
@@ -345,7 +362,7 @@ COMPUTED: dict[str, Callable[[], Any]] = {
         default_minutes, drill_string, drill_string_table, calibration_of_v,
         regrets_beyond, reliability, tanks_published, conditioning, tsfast, paper,
         drill_string_of_the_paper, losses, lowest_deviation, physics, physics_wrong_table,
-        few_samples, *statements.FIGURES,
+        few_samples, split_training, *statements.FIGURES,
     )
 }  # fmt: skip
 

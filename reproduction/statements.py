@@ -163,6 +163,17 @@ def differing_table() -> str:
     return "\n".join(lines)
 
 
+def unversioned() -> str:
+    """Return the rows with runs that do not say their commit, or had changes on top of it."""
+    rows = {
+        (row["system"], row["method"]): row["unversioned"]
+        for facts in _files().values()
+        for row in facts["rows"]
+        if row["unversioned"]
+    }
+    return _listed(f"({system}) {method} {count}" for (system, method), count in rows.items())
+
+
 def settled_share() -> float:
     """Return what twice the epochs must leave of a loss that has settled."""
     return SETTLED_SHARE
@@ -193,5 +204,5 @@ def _listed(texts: Iterable[str]) -> str:
 
 FIGURES = (
     tables, row, against, naive, noise_draws, ablations, time_shares, differing_table,
-    settled_share,
+    settled_share, unversioned,
 )  # fmt: skip

@@ -117,7 +117,7 @@ def _facts(spec: Spec, line: Line, folder: Path) -> dict[str, Any]:
         "seconds": [seconds for seconds, _ in timed if seconds is not None],
         "seconds_unsure": not all(known for seconds, known in timed if seconds is not None),
         "runs": len(runs),
-        "unversioned": sum(unversioned(run) for run in runs),
+        "unversioned": sum(unversioned(run) for _, run in good),
         "asked": len(line.jobs),
         "diverged": len(runs) - len(good),
         "epochs": None if fixed else first.epochs or first.full_epochs,
@@ -208,8 +208,7 @@ def _seeds(facts: dict[str, Any]) -> str:
         return ""
     short = f" of {facts['asked']}" if facts["runs"] != facts["asked"] else ""
     lost = f", {facts['diverged']} diverged" if facts["diverged"] else ""
-    marked = f", {facts['unversioned']} \\*" if facts["unversioned"] else ""
-    return f"{facts['runs']}{short}{lost}{marked}"
+    return f"{facts['runs']}{short}{lost}"
 
 
 def epochs(facts: Mapping[str, Any]) -> str:
