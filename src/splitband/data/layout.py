@@ -6,6 +6,7 @@ import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 from splitband.data.names import unit_of
 from splitband.data.stamps import is_time
@@ -112,7 +113,7 @@ def separator(lines: Sequence[str], layout: Layout) -> str:
 
     " " stands for any blanks.
     """
-    sample = [line for line in lines if line][:_SAMPLE]
+    sample = [*islice(filter(None, lines), _SAMPLE)]
     shares = {}
     for sep in _SEPARATORS:
         rows = _last([Row.of(0, line, sep) for line in sample])
@@ -188,7 +189,8 @@ def find_head(lines: Sequence[str], raw: Sequence[str], sep: str, layout: Layout
 
     Raises ValueError, with the lines and what to do, where this leaves a choice.
     """
-    rows = [Row.of(i, line, sep) for i, line in enumerate(lines, 1) if line][:_SAMPLE]
+    filled = ((i, line) for i, line in enumerate(lines, 1) if line)
+    rows = [Row.of(i, line, sep) for i, line in islice(filled, _SAMPLE)]
     if layout.header_row == 0:
         return Head(None, rows[0].line)
     above = None
@@ -200,7 +202,9 @@ def find_head(lines: Sequence[str], raw: Sequence[str], sep: str, layout: Layout
         names = rows.pop(0) if above is None else above
         return Head(names.cells, rows[0].line if rows else len(lines) + 1)
     count = next((i for i, row in enumerate(rows) if columns.begin(row)), len(rows))
-    columns.check(rows[-1:] if count == len(rows) else [])
+    if count == len(rows):
+        columns.check(rows)
+        raise ValueError(f"none of the lines up to {rows[-1].line} holds numbers without words")
     below, rows = rows[count], rows[:count]
     if above is not None:
         columns.check(rows)
@@ -261,6 +265,11 @@ def _chosen(above: Sequence[Row], below: Row, columns: _Columns) -> Head:
         )
     units = block[block.index(found[0]) + 1 :]
     columns.check(units)
+    if len(units) > 2:
+        raise ValueError(
+            f"lines {found[0].line} to {units[-1].line} hold names: header_row={found[0].line} "
+            "(--header-row) says which line holds those of the columns"
+        )
     return Head(_named(found[0], units, below, columns), below.line)
 
 

@@ -25,6 +25,7 @@ from splitband.data.spacing import Spacing, spacing
 from splitband.data.stamps import (
     TIME_NAMES,
     also_time,
+    is_day,
     is_time,
     is_time_of_day,
     joined,
@@ -40,7 +41,7 @@ _NAMELESS = "y"
 _EXPECTED = "expected"
 """Reason for leaving out row numbers, scalars and empty columns; these are not reported."""
 
-_ROW_NUMBERS = ("record", "index", "row", "sample", "#", "no", "no.", "nr", "nr.", "rn")
+_ROW_NUMBERS = ("record", "index", "row", "sample", "seq", "#", "no", "no.", "nr", "nr.")
 """Names of columns that number the rows, in small letters."""
 
 _Names: TypeAlias = str | int | Sequence[str | int]
@@ -91,7 +92,7 @@ def read(
     field of a structure, "out.time"; of a matrix `m`, "m" chooses all columns and "m[0]" the first.
     A file with one row of numbers is one channel over time.
 
-    Text may be separated by commas, semicolons, tabs or blanks, with comments after `#` or `%`. It
+    Text may be separated by commas, semicolons, tabs or blanks, with comments after `#` or `% `. It
     has one decimal sign, a point or a comma, and may have thousands separators. Lines above the
     names are left out; a line of units below them, "mm", becomes part of the names, "x [mm]", which
     "x" finds too.
@@ -208,7 +209,7 @@ def _dated(table: Table, timed: Sequence[str]) -> list[str]:
     """Return the first of the time columns, after one with the dates of its times of the day."""
     if not timed or not is_time_of_day(table[timed[0]]):
         return list(timed[:1])
-    days = [c for c in timed[1:] if "date" in time_name(c)[0] and not is_time_of_day(table[c])]
+    days = [c for c in timed[1:] if time_name(c)[0] == "date" and is_day(table[c])]
     return [*days[:1], timed[0]]
 
 
@@ -229,12 +230,12 @@ def _reason(name: str, column: Column, rows: int) -> str:
     if len(column) != rows:
         return _EXPECTED if len(column) == 1 else f"{len(column)} rows instead of {rows}"
     unnamed = name.startswith("Unnamed: ")  # an index or a trailing separator
-    numbered = unnamed or name.partition(" [")[0].lower() in _ROW_NUMBERS
+    numbered = unnamed or re.sub(r".*\.(?=.)| \[.*", "", name.lower()) in _ROW_NUMBERS
     if numbered and is_numeric_dtype(column) and (column.diff().iloc[1:].abs() == 1).all():
         return _EXPECTED
     if unnamed:
         return "no name" if column.notna().any() else _EXPECTED
-    if is_time(name) or also_time(name, column):
+    if also_time(name, column):
         return "another time column"
     known = column.dropna()
     reason = f"no numbers: {str(known.iloc[0])[:40]!r}" if len(known) else "empty"
@@ -356,12 +357,8 @@ def _spacing(
 ) -> Spacing:
     """Return the grid of the time stamps; without stamps, the step from the caller or the file."""
     if stamps:
-        what, column = f"time column {stamps[-1]!r}", table[stamps[-1]]
-        if len(stamps) == 2:
-            what, column = (
-                f"time columns {stamps[0]!r} and {stamps[1]!r}",
-                joined(table[stamps[0]], column),
-            )
+        what, column = f"time column {','.join(stamps)!r}", table[stamps[-1]]
+        column = joined(table[stamps[0]], column) if len(stamps) == 2 else column
         spaced = spacing(what, stamps[-1], column, gaps, given or fallback)
         if given is None:
             return spaced

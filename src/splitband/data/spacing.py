@@ -15,8 +15,6 @@ from splitband.runtime.arrays import Array
 
 MOST_MISSING = 0.9
 """Share of a record's rows that may be missing between its time stamps. By eye."""
-_ROUNDED = 1.001
-"""Units of the last place by which rounded stamps may be off, with room for binary rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +64,8 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
     stamps = read.seconds
     rows, joined = _on_grid(what, stamps) if gaps == "mask" else (np.arange(len(stamps)), stamps)
     unit = max(last_place(stamps), read.grain)
-    step, start = _even_grid(what, joined, unit, column if gaps == "refuse" else None)
+    in_order = column if gaps == "refuse" else None
+    step, start = _even_grid(what, joined, unit, read.grain, in_order)
     return Spacing(
         step,
         start if read.date is None else stamp_after(read.date, start),
@@ -76,11 +75,13 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
     )
 
 
-def _even_grid(what: str, stamps: Array, unit: float, column: Column | None) -> tuple[float, float]:
+def _even_grid(
+    what: str, stamps: Array, unit: float, grain: float, column: Column | None
+) -> tuple[float, float]:
     """Return the step and the first stamp of an even grid, in s; see `reading.read` for tolerances.
 
-    `unit` is one unit in the last place of the stamps, in s; `column` holds them in the file, None
-    if rows may be missing.
+    `unit` is one unit in the last place of the stamps, `grain` the resolution of their number type,
+    in s; `column` holds them in the file, None if rows may be missing.
     """
     steps = np.diff(stamps)
     if (back := np.flatnonzero(steps <= 0)).size:
@@ -94,11 +95,12 @@ def _even_grid(what: str, stamps: Array, unit: float, column: Column | None) -> 
     if unit > 0.99 * median:  # rounding this coarse could hide a missing row
         unit = 0.0
     line_off = np.abs(stamps - stamps[0] - mean * np.arange(len(stamps)))[1:]
-    rounded = np.maximum(np.abs(steps - mean), line_off) < _ROUNDED * unit
+    most = (1.001 + 1 / len(steps)) * unit  # the mean is that of rounded stamps, too
+    rounded = np.maximum(np.abs(steps - mean), line_off) < most
     off = np.abs(steps - median)
     exact = 0.01 * median + 4 * float(np.spacing(np.abs(stamps).max()))
     if (bad := np.flatnonzero((off > exact) & ~rounded)).size:
-        gaps = bad[off[bad] > _ROUNDED * unit]  # report true gaps first: they shift the other rows
+        gaps = bad[off[bad] > 1.001 * unit]  # report true gaps first: they shift the other rows
         row = int((gaps if gaps.size else bad)[0]) + 1
         raise ValueError(
             f"{what} must be even: expected a step of {median:.6g} s at row {row}, found "
@@ -110,7 +112,8 @@ def _even_grid(what: str, stamps: Array, unit: float, column: Column | None) -> 
     # The slope of a fitted line, which averages out the rounding of the stamps.
     slope = centred @ (stamps - stamps[0]) / (centred @ centred)
     plain = float(f"{slope:.3g}")  # taken where the stamps cannot tell it from the slope
-    step = plain if abs(plain - slope) * len(stamps) < 0.1 * unit else float(f"{slope:.12g}")
+    drift = abs(plain - slope) * len(stamps)
+    step = plain if drift < max(0.1 * unit, grain) else float(f"{slope:.12g}")
     beside = stamps - stamps[0] - step * np.arange(len(stamps))
     first = float(beside.mean())  # where the grid begins, after the first stamp
     wander = np.abs(beside - first)

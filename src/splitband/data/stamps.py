@@ -6,6 +6,7 @@ import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -93,15 +94,23 @@ def is_time(column: str) -> bool:
 
 
 def also_time(name: str, column: Column) -> bool:
-    """Return whether a column such as "time_2" or "elapsed time" is another time column.
+    """Return whether a column beside the time stamps tells the time, too.
 
-    Its name contains a word for time, and its values increase from row to row.
+    Its name is one of a time column, or contains a word for time ("time_2", "elapsed time") and its
+    values increase from row to row: T may also be a temperature.
     """
-    words = set(re.findall("[a-z]+", name.lower()))
-    if not words & {*TIME_NAMES} - {"t"} or not has_number(column):  # T_1 is a temperature
+    word, words = time_name(name)[0], set(re.findall("[a-z]+", name.lower()))
+    if word in TIME_NAMES and word != "t":
+        return True
+    if not (word == "t" or words & {*TIME_NAMES, "stamp"} - {"t"}) or not has_number(column):
         return False
     values = pd.to_numeric(column, errors="coerce").dropna().to_numpy(dtype=np.float64)
     return len(values) > 1 and bool((np.diff(values) > 0).all())
+
+
+def is_day(column: Column) -> bool:
+    """Return whether a column begins with a date without a time."""
+    return ":" not in _NO_TIME.sub("", str(column.iloc[0])) and not is_time_of_day(column)
 
 
 def is_time_of_day(column: Column) -> bool:
@@ -130,7 +139,7 @@ def readings(what: str, name: str, column: Column) -> list[Reading]:
         require_finite(what, values[:, None])
         kind = np.float32 if column.dtype == np.float32 else np.float64
         return _of_numbers(what, name, values, 2 * float(np.spacing(kind(np.abs(values).max()))))
-    return _of_clock(column) or [_of_dates(what, column)]
+    return _of_clock(column) or _with_unit(column) or [_of_dates(what, column)]
 
 
 def _of_numbers(what: str, name: str, values: Array, grain: float) -> list[Reading]:
@@ -187,7 +196,7 @@ def _of_digits(values: Array, dated: bool) -> Iterator[Reading]:
     written = pd.Series(values.astype(np.int64)).astype(str)
     dates = pd.to_datetime(written, format=form, errors="coerce")
     if dates.dt.year.between(1900, 2100).all():
-        since = (dates - dates[0]).dt.total_seconds().to_numpy()
+        since = np.asarray((dates - dates[0]).dt.total_seconds(), np.float64)
         first, certain = dates[0].as_unit("ns"), dated or values[0] > 1e11
         yield Reading(f"dates from {first:%Y-%m-%d} on", since, 0.0, first, certain=certain)
 
@@ -227,15 +236,23 @@ def _of_clock(column: Column) -> list[Reading]:
     fraction = ("0." + parts[4].fillna(parts[5])).astype(np.float64).fillna(0.0)
     short = c.isna()
     seconds = days.fillna(0.0) * _DAY + 3600 * a + 60 * b + c.fillna(0.0) + fraction
-    in_minutes = 60 * a + b + fraction
-    exact = seconds.mask(short, in_minutes).to_numpy()  # 59:59 before 1:00:00
+    exact = np.asarray(seconds.mask(short, 60 * a + b + fraction), np.float64)  # 59:59, 1:00:00
     if not short.all():
         return [Reading("times of the day", _unwrapped(exact, _DAY))]
     minutes = Reading("minutes and seconds", _unwrapped(exact, 3600.0))
     if a.max() > 24 or parts[[4, 5]].notna().any(axis=None):
         return [minutes]
-    hours = Reading("hours and minutes", _unwrapped(seconds.to_numpy(), _DAY))
+    hours = Reading("hours and minutes", _unwrapped(np.asarray(seconds, np.float64), _DAY))
     return [hours, minutes]
+
+
+def _with_unit(column: Column) -> list[Reading]:
+    """Return the reading of cells such as "0.5 sec", as MATLAB writes durations; [] for others."""
+    parts = column.astype(str).str.extract(rf"^\s*([\d.eE+-]+)\s*({'|'.join(_UNITS)})\s*$")
+    if parts.isna().any(axis=None):
+        return []
+    values, units = pd.to_numeric(parts[0], errors="coerce"), parts[1].map(_UNITS)
+    return [Reading("seconds", np.asarray(values * units, np.float64))]
 
 
 def _unwrapped(seconds: Array, period: float) -> Array:
@@ -273,7 +290,7 @@ def _dates(column: Column) -> tuple[pd.Series, str]:
     """
     first = str(column.iloc[0])
     dotted = _DOTTED.match(first) is not None
-    orders = [{"dayfirst": dotted}, {"dayfirst": not dotted}]
+    orders: list[dict[str, Any]] = [{"dayfirst": dotted}, {"dayfirst": not dotted}]
     orders += [{"yearfirst": True}] if _SHORT_YEAR.match(first) else []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

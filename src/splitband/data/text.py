@@ -61,7 +61,7 @@ def read_table(raw: bytes, suffix: str, layout: Layout) -> pd.DataFrame:
     return frame.iloc[: filled[-1] + 1 if filled.size else 0]
 
 
-def _with_decimal(text: str, sep: str, names: Sequence[Any]) -> pd.DataFrame:
+def _with_decimal(text: str, sep: str, names: list[Any]) -> pd.DataFrame:
     """Parse rows of cells, with the decimal sign that they show."""
     parsed = partial(_parsed, text, sep, names)
     if ('"' if sep == "," else ",") not in text and sep not in ";\t":
@@ -75,12 +75,12 @@ def _with_decimal(text: str, sep: str, names: Sequence[Any]) -> pd.DataFrame:
     return frame
 
 
-def _parsed(text: str, sep: str, names: Sequence[Any], **options: Any) -> pd.DataFrame:
+def _parsed(text: str, sep: str, names: list[Any], **options: Any) -> pd.DataFrame:
     file, between = io.StringIO(text), r"\s+" if sep == " " else sep
     try:
         return pd.read_csv(
             file, sep=between, header=None, names=names, index_col=False, skipinitialspace=True,
-            **options,
+            na_values=["NAN"], **options,
         )  # fmt: skip
     except pd.errors.ParserError as error:
         if not (ragged := _RAGGED.search(str(error))):
@@ -113,11 +113,11 @@ def _decoded(raw: bytes) -> str:
 
 
 def _without_comments(lines: Sequence[str], mark_inside: bool) -> list[str]:
-    """Blank out lines that begin with # or %, with `mark_inside` also what follows a " #".
+    """Blank out lines that begin with # or "% ", with `mark_inside` also what follows a " #".
 
     Blank lines stay, so that the line numbers in pandas' messages are those of the file.
     """
-    whole = re.compile(rf"^\s*(?:#(?!{_ERRORS_OF_CELLS}|[,;])|%).*")
+    whole = re.compile(rf"^\s*(?:#(?!{_ERRORS_OF_CELLS}|[,;])|%(?:\s|$)).*")
     inside = re.compile(rf'^([^"#]*\s)#(?!{_ERRORS_OF_CELLS}).*')
     kept = []
     for line in lines:
