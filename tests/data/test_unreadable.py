@@ -36,7 +36,7 @@ from tests.data.support import WRITERS, U, Y, message, text_file, write_npz
         ("a,b\n1,2+1j\n3,1j\n", {"columns": "b"}, "row 0 holds '2+1j'"),
         ("a,b\n1,2\n3\n", {}, "column 'b' must be finite"),
         ("# note\na,b\n1,2\n\n3,4,5\n", {}, "line 5 holds 3 cells instead of 2"),
-        ("a,b\n1,2,3\n4,5,6\n", {}, "line 1 holds 2 names, line 2 3 cells; header_row=N"),
+        ("a,b\n1,2,3\n4,5,6\n", {}, "line 1 holds 2 names, line 2 3 cells: skip_rows=1"),
         ('a,b\n"1,2\n3,4\n', {}, "line 2 has a quote that is not closed"),
         ("y\n1\n2\n", {"sampling_time": -1}, "sampling_time must be a positive number"),
         (b"\x00\x01\x02\x03", {}, "it is a binary file"),

@@ -13,13 +13,13 @@ from splitband.data.stamps import is_time
 
 SIGNS = {".": ",", ",": "."}
 """Decimal signs, each with its thousands separator."""
-_SEPARATORS = (";", "\t", ",", " ")
+_SEPARATORS = (";", "\t", ",", "|", " ")
 _SAMPLE = 400
 """Rows at the beginning of a file that decide its layout. By eye."""
 _STAMP = re.compile(
     r"(?:\w{3,9},?\s+)?"
     r"(?:\d{1,4}([-/.])\d{1,2}\1\d{1,4}|\d{1,2}[-. /][a-z]{3,9}[-. /]\d{2,4}|\d+:\d\d|\d+ days? \d)"
-    r"[\d:.,TZ+\s/-]*(?:[ap]\.?m\.?|utc|gmt)?[\d:+-]*",
+    r"[\d:.,TZ+\s/-]*(?:[ap]\.?m\.?|[a-z]{3,4})?[\d:+-]*",
     re.IGNORECASE,
 )
 _MISSING = {"", "na", "n/a", "#n/a", "#na", "null", "none", "<na>"}
@@ -113,7 +113,7 @@ def separator(lines: Sequence[str], layout: Layout) -> str:
 
     " " stands for any blanks.
     """
-    sample = [*islice(filter(None, lines), _SAMPLE)]
+    sample = [*islice((line for line in lines if line.strip(" \t;,|")), _SAMPLE)]
     shares = {}
     for sep in _SEPARATORS:
         rows = _last([Row.of(0, line, sep) for line in sample])
@@ -129,7 +129,8 @@ def _missing(layout: Layout) -> set[str]:
 
 
 def _last(rows: Sequence[Row]) -> Sequence[Row]:
-    """Return the last rows of the sample, which hold numbers if any do."""
+    """Return the last rows with content of the sample, which hold numbers if any do."""
+    rows = [row for row in rows if row.width]
     return rows[-max(2, len(rows) // 4) :]
 
 
@@ -248,12 +249,11 @@ def _chosen(above: Sequence[Row], below: Row, columns: _Columns) -> Head:
     columns.check(above[-1:] if not block else [])
     full = [row for row in block if columns.full(row)]
     if not full:
-        if block[-1].width == 1:
-            return Head(None, below.line)
+        line, width = block[-1].line, block[-1].width
         raise ValueError(
-            f"line {block[-1].line} holds {block[-1].width} names, line {below.line} "
-            f"{below.width} cells; header_row=N (--header-row) says which line holds the names, "
-            "header_row=0 that none does"
+            f"line {line} holds {width} name{'s'[: width > 1]}, line {below.line} {below.width} "
+            f"cells: skip_rows={line} (--skip-rows) leaves it out, header_row=N (--header-row) "
+            "says which line holds the names"
         )
     timed = [row for row in full if any(map(is_time, row.cells))]
     different = [row for row in full if len({*row.cells}) == len(row.cells)]

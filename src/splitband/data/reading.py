@@ -105,7 +105,7 @@ def read(
     inputs : known inputs `u`.
     time_column : stamps in seconds, in another unit at the end of the name ("t [ms]", "time_min"),
         dates or times of the day, or two columns of dates and times of the day; by default a
-        column called time, t, timestamp, datetime or date. "" ignores it. Rows may be in reverse
+        column called time, timestamp, datetime, t or date. "" ignores it. Rows may be in reverse
         order. Stamps that can be read in several ways, such as 10:05 (hours or minutes), are
         refused with all of them, unless `sampling_time` agrees with one.
         Steps may differ by 1 %, or by the rounding of the stamps: one unit in their last printed
@@ -176,6 +176,8 @@ def _picked(
     rows = _common_length(table, picked)
     timed = [c for c in table if c not in picked and len(table[c]) == rows and is_time(c)]
     if time_column is None:
+        if len(timed) > 1:  # T is a temperature then, unless it increases
+            timed = [c for c in timed if also_time(c, table[c])]
         timed.sort(key=lambda c: TIME_NAMES.index(time_name(c)[0]))
         _check_alike(table, timed)
         stamps = _dated(table, timed)
@@ -201,7 +203,7 @@ def _stamps(table: Table, asked: _Names | None) -> list[str]:
         asked = asked.split(",")
     found = _find(table, asked)
     if len(found) > 2:
-        raise ValueError(f"time_column must be one column, or a date and a time: got {found}")
+        raise ValueError(f"time_column must be one column, or a date and a time: got {len(found)}")
     return found
 
 
@@ -209,7 +211,9 @@ def _dated(table: Table, timed: Sequence[str]) -> list[str]:
     """Return the first of the time columns, after one with the dates of its times of the day."""
     if not timed or not is_time_of_day(table[timed[0]]):
         return list(timed[:1])
+    numeric = is_numeric_dtype(table[timed[0]])  # fractions of Excel's days
     days = [c for c in timed[1:] if time_name(c)[0] == "date" and is_day(table[c])]
+    days = [c for c in days if not numeric or is_numeric_dtype(table[c])]
     return [*days[:1], timed[0]]
 
 
@@ -359,7 +363,7 @@ def _spacing(
     if stamps:
         what, column = f"time column {','.join(stamps)!r}", table[stamps[-1]]
         column = joined(table[stamps[0]], column) if len(stamps) == 2 else column
-        spaced = spacing(what, stamps[-1], column, gaps, given or fallback)
+        spaced = spacing(what, stamps[0], column, gaps, given or fallback)
         if given is None:
             return spaced
         rows = len(column) if spaced.places is None else int(spaced.places[-1]) + 1

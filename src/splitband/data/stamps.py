@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from pandas.api.types import is_timedelta64_dtype
+from pandas.api.types import is_numeric_dtype, is_timedelta64_dtype
 
 from splitband.data.columns import Column, has_number, in_file, is_text, numbers
 from splitband.data.signals import require_finite
 from splitband.runtime.arrays import Array
 
-TIME_NAMES = ("time", "t", "timestamp", "datetime", "date")
+TIME_NAMES = ("time", "timestamp", "datetime", "t", "date")
 _CLOCK_STEPS = (
     *(n * unit for unit in (1, 60) for n in (1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30)),
     3600, 7200, 10800, 21600, 43200, 86400,
@@ -114,12 +114,16 @@ def is_day(column: Column) -> bool:
 
 
 def is_time_of_day(column: Column) -> bool:
-    """Return whether a column begins with a time without a date, such as 20:00 or 8.00.00 PM."""
+    """Return whether a column holds times without a date: 20:00, 8.00.00 PM, fractions of a day."""
+    if is_numeric_dtype(column):
+        return bool(column.between(0, 1, inclusive="left").all())
     return _TIME_OF_DAY.fullmatch(str(column.iloc[0])) is not None
 
 
 def joined(date: Column, time: Column) -> Column:
-    """Return the dates of one column with the times of the day of another, as text."""
+    """Return the dates of one column with the times of the day of another."""
+    if is_numeric_dtype(date) and is_numeric_dtype(time):
+        return date + time
     missing = date.isna() | time.isna()
     days = date.astype(str).str.strip().str.replace(_NO_TIME, "", regex=True)
     times = time.astype(str).str.strip().str.replace(_DOTTED_TIME, r"\1:\2:\3", regex=True)
@@ -162,6 +166,9 @@ def _of_numbers(what: str, name: str, values: Array, grain: float) -> list[Readi
 def _beside_seconds(values: Array, grain: float, dated: bool) -> Iterator[Reading]:
     """Yield what numbers without a unit may mean other than seconds."""
     step, exact = float(np.median(np.diff(values))), last_place(values) > 1e-5
+    common = _steps_in_days(values)
+    if common and not exact and values.min() >= 0 and values.max() < 1 and step < 61 / _DAY:
+        yield Reading("fractions of a day", values * _DAY, last_place(values) * _DAY)
     for words, unit in _FINER.items():
         if values.min() * unit > 9.4e8 and values.max() * unit < 2.5e9:  # years 2000 to 2049
             since = pd.Timestamp(values[0] * unit, unit="s").round("ms")
@@ -170,7 +177,6 @@ def _beside_seconds(values: Array, grain: float, dated: bool) -> Iterator[Readin
     yield from _of_digits(values, dated)
     for words, of_1970 in _SERIAL_DAYS.items():
         since_1970 = values - of_1970
-        common = _steps_in_days(values)
         if since_1970.min() > -5569 and since_1970.max() < 54431:  # 1954 to 2119
             certain = dated or (common and not exact)
             if certain or common or (not exact and of_1970 > 1e5):  # steps of any length

@@ -30,7 +30,7 @@ _MAT_NUMBERS = (
 
 _MAT_READ = (*_MAT_NUMBERS, "struct", "cell", "char")
 _IN_MATLAB = (
-    "only MATLAB can read it: save a timetable T as text, writetimetable(T, 'T.csv'), of a "
+    ", which only MATLAB can read: save a timetable T as text, writetimetable(T, 'T.csv'), of a "
     "timeseries the vectors Time and Data"
 )
 
@@ -132,9 +132,13 @@ def _read_mat(path: Path) -> Table:
     except NotImplementedError:
         raise ValueError("it is a v7.3 (HDF5) file; save it with the option -v7") from None
     others = {name: kind for name, _, kind in found if kind not in _MAT_READ}
-    if not table and others:
-        raise ValueError(f"it holds no numbers, but {', '.join(map(repr, others))}; {_IN_MATLAB}")
-    return table | {name: _unread(f"{kind}; {_IN_MATLAB}") for name, kind in others.items()}
+    if not table:
+        kinds = ", ".join(f"{name!r} ({kind})" for name, _, kind in found) or "nothing"
+        raise ValueError(f"it holds no numbers, but {kinds}{_IN_MATLAB if others else ''}")
+    return table | {
+        name: _unread("sparse" if kind == "sparse" else f"{kind}{_IN_MATLAB}")
+        for name, kind in others.items()
+    }
 
 
 def _unread(why: str) -> Column:
@@ -183,6 +187,8 @@ def _arrays(value: object, name: str = "") -> Iterator[tuple[str, _AnyArray]]:
                 yield from _arrays(cell, f"{name}[{i}]")
         case np.ndarray() if value.dtype.names:
             yield from _arrays({key: value[key] for key in value.dtype.names}, name)
+        case np.ndarray() if not value.size:
+            pass
         case np.ndarray() | np.generic() | float() | int() | complex():
             yield name, _native(np.asarray(value))
 
