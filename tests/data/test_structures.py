@@ -31,7 +31,8 @@ def mat(folder: Path, **variables: Any) -> Path:
 @pytest.mark.parametrize(
     ("variables", "options", "columns"),
     [
-        ({"out": SCOPE}, {}, ["out.signals[0].values", *(f"out.signals[1].values[{i}]" for i in (0, 1))]),
+        ({"out": SCOPE}, {}, ["out.signals[0].values", "out.signals[1].values[0]",
+                              "out.signals[1].values[1]"]),
         ({"out": {"time": T, "signals": {"values": Y.reshape(1, 1, -1)}}}, {},
          ["out.signals.values"]),
         ({"exp1": {"t": T, "y": Y}}, {"columns": "exp1.y"}, ["exp1.y"]),
