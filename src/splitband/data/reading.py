@@ -211,9 +211,10 @@ def _dated(table: Table, timed: Sequence[str]) -> list[str]:
     """Return the first of the time columns, after one with the dates of its times of the day."""
     if not timed or not is_time_of_day(table[timed[0]]):
         return list(timed[:1])
-    numeric = is_numeric_dtype(table[timed[0]])  # fractions of Excel's days
     days = [c for c in timed[1:] if time_name(c)[0] == "date" and is_day(table[c])]
-    days = [c for c in days if not numeric or is_numeric_dtype(table[c])]
+    if is_numeric_dtype(table[timed[0]]):  # fractions of Excel's days
+        numeric = [c for c in days if is_numeric_dtype(table[c])]
+        days = [c for c in numeric if table[c].between(2e4, 8e4).all()]
     return [*days[:1], timed[0]]
 
 

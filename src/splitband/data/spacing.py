@@ -50,15 +50,15 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
         column = column.iloc[::-1]
         found = readings(what, name, column)
     rising = [each for each in found if (np.diff(each.seconds) > 0).all()] or found[:1]
-    steps = [float(np.median(np.diff(each.seconds))) for each in rising]
-    if expected and len(rising) > 1:
-        near = [i for i, step in enumerate(steps) if near_sampling(step, expected)]
-        rising, steps = ([each[i] for i in near[:1]] or each for each in (rising, steps))  # type: ignore[assignment]
+    steps = {each.words: float(np.median(np.diff(each.seconds))) for each in rising}
+    if expected:
+        near = [each for each in rising if near_sampling(steps[each.words], expected)]
+        rising = near[:1] or rising
     if len(rising) > 1:
-        ways = [f"{each.words} ({step:.6g} s)" for each, step in zip(rising, steps, strict=True)]
+        ways = [f"{words} ({step:.6g} s)" for words, step in steps.items()]
         raise ValueError(
             f"{what} can be read as {' or as '.join(ways)}: sampling_time (--sampling-time) in "
-            f"seconds decides; it holds {column.iloc[0]!s}, {column.iloc[1]!s}, ..."
+            f"seconds decides; it holds {column.iloc[0]}, {column.iloc[1]}, ..."
         )
     read = rising[0]
     stamps = read.seconds

@@ -31,7 +31,7 @@ _UNITS = {
     **dict.fromkeys(("ns", "nanosecond", "nanoseconds"), 1e-9),
     **dict.fromkeys(("min", "mins", "minute", "minutes"), 60.0),
     **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), 3600.0),
-    **dict.fromkeys(("d", "day", "days"), _DAY),
+    **dict.fromkeys(("day", "days"), _DAY),
 }
 _UNIT = re.compile(rf"[\s_/(\[]+({'|'.join(_UNITS)})[)\]]?$")
 _AROUND = re.compile(r"^(?:[\w\[\]]+\.)+(?=\w+$)|^[%#_\s]+|[\s,(\[]+(?:utc|gmt)[\d:+-]*[)\]]?$")
@@ -89,7 +89,7 @@ def time_name(column: str) -> tuple[str, float | None]:
 
 
 def is_time(column: str) -> bool:
-    """Return whether a column is called time, t, timestamp, datetime or date."""
+    """Return whether a column is called time, timestamp, datetime, t or date."""
     return time_name(column)[0] in TIME_NAMES
 
 
