@@ -65,6 +65,12 @@ INFLUX = (
          {"columns": "T"}),
         ("r.csv", '"time","T"\n' + table(lambda i: f'"{i + 1}",{i / 2},{{y}}'), 0.5, "T", {}),
         ("r.txt", '"time" "T"\n' + table(lambda i: f'"{i + 1}" {i / 2} {{y}}'), 0.5, "T", {}),
+        ("canape.csv", "Time[s],T[km/h]\ns,km/h\n" + table(lambda i: f"{i / 10},{{y}}"), 0.1,
+         "T[km/h]", {}),
+        ("pico.csv", "Time,T\n(ms),(mV)\n\n" + table(lambda i: f"{i - 1:.5f},{{y}}"), 1e-3,
+         "T [mV]", {}),
+        ("agilent.csv", "Name:,Benchlink\nOwner:,Bob\n\nDate:,2/13/2024 10:00:00\nScan,Time,T\n"
+         + table(lambda i: f"{i + 1},2/13/2024 10:00:{i:02d}:250,{{y}}"), 1, "T", {}),
         ("sep.csv", "sep=|\ntime|T\n" + table(lambda i: f"{i}|{{y}}"), 1, "T", {}),
         ("pipe.csv", "time|T\n" + table(lambda i: f"{i}|{{y}}"), 1, "T", {}),
         ("excel.csv", "sep=\t\r\ntime\tT\r\n" + table(lambda i: f"{i}\t{{y}}\r"), 1, "T", {}),
@@ -164,6 +170,12 @@ def test_a_column_is_found_without_its_unit(tmp_path: Path) -> None:
 def test_numbers_of_rows_are_no_channel(tmp_path: Path) -> None:
     path = text_file(tmp_path, "Record,time,sample\n7,0,2\n8,1,4\n9,2,5\n")
     assert read(path).columns == ("sample",)
+
+
+def test_a_column_without_a_name_is_left_out(tmp_path: Path) -> None:
+    path = text_file(tmp_path, "time,,y\n0,5,1\n1,5,2\n2,7,4\n")
+    with pytest.warns(ReadingWarning, match="'Unnamed: 1' \\(no name\\)"):
+        assert read(path).columns == ("y",)
 
 
 def test_empty_rows_at_the_end_are_no_gap(tmp_path: Path) -> None:

@@ -248,6 +248,7 @@ def _chosen(above: Sequence[Row], below: Row, columns: _Columns) -> Head:
     block = above[mixed[-1] + 1 :] if mixed else above
     columns.check(above[-1:] if not block else [])
     full = [row for row in block if columns.full(row)]
+    full = full or [row for row in block if row.width == below.width and len(block) == 1]
     if not full:
         line, width = block[-1].line, block[-1].width
         raise ValueError(
@@ -281,5 +282,6 @@ def _named(names: Row, units: Sequence[Row], below: Row, columns: _Columns) -> t
             columns.numbers, units[0].at(columns.numbers), below.at(columns.numbers), strict=True
         ):
             if (unit := unit.strip("[]() -")) and not _STAMP.fullmatch(cell) and i < len(found):
-                found[i] += "" if unit_of(found[i]) else f" [{unit}]"
+                named = unit_of(found[i]) or found[i].endswith((f"{unit})", f"{unit}]"))
+                found[i] += "" if named else f" [{unit}]"
     return tuple(found)

@@ -41,7 +41,9 @@ _NAMELESS = "y"
 _EXPECTED = "expected"
 """Reason for leaving out row numbers, scalars and empty columns; these are not reported."""
 
-_ROW_NUMBERS = ("record", "index", "row", "sample", "seq", "#", "no", "no.", "nr", "nr.")
+_ROW_NUMBERS = (
+    "record", "index", "row", "sample", "scan", "number", "seq", "#", "no", "no.", "nr", "nr.",
+)  # fmt: skip
 """Names of columns that number the rows, in small letters."""
 
 _Names: TypeAlias = str | int | Sequence[str | int]
