@@ -94,7 +94,7 @@ def read(
     field of a structure, "out.time"; of a matrix `m`, "m" chooses all columns and "m[0]" the first.
     A file with one row of numbers is one channel over time.
 
-    Text may be separated by commas, semicolons, tabs or blanks, with comments after `#` or `% `. It
+    Text may be separated by commas, semicolons, tabs or blanks, with comments after `#` or `%`. It
     has one decimal sign, a point or a comma, and may have thousands separators. Lines above the
     names are left out; a line of units below them, "mm", becomes part of the names, "x [mm]", which
     "x" finds too.
