@@ -345,9 +345,10 @@ def test_every_column_of_the_list_is_an_option_of_the_same_name(
     monkeypatch.chdir(begun)
     cells = {
         "record": "data/record.csv", "name": "n", "columns": '"a,b"', "inputs": "force",
-        "time_column": "time", "sampling_time": "0.1", "gaps": "mask", "train": "90",
-        "warmup": "7", "test": "data/history.csv;data/record.csv", "test_simulator":
-        "drill-string", "more": "data/history.csv", "more_simulator": "data/simulated.csv",
+        "time_column": "time", "sampling_time": "0.1", "gaps": "mask", "missing": "Bad",
+        "skip_rows": "2", "header_row": "1", "train": "90", "warmup": "7",
+        "test": "data/history.csv;data/record.csv", "test_simulator": "drill-string",
+        "more": "data/history.csv", "more_simulator": "data/simulated.csv",
         "simulator": "linear", "simulator_columns": '"a,b"',
         "simulator_reads": "data/simulated.csv",
     }  # fmt: skip

@@ -19,9 +19,9 @@ from splitband.simulators.named import SIMULATORS
 from splitband.simulators.sources import digest, source_files
 
 COLUMNS = (
-    "record", "name", "columns", "inputs", "time_column", "sampling_time", "gaps", "train",
-    "warmup", "test", "test_simulator", "more", "more_simulator", "simulator", "simulator_columns",
-    "simulator_reads",
+    "record", "name", "columns", "inputs", "time_column", "sampling_time", "gaps", "missing",
+    "skip_rows", "header_row", "train", "warmup", "test", "test_simulator", "more",
+    "more_simulator", "simulator", "simulator_columns", "simulator_reads",
 )  # fmt: skip
 _SEVERAL = {"test", "test_simulator", "more", "more_simulator", "simulator_reads"}
 _NAMED: dict[str, tuple[str, ...]] = {
@@ -175,7 +175,7 @@ def _value(column: str, cell: str) -> Any:
         return [part.strip() for part in cell.split(";") if part.strip()]
     if (column, cell) == ("warmup", "auto"):
         return None
-    if column in ("train", "warmup"):
+    if column in ("train", "warmup", "skip_rows", "header_row"):
         try:
             return int(cell)
         except ValueError:

@@ -11,7 +11,7 @@ import typer
 from splitband.cli import records, setups, showing
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Device
-from splitband.cli.options.records import GapsOption, ModelArgument, TimeColumn
+from splitband.cli.options.records import FileOptions, ModelArgument
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import opened_with_simulator
 from splitband.forecasters import saving as forecasters
@@ -31,8 +31,7 @@ def check(
         ),
     ],
     simulator: SimulatorOptions,
-    gaps: GapsOption = "refuse",
-    time_column: TimeColumn = None,
+    files: FileOptions,
     out: Annotated[Path, typer.Option(help="Folder for results and page.")] = Path("check"),
     device: Device = "cpu",
 ) -> None:
@@ -45,8 +44,8 @@ def check(
     of it and, for a model with inputs, its responses to steps.
     """
     model = forecasters.load(model_dir)
-    past = records.history_of(record, "--record", model.require_fitted().record, time_column, gaps)
-    model = opened_with_simulator(model, model_dir, simulator, past, 0, time_column)
+    past = records.history_of(record, "--record", model.require_fitted().record, files)
+    model = opened_with_simulator(model, model_dir, simulator, past, 0, files.time_column)
     setups.check_device(device)
     model.to(device)
     responses = None

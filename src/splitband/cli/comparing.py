@@ -123,7 +123,7 @@ def planned(
     past = steps if hybrid and simulator.simulator not in BASES else 0
     record = with_simulator(record, simulator, reading, past, calibrates)
     if steps:
-        u = records.inputs_ahead(future_inputs, record, steps, reading.time_column)
+        u = records.inputs_ahead(future_inputs, record, steps, reading)
         record = replace(record, u_beyond=u)
     _check_needs(expected, record)
     others, tests = _further(asked, simulator, record, expected)

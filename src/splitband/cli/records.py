@@ -12,15 +12,18 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.cli import showing
-from splitband.cli.options.records import RecordOptions
+from splitband.cli.options.records import FileOptions, RecordOptions
 from splitband.cli.setups import names
 from splitband.data import Record, aligned, read, resampled
-from splitband.data.gaps import Gaps, places
+from splitband.data.gaps import places
 from splitband.data.named import RECORDS
 from splitband.data.names import described
 from splitband.data.reading import ColumnError, ReadingWarning
 from splitband.data.timing import near_sampling, same_sampling
 from splitband.evaluation.saved_settings import SavedSettings
+
+_OF_TEXT = ("missing", "skip_rows", "header_row")
+"""Options for the layout of a file."""
 
 
 def load_record(name: str, reading: RecordOptions, saved: SavedSettings | None = None) -> Record:
@@ -30,8 +33,8 @@ def load_record(name: str, reading: RecordOptions, saved: SavedSettings | None =
     differ from these.
     """
     if name in RECORDS:
-        for option in ("columns", "inputs", "time_column", "sampling_time"):
-            if (value := getattr(reading, option)) is not None:
+        for option in ("columns", "inputs", "sampling_time", "time_column", *_OF_TEXT):
+            if (value := getattr(reading, option)) not in (None, 0):
                 raise ValueError(
                     f"--{option.replace('_', '-')} is for files; {name} is a named record, got "
                     f"{value}"
@@ -65,6 +68,7 @@ def _of_file(path: str, reading: RecordOptions, saved: SavedSettings | None) -> 
         time_column=reading.time_column,
         sampling_time=reading.sampling_time,
         gaps=reading.gaps,
+        **_layout(reading),
     )
     if record.measured is not None:
         missing = ~record.complete
@@ -74,6 +78,15 @@ def _of_file(path: str, reading: RecordOptions, saved: SavedSettings | None) -> 
         )
     announce(record, path)
     return record
+
+
+def _layout(files: FileOptions) -> dict[str, Any]:
+    """Return the arguments of `read` that say how a file is laid out."""
+    return {
+        "missing": names(files.missing or ""),
+        "skip_rows": files.skip_rows,
+        "header_row": files.header_row,
+    }
 
 
 def announce(record: Record, name: str) -> None:
@@ -111,17 +124,17 @@ def read_file(path: str | Path, argument: str, needed: str = "", **options: Any)
 
 
 def read_companion(
-    path: str | Path, argument: str, sampling_time: float, time_column: str | None, **others: Any
+    path: str | Path, argument: str, sampling_time: float, files: FileOptions, **others: Any
 ) -> Record:
     """Read a file that accompanies a record, whose sampling time is the default.
 
     The time column is the record's, or one with a usual name if the file has no such column.
     """
-    others["fallback_sampling_time"] = sampling_time
+    others = {"fallback_sampling_time": sampling_time, **_layout(files), **others}
     try:
-        return read_file(path, argument, time_column=time_column, **others)
+        return read_file(path, argument, time_column=files.time_column, **others)
     except ColumnError:
-        if not time_column:
+        if not files.time_column:
             raise
         return read_file(path, argument, **others)
 
@@ -142,9 +155,7 @@ def like(record: Record, sampling_time: float, what: str) -> Record:
     return resampled(record, sampling_time)
 
 
-def history_of(
-    file: Path, option: str, record: Record, time_column: str | None, gaps: Gaps
-) -> Record:
+def history_of(file: Path, option: str, record: Record, files: FileOptions) -> Record:
     """Read the measured history that an option names, at the training record's sampling time."""
     past = read_file(
         file,
@@ -152,9 +163,10 @@ def history_of(
         f"the model is for {described(record.columns, record.inputs)}",
         columns=record.columns,
         inputs=record.inputs,
-        time_column=time_column,
+        time_column=files.time_column,
         fallback_sampling_time=record.sampling_time,
-        gaps=gaps,
+        gaps=files.gaps,
+        **_layout(files),
     )
     announce(past, str(file))
     if not near_sampling(past.sampling_time, record.sampling_time):
@@ -172,7 +184,7 @@ def history_of(
 
 
 def inputs_ahead(
-    file: Path | None, known: Record, steps: int, time_column: str | None, since: int = 0
+    file: Path | None, known: Record, steps: int, files: FileOptions, since: int = 0
 ) -> npt.NDArray[np.float64] | None:
     """Return the known inputs of the samples after a record, `(steps, nu)`; None without inputs.
 
@@ -195,7 +207,7 @@ def inputs_ahead(
         coming = replace(named, y=named.u, y_sim=None, y_true=None, columns=named.inputs)
         coming = coming if named.start is not None else coming[since:]
     else:
-        coming = read_companion(file, "--future-inputs", ahead.step, time_column, columns=inputs)
+        coming = read_companion(file, "--future-inputs", ahead.step, files, columns=inputs)
     # Linear interpolation, as inputs may jump.
     u = aligned(f"--future-inputs {file}", coming.y, coming.grid, ahead, smooth=False)
     if u.note:

@@ -10,7 +10,7 @@ import typer
 from splitband.cli import records, setups, showing
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Device
-from splitband.cli.options.records import FutureInputs, GapsOption, ModelArgument, TimeColumn
+from splitband.cli.options.records import FileOptions, FutureInputs, ModelArgument
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import opened_with_simulator
 from splitband.forecasters import saving as forecasters
@@ -29,6 +29,7 @@ def simulate(
         typer.Option(metavar="FILE.csv", help="Where to write the samples.", show_default=False),
     ],
     simulator: SimulatorOptions,
+    files: FileOptions,
     history: Annotated[
         Path | None,
         typer.Option(
@@ -39,8 +40,6 @@ def simulate(
         ),
     ] = None,
     future_inputs: FutureInputs = None,
-    gaps: GapsOption = "refuse",
-    time_column: TimeColumn = None,
     other_run: Annotated[
         bool,
         typer.Option(
@@ -76,10 +75,12 @@ def simulate(
     record = forecaster.require_fitted().record
     past = record
     if history is not None:
-        past = records.history_of(history, "--history", record, time_column, gaps)
+        past = records.history_of(history, "--history", record, files)
     since = 0 if history else forecaster.require_fitted().begin + len(record)
-    u = records.inputs_ahead(future_inputs, past, steps, time_column, since)
-    forecaster = opened_with_simulator(forecaster, model_dir, simulator, past, steps, time_column)
+    u = records.inputs_ahead(future_inputs, past, steps, files, since)
+    forecaster = opened_with_simulator(
+        forecaster, model_dir, simulator, past, steps, files.time_column
+    )
     fitted = forecaster.require_fitted()
     by_time = forecaster.anchored or simulator.simulator is not None
     if history and by_time and not other_run and (begins := fitted.beginning(past)):

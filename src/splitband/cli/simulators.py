@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from splitband.cli import showing
-from splitband.cli.options.records import RecordOptions
+from splitband.cli.options.records import FileOptions, RecordOptions
 from splitband.cli.options.simulators import SimulatorOptions, parts_of
 from splitband.cli.records import announce, like, read_companion
 from splitband.cli.setups import names
@@ -116,7 +116,7 @@ def load_further(
             file,
             option,
             record.sampling_time,
-            reading.time_column,
+            reading,
             columns=record.columns,
             inputs=record.inputs,
             gaps=reading.gaps,
@@ -157,8 +157,9 @@ def opened_simulator(
     if function or text.lower().endswith(".fmu"):
         outputs = () if function else tuple(columns)
         return Isolated(file, function or None, outputs, timeout, reads, cache)
+    files = FileOptions(time_column)  # the layout is that of the record
     exported = read_companion(
-        text, "--simulator", record.sampling_time, time_column, columns=columns or None
+        text, "--simulator", record.sampling_time, files, columns=columns or None
     )
     y = exported.y
     if not columns and set(record.columns) <= set(exported.columns):

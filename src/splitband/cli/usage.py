@@ -23,11 +23,12 @@ _FOUND = (
     "lr_milestones", "hidden", "budget", "effort",
 )  # fmt: skip
 """Options that a file of --settings replaces."""
+_FILES = ("time_column", "missing", "skip_rows", "header_row")
 _FIT = (
-    "columns", "inputs", "time_column", "sampling_time", "gaps", *_SIMULATOR, "parameters", "more",
+    "columns", "inputs", "sampling_time", "gaps", *_FILES, *_SIMULATOR, "parameters", "more",
     "more_simulator", *_FOUND, "settings", "device",
 )  # fmt: skip
-_USUAL = {"gaps": "refuse", "recipe": "default", "device": "cpu",
+_USUAL = {"gaps": "refuse", "skip_rows": 0, "recipe": "default", "device": "cpu",
           "simulator_timeout": PATIENCE}  # fmt: skip
 WIDTH = 80
 """Characters in a line of a command."""
@@ -97,7 +98,7 @@ def _simulate(given: Mapping[str, Any], out: Path, plan: Plan, model: Forecaster
     """Return the command that simulates the model beyond its training samples."""
     ahead = 0 if plan.refit else len(plan.record) - plan.train
     steps = min(plan.horizon or STEPS, STEPS)
-    options: dict[str, Any] = {"time_column": given.get("time_column")}
+    options: dict[str, Any] = {name: given.get(name) for name in _FILES}
     if "simulator" in model.needs or model.parameters:
         options |= {name: given.get(name) for name in _SIMULATOR}
         options["simulator"] = given.get("simulator") or given["record"]
@@ -117,7 +118,7 @@ def _line(begin: str, given: Mapping[str, Any], names: Any, end: Sequence[str] =
     words = [begin]
     for name in sorted(names, key=lambda name: name not in ("record", "listed")):
         value = given.get(name)
-        if value in (None, False, "", [], ()) or _USUAL.get(name) == value:
+        if value is False or value in (None, "", [], ()) or _USUAL.get(name) == value:
             continue
         if name in ("record", "listed"):
             words.append(shlex.quote(str(value)))

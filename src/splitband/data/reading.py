@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
@@ -15,12 +15,23 @@ import pandas as pd
 from numpy.typing import NDArray
 from pandas.api.types import is_numeric_dtype
 
-from splitband.data.columns import Column, has_number, numbers
+from splitband.data.columns import Column, has_number, is_text, numbers
 from splitband.data.gaps import Gaps
+from splitband.data.layout import Layout
+from splitband.data.names import unit_of
 from splitband.data.record import Record
 from splitband.data.signals import require_finite
-from splitband.data.stamps import TIME_NAMES, Spacing, also_time, spacing, time_name
-from splitband.data.tables import Table, check_size, load, of_frame
+from splitband.data.spacing import Spacing, spacing
+from splitband.data.stamps import (
+    TIME_NAMES,
+    also_time,
+    is_day,
+    is_time,
+    is_time_of_day,
+    joined,
+    time_name,
+)  # fmt: skip
+from splitband.data.tables import Table, check_size, known, load, of_frame
 from splitband.data.timing import same_sampling
 from splitband.runtime.arrays import Array
 
@@ -29,6 +40,11 @@ _NAMELESS = "y"
 
 _EXPECTED = "expected"
 """Reason for leaving out row numbers, scalars and empty columns; these are not reported."""
+
+_ROW_NUMBERS = (
+    "record", "index", "row", "sample", "scan", "number", "seq", "#", "no", "no.", "nr", "nr.",
+)  # fmt: skip
+"""Names of columns that number the rows, in small letters."""
 
 _Names: TypeAlias = str | int | Sequence[str | int]
 
@@ -47,7 +63,7 @@ class _Picked:
 
     Attributes
     ----------
-    stamps : The column of time stamps, if there is one.
+    stamps : The column of time stamps, if there is one; or a date and a time of the day.
     known, measured : The inputs and the channels.
     left_out : Other columns with content, each with the reason for leaving it out.
     """
@@ -63,18 +79,25 @@ def read(
     *,
     columns: _Names | None = None,
     inputs: _Names = (),
-    time_column: str | int | None = None,
+    time_column: _Names | None = None,
     sampling_time: float | None = None,
     fallback_sampling_time: float | None = None,
     gaps: Gaps = "refuse",
+    missing: str | Sequence[str] = (),
+    skip_rows: int = 0,
+    header_row: int | None = None,
 ) -> Record:
     """Read a record from CSV, TSV, Parquet, NPZ, NPY, MAT (up to v7.2), text, or a DataFrame.
 
     Columns are chosen by name, or by position from 0 in a text or NPY file without names; a single
-    column without a name is called y. A variable of an NPZ or MAT file is a column; of a matrix
-    `m`, "m" chooses all columns and "m[0]" the first. A file with one row of numbers is one channel
-    over time. Text may be separated by commas, semicolons, tabs or spaces, with `#` comments. A
-    text file has one decimal sign, a point or a comma, and may have thousands separators.
+    column without a name is called y. A variable of an NPZ or MAT file is a column, and so is a
+    field of a structure, "out.time"; of a matrix `m`, "m" chooses all columns and "m[0]" the first.
+    A file with one row of numbers is one channel over time.
+
+    Text may be separated by commas, semicolons, tabs or blanks, with comments after `#` or `%`. It
+    has one decimal sign, a point or a comma, and may have thousands separators. Lines above the
+    names are left out; a line of units below them, "mm", becomes part of the names, "x [mm]", which
+    "x" finds too.
 
     Parameters
     ----------
@@ -83,17 +106,23 @@ def read(
         with content are left out, with a `ReadingWarning` that names them.
     inputs : known inputs `u`.
     time_column : stamps in seconds, in another unit at the end of the name ("t [ms]", "time_min"),
-        or dates; by default a column called time, t, timestamp, datetime or date. "" ignores it.
-        Numbers in a column called date or datetime are read as Excel's serial days if possible.
-        Steps may differ by 1 %, or by the rounding of the stamps: less than one unit in their
-        last printed place, both from the mean step and from the straight line through the ends,
-        as long as that unit is below a step. No stamp may be more than half a step away from an
-        even grid. The record's `start` is that of the grid.
+        dates or times of the day, or two columns of dates and times of the day; by default a
+        column called time, timestamp, datetime, t or date. "" ignores it. Rows may be in reverse
+        order. Stamps that can be read in several ways, such as 10:05 (hours or minutes), are
+        refused with all of them, unless `sampling_time` agrees with one.
+        Steps may differ by 1 %, or by the rounding of the stamps: one unit in their last printed
+        place, both from the mean step and from the straight line through the ends, as long as that
+        unit is below a step. No stamp may be more than half a step away from an even grid. The
+        record's `start` is that of the grid.
     sampling_time : seconds; by default from the stamps, otherwise a scalar `sampling_time`, `dt`
         or `Ts` of the file. It may deviate from the stamps by half a step over the record.
     fallback_sampling_time : seconds, for a file without any of these.
     gaps : "refuse" values that are not finite, and missing rows between the stamps; "mask" marks
         both as not measured, see `Record.with_gaps`.
+    missing : words or numbers that stand for a missing value: ["Bad", "-9999"].
+    skip_rows : lines at the top of a text file that are left out.
+    header_row : line of a text file with the names, from 1, also among `skip_rows`; 0 if there are
+        no names.
 
     Raises
     ------
@@ -101,7 +130,8 @@ def read(
         If the file cannot be opened.
     ValueError
         If its content is invalid: the message names the file, the column and the data row,
-        counted from 0 without the header. A `ColumnError` if a column is missing.
+        counted from 0 without the header, with the line of a text file. A `ColumnError` if a column
+        is missing.
 
     Examples
     --------
@@ -113,10 +143,18 @@ def read(
     """
     frame = path if isinstance(path, pd.DataFrame) else None
     path = Path("DataFrame") if isinstance(path, pd.DataFrame) else Path(path)
+    words = (missing,) if isinstance(missing, str) else tuple(map(str, missing))
     try:
-        table = load(path) if frame is None else of_frame(frame)
+        layout = Layout(skip_rows, header_row, words)
+        if frame is None:
+            table = load(path, layout)
+        else:
+            layout.check_no_lines("a DataFrame")
+            table = known(of_frame(frame), layout)
         picked = _picked(table, columns, inputs, time_column)
         spaced = _spacing(table, picked.stamps, sampling_time, fallback_sampling_time, gaps)
+        if spaced.newest_first:
+            table = {name: column.iloc[::-1] for name, column in table.items()}
         record = _assemble(table, picked, spaced, gaps, name=path.stem if frame is None else "")
     except ColumnError as error:
         raise ColumnError(f"{path}: {error}") from error
@@ -131,25 +169,27 @@ def read(
 
 
 def _picked(
-    table: Table, columns: _Names | None, inputs: _Names, time_column: str | int | None
+    table: Table, columns: _Names | None, inputs: _Names, time_column: _Names | None
 ) -> _Picked:
     """Choose the columns of a record by the options of `read`."""
     known = _find(table, inputs)
-    stamps = [] if time_column is None or time_column == "" else _find(table, time_column)
+    stamps = _stamps(table, time_column)
     picked = stamps + known + ([] if columns is None else _find(table, columns))
     rows = _common_length(table, picked)
-    rest = [c for c in table if c not in picked and len(table[c]) == rows]
-    timed = [c for c in rest if time_name(c)[0] in TIME_NAMES]
+    timed = [c for c in table if c not in picked and len(table[c]) == rows and is_time(c)]
     if time_column is None:
-        stamps = sorted(timed, key=lambda c: TIME_NAMES.index(time_name(c)[0]))[:1]
+        if len(timed) > 1:  # T is a temperature then, unless it increases
+            timed = [c for c in timed if also_time(c, table[c])]
+        timed.sort(key=lambda c: TIME_NAMES.index(time_name(c)[0]))
+        _check_alike(table, timed)
+        stamps = _dated(table, timed)
     if columns is not None:
         measured, left_out = _find(table, columns), []
     else:
         reasons = {c: _reason(c, table[c], rows) for c in table if c not in picked + stamps}
         measured = [c for c, reason in reasons.items() if not reason]
-        said = {c: reason for c, reason in reasons.items() if reason and reason != _EXPECTED}
         ignored = timed if time_column == "" else []
-        left_out = [f"{c!r} ({reason})" for c, reason in said.items() if c not in ignored]
+        left_out = _in_words({c: r for c, r in reasons.items() if c not in ignored})
     if not measured:
         why = f"left out: {_listed(left_out)}" if left_out else _available(table)
         raise ColumnError(f"there is no numeric column to model: {why}")
@@ -157,19 +197,71 @@ def _picked(
     return _Picked(stamps, known, measured, left_out)
 
 
+def _stamps(table: Table, asked: _Names | None) -> list[str]:
+    """Return the keys of the time columns that were asked for; "Date,Time" names two."""
+    if asked is None or asked == "":
+        return []
+    if isinstance(asked, str) and asked.strip() not in table and "," in asked:
+        asked = asked.split(",")
+    found = _find(table, asked)
+    if len(found) > 2:
+        raise ValueError(f"time_column must be one column, or a date and a time: got {len(found)}")
+    return found
+
+
+def _dated(table: Table, timed: Sequence[str]) -> list[str]:
+    """Return the first of the time columns, after one with the dates of its times of the day."""
+    if not timed or not is_time_of_day(table[timed[0]]):
+        return list(timed[:1])
+    days = [c for c in timed[1:] if time_name(c)[0] == "date" and is_day(table[c])]
+    if is_numeric_dtype(table[timed[0]]):  # fractions of Excel's days
+        numeric = [c for c in days if is_numeric_dtype(table[c])]
+        days = [c for c in numeric if table[c].between(2e4, 8e4).all()]
+    return [*days[:1], timed[0]]
+
+
+def _check_alike(table: Table, timed: Sequence[str]) -> None:
+    """Raise ValueError for structures with time stamps of their own: they are several records."""
+    for other in timed[1:]:
+        if "." in other and not table[other].equals(table[timed[0]]):
+            raise ValueError(
+                f"{timed[0]!r} and {other!r} are different time stamps: time_column "
+                "(--time-column) and columns (--columns) choose one record"
+            )
+
+
 def _reason(name: str, column: Column, rows: int) -> str:
     """Return the reason why a column is not a channel; empty if it is one."""
-    if name.startswith("Unnamed: "):  # an index or a trailing separator
-        counts = is_numeric_dtype(column) and bool((column.diff().iloc[1:] == 1).all())
-        return _EXPECTED if counts or not column.notna().any() else "no name"
+    if "unread" in column.attrs:
+        return str(column.attrs["unread"])
     if len(column) != rows:
         return _EXPECTED if len(column) == 1 else f"{len(column)} rows instead of {rows}"
-    if time_name(name)[0] in TIME_NAMES or also_time(name, column):
+    unnamed = name.startswith("Unnamed: ")  # an index or a trailing separator
+    numbered = unnamed or re.sub(r".*\.(?=.)| \[.*", "", name.lower()) in _ROW_NUMBERS
+    if numbered and is_numeric_dtype(column) and (column.diff().iloc[1:].abs() == 1).all():
+        return _EXPECTED
+    if unnamed:
+        return "no name" if column.notna().any() else _EXPECTED
+    if also_time(name, column):
         return "another time column"
-    if has_number(column):
-        return ""
     known = column.dropna()
-    return f"no numbers: {str(known.iloc[0])[:40]!r}" if len(known) else "empty"
+    reason = f"no numbers: {str(known.iloc[0])[:40]!r}" if len(known) else "empty"
+    return "" if has_number(column) else reason
+
+
+def _in_words(reasons: Mapping[str, str]) -> list[str]:
+    """Return the columns that are left out, each with its reason; those of a matrix are one."""
+    by_matrix: dict[tuple[str, str], list[str]] = {}
+    for name, reason in reasons.items():
+        if reason and reason != _EXPECTED:
+            by_matrix.setdefault((re.sub(r"\[\d+\]$", "", name), reason), []).append(name)
+    return [
+        f"{names[0]!r} ({reason})"
+        if len(names) == 1
+        else f"{matrix!r} ({reason} in each of its {len(names)} columns: transpose it if rows are "
+        "its channels)"
+        for (matrix, reason), names in by_matrix.items()
+    ]
 
 
 def _check_orientation(names: Sequence[str], rows: int) -> None:
@@ -198,7 +290,7 @@ def _matrix(
     table: Table, names: Sequence[str], gaps: Gaps, places: NDArray[np.int_] | None
 ) -> Array:
     """Return the columns as a matrix, with NaN in missing rows."""
-    matrix = np.column_stack([numbers(f"column {name!r}", table[name]) for name in names])
+    matrix = np.column_stack([_values(name, table[name]) for name in names])
     if gaps == "refuse":
         try:
             for name, values in zip(names, matrix.T, strict=True):
@@ -213,6 +305,14 @@ def _matrix(
     spread = np.full((rows, len(names)), np.nan)
     spread[places] = matrix
     return spread
+
+
+def _values(name: str, column: Column) -> Array:
+    try:
+        return numbers(f"column {name!r}", column)
+    except ValueError as error:
+        words = "; missing (--missing) names words for missing values" if is_text(column) else ""
+        raise ValueError(f"{error}{words}") from None
 
 
 def _common_length(table: Table, picked: Sequence[str]) -> int:
@@ -239,10 +339,14 @@ def _find(table: Table, wanted: _Names) -> list[str]:
         if name == _NAMELESS and list(table) == ["0"]:
             name = "0"
         keys = [name] if name in table else []
+        bare = [key for key in table if unit_of(key) and key.rpartition(" ")[0] == name]
+        keys = keys or (bare if len(bare) == 1 else [])
         while name not in table and (key := f"{name}[{len(keys)}]") in table:
             keys.append(key)
         if not keys:
             raise ColumnError(f"column {name!r} is unknown: {_available(table)}")
+        if why := table[keys[0]].attrs.get("unread"):
+            raise ColumnError(f"column {name!r} cannot be read: {why}")
         all_keys += keys
     return all_keys
 
@@ -260,11 +364,12 @@ def _spacing(
 ) -> Spacing:
     """Return the grid of the time stamps; without stamps, the step from the caller or the file."""
     if stamps:
-        what = f"time column {stamps[0]!r}"
-        spaced = spacing(what, stamps[0], table[stamps[0]], gaps)
+        what, column = f"time column {','.join(stamps)!r}", table[stamps[-1]]
+        column = joined(table[stamps[0]], column) if len(stamps) == 2 else column
+        spaced = spacing(what, stamps[0], column, gaps, given or fallback)
         if given is None:
             return spaced
-        rows = len(table[stamps[0]]) if spaced.places is None else int(spaced.places[-1]) + 1
+        rows = len(column) if spaced.places is None else int(spaced.places[-1]) + 1
         if not (given > 0 and same_sampling(given, spaced.step, rows)):
             raise ValueError(
                 f"sampling_time (--sampling-time) is {given} s, but {what} steps by "

@@ -1,191 +1,310 @@
-"""Read time stamps, in seconds or as dates, and find the even step between them."""
+"""Read time stamps, as numbers, dates or times of the day, and tell what else they may mean."""
 
 from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
-from pandas.api.types import is_timedelta64_dtype
+from pandas.api.types import is_numeric_dtype, is_timedelta64_dtype
 
-from splitband.data.columns import Column, has_number, numbers
-from splitband.data.gaps import Gaps
+from splitband.data.columns import Column, has_number, in_file, is_text, numbers
 from splitband.data.signals import require_finite
-from splitband.data.timing import Stamp, stamp_after
 from splitband.runtime.arrays import Array
 
-MOST_MISSING = 0.9
-"""Share of a record's rows that may be missing between its time stamps. By eye."""
-TIME_NAMES = ("time", "t", "timestamp", "datetime", "date")
+TIME_NAMES = ("time", "timestamp", "datetime", "t", "date")
 _CLOCK_STEPS = (
-    *(n * unit for unit in (1, 60) for n in (1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30)), 3600, 7200,
+    *(n * unit for unit in (1, 60) for n in (1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30)),
+    3600, 7200, 10800, 21600, 43200, 86400,
 )  # fmt: skip
-"""Common sampling times, in seconds, of loggers that count in minutes and hours."""
-_UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "min": 60.0, "h": 3600.0}
-_UNITS |= {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
+"""Common sampling times, in seconds, of loggers that count in minutes, hours and days."""
+_DAY = 86400.0
+_YEAR = 365.25 * _DAY
+_UNITS = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
+    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("us", "µs", "μs", "usec", "microsecond", "microseconds"), 1e-6),
+    **dict.fromkeys(("ns", "nanosecond", "nanoseconds"), 1e-9),
+    **dict.fromkeys(("min", "mins", "minute", "minutes"), 60.0),
+    **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), 3600.0),
+    **dict.fromkeys(("day", "days"), _DAY),
+}
 _UNIT = re.compile(rf"[\s_/(\[]+({'|'.join(_UNITS)})[)\]]?$")
-_TIME_OF_DAY = re.compile(r"\s*\d{1,2}:\d\d")
+_AROUND = re.compile(r"^(?:[\w\[\]]+\.)+(?=\w+$)|^[%#_\s]+|[\s,(\[]+(?:utc|gmt)[\d:+-]*[)\]]?$")
+"""What a name has around the word for time: fields of structures, marks, a time zone."""
+_CLOCK = re.compile(r"\s*(?:(\d+) days?,? )?(\d+):(\d\d)(?::(\d\d))?(?:[.,](\d+)|:(\d{3}))?\s*")
+_TIME_OF_DAY = re.compile(
+    r"\s*\d{1,2}(?::\d\d(?::\d\d)?|\.\d\d\.\d\d)(?:[.,]\d+)?(?:\s*[AaPp]\.?[Mm]\.?)?\s*"
+)
 _ZONE = re.compile(r":\d\d(?:[.,]\d+)?\s*(?:Z|UTC|GMT|[+-]\d\d(?::?\d\d)?)\s*$")
 _DOTTED = re.compile(r"\s*\d{1,2}\.\d{1,2}\.\d")
+_DOTTED_TIME = re.compile(r"^(\d{1,2})\.(\d\d)\.(\d\d)")
+_DECIMAL = re.compile(r"(?<=:\d\d),(?=\d)|(?<=:\d\d:\d\d):(?=\d{3})")
+"""A comma or a third colon before the fraction of a second."""
+_SHORT_YEAR = re.compile(r"\s*\d\d-\d\d-\d\d\b")
+_NO_TIME = re.compile(r"[ T]00:00(:00)?(\.0+)?$")
+_SERIAL_DAYS = {
+    "Excel's serial days": 25569.0,
+    "MATLAB's serial days": 719529.0,
+    "Julian days": 2440587.5,
+}
+"""Number of the first of January 1970."""
+_FINER = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+_DIGITS = {8: "%Y%m%d", 12: "%Y%m%d%H%M", 14: "%Y%m%d%H%M%S"}
+"""Dates that are written as one number, by the number of their digits."""
 
 
 @dataclass(frozen=True, eq=False)
-class Spacing:
-    """Describe the even grid that the rows of a file lie on.
+class Reading:
+    """Hold one meaning of a column of time stamps.
 
     Attributes
     ----------
-    step : In s.
-    start : Time stamp of its first row; None for a file without time stamps.
-    places : Grid index of each row of the file, `(time,)`; None if no rows are missing.
-    note : Message about how the stamps were interpreted; empty if that is certain.
+    words : What the stamps are taken for, in the plural.
+    seconds : Seconds since `date`, (time,).
+    grain : Resolution of their number type, in s.
+    date : Date of 0 s; None for plain seconds.
+    note : What a user should know of the reading, after the name of the column.
+    certain : Whether it leaves no room for seconds.
     """
 
-    step: float
-    start: Stamp | None = None
-    places: NDArray[np.int_] | None = None
+    words: str
+    seconds: Array
+    grain: float = 0.0
+    date: pd.Timestamp | None = None
     note: str = ""
+    certain: bool = False
 
 
-def time_name(column: str) -> tuple[str, float]:
-    """Split a name such as "Time [ms]" into "time" and its unit in seconds."""
-    name = column.strip().lower()
+def time_name(column: str) -> tuple[str, float | None]:
+    """Split a name such as "Time [ms]" into "time" and its unit in seconds, None without one."""
+    name = _AROUND.sub("", column.strip().lower())
     unit = _UNIT.search(name)
-    return (name[: unit.start()], _UNITS[unit[1]]) if unit else (name, 1.0)
+    word = name[: unit.start()] if unit else name
+    return re.sub(r"(?<=date|time)[\s_/&-]+(?=time|stamp)", "", word), unit and _UNITS[unit[1]]
+
+
+def is_time(column: str) -> bool:
+    """Return whether a column is called time, timestamp, datetime, t or date."""
+    return time_name(column)[0] in TIME_NAMES
 
 
 def also_time(name: str, column: Column) -> bool:
-    """Return whether a column such as "time_2" or "elapsed time" is another time column.
+    """Return whether a column beside the time stamps tells the time, too.
 
-    Its name contains a word for time, and its values increase from row to row.
+    Its name is one of a time column, or contains a word for time ("time_2", "elapsed time") and its
+    values increase from row to row: T may also be a temperature.
     """
-    words = set(re.findall("[a-z]+", name.lower()))
-    if not words & {*TIME_NAMES} - {"t"} or not has_number(column):  # T_1 is a temperature
+    word, words = time_name(name)[0], set(re.findall("[a-z]+", name.lower()))
+    if word in TIME_NAMES and word != "t":
+        return True
+    if not (word == "t" or words & {*TIME_NAMES, "stamp"} - {"t"}) or not has_number(column):
         return False
     values = pd.to_numeric(column, errors="coerce").dropna().to_numpy(dtype=np.float64)
     return len(values) > 1 and bool((np.diff(values) > 0).all())
 
 
-def spacing(what: str, name: str, column: Column, gaps: Gaps) -> Spacing:
-    """Return the even grid of time stamps.
+def is_day(column: Column) -> bool:
+    """Return whether a column begins with a date without a time."""
+    return ":" not in _NO_TIME.sub("", str(column.iloc[0])) and not is_time_of_day(column)
 
-    Raises ValueError for cells that are not stamps, and for stamps that do not increase evenly;
-    `reading.read` states the tolerance.
+
+def is_time_of_day(column: Column) -> bool:
+    """Return whether a column holds times without a date: 20:00, 8.00.00 PM, fractions of a day."""
+    if is_numeric_dtype(column):
+        return bool(column.between(0, 1, inclusive="left").all())
+    return _TIME_OF_DAY.fullmatch(str(column.iloc[0])) is not None
+
+
+def joined(date: Column, time: Column) -> Column:
+    """Return the dates of one column with the times of the day of another."""
+    if is_numeric_dtype(date) and is_numeric_dtype(time):
+        return date + time
+    missing = date.isna() | time.isna()
+    days = date.astype(str).str.strip().str.replace(_NO_TIME, "", regex=True)
+    times = time.astype(str).str.strip().str.replace(_DOTTED_TIME, r"\1:\2:\3", regex=True)
+    return (days + " " + times).mask(missing)
+
+
+def readings(what: str, name: str, column: Column) -> list[Reading]:
+    """Return what time stamps may mean; one reading if that is certain.
+
+    Raises ValueError for cells that are no time stamps.
     """
-    days = _serial_days(what, name, column)
-    stamps, grain, date = _seconds(what, name, column) if days is None else _seconds_of_days(days)
-    rows, joined = _on_grid(what, stamps) if gaps == "mask" else (np.arange(len(stamps)), stamps)
-    unit = max(_last_place(stamps), grain)
-    step, start = _even_grid(what, joined, unit, gaps == "mask")
-    return Spacing(
-        step,
-        start if date is None else stamp_after(date, start),
-        rows if len(rows) <= rows[-1] else None,
-        _note(what, name, column, stamps, date),
-    )
+    if is_timedelta64_dtype(column):
+        column = column.dt.total_seconds()
+        return [Reading("seconds", numbers(what, column))]
+    if has_number(column):
+        values = numbers(what, column)
+        require_finite(what, values[:, None])
+        kind = np.float32 if column.dtype == np.float32 else np.float64
+        return _of_numbers(what, name, values, 2 * float(np.spacing(kind(np.abs(values).max()))))
+    return _of_clock(column) or _with_unit(column) or [_of_dates(what, column)]
 
 
-def _note(what: str, name: str, column: Column, stamps: Array, date: Stamp | None) -> str:
-    """Return how numbers were read, if they could have been read otherwise."""
-    if not has_number(column):
-        return ""
-    if date is not None:
-        return f"{what} holds Excel's serial days, read as dates from {date}"
-    unitless = time_name(name)[0] == name.strip().lower()
-    if unitless and stamps[0] > 2e4 and stamps[-1] < 8e4 and not (4 * stamps % 1).any():
-        return (
-            f"{what} is read as seconds: call it 'date' where these are Excel's serial days, "
-            "'t [s]' where they are not"
+def _of_numbers(what: str, name: str, values: Array, grain: float) -> list[Reading]:
+    word, unit = time_name(name)
+    scale = 1.0 if unit is None else unit
+    dated = word in ("date", "datetime")
+    others = list(_beside_seconds(values, grain, dated)) if unit is None else []
+    if certain := [each for each in others if each.certain]:
+        return certain[:1]
+    if abs(values[0]) * scale > 1e11:
+        raise ValueError(f"{what} must be in seconds, or name its unit as in 't [ms]'")
+    if dated and unit is None and not others and not (values > 1e8).all():
+        raise ValueError(
+            f"{what} must hold dates, Excel's serial days or seconds since 1970, or name its unit "
+            f"as in 'date [s]': row 0 holds {values[0]:.10g}"
         )
-    return ""
+    return [Reading("seconds", values * scale, grain * scale), *others]
 
 
-def _serial_days(what: str, name: str, column: Column) -> Array | None:
-    """Return a column of Excel's serial days, since 1899-12-30; None for other stamps.
+def _beside_seconds(values: Array, grain: float, dated: bool) -> Iterator[Reading]:
+    """Yield what numbers without a unit may mean other than seconds."""
+    step, exact = float(np.median(np.diff(values))), last_place(values) > 1e-5
+    common = _steps_in_days(values)
+    if common and not exact and values.min() >= 0 and values.max() < 1 and step < 61 / _DAY:
+        yield Reading("fractions of a day", values * _DAY, last_place(values) * _DAY)
+    for words, unit in _FINER.items():
+        if values.min() * unit > 9.4e8 and values.max() * unit < 2.5e9:  # years 2000 to 2049
+            since = pd.Timestamp(values[0] * unit, unit="s").round("ms")
+            note = f"is read as {words} since 1970, from {since} on"
+            yield Reading(words, values * unit, grain * unit, None, note, True)
+    yield from _of_digits(values, dated)
+    for words, of_1970 in _SERIAL_DAYS.items():
+        since_1970 = values - of_1970
+        if since_1970.min() > -5569 and since_1970.max() < 54431:  # 1954 to 2119
+            certain = dated or (common and not exact)
+            if certain or common or (not exact and of_1970 > 1e5):  # steps of any length
+                yield _of_days(words, values, of_1970, certain)
+    if values.min() >= 1700 and values.max() <= 2100 and _is_whole(step, 1, 4, 12, 52, 365.25):
+        yield Reading("years", (values - values[0]) * _YEAR, grain * _YEAR)
+    if step > 999 and values[0] < 9.4e8 and not (_is_whole(_DAY / step) or _is_whole(step / _DAY)):
+        for words in ("milliseconds", "microseconds"):
+            yield Reading(words, values * _FINER[words], grain * _FINER[words])
 
-    They are numbers from 20,000 to 80,000 (1954 to 2119) in a column called date or datetime, or
-    in another column without a unit whose steps are a common sampling time in days. Raises
-    ValueError for numbers in a column of dates that cannot be seconds since 1970 either.
-    """
-    dated = name.strip().lower() in ("date", "datetime")
-    if not has_number(column) or time_name(name)[0] != name.strip().lower():
-        return None
-    days = numbers(what, column)
-    require_finite(what, days[:, None])
-    if ((days > 2e4) & (days < 8e4)).all():
-        return days if dated or _steps_in_days(days) else None
-    if not dated or (days > 1e8).all():
-        return None
-    raise ValueError(
-        f"{what} must hold dates, Excel's serial days or seconds since 1970, or name its unit as "
-        f"in 'date [s]': row 0 holds {days[0]:.10g}"
-    )
+
+def _is_whole(number: float, *factors: float) -> bool:
+    """Return whether the number, times one of the factors (default 1), is about 1, 2, 3, ..."""
+    products = [number * factor for factor in factors or (1,)]
+    return any(each > 0.5 and abs(each - round(each)) < 0.02 for each in products)
+
+
+def _of_digits(values: Array, dated: bool) -> Iterator[Reading]:
+    """Yield the reading of numbers such as 20240131 as dates, if they are dates."""
+    form = _DIGITS.get(len(f"{values[0]:.0f}"))
+    if form is None or (values % 1).any() or values.max() > 1e14:
+        return
+    written = pd.Series(values.astype(np.int64)).astype(str)
+    dates = pd.to_datetime(written, format=form, errors="coerce")
+    if dates.dt.year.between(1900, 2100).all():
+        since = np.asarray((dates - dates[0]).dt.total_seconds(), np.float64)
+        first, certain = dates[0].as_unit("ns"), dated or values[0] > 1e11
+        yield Reading(f"dates from {first:%Y-%m-%d} on", since, 0.0, first, certain=certain)
+
+
+def _of_days(words: str, days: Array, of_1970: float, certain: bool) -> Reading:
+    # Excel resolves milliseconds.
+    milliseconds = round(_DAY * 1e3 * (days[0] - of_1970))
+    first = pd.Timestamp(0) + pd.Timedelta(milliseconds, unit="ms")
+    grain = max(last_place(days), 2 * float(np.spacing(days.max())))
+    note = f"holds {words}, read as dates from {first}"
+    return Reading(words, (days - days[0]) * _DAY, grain * _DAY, first, note, certain)
 
 
 def _steps_in_days(stamps: Array) -> bool:
-    """Return whether the step of stamps is a common sampling time in days: 0.0416667 is an hour.
-
-    Stamps with four decimals or fewer are taken for seconds.
-    """
-    unit, steps = _last_place(stamps), np.diff(stamps)
-    if unit > 1e-5 or steps.min() <= 0:
+    """Return whether the step of stamps is a common sampling time in days: 0.0416667 is an hour."""
+    steps = np.diff(stamps)
+    if steps.min() <= 0:
         return False
-    span = 86400 * (stamps[-1] - stamps[0])
-    count = np.rint(span / (86400 * np.median(steps)))
-    uncertain = 1e-6 + 2 * 86400 * unit / span
+    span = _DAY * (stamps[-1] - stamps[0])
+    count = np.rint(span / (_DAY * np.median(steps)))
+    uncertain = 1e-6 + 2 * _DAY * last_place(stamps) / span
     off = min(abs(span / count / step - 1) for step in _CLOCK_STEPS)
-    return bool(off < uncertain < 1e-3)
+    return bool(off < 1e-6 or off < uncertain < 1e-3)
 
 
-def _seconds_of_days(days: Array) -> tuple[Array, float, pd.Timestamp]:
-    """Convert serial days to the result of `_seconds`."""
-    # Excel resolves milliseconds.
-    first = pd.Timestamp("1899-12-30") + pd.Timedelta(round(8.64e7 * days[0]), unit="ms")
-    grain = max(_last_place(days), 2 * float(np.spacing(days.max())))
-    return (days - days[0]) * 86400, grain * 86400, first
+def _of_clock(column: Column) -> list[Reading]:
+    """Return the readings of times without a date, such as 23:59:59.5 or 59:59.5; [] for others.
+
+    A clock that begins again at 0 has passed midnight, or the hour where it shows no hours.
+    """
+    if not _CLOCK.fullmatch(str(column.iloc[0])):
+        return []
+    parts = column.astype(str).str.extract(rf"^{_CLOCK.pattern}$")
+    if parts[1].isna().any():
+        return []
+    days, a, b, c = (parts[i].astype(np.float64) for i in range(4))
+    fraction = ("0." + parts[4].fillna(parts[5])).astype(np.float64).fillna(0.0)
+    short = c.isna()
+    seconds = days.fillna(0.0) * _DAY + 3600 * a + 60 * b + c.fillna(0.0) + fraction
+    exact = np.asarray(seconds.mask(short, 60 * a + b + fraction), np.float64)  # 59:59, 1:00:00
+    if not short.all():
+        return [Reading("times of the day", _unwrapped(exact, _DAY))]
+    minutes = Reading("minutes and seconds", _unwrapped(exact, 3600.0))
+    if a.max() > 24 or parts[[4, 5]].notna().any(axis=None):
+        return [minutes]
+    hours = Reading("hours and minutes", _unwrapped(np.asarray(seconds, np.float64), _DAY))
+    return [hours, minutes]
 
 
-def _seconds(what: str, name: str, column: Column) -> tuple[Array, float, pd.Timestamp | None]:
-    """Return stamps in s, (time,), the resolution of their number type, and the date of 0 s."""
-    if is_timedelta64_dtype(column):
-        column = column.dt.total_seconds()
-    if has_number(column):
-        values, unit = numbers(what, column), time_name(name)[1]
-        require_finite(what, values[:, None])
-        if abs(values[0]) * unit > 1e11:
-            raise ValueError(f"{what} must be in seconds, or name its unit as in 't [ms]'")
-        kind = np.float32 if column.dtype == np.float32 else np.float64
-        grain = 2 * float(np.spacing(kind(np.abs(values).max())))
-        return values * unit, grain * unit, None
+def _with_unit(column: Column) -> list[Reading]:
+    """Return the reading of cells such as "0.5 sec", as MATLAB writes durations; [] for others."""
+    parts = column.astype(str).str.extract(rf"^\s*([\d.eE+-]+)\s*({'|'.join(_UNITS)})\s*$")
+    if parts.isna().any(axis=None):
+        return []
+    values, units = pd.to_numeric(parts[0], errors="coerce"), parts[1].map(_UNITS)
+    return [Reading("seconds", np.asarray(values * units, np.float64))]
+
+
+def _unwrapped(seconds: Array, period: float) -> Array:
+    """Return the times of a clock that begins again at 0 after a period, going on instead."""
+    again = np.cumsum(np.diff(seconds, prepend=seconds[0]) < -0.5 * period)
+    return np.asarray(seconds + period * again)
+
+
+def _of_dates(what: str, column: Column) -> Reading:
     _check_zones(what, column)
-    dates = _dates(column)
+    if is_text(column):
+        column = column.astype(str).str.replace(_DECIMAL, ".", regex=True)
+    dates, note = _dates(column)
     if (bad := np.flatnonzero(dates.isna())).size:
         cell = str(column.iloc[bad[0]])[:40]
-        raise ValueError(f"{what} must hold numbers or dates: row {bad[0]} holds {cell!r}")
+        raise ValueError(
+            f"{what} must hold numbers or dates: row {bad[0]} holds {cell!r}"
+            f"{in_file(column, bad[0])}"
+        )
     first = dates.iloc[0].as_unit("ns")
     # pandas adds today's date to a time without a date; here it is counted from midnight.
-    of_day = _TIME_OF_DAY.match(str(column.iloc[0])) is not None
+    of_day = is_time_of_day(column)
     since = dates - (first.normalize() if of_day else first)
     seconds = np.asarray(since / pd.Timedelta(1, unit="s"), dtype=np.float64)
-    return seconds, 0.0, None if of_day else _in_its_zone(first, column)
+    if of_day:
+        return Reading("times of the day", _unwrapped(seconds, _DAY))
+    return Reading("dates", seconds, date=_in_its_zone(first, column), note=note)
 
 
-def _dates(column: Column) -> pd.Series:
+def _dates(column: Column) -> tuple[pd.Series, str]:
     """Parse dates in UTC, NaT where that fails: day or month first, whichever parses more cells.
 
     If both parse, as in the first days of a month, the more even step decides. If that is equal
-    too, dates written with dots are read day first, others month first.
+    too, dates written with dots are read day first, others month first, which the note says.
     """
-    dotted = _DOTTED.match(str(column.iloc[0])) is not None
+    first = str(column.iloc[0])
+    dotted = _DOTTED.match(first) is not None
+    orders: list[dict[str, Any]] = [{"dayfirst": dotted}, {"dayfirst": not dotted}]
+    orders += [{"yearfirst": True}] if _SHORT_YEAR.match(first) else []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        tries = [pd.to_datetime(column, format="ISO8601", utc=True, errors="coerce")]
-        tries += [
-            pd.to_datetime(column, dayfirst=day_first, utc=True, errors="coerce")
-            for day_first in (dotted, not dotted)
+        iso = pd.to_datetime(column, format="ISO8601", utc=True, errors="coerce")
+        if iso.notna().all():
+            return iso, ""
+        tries = [iso] + [
+            pd.to_datetime(column, **order, utc=True, errors="coerce") for order in orders
         ]
 
     def doubt(parsed: pd.Series) -> tuple[int, float]:
@@ -195,7 +314,14 @@ def _dates(column: Column) -> pd.Series:
         uneven = round(float((steps - usual).abs().max() / usual), 2) if len(steps) else 0.0
         return int(parsed.isna().sum()), uneven
 
-    return min(tries, key=doubt)
+    best = min(tries, key=doubt)
+    others = {e.iloc[0] for e in tries[1:] if doubt(e) == doubt(best)} - {best.iloc[0]}
+    if dotted or best.isna().any() or not others:
+        return best, ""
+    return best, (
+        f"is read as dates from {best.iloc[0]:%Y-%m-%d} on; with day, month and year in another "
+        f"order they begin on {' or '.join(f'{other:%Y-%m-%d}' for other in sorted(others))}"
+    )
 
 
 def _check_zones(what: str, column: Column) -> None:
@@ -221,88 +347,7 @@ def _in_its_zone(date: pd.Timestamp, column: Column) -> pd.Timestamp:
     return date.tz_convert(zone) if zone is not None else date.tz_localize(None)
 
 
-def _even_grid(what: str, stamps: Array, unit: float, masked: bool) -> tuple[float, float]:
-    """Return the step and the first stamp of an even grid, in s; see `reading.read` for tolerances.
-
-    `unit` is one unit in the last place of the stamps, in s.
-    """
-    steps = np.diff(stamps)
-    if (back := np.flatnonzero(steps <= 0)).size:
-        before, after = stamps[back[0] : back[0] + 2]
-        raise ValueError(
-            f"{what} must increase: row {back[0] + 1} ({after:.10g} s) follows {before:.10g} s"
-        )
-    median, mean = float(np.median(steps)), float(steps.mean())
-    if unit > 0.99 * median:  # rounding this coarse could hide a missing row
-        unit = 0.0
-    line = np.abs(stamps - stamps[0] - mean * np.arange(len(stamps)))[1:]
-    rounded = np.maximum(np.abs(steps - mean), line) < 0.999 * unit
-    off = np.abs(steps - median)
-    if (bad := np.flatnonzero((off > 0.01 * median) & ~rounded)).size:
-        gaps = bad[off[bad] > 1.001 * unit]  # report true gaps first: they shift the other rows
-        row = int((gaps if gaps.size else bad)[0]) + 1
-        raise ValueError(
-            f"{what} must be even: expected a step of {median:.6g} s at row {row}, found "
-            f"{steps[row - 1]:.6g} s; time_column='' (--time-column '') ignores the stamps"
-            + (", gaps='mask' (--gaps mask) allows for missing rows" if not masked else "")
-        )
-    centred = np.arange(len(stamps)) - 0.5 * len(steps)
-    # The slope of a fitted line, which averages out the rounding of the stamps.
-    slope = centred @ (stamps - stamps[0]) / (centred @ centred)
-    step = float(f"{slope:.12g}")
-    beside = stamps - stamps[0] - step * np.arange(len(stamps))
-    first = float(beside.mean())  # where the grid begins, after the first stamp
-    wander = np.abs(beside - first)
-    if wander.max() > 0.5 * (step + unit):
-        raise ValueError(
-            f"{what} must be even: its stamps wander by {wander.max() / step:.2g} samples from an "
-            f"even step of {step:.6g} s, at row {int(wander.argmax())}; time_column='' "
-            "(--time-column '') ignores the stamps"
-        )
-    if abs(first) < 1e-6 * step:
-        return step, float(stamps[0])
-    # Rounded to a tenth of the last printed place, the resolution of the stamps.
-    digits = 0.1 * unit or 1e-6 * step
-    return step, float(np.rint((stamps[0] + first) / digits) * digits)
-
-
-def _on_grid(what: str, stamps: Array) -> tuple[NDArray[np.int_], Array]:
-    """Return each stamp's row on the grid without gaps, `(time,)`, and the stamps of all rows.
-
-    For evenly rising stamps the rows are 0, 1, 2... A logger may restart at any time after a gap:
-    its stamps are then moved to the closest rows of the grid that begins at the first stamp, so
-    that rows do not drift away from the stamps over many gaps.
-
-    Raises ValueError if more than `MOST_MISSING` of the rows are missing: a stamp is then probably
-    wrong.
-    """
-    steps = np.diff(stamps)
-    if not len(steps) or steps.min() <= 0:  # `_even_grid` raises an error that names the row
-        return np.arange(len(stamps)), stamps
-    usual = float(np.quantile(steps, 0.1))  # the smallest steps may be jitter
-    usual = float(steps[steps < 1.75 * usual].mean())  # stamps may be rounded to few units
-    missing = float(np.maximum(np.rint(steps / usual) - 1, 0).sum())
-    if missing > MOST_MISSING * (missing + len(stamps)):
-        worst = int(np.argmax(steps))
-        raise ValueError(
-            f"{what} must have a stamp for one row in ten at least: {missing:.0f} rows of "
-            f"{usual:.6g} s are missing, most of them after row {worst}"
-        )
-    gap = np.rint(steps / usual) > 1
-    index = np.arange(len(stamps))
-    if not gap.any():
-        return index, stamps
-    begins = np.concatenate([[0], np.flatnonzero(gap) + 1])  # first rows of the stretches
-    stretch = np.concatenate([[0], np.cumsum(gap)])
-    closest = np.rint((stamps[begins] - stamps[0]) / usual).astype(int)
-    rows = closest[stretch] + index - begins[stretch]
-    rows = np.maximum.accumulate(rows - index) + index  # so that no two samples share a row
-    even = np.where(gap, usual * np.diff(rows), steps)
-    joined = stamps[0] + np.concatenate([[0.0], np.cumsum(even)])
-    return rows, np.asarray(np.interp(np.arange(rows[-1] + 1), rows, joined))
-
-
-def _last_place(stamps: Array) -> float:
+def last_place(stamps: Array) -> float:
     """Return the unit of the last printed decimal place; 0 if it is beyond 1e-9."""
     for places in range(10):
         scaled = stamps * 10.0**places

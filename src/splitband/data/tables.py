@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from io import BufferedReader
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -16,7 +16,8 @@ import pyarrow.parquet  # type: ignore[import-untyped]
 import scipy
 from numpy.typing import NDArray
 
-from splitband.data.columns import Column
+from splitband.data.columns import Column, without
+from splitband.data.layout import Layout
 from splitband.data.signals import one_line
 from splitband.data.text import check_different, read_table
 
@@ -27,32 +28,48 @@ _MAT_NUMBERS = (
     "double", "single", "logical", *(f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)),
 )  # fmt: skip
 
+_MAT_READ = (*_MAT_NUMBERS, "struct", "cell", "char")
+_IN_MATLAB = (
+    ", which only MATLAB can read: save a timetable T as text, writetimetable(T, 'T.csv'), of a "
+    "timeseries the vectors Time and Data"
+)
+
 _AnyArray: TypeAlias = NDArray[Any]
 Table: TypeAlias = dict[str, Column]
 """Columns by name; in NPZ and MAT files they may differ in length."""
 
 
-def load(path: Path) -> Table:
+def load(path: Path, layout: Layout) -> Table:
     """Read every column of a file; an error of any reader is raised as a ValueError."""
     kind, reader = _READERS.get(path.suffix.lower(), ("text", None))
+    if reader is not None:
+        layout.check_no_lines(kind)
     with path.open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         if not file.peek(1):
             raise ValueError("the file is empty")
         try:
-            return _read_text(path, file) if reader is None else reader(path)
+            table = _read_text(path, file, layout) if reader is None else reader(path)
         except Exception as error:  # zip, pickle, Arrow, pandas and SciPy each raise their own
             raise ValueError(f"cannot be read as {kind}: {one_line(error)}") from error
+    return known(table, layout)
 
 
-def _read_text(path: Path, file: BufferedReader) -> Table:
+def known(table: Table, layout: Layout) -> Table:
+    """Return a table without the cells that stand for missing values."""
+    if not layout.missing:
+        return table
+    return {name: without(column, layout.missing) for name, column in table.items()}
+
+
+def _read_text(path: Path, file: BufferedReader, layout: Layout) -> Table:
     """Read separated numbers, with or without a header, in one pass: `file` may be a pipe."""
     most = MOST_BYTES // 4  # memory holds it as bytes, as lines and as numbers
     check_size(4 * path.stat().st_size)
     raw = file.read(most + 1)
     check_size(4 * len(raw))
     check_size(100 * raw.count(b"\n"))
-    return _columns(read_table(raw, path.suffix.lower()))
+    return _columns(read_table(raw, path.suffix.lower(), layout))
 
 
 def check_size(size: int) -> None:
@@ -108,12 +125,27 @@ def _bytes_of(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
 
 def _read_mat(path: Path) -> Table:
     try:
-        numeric = [v for v in scipy.io.whosmat(path) if v[2] in _MAT_NUMBERS]
-        check_size(8 * sum(math.prod(shape) for _, shape, _ in numeric))
-        names = [name for name, _, _ in numeric]
-        return _variables(scipy.io.loadmat(path, variable_names=names))
+        found = [v for v in scipy.io.whosmat(path) if not v[0].startswith("__")]
+        check_size(8 * sum(math.prod(shape) for _, shape, kind in found if kind in _MAT_NUMBERS))
+        names = [name for name, _, kind in found if kind in _MAT_READ]
+        table = _variables(scipy.io.loadmat(path, variable_names=names, simplify_cells=True))
     except NotImplementedError:
         raise ValueError("it is a v7.3 (HDF5) file; save it with the option -v7") from None
+    others = {name: kind for name, _, kind in found if kind not in _MAT_READ}
+    if not table:
+        kinds = ", ".join(f"{name!r} ({kind})" for name, _, kind in found) or "nothing"
+        raise ValueError(f"it holds no numbers, but {kinds}{_IN_MATLAB if others else ''}")
+    return table | {
+        name: _unread("sparse" if kind == "sparse" else f"{kind}{_IN_MATLAB}")
+        for name, kind in others.items()
+    }
+
+
+def _unread(why: str) -> Column:
+    """Return an empty column in place of a variable that is none."""
+    column: Column = pd.Series(dtype=object)
+    column.attrs["unread"] = why
+    return column
 
 
 def _columns(frame: pd.DataFrame) -> Table:
@@ -130,16 +162,35 @@ def _native(array: _AnyArray) -> _AnyArray:
 def _variables(variables: Mapping[str, object]) -> Table:
     """Return named arrays as columns: a matrix `m` becomes `m[0]`, `m[1]`, ..."""
     table: Table = {}
-    names = [name.strip() for name in variables]
-    check_different(names)
-    for name, variable in zip(names, variables.values(), strict=True):
-        if isinstance(variable, np.ndarray) and variable.dtype.names is None:
-            array = _native(variable)
-            if array.ndim == 1:
-                table[name] = pd.Series(array)
-            elif array.ndim == 2:
-                table |= {f"{name}[{i}]": pd.Series(array[:, i]) for i in range(array.shape[1])}
+    arrays = list(_arrays(variables))
+    check_different([name for name, _ in arrays])
+    for name, array in arrays:
+        if array.ndim == 1:
+            table[name] = pd.Series(array)
+        elif array.ndim == 2:
+            table |= {f"{name}[{i}]": pd.Series(array[:, i]) for i in range(array.shape[1])}
+        else:
+            table[name] = _unread(f"{array.ndim} axes instead of 2")
     return table
+
+
+def _arrays(value: object, name: str = "") -> Iterator[tuple[str, _AnyArray]]:
+    """Yield the arrays of variables and of their fields, such as `out.signals[0].values`."""
+    match value:
+        case Mapping():
+            for key, field in value.items():
+                if key.startswith("__"):  # the header of a MAT file
+                    continue
+                yield from _arrays(field, f"{name}.{key.strip()}" if name else key.strip())
+        case list() | np.ndarray(dtype=np.dtypes.ObjectDType()):
+            for i, cell in enumerate(value):
+                yield from _arrays(cell, f"{name}[{i}]")
+        case np.ndarray() if value.dtype.names:
+            yield from _arrays({key: value[key] for key in value.dtype.names}, name)
+        case np.ndarray() if not value.size:
+            pass
+        case np.ndarray() | np.generic() | float() | int() | complex():
+            yield name, _native(np.asarray(value))
 
 
 _READERS: dict[str, tuple[str, Callable[[Path], Table]]] = {

@@ -1,65 +1,95 @@
-"""Read tables from text: detect separator, header and decimal sign, and parse with pandas."""
+"""Read tables from text: decode, parse with pandas, and find the decimal sign."""
 
 from __future__ import annotations
 
+import csv
 import io
 import re
-import warnings
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from pandas.api.types import is_object_dtype, is_string_dtype
 
 from splitband.data.columns import Column
+from splitband.data.layout import SIGNS, Layout, Row, find_head, number_pattern, separator
 
-_SIGNS = {".": ",", ",": "."}
-"""Decimal signs, each with its thousands separator."""
 _ERRORS_OF_CELLS = r"N/A|DIV/0!|REF!|VALUE!|NAME\?|NUM!|NULL!"
 """Error values of spreadsheets after a "#", which then does not begin a comment."""
-_DIGIT_BLANK_DIGIT = re.compile(r"\d,\d+\s+[-+]?\d+,\d")
+_EXCELS_SEPARATOR = re.compile(r"sep=(.)\s*", re.IGNORECASE)
+_RAGGED = re.compile(r"Expected (\d+) fields in line (\d+), saw (\d+)")
 
 
-def read_table(raw: bytes, suffix: str) -> pd.DataFrame:
-    """Read the columns of a text file, with or without a header.
+def read_table(raw: bytes, suffix: str, layout: Layout) -> pd.DataFrame:
+    """Read the columns of a text file, with or without a header; the index holds its lines.
 
     Numbers have a decimal point or a decimal comma, the same in the whole file, and may have
     thousands separators.
 
-    Raises ValueError for a file without data, for duplicate column names, and for an ambiguous
-    decimal sign; pandas raises its own errors for text that is not a table.
+    Raises ValueError for a file without data, for duplicate column names, for rows of different
+    length, and for an ambiguous layout or decimal sign.
     """
-    lines = _lines(raw, mark_inside=suffix not in (".csv", ".tsv"))
-    body = [line for line in lines if line]
-    if not body:
+    written = re.split("\r\n?|\n", _decoded(raw))
+    lines = _without_comments(written, mark_inside=suffix not in (".csv", ".tsv"))
+    begin = next((i for i, line in enumerate(lines) if line), 0)
+    sep = "\t" if suffix == ".tsv" else ""
+    if excels := _EXCELS_SEPARATOR.fullmatch(lines[begin]):
+        sep, lines[begin] = excels[1], ""
+    lines[: layout.skip_rows] = [""] * min(layout.skip_rows, len(lines))
+    if not any(lines):
         raise ValueError("it holds no data")
-    sep = _separator(body, suffix)
-    parsed = partial(_parsed, sep=sep)
-    first = parsed(body[0], header=None, dtype=str).iloc[0].str.strip()
-    header = _is_header([*first.dropna()])
-    if header:  # pandas would number them
-        check_different([*first.dropna()])
+    sep = sep or separator(lines, layout)
+    lines = _joined(lines, sep)
+    head = find_head(lines, written, sep, layout)
+    lines[: head.first - 1] = [""] * (head.first - 1)
+    body = [i for i, line in enumerate(lines, 1) if line]
+    first = Row.of(body[0], lines[body[0] - 1], sep).cells if body else ()
+    names: list[Any] = [*range(len(first))]
+    if head.names is not None:  # pandas would number names that stand twice
+        check_different([name for name in head.names if name])
+        more = ("",) * (len(first) - len(head.names))
+        names = [name or f"Unnamed: {i}" for i, name in enumerate((*head.names, *more))]
     elif len(body) == 1:  # a single row of numbers is read as a column
-        cells = first.iloc[:-1] if body[0].rstrip(" ").endswith(sep) else first
-        lines = [f'"{cell}"' for cell in cells.fillna("nan")]
-    text = "\n".join(lines)
-    parsed = partial(parsed, header=0 if header else None)
-    warnings.simplefilter("error", pd.errors.ParserWarning)  # rows longer than the header
+        cells = first if first[-1] else first[:-1]
+        lines, body, names = [f'"{cell or "nan"}"' for cell in cells], body * len(cells), [0]
+    frame = _with_decimal("\n".join(lines), sep, names)
+    if len(frame) == len(body):
+        frame.index = pd.Index(body, name="line")
+    filled = np.flatnonzero(frame.notna().any(axis=1))  # spreadsheets may end with empty rows
+    return frame.iloc[: filled[-1] + 1 if filled.size else 0]
+
+
+def _with_decimal(text: str, sep: str, names: list[Any]) -> pd.DataFrame:
+    """Parse rows of cells, with the decimal sign that they show."""
+    parsed = partial(_parsed, text, sep, names)
     if ('"' if sep == "," else ",") not in text and sep not in ";\t":
-        return parsed(text)  # no cell can hold a comma
-    cells_as_text = parsed(text, dtype=str)
+        return parsed()  # no cell can hold a comma
+    cells_as_text = parsed(dtype=str)
     decimal = _decimal(cells_as_text, sep)
-    frame = parsed(text, decimal=decimal)
+    frame = parsed(decimal=decimal)
     for name in frame.columns:
         if is_string_dtype(frame[name]) or is_object_dtype(frame[name]):
             frame[name] = _without_separators(cells_as_text[name], decimal)
     return frame
 
 
-def _parsed(text: str, *, sep: str, **options: Any) -> pd.DataFrame:
+def _parsed(text: str, sep: str, names: list[Any], **options: Any) -> pd.DataFrame:
     file, between = io.StringIO(text), r"\s+" if sep == " " else sep
-    return pd.read_csv(file, sep=between, index_col=False, skipinitialspace=True, **options)
+    try:
+        return pd.read_csv(
+            file, sep=between, header=None, names=names, index_col=False, skipinitialspace=True,
+            na_values=["NAN"], **options,
+        )  # fmt: skip
+    except pd.errors.ParserError as error:
+        if not (ragged := _RAGGED.search(str(error))):
+            raise
+        expected, line, found = ragged.groups()
+        raise ValueError(
+            f"line {line} holds {found} cells instead of {expected}: a cell with a separator in it "
+            "needs quotes, lines above the names may be left out by skip_rows (--skip-rows)"
+        ) from None
 
 
 def check_different(names: Sequence[str]) -> None:
@@ -71,62 +101,47 @@ def check_different(names: Sequence[str]) -> None:
         )
 
 
-def _lines(raw: bytes, mark_inside: bool) -> list[str]:
-    """Decode the file and blank out comments, with `mark_inside` also those within a line.
+def _decoded(raw: bytes) -> str:
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return raw.decode("utf-16")
+    if b"\0" in raw:
+        raise ValueError("it is a binary file; save a spreadsheet as CSV")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
+
+
+def _without_comments(lines: Sequence[str], mark_inside: bool) -> list[str]:
+    """Blank out lines that begin with # or "% ", with `mark_inside` also what follows a " #".
 
     Blank lines stay, so that the line numbers in pandas' messages are those of the file.
     """
-    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-        text = raw.decode("utf-16")
-    elif b"\0" in raw:
-        raise ValueError("it is a binary file; save a spreadsheet as CSV")
-    else:
-        try:
-            text = raw.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = raw.decode("latin-1")
-    mark = rf"#(?!{_ERRORS_OF_CELLS}).*"
-    comment = re.compile(mark if mark_inside else rf"^\s*{mark}")
-    lines = (comment.sub("", line) if "#" in line else line for line in re.split("\r\n?|\n", text))
-    return [line if line.strip(" ") else "" for line in lines]
+    whole = re.compile(rf"^\s*(?:#(?!{_ERRORS_OF_CELLS}|[,;])|%(?:\s|$)).*")
+    inside = re.compile(rf'^([^"#]*\s)#(?!{_ERRORS_OF_CELLS}).*')
+    kept = []
+    for line in lines:
+        if "#" in line or "%" in line:
+            line = whole.sub("", line)  # noqa: PLW2901
+            line = inside.sub(r"\1", line) if mark_inside else line  # noqa: PLW2901
+        kept.append(line if line.strip(" ") else "")
+    return kept
 
 
-def _separator(body: Sequence[str], suffix: str) -> str:
-    """Return the separator of the columns; " " stands for any spaces."""
-    if suffix == ".tsv":
-        return "\t"
-    line = body[min(1, len(body) - 1)]
-    found = next((sep for sep in ";\t," if sep in line), "," if suffix == ".csv" else " ")
-    return " " if found == "," and _DIGIT_BLANK_DIGIT.search(line) else found
-
-
-def _is_header(cells: Sequence[str]) -> bool:
-    """Return whether some cell is a word, and the only numbers are bare 0, 1, 2..."""
-    words = False
-    for cell in cells:
-        if _is_number(cell):
-            if not cell.isdigit():
-                return False
-        else:
-            words = words or not (re.match(r"\d+[-/.:]\d", cell) or cell == "")
-    return words
-
-
-def _is_number(cell: str) -> bool:
+def _joined(lines: list[str], sep: str) -> list[str]:
+    """Put a row whose quoted cells have line breaks on one line, and leave the others empty."""
+    if not any(line.count('"') % 2 for line in lines):
+        return lines
+    joined = [""] * len(lines)
+    rows = csv.reader((f"{line}\n" for line in lines), delimiter=sep, strict=True)
+    begin = 0
     try:
-        float(cell)
-    except ValueError:
-        return any(re.fullmatch(_number(decimal), cell) for decimal in _SIGNS)
-    return True
-
-
-def _number(decimal: str) -> str:
-    """Return the pattern of a number with this decimal sign, thousands separators included."""
-    sign, thousands = re.escape(decimal), re.escape(_SIGNS[decimal])
-    return (
-        rf"\s*[-+]?(?:(?:\d+{sign}?\d*|{sign}\d+)(?:[eE][-+]?\d+)?"
-        rf"|[1-9]\d{{0,2}}(?:{thousands}\d{{3}})+(?:{sign}\d*)?)\s*"
-    )
+        for _ in rows:
+            joined[begin] = " ".join(lines[begin : rows.line_num])
+            begin = rows.line_num
+    except csv.Error as error:
+        raise ValueError(f"line {begin + 1} has a quote that is not closed: {error}") from None
+    return joined
 
 
 def _decimal(cells: pd.DataFrame, sep: str) -> str:
@@ -143,16 +158,16 @@ def _decimal(cells: pd.DataFrame, sep: str) -> str:
     open_signs: dict[str, str] = {}
     doubtful = ""
     for name, column in cells.items():
-        matches = {sign: column.str.fullmatch(_number(sign), na=False) for sign in _SIGNS}
+        matches = {sign: column.str.fullmatch(number_pattern(sign), na=False) for sign in SIGNS}
         either = matches["."] | matches[","]
         if not 2 * int(either.sum()) > int(column.notna().sum()):
             continue  # a text column: its numbers may be written differently
-        for sign, other in _SIGNS.items():
+        for sign, other in SIGNS.items():
             only = matches[sign] & ~matches[other]
             if only.any():
                 found.setdefault(sign, _cell(name, column, only))
         both = matches["."] & matches[","]
-        for sign in _SIGNS:
+        for sign in SIGNS:
             unclear = both & column.str.contains(sign, regex=False, na=False)
             if unclear.any():
                 open_signs.setdefault(sign, _cell(name, column, unclear))
@@ -178,8 +193,8 @@ def _cell(name: Any, column: Column, where: pd.Series[bool]) -> str:
 
 def _without_separators(column: Column, decimal: str) -> Column:
     """Return a column as numbers; if a cell is not a number, as text that `float` can read."""
-    is_number = column.str.fullmatch(_number(decimal), na=False)
-    plain = column.str.replace(_SIGNS[decimal], "", regex=False)
+    is_number = column.str.fullmatch(number_pattern(decimal), na=False)
+    plain = column.str.replace(SIGNS[decimal], "", regex=False)
     plain = column.where(~is_number, plain.str.replace(decimal, ".", regex=False))
     values = pd.to_numeric(plain, errors="coerce")
     return plain if (values.isna() & plain.notna()).any() else values

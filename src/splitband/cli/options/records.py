@@ -31,19 +31,40 @@ ModelArgument = Annotated[
         show_default=False,
     ),
 ]
-TimeColumn = Annotated[
-    str | None,
-    _record("Column of time stamps, seconds or dates.", "NAME", ", ".join(TIME_NAMES)),
-]
-GapsOption = Annotated[Gaps, _record("Refuse missing values and rows, or mask them.")]
 FutureInputs = Annotated[
     Path | None, _record("Known inputs of the samples to come.", "FILE", False)
 ]
 
 
 @dataclass(frozen=True)
-class RecordOptions:
-    """Say how files are read."""
+class FileOptions:
+    """Say how files of samples are read."""
+
+    time_column: Annotated[
+        str | None,
+        _record(
+            "Column of time stamps, seconds or dates; or a date and a time of the day, DATE,TIME.",
+            "NAME",
+            ", ".join(TIME_NAMES),
+        ),
+    ] = None
+    gaps: Annotated[Gaps, _record("Refuse missing values and rows, or mask them.")] = "refuse"
+    missing: Annotated[
+        str | None,
+        _record("Words or numbers that stand for a missing value: Bad,-9999.", "WORDS", False),
+    ] = None
+    skip_rows: Annotated[
+        int, _record("Lines at the top of a text file to leave out.", "N", False, min=0)
+    ] = 0
+    header_row: Annotated[
+        int | None,
+        _record("Line of a text file with the names, from 1; 0: none.", "N", "found", min=0),
+    ] = None
+
+
+@dataclass(frozen=True)
+class RecordOptions(FileOptions):
+    """Say how records are read, and what they hold."""
 
     columns: Annotated[
         str | None,
@@ -56,12 +77,14 @@ class RecordOptions:
     inputs: Annotated[str | None, _record("Known inputs: forces, set-points.", "NAMES", False)] = (
         None
     )
-    time_column: TimeColumn = None
     sampling_time: Annotated[
         float | None,
-        _record("Time between samples, without a time column.", "SECONDS", False),
+        _record(
+            "Time between samples, without a time column or with one that can mean two things.",
+            "SECONDS",
+            False,
+        ),
     ] = None
-    gaps: GapsOption = "refuse"
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,70 @@
+"""Options that say how a file is laid out, in every command that reads one."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splitband.cli import main
+from tests.cli.support import assert_fails, call, results
+
+LOGGER = "Logger X1\nRate,100 Hz,1\nDate,Time,force,x\n,,N,mm\n"
+OPTIONS = "--missing Bad,-- --gaps mask"
+
+
+@pytest.fixture
+def logger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A record over midnight, with units and a word for a missing value."""
+    rows = [
+        f"2024-03-0{1 + i // 60},{(23 + i // 60) % 24:02d}:{59 * (i < 60):02d}:{i % 60:02d},"
+        f"{np.sin(i / 5):.4f},{'Bad' if i == 50 else f'{np.sin(i / 5 - 0.3):.4f}'}\n"
+        for i in range(120)
+    ]
+    (tmp_path / "logger.csv").write_text(LOGGER + "".join(rows))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_record_of_a_logger(logger: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    call(f"spectrum logger.csv --inputs force --columns x {OPTIONS}", logger / "a")
+    said = capsys.readouterr().out
+    assert "inputs: force [N]; outputs: x [mm]; 120 samples every 1 s" in said
+    assert "1 of 120 samples have missing values and are masked: row 50" in said
+    given = "--inputs force --time-column Date,Time --header-row 3 --skip-rows 14"
+    call(f"spectrum logger.csv {given} {OPTIONS}", logger / "b")
+    assert "110 samples every 1 s" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("spectrum logger.csv --inputs force", "row 50 holds 'Bad' (line 55)"),
+        ("spectrum logger.csv --header-row 300", "header_row is 300, but there are 125 lines"),
+        ("spectrum van-der-pol --missing Bad", "--missing is for files"),
+        ("spectrum van-der-pol --skip-rows 2", "--skip-rows is for files"),
+    ],
+)
+def test_errors_name_the_line(
+    logger: Path, line: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert_fails(f"{line} --out {logger}/out", (words,), capsys)
+
+
+@pytest.mark.parametrize("command", ["compare", "forecast", "fit", "spectrum", "check", "simulate"])
+def test_every_command_that_reads_a_record_takes_them(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([command, "--help"]) == 0
+    said = capsys.readouterr().out
+    for option in ("--time-column", "--missing", "--skip-rows", "--header-row", "--gaps"):
+        assert option in said
+
+
+def test_a_model_is_used_on_files_of_the_logger(
+    logger: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call(f"fit logger.csv --inputs force {OPTIONS} --method linear --train 90", logger / "model")
+    call(f"check model --record logger.csv {OPTIONS}", logger / "checked")
+    assert results(logger / "checked")
+    call("simulate model --steps 10 --future-inputs logger.csv --missing Bad --out ahead.csv")
+    assert (logger / "ahead.csv").read_text().count("\n") == 11
