@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -88,11 +89,11 @@ def test_the_loss_of_eq_10_is_the_paper_s(filter_output: bool) -> None:
         torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
 
 
-def free_run(cell: torch.nn.Module, warm: torch.Tensor, steps: int) -> torch.Tensor:
-    """Return a free run by torch.nn.GRUCell with the weights of a trained cell."""
-    gru = torch.nn.GRUCell(1, cell.hidden_size).double()  # type: ignore[arg-type]
-    gru.load_state_dict(cell.transition.state_dict())  # type: ignore[operator,union-attr]
-    h, found = torch.zeros(1, gru.hidden_size, dtype=torch.float64), []
+def free_run(cell: Any, warm: torch.Tensor, steps: int) -> torch.Tensor:
+    """Return a free run by torch.nn.GRUCell with the weights of a cell."""
+    gru = torch.nn.GRUCell(1, cell.hidden_size).double()
+    gru.load_state_dict(cell.transition.state_dict())
+    h, found = torch.zeros(1, gru.hidden_size, dtype=torch.float64), list[torch.Tensor]()
     with torch.no_grad():
         for y in warm:
             h = gru(y[None], h)
@@ -124,9 +125,9 @@ def test_a_prediction_filters_its_warm_up_alone(own_warmup: bool) -> None:
     if not own_warmup:
         b, a = scipy.signal.butter(ORDER, CUTOFF, "high", fs=1 / DT)
         high = scipy.signal.filtfilt(b, a, warm, axis=0)
-    slow = free_run(model.slow, torch.from_numpy(low[R % K :: K].copy()), 12)  # type: ignore[arg-type]
+    slow = free_run(model.slow, torch.from_numpy(low[R % K :: K].copy()), 12)
     wanted = np.interp(np.arange(30) / K, np.arange(12), slow[:, 0])[:, None]
-    wanted = wanted + free_run(model.fast, torch.from_numpy(high.copy()), 30).numpy()  # type: ignore[arg-type]
+    wanted = wanted + free_run(model.fast, torch.from_numpy(high.copy()), 30).numpy()
     found = sum(model.simulate_components(warm, 30).values())
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12)
 
