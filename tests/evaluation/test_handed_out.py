@@ -52,6 +52,30 @@ def test_a_method_is_handed_out_as_it_was_trained(name: str, tmp_path: Path) -> 
     assert loaded.lower is not None
 
 
+class Fickle(sb.Forecaster):
+    """Forecasts 0 when fitted to few samples, and 1 when fitted to more."""
+
+    name, random, refits = "fickle", True, False
+
+    def extrapolate(self, known: Known) -> np.ndarray:
+        return np.full((known.steps, 1), float(len(self.require_fitted().record) >= TRAIN))
+
+
+def test_the_interval_of_what_is_handed_out_is_that_of_the_page(tmp_path: Path) -> None:
+    """A forecast that the final training has changed is doubted by the model, too."""
+    y = 0.01 * np.random.default_rng(0).standard_normal(200)
+    y[:100] += np.linspace(5, 0, 100)
+    result = sb.compare(Record(y, DT), methods=[Fickle()], seeds=1, setup=SETUP)
+    shown = result.predictions["fickle"]
+    assert (shown.upper - shown.lower > 1).all()
+    found = result.model.predict(40, level=0.9)
+    np.testing.assert_allclose(found.lower, shown.lower)
+    np.testing.assert_allclose(found.upper, shown.upper)
+    result.model.save(tmp_path / "model")
+    loaded = sb.load(tmp_path / "model").predict(40, level=0.9)
+    np.testing.assert_allclose(loaded.upper - loaded.y, found.upper - found.y)
+
+
 def test_what_was_trained_elsewhere_is_handed_out() -> None:
     below = sb.Single(GRU(3), SETTINGS)
     methods: list[Forecaster | str] = ["gru", sb.Residual(below, GRU(4)), "mean"]
@@ -82,7 +106,9 @@ def test_the_recommended_method_is_fitted_to_the_whole_record_where_that_is_aske
 
 def test_a_forecast_hands_out_its_model_and_what_it_was_made_with() -> None:
     found = sb.forecast(record(), 30, ["gru"], seeds=2, setup=replace(SETUP, train=200))
-    np.testing.assert_allclose(found.model.predict(30).y, found.prediction.y, atol=1e-12)
+    again = found.model.predict(30, level=0.9)
+    np.testing.assert_allclose(again.y, found.prediction.y, atol=1e-12)
+    np.testing.assert_allclose(again.upper, found.prediction.upper, atol=1e-12)
     again = found.forecaster.fit(record(), seed=0)
     np.testing.assert_allclose(again.predict(30).y, found.prediction.y, atol=1e-12)
 
