@@ -145,9 +145,9 @@ def test_a_link_in_place_of_the_lock_is_refused_and_not_followed(
     if exists:
         target.write_text("kept")
     (tmp_path / "out" / LOCK).symlink_to(target)
-    with pytest.raises(ValueError, match=f"--out must not hold a link .*{LOCK}; remove it"):
-        with locked(tmp_path / "out", "--out"):
-            pass
+    expected = f"--out must not hold a link .*{LOCK}; remove it"
+    with pytest.raises(ValueError, match=expected), locked(tmp_path / "out", "--out"):
+        pass
     assert target.exists() == exists
     assert not exists or target.read_text() == "kept"
 
@@ -157,9 +157,8 @@ def test_a_second_name_of_a_file_in_place_of_the_lock_is_not_written_to(tmp_path
     target = tmp_path / "target"
     target.write_text("kept")
     (tmp_path / "out" / LOCK).hardlink_to(target)
-    with locked(tmp_path / "out"), pytest.raises(ValueError, match="in use by another"):
-        with locked(tmp_path / "out"):
-            pass
+    with locked(tmp_path / "out"):
+        assert target.read_text() == "kept"
     assert target.read_text() == "kept"
     assert not (tmp_path / "out" / LOCK).exists()
 

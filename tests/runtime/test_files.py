@@ -94,9 +94,8 @@ def test_the_mask_of_the_process_is_not_touched(
 ) -> None:
     """A thread that writes a file at the same time would make it writable to everybody."""
     asked = list[int]()
-    monkeypatch.setattr(os, "umask", lambda mask: asked.append(mask) or 0o022)
-    with replacing(path) as temporary:
-        temporary.write_text(NEW)
+    monkeypatch.setattr(os, "umask", asked.append)
+    write_json(path, {})
     assert not asked
 
 
