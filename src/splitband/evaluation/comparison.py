@@ -181,8 +181,10 @@ class Comparison:
 
     def _test_residuals(self, name: str) -> tuple[ResidualTests, ...]:
         run = self.medians[name]
-        if run.tests:
+        if run.tests and self.runs.models.get(name):
             return tests_on(self.trained(name), self.tests[0])
+        if run.tests:
+            return tests_of(self.tests[0], run.tests[0])
         return () if run.forecast is None else tests_of(self.record, run.forecast)
 
     @property
