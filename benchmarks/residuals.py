@@ -134,7 +134,7 @@ def drawn(kind: str, noise: str, model: str, seed: int) -> tuple[Array, Array, A
 def tested(kind: str, noise: str, model: str, seed: int) -> ResidualTests:
     """Return the test of a model."""
     e, simulated, u = drawn(kind, noise, model, seed)
-    (test,) = residual_tests(e[:, None], simulated[:, None], u[:, None], ("y",), ("u",))
+    (test,) = residual_tests(e[:, None], u[:, None], ("y",), ("u",), simulated[:, None])
     return test
 
 

@@ -142,7 +142,7 @@ def tests_of(record: Record, simulated: Prediction) -> tuple[ResidualTests, ...]
     if len(simulated) < 2 * LAGS:
         return ()
     left = record.seen[len(record) - len(simulated) :] - simulated.y
-    return residual_tests(left, simulated.y, record.u, record.columns, record.inputs)
+    return residual_tests(left, record.u, record.columns, record.inputs, simulated.y)
 
 
 def tests_on(forecaster: Forecaster, record: Record) -> tuple[ResidualTests, ...]:

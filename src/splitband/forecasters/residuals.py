@@ -126,21 +126,22 @@ class ResidualTests:
 
 def residual_tests(
     residuals: Array,
-    simulated: Array,
     u: Array | None,
     columns: Sequence[str],
     inputs: Sequence[str],
+    simulated: Array | None = None,
 ) -> tuple[ResidualTests, ...]:
     """Test the residuals of each output.
 
     Parameters
     ----------
     residuals : `(time, ny)`, NaN in gaps.
-    simulated : The output of the model, `(time, ny)`.
     u : The inputs, `(time, nu)`; they may begin earlier, and end with the residuals.
     columns, inputs : Names of outputs and inputs.
+    simulated : The output of the model, `(time, ny)`, whose powers are tested, too.
     """
     found = []
+    simulated = np.zeros_like(residuals) if simulated is None else simulated
     for column, e, y in zip(columns, residuals.T, simulated.T, strict=True):
         pairs = [] if u is None else zip(inputs, u.T, strict=True)
         driven = {name: x for name, x in pairs if np.ptp(x[-len(e) - MAX_LAG :]) > 0}
