@@ -52,7 +52,6 @@ class Comparison:
     forecasters: Mapping[str, Forecaster] = field(default_factory=dict)
     time: TimeBudget = field(default_factory=TimeBudget)
     refit: Forecaster | None = None
-    _tested: dict[str, tuple[ResidualTests, ...]] = field(default_factory=dict, init=False)
 
     @property
     def record(self) -> Record:
@@ -178,6 +177,11 @@ class Comparison:
         if name not in self._tested:
             self._tested[name] = self._test_residuals(name)
         return self._tested[name]
+
+    @cached_property
+    def _tested(self) -> dict[str, tuple[ResidualTests, ...]]:
+        """Return the tests so far, by method, as they may need a simulation."""
+        return {}
 
     def _test_residuals(self, name: str) -> tuple[ResidualTests, ...]:
         run = self.medians[name]
